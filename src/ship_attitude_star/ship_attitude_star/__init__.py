@@ -1,0 +1,1 @@
+"""Ship attitude from an INS and star sensors: installation error model, fusion, node."""

@@ -1,0 +1,73 @@
+"""The measured attitude of a device against the one predicted from the INS, with its Jacobian (models.md §4).
+
+With R_i the INS attitude at the device's moment, all errors explained in :mod:`ship_attitude_star.filter_model`:
+
+    R_measured = exp(c) exp(a) exp(w) R_i exp(f) R0 exp(m) exp(noise)        horizon from device
+
+The residual is log(R_predicted^T R_measured), a rotation vector in the device frame.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_attitude_star.filter_model import Device
+from ship_estimation.state import StateModel
+from ship_geometry.attitude_track import InterpolatedAttitude
+from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
+
+
+@dataclass(frozen=True)
+class PredictedAttitude:
+    """A device's attitude as the state predicts it.
+
+    Attributes:
+        rotation_nv: horizon from device, shape (3, 3).
+        jacobian_v: rotation vector in the device frame per state error, shape (3, n).
+    """
+
+    rotation_nv: FloatArray
+    jacobian_v: FloatArray
+
+
+def ins_time_of(device: Device, model: StateModel, mean: FloatArray, time_ns: int) -> int:
+    """Stamp (ns) of the INS for the attitude that a device stamped ``time_ns``."""
+    shift_s = device.ins_time_s
+    for name, sign in device.ins_time_states:
+        shift_s += sign * mean[model.slices[name]][0]
+    return time_ns + round(shift_s * 1e9)
+
+
+def predict_attitude(
+    device: Device, model: StateModel, mean: FloatArray, ins: InterpolatedAttitude
+) -> PredictedAttitude:
+    """The attitude of a device at the moment of an (interpolated) INS attitude.
+
+    The chain is multiplied from the device outwards; an error of a factor exp(v) is a small rotation
+    J_left(v) dv in the frame on its left, which everything multiplied so far brings into the device frame.
+    """
+    jacobian = np.zeros((3, model.size))
+
+    def turned(name: str, rotation: FloatArray, scale: float = 1.0) -> FloatArray:
+        """Multiply ``rotation`` from the left by exp(state ``name``), where there is such a state."""
+        if name not in model.slices:
+            return rotation
+        vector = scale * mean[model.slices[name]]
+        rotation = exp_rotation(vector) @ rotation
+        jacobian[:, model.slices[name]] = scale * rotation.T @ left_jacobian(vector)
+        return rotation
+
+    rotation_dv = device.rotation_dv0 @ turned(f"{device.name}.installation", np.eye(3))
+    rotation_dv = turned(f"{device.name}.flexure", rotation_dv)
+    rate_v = rotation_dv.T @ ins.rate_d
+    for name, sign in device.ins_time_states:
+        jacobian[:, model.slices[name]] = sign * rate_v[:, None]
+    rotation_nv = turned("ins.noise", ins.rotation_nd @ rotation_dv, float(np.sqrt(ins.noise_gain)))
+    rotation_nv = turned("ins.attitude", rotation_nv)
+    rotation_nv = turned(f"{device.name}.common", rotation_nv)
+    return PredictedAttitude(rotation_nv, jacobian)
+
+
+def attitude_residual(predicted: PredictedAttitude, rotation_nv: FloatArray) -> FloatArray:
+    """Measured minus predicted attitude, rotation vector in the device frame, rad, shape (3,)."""
+    return log_rotation(predicted.rotation_nv.T @ rotation_nv)

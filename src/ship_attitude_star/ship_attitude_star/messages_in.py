@@ -1,0 +1,138 @@
+"""From messages to the core's structs: axes, units and checks. Reads attributes only, so any message class will do."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.config import InsConfig, ReferenceConfig, StarSensorConfig
+from ship_attitude_star.samples import AttitudeMeasurement
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
+from ship_geometry.ros_axes import device_vector_from_ros, horizon_covariance, rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.message_checks import Refused, covariance_3x3, finite_numbers, finite_vector, frame, stamp_ns
+from ship_node.message_checks import unit_quaternion
+
+_STAR_INVALID = 3
+_COVARIANCE_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Converted:
+    """A message as the core takes it.
+
+    Attributes:
+        value: an :class:`AttitudeSample` or an :class:`AttitudeMeasurement`.
+        covariance_known: False where the configured sigma was used.
+    """
+
+    value: Any
+    covariance_known: bool
+
+
+def ins_sample(message: Any, config: InsConfig, receive_ns: int) -> Converted:
+    """``ins/imu`` → attitude and rate of the deck.
+
+    Its covariance is the INS's total error, not white noise: it is checked and otherwise left alone.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    frame(message.header.frame_id, config.frame_id)
+    rotation_ni = _rotation(message, config.convention)
+    covariance = covariance_3x3(message.orientation_covariance, "orientation_covariance")
+    rotation_di = rotation_from_angles(
+        *np.deg2rad([config.installation_heading_deg, config.installation_pitch_deg, config.installation_roll_deg])
+    )
+    rate_d = None
+    if message.angular_velocity_covariance[0] != -1.0:
+        rate_i = device_vector_from_ros(finite_vector(message.angular_velocity, "angular_velocity"), config.convention)
+        rate_d = rotation_di @ rate_i
+    return Converted(AttitudeSample(time_ns, rotation_ni @ rotation_di.T, rate_d), covariance is not None)
+
+
+def star_measurement(message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int) -> Converted:
+    """``star/<sensor>/horizon_attitude`` or ``.../solution`` → the sensor's attitude in the horizon.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    frame(message.header.frame_id, config.frame_id)
+    if message.status == _STAR_INVALID:
+        raise Refused("too_few_stars", "the sensor itself says INVALID")
+    finite_numbers("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
+    _radians(message)
+    rotation_ns = rotation_from_angles(message.azimuth, message.elevation, message.roll)
+    total_n = _total_covariance(message)
+    if total_n is None:
+        sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
+        noise_s = np.diag((np.array(sigma) * ARCSEC) ** 2)
+        return Converted(AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s), False)
+    noise_enu = covariance_3x3(message.noise_covariance, "noise_covariance")
+    noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
+    measurement = AttitudeMeasurement(
+        f"star.{sensor_id}",
+        time_ns,
+        rotation_ns,
+        rotation_ns.T @ noise_n @ rotation_ns,
+        _common_covariance(total_n, noise_n),
+    )
+    return Converted(measurement, True)
+
+
+def reference_measurement(message: Any, name: str, config: ReferenceConfig, receive_ns: int) -> Converted:
+    """``reference/<name>/imu`` → the attitude of another system; its covariance is white.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    frame(message.header.frame_id, config.frame_id)
+    rotation_nr = _rotation(message, config.convention)
+    covariance_enu = covariance_3x3(message.orientation_covariance, "orientation_covariance")
+    if covariance_enu is None:
+        sigma = [config.sigma_roll_arcsec, config.sigma_heading_arcsec, config.sigma_pitch_arcsec]
+        noise_r = np.diag((np.array(sigma) * ARCSEC) ** 2)
+    else:
+        noise_r = rotation_nr.T @ horizon_covariance(covariance_enu) @ rotation_nr
+    measurement = AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r)
+    return Converted(measurement, covariance_enu is not None)
+
+
+def _rotation(message: Any, convention: str) -> FloatArray:
+    return rotation_from_quaternion(unit_quaternion(message.orientation, "orientation"), convention)
+
+
+def _radians(message: Any) -> None:
+    """Angles in degrees give themselves away where they exceed what radians can be."""
+    if abs(message.elevation) > np.pi / 2 + 1e-9 or max(abs(message.azimuth), abs(message.roll)) > 2 * np.pi + 1e-9:
+        raise Refused(
+            "units",
+            f"azimuth {message.azimuth:.6g}, elevation {message.elevation:.6g}, roll {message.roll:.6g} "
+            "cannot be radians: degrees?",
+        )
+
+
+def _total_covariance(message: Any) -> FloatArray | None:
+    """Total covariance of the rotation vector in the horizon frame; None where the message gives none."""
+    rotation_enu = covariance_3x3(message.rotation_covariance, "rotation_covariance")
+    if rotation_enu is not None:
+        return horizon_covariance(rotation_enu)
+    angles = covariance_3x3(message.covariance, "covariance")
+    if angles is None:
+        return None
+    return rotation_vector_covariance(angles, message.azimuth, message.elevation)
+
+
+def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
+    """What successive solutions share: total minus noise, which must not be negative."""
+    values, vectors = np.linalg.eigh(total_n - noise_n)
+    limit = _COVARIANCE_TOLERANCE * float(np.trace(total_n))
+    if values[0] < -limit:
+        raise Refused("bad_covariance", "noise_covariance is larger than the total covariance")
+    kept = np.where(values > limit, values, 0.0)
+    common: FloatArray = (vectors * kept) @ vectors.T
+    return common

@@ -1,0 +1,304 @@
+"""INS and star attitudes in, the ship's attitude out: the core that the node and the replay share.
+
+Knows no ROS, no files, no clock. Measurements enter in any order; within ``lag_s`` each is applied at its own time.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ship_attitude_star.alignment import Alignment, AlignmentPrior, alignment_of, prior_of, state_from_prior
+from ship_attitude_star.attitude_output import CorrectedIns, attitude_by_device
+from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.input_guards import RateIntegrator, RateUnitsGuard, StuckGuard
+from ship_attitude_star.samples import (
+    AttitudeEstimate,
+    AttitudeMeasurement,
+    Decision,
+    Horizon,
+    Reason,
+    Status,
+)
+from ship_attitude_star.ship_filter import FilterState, ShipFilter
+from ship_estimation.time_ordered_log import TimeOrderedLog
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+_SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why an input was not used at all."""
+
+    reason: Reason
+    text: str
+
+
+@dataclass
+class Outcome:
+    """What one input led to.
+
+    Attributes:
+        refusal: why this very input was not used; None where it was, or still waits.
+        decisions: measurements judged now, this one or others that had waited for it.
+        estimates: attitudes to publish, with strictly increasing times.
+    """
+
+    refusal: Refusal | None = None
+    decisions: list[Decision] = field(default_factory=list)
+    estimates: list[AttitudeEstimate] = field(default_factory=list)
+
+
+class ShipAttitudeCore:
+    """The estimator of the ship's attitude.
+
+    Args:
+        config: the node's parameters.
+    """
+
+    def __init__(self, config: ShipAttitudeConfig) -> None:
+        self.config = config
+        self.filter = ShipFilter(config)
+        self._start: tuple[AlignmentPrior, int] | None = None
+        self._lag_ns = round(config.lag_s * _SECOND_NS)
+        self._silence_ns = round(config.ins.silence_s * _SECOND_NS)
+        self._last_output_ns = 0
+        self.reset()
+
+    def start_from(self, prior: AlignmentPrior, now_ns: int) -> list[str]:
+        """Reset to a saved alignment; returns what is to be said of it."""
+        self._start = (prior, now_ns)
+        self.reset()
+        return state_from_prior(self.filter, self.config, prior, now_ns)[1]
+
+    def reset(self, clock_jumped: bool = False) -> None:
+        """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
+        initial = self.filter.initial_state()
+        if self._start is not None:
+            initial, _ = state_from_prior(self.filter, self.config, *self._start)
+        self._log: TimeOrderedLog[FilterState, AttitudeMeasurement, Decision] = TimeOrderedLog(initial)
+        self._track = AttitudeTrack(round(self.config.ins.max_gap_s * _SECOND_NS))
+        self._corrected = CorrectedIns(self.filter.model, initial)
+        self._corrected_state = initial
+        self._newest_ns = 0
+        self._rates = RateIntegrator()
+        self._units = RateUnitsGuard()
+        self._stuck = {"ins": StuckGuard(5.0 * max(self.config.ins.white_sigma_arcsec, 1.0) * ARCSEC)}
+        self._latest: dict[str, AttitudeMeasurement] = {}
+        if clock_jumped:
+            self._last_output_ns = 0
+
+    def reconfigure(self, config: ShipAttitudeConfig) -> None:
+        """Go on with other noise and gates; geometry and the set of devices stay."""
+        self.config = config
+        self.filter = ShipFilter(config)
+        self._corrected = CorrectedIns(self.filter.model, self.state)
+
+    def add_ins(self, sample: AttitudeSample) -> Outcome:
+        """An INS sample: stamp and attitude of the deck as the INS has it."""
+        refusal = self._ins_refusal(sample)
+        if refusal is not None:
+            return Outcome(refusal)
+        known = self._track.get(sample.time_ns)
+        if known is not None:
+            outcome = Outcome(_same_stamp(_ins_content(known), _ins_content(sample)))
+            if _ins_content(known) <= _ins_content(sample):
+                return outcome
+        else:
+            outcome = Outcome()
+        changed_after_ns = self._track.insert(sample)
+        if changed_after_ns is not None:
+            self._log.rewind_where(lambda decision: decision.ins_time_ns > changed_after_ns)
+        self._advance(sample.time_ns, outcome)
+        if sample.time_ns > self._last_output_ns and self._track.newest is sample:
+            outcome.estimates.append(self._estimate_from_ins(sample.time_ns))
+            self._last_output_ns = sample.time_ns
+        return outcome
+
+    def add_measurement(self, measurement: AttitudeMeasurement) -> Outcome:
+        """The attitude of a star sensor or of another attitude system."""
+        refusal = self._measurement_refusal(measurement)
+        if refusal is not None:
+            return Outcome(refusal)
+        key = (measurement.time_ns, measurement.source)
+        known = self._log.get(key)
+        if known is not None:
+            outcome = Outcome(_same_stamp(known.content(), measurement.content()))
+            if known.content() <= measurement.content():
+                return outcome
+        else:
+            outcome = Outcome()
+        self._log.insert(key, measurement)
+        self._latest[measurement.source] = measurement
+        self._advance(measurement.time_ns, outcome)
+        if self._ins_silent(measurement.time_ns) and self.filter.devices[measurement.source].is_star:
+            self._estimate_from_star(measurement, outcome)
+        return outcome
+
+    def tick(self, now_ns: int) -> Outcome:
+        """The time now: says INVALID, once a second, when nothing carries an attitude any more."""
+        outcome = Outcome()
+        stars_ns = [m.time_ns for m in self._latest.values() if self.filter.devices[m.source].is_star]
+        star_carries = bool(stars_ns) and now_ns - max(stars_ns) <= _SECOND_NS
+        due = now_ns - self._last_output_ns >= _SECOND_NS
+        if self._ins_silent(now_ns) and not star_carries and due:
+            outcome.estimates.append(self._no_estimate(now_ns))
+            self._last_output_ns = now_ns
+        return outcome
+
+    def alignment(self) -> Alignment:
+        """What the filter now knows of the INS's errors, installation angles and clocks."""
+        return alignment_of(self.filter, self.config, self.state)
+
+    def alignment_to_save(self) -> AlignmentPrior:
+        """The part of it that the next voyage can start from."""
+        return prior_of(self.filter, self.config, self.state)
+
+    @property
+    def state(self) -> FilterState:
+        """The filter's state after the last measurement applied."""
+        return self._log.state
+
+    # -- refusals -------------------------------------------------------------------------------------------
+
+    def _ins_refusal(self, sample: AttitudeSample) -> Refusal | None:
+        if self._too_late(sample.time_ns):
+            return self._late(sample.time_ns)
+        newest = self._track.newest
+        if newest is not None and sample.time_ns <= newest.time_ns:
+            return None  # the guards watch the stream in order
+        witnesses = {source: m.rotation_nv for source, m in self._latest.items()}
+        if sample.rate_d is not None:
+            if not self._rates.advance(sample.time_ns, sample.rate_d):
+                self._units.restart(sample.time_ns, sample.rotation_nd, self._rates.rotation)
+            witnesses["rate"] = self._rates.rotation
+            if self._units.observe(sample.time_ns, sample.rotation_nd, self._rates.rotation):
+                text = (
+                    f"angular velocity turns {self._units.slope:.3g} times as fast as the orientation: "
+                    "degrees for radians? ins/imu must be in rad/s"
+                )
+                return Refusal(Reason.UNITS, text)
+        if self._stuck["ins"].observe(sample.rotation_nd, witnesses):
+            return Refusal(Reason.STUCK, "orientation stands still while other sources move")
+        return None
+
+    def _measurement_refusal(self, measurement: AttitudeMeasurement) -> Refusal | None:
+        if self._too_late(measurement.time_ns):
+            return self._late(measurement.time_ns)
+        guard = self._stuck.get(measurement.source)
+        if guard is None:
+            sigma = float(np.sqrt(np.max(np.diagonal(measurement.noise_v))))
+            guard = self._stuck[measurement.source] = StuckGuard(5.0 * sigma)
+        newest = self._track.newest
+        latest = self._latest.get(measurement.source)
+        in_order = latest is None or measurement.time_ns > latest.time_ns
+        witnesses = {"ins": newest.rotation_nd} if newest is not None else {}
+        if in_order and guard.observe(measurement.rotation_nv, witnesses):
+            return Refusal(Reason.STUCK, "attitude stands still while the INS moves")
+        return None
+
+    def _too_late(self, time_ns: int) -> bool:
+        return time_ns < self._newest_ns - self._lag_ns
+
+    def _late(self, time_ns: int) -> Refusal:
+        late_s = (self._newest_ns - time_ns) / _SECOND_NS
+        return Refusal(Reason.LATE, f"{late_s:.3f} s behind the newest data: more than lag_s = {self.config.lag_s:g}")
+
+    # -- time order -----------------------------------------------------------------------------------------
+
+    def _advance(self, time_ns: int, outcome: Outcome) -> None:
+        """Apply what can be applied now, then close the window behind ``lag_s``."""
+        self._newest_ns = max(self._newest_ns, time_ns)
+        for decision, previous in self._log.apply(self._step):
+            if previous is None:
+                outcome.decisions.append(decision)
+            elif previous.accepted != decision.accepted:
+                outcome.decisions.append(replace(decision, revised=True))
+        oldest_ns = self._newest_ns - self._lag_ns
+        self._log.forget_before(oldest_ns)
+        # Clock offsets move a measurement against the INS; two seconds more cover any of them.
+        self._track.drop_before(oldest_ns - 2 * _SECOND_NS)
+
+    def _step(self, state: FilterState, measurement: AttitudeMeasurement) -> tuple[FilterState, Decision] | None:
+        awaited = not self._track.covers(self.filter.ins_time_ns(state, measurement))
+        if awaited and measurement.time_ns >= self._newest_ns - self._lag_ns:
+            return None
+        return self.filter.step(state, measurement, self._track)
+
+    # -- outputs --------------------------------------------------------------------------------------------
+
+    def _ins_silent(self, now_ns: int) -> bool:
+        newest = self._track.newest
+        return newest is None or now_ns - newest.time_ns > self._silence_ns
+
+    def _estimate_from_ins(self, time_ns: int) -> AttitudeEstimate:
+        state = self._log.state
+        if state is not self._corrected_state:
+            self._corrected, self._corrected_state = CorrectedIns(self.filter.model, state), state
+        moved_s = -(self.config.ins.time_offset_s + self._corrected.time_offset_s)
+        ins: InterpolatedAttitude = self._track.newest_moved(moved_s)
+        rotation_nd, parts = self._corrected.attitude(time_ns, ins)
+        used = {s: t for s, t in state.used_ns.items() if time_ns - t <= self.config.coasting_after_s * _SECOND_NS}
+        star_age_s = self._star_age_s(state, time_ns)
+        if np.isnan(star_age_s):
+            status = Status.DEGRADED
+        elif star_age_s <= self.config.coasting_after_s:
+            status = Status.VALID
+        else:
+            status = Status.COASTING
+        # NaN compares false: before the first star the horizon is the INS's own.
+        horizon = Horizon.GEODETIC if star_age_s <= self.config.ins.tilt_time_s else Horizon.GRAVITY
+        return AttitudeEstimate(
+            time_ns, rotation_nd, parts, ins.rate_d, status, horizon, ("ins", *sorted(used)), star_age_s
+        )
+
+    def _estimate_from_star(self, measurement: AttitudeMeasurement, outcome: Outcome) -> None:
+        """With the INS gone, the star sensor's own attitude at its own rate."""
+        if measurement.time_ns <= self._last_output_ns:
+            return
+        device = self.filter.devices[measurement.source]
+        state = self.filter.predicted(self._log.state, measurement.time_ns)
+        rotation_nd, parts = attitude_by_device(device, self.filter.model, state, measurement)
+        unknown_rate = np.full(3, np.nan)
+        outcome.estimates.append(
+            AttitudeEstimate(
+                measurement.time_ns,
+                rotation_nd,
+                parts,
+                unknown_rate,
+                Status.DEGRADED,
+                Horizon.GEODETIC,
+                (measurement.source,),
+                0.0,
+            )
+        )
+        self._last_output_ns = measurement.time_ns
+
+    def _no_estimate(self, now_ns: int) -> AttitudeEstimate:
+        sources = len(self.filter.model.sources)
+        return AttitudeEstimate(
+            now_ns,
+            np.full((3, 3), np.nan),
+            np.full((sources, 3, 3), np.nan),
+            np.full(3, np.nan),
+            Status.INVALID,
+            Horizon.GRAVITY,
+            (),
+            self._star_age_s(self._log.state, now_ns),
+        )
+
+    def _star_age_s(self, state: FilterState, time_ns: int) -> float:
+        stars = [t for source, t in state.used_ns.items() if self.filter.devices[source].is_star]
+        return (time_ns - max(stars)) / _SECOND_NS if stars else float("nan")
+
+
+def _same_stamp(known: bytes, new: bytes) -> Refusal:
+    if known == new:
+        return Refusal(Reason.DUPLICATE, "the same stamp and the same content again")
+    return Refusal(Reason.CONFLICT, "the same stamp with other content: the one whose bytes sort first is kept")
+
+
+def _ins_content(sample: AttitudeSample) -> bytes:
+    rate: FloatArray | None = sample.rate_d
+    return sample.rotation_nd.tobytes() + (b"" if rate is None else rate.tobytes())

@@ -1,0 +1,157 @@
+"""The error-state filter: one measurement in, one decision and the next state out. No time, no memory of its own.
+
+A :class:`FilterState` is never changed in place, so that the time-ordered log can keep and return to any of them.
+"""
+
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from ship_attitude_star.config import GateConfig, ShipAttitudeConfig
+from ship_attitude_star.filter_model import SOURCE_STAR_COMMON, Device, devices, state_model
+from ship_attitude_star.hints import heading_hint
+from ship_attitude_star.measurement_models import attitude_residual, ins_time_of, predict_attitude
+from ship_attitude_star.samples import AttitudeMeasurement, Decision, Reason
+from ship_estimation.gates import chi_square_gate
+from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
+from ship_geometry.attitude_track import AttitudeTrack
+from ship_geometry.rotations import FloatArray
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """Everything the filter knows after its last measurement.
+
+    Attributes:
+        time_ns: moment of the state; None before the first measurement.
+        mean: estimated errors, shape (n,).
+        parts: covariance by source, shape (n_sources, n, n).
+        common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
+        refusals: by source, its refusals in a row.
+        used_ns: by source, the stamp of its last measurement used.
+    """
+
+    time_ns: int | None
+    mean: FloatArray
+    parts: FloatArray
+    common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
+    refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the errors, shape (n, n)."""
+        total: FloatArray = self.parts.sum(axis=0)
+        return total
+
+
+class ShipFilter:
+    """The model of a configuration and the step from state to state.
+
+    Args:
+        config: the node's configuration.
+    """
+
+    def __init__(self, config: ShipAttitudeConfig) -> None:
+        self.model = state_model(config)
+        self.devices: dict[str, Device] = devices(config)
+        self._gate: GateConfig = config.gate
+
+    def initial_state(self) -> FilterState:
+        """The state before any measurement: no error known, all of them possible."""
+        return FilterState(None, np.zeros(self.model.size), self.model.initial_parts())
+
+    def ins_time_ns(self, state: FilterState, measurement: AttitudeMeasurement) -> int:
+        """Stamp (ns) of the INS for the attitude that was measured."""
+        device = self.devices[measurement.source]
+        return ins_time_of(device, self.model, state.mean, measurement.time_ns)
+
+    def predicted(self, state: FilterState, time_ns: int) -> FilterState:
+        """The state carried to a later moment."""
+        if state.time_ns is None:
+            return replace(state, time_ns=time_ns)
+        dt_s = max(time_ns - state.time_ns, 0) * 1e-9
+        decay, noise = self.model.transition(dt_s)
+        parts = predict(state.parts, decay, self.model.booked_noise(noise))
+        for source, steady in state.common_n.items():
+            rows = self.model.slices[f"{source}.common"]
+            fresh = 1.0 - decay[rows.start] ** 2
+            parts[self._common_index, rows, rows] += fresh * steady
+        return replace(state, time_ns=max(time_ns, state.time_ns), mean=decay * state.mean, parts=parts)
+
+    def step(
+        self, state: FilterState, measurement: AttitudeMeasurement, track: AttitudeTrack
+    ) -> tuple[FilterState, Decision]:
+        """Predict to the measurement, judge it, and use it where the gate lets it pass.
+
+        The track must span the moment of the measurement; in a gap of it the measurement is refused.
+        """
+        ins_time_ns = self.ins_time_ns(state, measurement)
+        ins = track.at(ins_time_ns)
+        if ins is None:
+            text = "no INS samples on both sides of it: it cannot be compared"
+            return state, Decision(measurement, Reason.GAP, ins_time_ns, text=text)
+        device = self.devices[measurement.source]
+        state = self._with_common(self.predicted(state, measurement.time_ns), measurement)
+        predicted = predict_attitude(device, self.model, state.mean, ins)
+        residual = attitude_residual(predicted, measurement.rotation_nv)
+        source_index = self.model.sources.index(device.noise_source)
+        linear = LinearMeasurement(residual, predicted.jacobian_v, measurement.noise_v, source_index)
+        covariance, nis = innovation(state.parts, linear)
+        decision = Decision(
+            measurement=measurement,
+            reason=Reason.NONE,
+            ins_time_ns=ins_time_ns,
+            residual_v=residual,
+            sigma_v=np.sqrt(np.diagonal(covariance)),
+            nis=nis,
+            gate=chi_square_gate(self._gate.probability, 3),
+        )
+        if nis > decision.gate:
+            rotation_nv_turn = predicted.rotation_nv @ residual
+            return self._refused(state, decision, float(rotation_nv_turn[1]))
+        correction, parts = update(state.parts, linear, covariance)
+        state = replace(
+            state,
+            mean=state.mean + correction,
+            parts=parts,
+            refusals=_with(state.refusals, device.name, 0),
+            used_ns=_with(state.used_ns, device.name, measurement.time_ns),
+        )
+        return state, decision
+
+    @property
+    def _common_index(self) -> int:
+        return self.model.sources.index(SOURCE_STAR_COMMON)
+
+    def _with_common(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
+        """The common error of this sensor's messages, as large as the message says."""
+        if not measurement.common_n.any():
+            return state
+        parts = state.parts
+        if measurement.source not in state.common_n:
+            rows = self.model.slices[f"{measurement.source}.common"]
+            parts = parts.copy()
+            parts[self._common_index, rows, rows] += measurement.common_n
+        return replace(
+            state, parts=parts, common_n=_with(state.common_n, measurement.source, measurement.common_n)
+        )
+
+    def _refused(self, state: FilterState, decision: Decision, turn_up: float) -> tuple[FilterState, Decision]:
+        """Hold the estimate; after a run of refusals say so and, where configured, re-open the gate."""
+        source = decision.measurement.source
+        run = state.refusals.get(source, 0) + 1
+        reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
+        if run >= self._gate.conflict_after:
+            reason = Reason.ATTITUDE_CONFLICT
+            text = f"{run} refusals in a row: {source} and the INS disagree{heading_hint(turn_up)}"
+        state = replace(state, refusals=_with(state.refusals, source, run))
+        if self._gate.reopen_after and run % self._gate.reopen_after == 0:
+            state = replace(state, parts=state.parts * self._gate.reopen_factor)
+            text += f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
+        return state, replace(decision, reason=reason, text=text)
+
+
+def _with(mapping: MappingProxyType, key: str, value: object) -> MappingProxyType:
+    return MappingProxyType({**mapping, key: value})

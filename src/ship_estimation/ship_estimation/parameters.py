@@ -1,0 +1,220 @@
+"""Configuration as frozen dataclasses whose fields state unit, range and meaning, checked in one place.
+
+A component's configuration is a frozen dataclass with fields made by :func:`parameter`; nested dataclasses
+and ``dict[str, Dataclass]`` (one entry per sensor id) give dotted names such as
+``star_sensors.fore.elevation_deg``. :func:`build` makes one from a nested mapping (a ROS parameter file),
+:func:`describe` lists every parameter for the node, for ``check_config`` and for the documentation.
+"""
+
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeVar
+
+Config = TypeVar("Config")
+
+
+class ParameterError(ValueError):
+    """A parameter is unknown, of the wrong type, out of its range or missing; the text names it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ParameterDescription:
+    """What is known of one parameter, by its dotted name (``<id>`` stands for any key of a mapping)."""
+
+    name: str
+    kind: type
+    default: Any
+    doc: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    choices: tuple[str, ...]
+    live: bool
+
+
+def parameter(
+    default: Any = dataclasses.MISSING,
+    *,
+    doc: str,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: tuple[str, ...] = (),
+    live: bool = False,
+) -> Any:
+    """A dataclass field with its documentation; without ``default`` it must be given.
+
+    Args:
+        default: value used where none is given.
+        doc: one sentence for the parameter's description.
+        unit: unit of the value, empty for none.
+        minimum: least value allowed (of each element of a tuple).
+        maximum: greatest value allowed (of each element of a tuple).
+        choices: the only texts allowed.
+        live: changeable while the node runs (noise and gates; never geometry).
+    """
+    metadata = {
+        "doc": doc,
+        "unit": unit,
+        "minimum": minimum,
+        "maximum": maximum,
+        "choices": choices,
+        "live": live,
+    }
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def mapping_of(doc: str) -> Any:
+    """A field of type ``dict[str, Dataclass]``, empty by default."""
+    return dataclasses.field(default_factory=dict, metadata={"doc": doc})
+
+
+def section(kind: type) -> Any:
+    """A field that is itself a configuration dataclass, by default with its own defaults."""
+    return dataclasses.field(default_factory=kind)
+
+
+def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "") -> Config:
+    """A checked configuration from a nested mapping.
+
+    Raises:
+        ParameterError: names the parameter, its value, its unit and what is allowed.
+    """
+    if not isinstance(values, Mapping):
+        raise ParameterError(f"parameter '{prefix.rstrip('.')}' must be a group of parameters, got {values!r}")
+    hints = typing.get_type_hints(kind)
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for name in values:
+        if name not in fields:
+            raise ParameterError(f"parameter '{prefix}{name}' is unknown: expected one of {', '.join(sorted(fields))}")
+    arguments: dict[str, Any] = {}
+    for name, field in fields.items():
+        full_name = prefix + name
+        entry = _mapping_entry(hints[name])
+        if entry is not None:
+            group = values.get(name, {})
+            if not isinstance(group, Mapping):
+                raise ParameterError(f"parameter '{full_name}' must be a group of parameters, got {group!r}")
+            arguments[name] = {key: build(entry, group[key], f"{full_name}.{key}.") for key in sorted(group)}
+        elif dataclasses.is_dataclass(hints[name]):
+            arguments[name] = build(hints[name], values.get(name, {}), full_name + ".")
+        elif name in values:
+            arguments[name] = _checked(full_name, values[name], hints[name], field.metadata)
+        elif field.default is dataclasses.MISSING:
+            raise ParameterError(f"parameter '{full_name}' ({field.metadata['doc']}) must be given")
+    return kind(**arguments)
+
+
+def describe(kind: type, prefix: str = "") -> Iterator[ParameterDescription]:
+    """Every parameter of a configuration dataclass, in order of declaration."""
+    hints = typing.get_type_hints(kind)
+    for field in dataclasses.fields(kind):
+        name = prefix + field.name
+        entry = _mapping_entry(hints[field.name])
+        if entry is not None:
+            yield from describe(entry, name + ".<id>.")
+        elif dataclasses.is_dataclass(hints[field.name]):
+            yield from describe(typing.cast(type, hints[field.name]), name + ".")
+        else:
+            default = None if field.default is dataclasses.MISSING else field.default
+            yield ParameterDescription(name=name, kind=hints[field.name], default=default, **field.metadata)
+
+
+def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
+    """Dotted name → value of a configuration; tuples become lists."""
+    flat: dict[str, Any] = {}
+    for field in dataclasses.fields(config):
+        value, name = getattr(config, field.name), prefix + field.name
+        if isinstance(value, dict):
+            for key, entry in value.items():
+                flat |= flatten(entry, f"{name}.{key}.")
+        elif dataclasses.is_dataclass(value):
+            flat |= flatten(value, name + ".")
+        else:
+            flat[name] = list(value) if isinstance(value, tuple) else value
+    return flat
+
+
+def changed(config: Config, changes: Mapping[str, Any]) -> Config:
+    """A configuration with live parameters changed, dotted name → value.
+
+    Raises:
+        ParameterError: a parameter is unknown, out of range, or can be set only at the start.
+    """
+    flat = flatten(config)
+    live = _live_names(config)
+    for name in changes:
+        if name not in flat:
+            raise ParameterError(f"parameter '{name}' is unknown")
+        if name not in live:
+            raise ParameterError(f"parameter '{name}' cannot be changed while the node runs: set it at the start")
+    return build(type(config), nest({**flat, **changes}))
+
+
+def _live_names(config: Any, prefix: str = "") -> set[str]:
+    names: set[str] = set()
+    for field in dataclasses.fields(config):
+        value, name = getattr(config, field.name), prefix + field.name
+        if isinstance(value, dict):
+            for key, entry in value.items():
+                names |= _live_names(entry, f"{name}.{key}.")
+        elif dataclasses.is_dataclass(value):
+            names |= _live_names(value, name + ".")
+        elif field.metadata["live"]:
+            names.add(name)
+    return names
+
+
+def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """The nested mapping of dotted names."""
+    nested: dict[str, Any] = {}
+    for name, value in flat.items():
+        *groups, leaf = name.split(".")
+        level = nested
+        for group in groups:
+            level = level.setdefault(group, {})
+            if not isinstance(level, dict):
+                raise ParameterError(f"parameter '{name}': '{group}' is a value, not a group")
+        level[leaf] = value
+    return nested
+
+
+def _mapping_entry(hint: Any) -> type | None:
+    """The dataclass of a ``dict[str, Dataclass]``, otherwise None."""
+    return typing.get_args(hint)[1] if typing.get_origin(hint) is dict else None
+
+
+def _checked(name: str, value: Any, hint: Any, metadata: types.MappingProxyType[Any, Any]) -> Any:
+    if typing.get_origin(hint) is tuple:
+        element = typing.get_args(hint)[0]
+        length = None if typing.get_args(hint)[-1] is Ellipsis else len(typing.get_args(hint))
+        if isinstance(value, str) or not hasattr(value, "__iter__"):
+            raise ParameterError(f"parameter '{name}' must be a list, got {value!r}")
+        elements = tuple(_checked_scalar(f"{name}[{i}]", v, element, metadata) for i, v in enumerate(value))
+        if length is not None and len(elements) != length:
+            raise ParameterError(f"parameter '{name}' must have {length} elements, got {len(elements)}")
+        return elements
+    return _checked_scalar(name, value, hint, metadata)
+
+
+def _checked_scalar(name: str, value: Any, kind: type, metadata: types.MappingProxyType[Any, Any]) -> Any:
+    wrong_type = isinstance(value, bool) != (kind is bool) or not isinstance(
+        value, (int, float) if kind is float else kind
+    )
+    unit = f" {metadata['unit']}" if metadata["unit"] else ""
+    if wrong_type:
+        raise ParameterError(f"parameter '{name}' must be of type {kind.__name__}, got {value!r}")
+    if kind is float:
+        value = float(value)
+        if not math.isfinite(value):
+            raise ParameterError(f"parameter '{name}' must be finite, got {value}")
+    low, high = metadata["minimum"], metadata["maximum"]
+    if (low is not None and value < low) or (high is not None and value > high):
+        allowed = f"[{'-inf' if low is None else low}, {'inf' if high is None else high}]{unit}"
+        raise ParameterError(f"parameter '{name}' = {value}{unit} is out of its range {allowed}")
+    if metadata["choices"] and value not in metadata["choices"]:
+        raise ParameterError(f"parameter '{name}' = {value!r} must be one of {', '.join(metadata['choices'])}")
+    return value

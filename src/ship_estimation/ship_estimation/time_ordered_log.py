@@ -1,0 +1,110 @@
+"""Measurements applied in the order of their own times, whatever the order of their arrival.
+
+The log keeps, for a window of time, every measurement with the state after it. One that arrives late takes its
+place, and everything after it is applied again from the state before it. Any order of arrival inside the
+window therefore ends in the same state, to the last bit.
+"""
+
+import bisect
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+State = TypeVar("State")
+Measurement = TypeVar("Measurement")
+Decision = TypeVar("Decision")
+
+Key = tuple[int, Any]
+"""(time_ns, tie-breaker): the order of application."""
+
+
+@dataclass
+class _Entry(Generic[Measurement, State, Decision]):
+    key: Key
+    measurement: Measurement
+    decision: Decision | None = None
+    state_after: State | None = None
+
+
+class TimeOrderedLog(Generic[State, Measurement, Decision]):
+    """The window of measurements over a base state.
+
+    Args:
+        state: the state before any measurement.
+    """
+
+    def __init__(self, state: State) -> None:
+        self._base = state
+        self._keys: list[Key] = []
+        self._entries: list[_Entry[Measurement, State, Decision]] = []
+        self._applied = 0
+
+    @property
+    def state(self) -> State:
+        """The state after the last measurement applied."""
+        return self._state_before(self._applied)
+
+    @property
+    def waiting(self) -> int:
+        """Number of measurements not applied yet."""
+        return len(self._entries) - self._applied
+
+    def get(self, key: Key) -> Measurement | None:
+        """The measurement of exactly this time and tie-breaker."""
+        index = bisect.bisect_left(self._keys, key)
+        found = index < len(self._keys) and self._keys[index] == key
+        return self._entries[index].measurement if found else None
+
+    def insert(self, key: Key, measurement: Measurement) -> None:
+        """Put a measurement in its place; one with the same key is replaced."""
+        index = bisect.bisect_left(self._keys, key)
+        if index < len(self._keys) and self._keys[index] == key:
+            self._entries[index].measurement = measurement
+        else:
+            self._keys.insert(index, key)
+            self._entries.insert(index, _Entry(key, measurement))
+        self._applied = min(self._applied, index)
+
+    def rewind_where(self, affected: Callable[[Decision], bool]) -> None:
+        """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
+        for index in range(self._applied):
+            decision = self._entries[index].decision
+            if decision is not None and affected(decision):
+                self._applied = index
+                return
+
+    def apply(
+        self, step: Callable[[State, Measurement], tuple[State, Decision] | None]
+    ) -> list[tuple[Decision, Decision | None]]:
+        """Apply what waits, in order, until ``step`` returns None because it needs data still to come.
+
+        Returns:
+            For each measurement applied: its decision and, where it had been applied before, the one it replaces.
+        """
+        decisions: list[tuple[Decision, Decision | None]] = []
+        while self._applied < len(self._entries):
+            entry = self._entries[self._applied]
+            result = step(self._state_before(self._applied), entry.measurement)
+            if result is None:
+                break
+            previous = entry.decision
+            entry.state_after, entry.decision = result
+            decisions.append((entry.decision, previous))
+            self._applied += 1
+        return decisions
+
+    def forget_before(self, time_ns: int) -> None:
+        """Close the window at a time: applied measurements before it can no longer be revised."""
+        count = min(bisect.bisect_left(self._keys, (time_ns,)), self._applied)
+        if count:
+            self._base = self._state_before(count)
+            del self._keys[:count]
+            del self._entries[:count]
+            self._applied -= count
+
+    def _state_before(self, index: int) -> State:
+        if index == 0:
+            return self._base
+        state = self._entries[index - 1].state_after
+        assert state is not None  # entries before the applied mark always carry their state
+        return state

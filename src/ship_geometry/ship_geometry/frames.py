@@ -1,0 +1,97 @@
+"""A device frame (forward, up, right) in its parent frame: three angles, one matrix, one covariance.
+
+models.md §1; [Z14] eq. (1)-(3), [P15] eq. (17)-(19). Angles are azimuth (clockwise seen from above, from the
+parent's forward axis), elevation (up positive) and roll (right side down positive). All functions take
+leading dimensions.
+"""
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray, wrap_two_pi
+
+SINGULAR_ELEVATION = np.deg2rad(89.9)
+"""Beyond this elevation (rad) azimuth and roll are no longer told apart; their covariance is NaN."""
+
+
+def rotation_from_angles(azimuth: FloatArray, elevation: FloatArray, roll: FloatArray) -> FloatArray:
+    """Rotation "parent from device", shape (..., 3, 3): Ry(A) Rz(-E) Rx(-roll), multiplied out."""
+    ca, sa = np.cos(azimuth), np.sin(azimuth)
+    ce, se = np.cos(elevation), np.sin(elevation)
+    cr, sr = np.cos(roll), np.sin(roll)
+    rotation = np.empty((*np.broadcast(ca, ce, cr).shape, 3, 3))
+    rotation[..., 0, 0] = ca * ce
+    rotation[..., 0, 1] = -ca * se * cr - sa * sr
+    rotation[..., 0, 2] = ca * se * sr - sa * cr
+    rotation[..., 1, 0] = se
+    rotation[..., 1, 1] = ce * cr
+    rotation[..., 1, 2] = -ce * sr
+    rotation[..., 2, 0] = sa * ce
+    rotation[..., 2, 1] = -sa * se * cr + ca * sr
+    rotation[..., 2, 2] = sa * se * sr + ca * cr
+    return rotation
+
+
+def angles_from_rotation(rotation: FloatArray) -> FloatArray:
+    """Azimuth in [0, 2 pi), elevation in [-pi/2, pi/2], roll in [-pi, pi] (rad), shape (..., 3).
+
+    At the zenith and nadir only azimuth + roll, or their difference, is defined; the value returned there still
+    gives the rotation back.
+    """
+    azimuth = wrap_two_pi(np.arctan2(rotation[..., 2, 0], rotation[..., 0, 0]))
+    # atan2 keeps full precision near the zenith, where an arcsine would not.
+    horizontal = np.hypot(rotation[..., 0, 0], rotation[..., 2, 0])
+    elevation = np.arctan2(rotation[..., 1, 0], horizontal)
+    # The roll that belongs to this azimuth, not -R23/R22 alone: the two vanish together at the zenith.
+    ca, sa = np.cos(azimuth), np.sin(azimuth)
+    sine = ca * rotation[..., 2, 1] - sa * rotation[..., 0, 1]
+    cosine = ca * rotation[..., 2, 2] - sa * rotation[..., 0, 2]
+    return np.stack([azimuth, elevation, np.arctan2(sine, cosine)], axis=-1)
+
+
+def rotation_vector_from_angle_errors(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
+    """Matrix B, shape (..., 3, 3): ``delta = B @ [dA, dE, droll]`` in the parent frame (models.md §1)."""
+    azimuth, elevation = np.broadcast_arrays(np.asarray(azimuth, float), np.asarray(elevation, float))
+    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    matrix = np.zeros((*ca.shape, 3, 3))
+    matrix[..., 1, 0] = -1.0
+    matrix[..., 0, 1] = -sa
+    matrix[..., 2, 1] = ca
+    matrix[..., 0, 2] = ca * ce
+    matrix[..., 1, 2] = se
+    matrix[..., 2, 2] = sa * ce
+    return matrix
+
+
+def angle_errors_from_rotation_vector(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
+    """Inverse of B, shape (..., 3, 3); NaN beyond :data:`SINGULAR_ELEVATION`."""
+    azimuth, elevation = np.broadcast_arrays(np.asarray(azimuth, float), np.asarray(elevation, float))
+    ca, sa = np.cos(azimuth), np.sin(azimuth)
+    regular = np.abs(elevation) <= SINGULAR_ELEVATION
+    ce = np.where(regular, np.cos(elevation), np.nan)
+    tangent = np.sin(elevation) / ce
+    matrix = np.zeros((*ca.shape, 3, 3))
+    matrix[..., 0, 0] = ca * tangent
+    matrix[..., 0, 1] = -1.0
+    matrix[..., 0, 2] = sa * tangent
+    matrix[..., 1, 0] = -sa
+    matrix[..., 1, 2] = ca
+    matrix[..., 2, 0] = ca / ce
+    matrix[..., 2, 2] = sa / ce
+    return np.where(regular[..., None, None], matrix, np.nan)
+
+
+def angle_covariance(covariance_parent: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
+    """Covariance of (azimuth, elevation, roll), rad², from that of the rotation vector in the parent frame.
+
+    NaN beyond :data:`SINGULAR_ELEVATION`.
+    """
+    transport = angle_errors_from_rotation_vector(azimuth, elevation)
+    return transport @ covariance_parent @ np.swapaxes(transport, -1, -2)
+
+
+def rotation_vector_covariance(
+    covariance_angles: FloatArray, azimuth: FloatArray, elevation: FloatArray
+) -> FloatArray:
+    """Covariance of the rotation vector in the parent frame, rad², from that of (azimuth, elevation, roll)."""
+    transport = rotation_vector_from_angle_errors(azimuth, elevation)
+    return transport @ covariance_angles @ np.swapaxes(transport, -1, -2)

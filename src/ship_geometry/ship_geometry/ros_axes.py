@@ -1,0 +1,88 @@
+"""The one place where ROS axes meet the suite's: ENU <- FLU quaternions against horizon <- deck matrices.
+
+ROS (REP-103) speaks East, North, Up and forward, left, up; the suite speaks North, Up, East and forward, up,
+right. Both pairs are fixed permutations with signs. ROS yaw = 90° - heading, ROS pitch = -pitch, ROS roll = roll.
+Quaternions are ordered x, y, z, w.
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ship_geometry.rotations import FloatArray
+
+ENU_FROM_HORIZON = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""(East, North, Up) from (North, Up, East)."""
+
+FLU_FROM_DEVICE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""(forward, left, up) from (forward, up, right)."""
+
+NED_FROM_HORIZON = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""(North, East, Down) from (North, Up, East)."""
+
+FRD_FROM_DEVICE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""(forward, right, down) from (forward, up, right)."""
+
+
+def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu") -> FloatArray:
+    """Rotation "horizon from device", shape (..., 3, 3), of quaternions x, y, z, w (normalised here).
+
+    Args:
+        quaternion: shape (..., 4), ENU <- FLU, or NED <- FRD where ``convention`` is ``"ned_frd"``.
+        convention: ``"enu_flu"`` (REP-103) or ``"ned_frd"``.
+    """
+    parent, device = _axes(convention)
+    quaternion = np.asarray(quaternion, dtype=float)
+    matrix = _matrix_from_quaternion(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True))
+    return parent.T @ matrix @ device
+
+
+def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
+    """Quaternion x, y, z, w (w >= 0), ENU <- FLU, shape (..., 4), of rotations "horizon from device"."""
+    rotation = np.asarray(rotation, dtype=float)
+    matrix = ENU_FROM_HORIZON @ rotation @ FLU_FROM_DEVICE.T
+    flat = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_quat(canonical=True)
+    return flat.reshape(*rotation.shape[:-2], 4)
+
+
+def device_vector_from_ros(vector: FloatArray, convention: str = "enu_flu") -> FloatArray:
+    """(forward, up, right) from (forward, left, up), or from (forward, right, down): shape (..., 3)."""
+    return np.asarray(vector, dtype=float) @ _axes(convention)[1]
+
+
+def flu_from_device_vector(vector: FloatArray) -> FloatArray:
+    """(forward, left, up) from (forward, up, right): shape (..., 3)."""
+    return np.asarray(vector, dtype=float) @ FLU_FROM_DEVICE.T
+
+
+def enu_covariance(covariance_n: FloatArray) -> FloatArray:
+    """Covariance in (East, North, Up) of one in (North, Up, East), shape (..., 3, 3)."""
+    return ENU_FROM_HORIZON @ covariance_n @ ENU_FROM_HORIZON.T
+
+
+def horizon_covariance(covariance_enu: FloatArray) -> FloatArray:
+    """Covariance in (North, Up, East) of one in (East, North, Up), shape (..., 3, 3)."""
+    return ENU_FROM_HORIZON.T @ covariance_enu @ ENU_FROM_HORIZON
+
+
+def _axes(convention: str) -> tuple[FloatArray, FloatArray]:
+    if convention == "enu_flu":
+        return ENU_FROM_HORIZON, FLU_FROM_DEVICE
+    if convention == "ned_frd":
+        return NED_FROM_HORIZON, FRD_FROM_DEVICE
+    raise ValueError(f"axes convention {convention!r} is unknown: expected 'enu_flu' or 'ned_frd'")
+
+
+def _matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
+    """Rotation matrix of unit quaternions x, y, z, w."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    matrix = np.empty((*quaternion.shape[:-1], 3, 3))
+    matrix[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    matrix[..., 0, 1] = 2.0 * (x * y - z * w)
+    matrix[..., 0, 2] = 2.0 * (x * z + y * w)
+    matrix[..., 1, 0] = 2.0 * (x * y + z * w)
+    matrix[..., 1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    matrix[..., 1, 2] = 2.0 * (y * z - x * w)
+    matrix[..., 2, 0] = 2.0 * (x * z - y * w)
+    matrix[..., 2, 1] = 2.0 * (y * z + x * w)
+    matrix[..., 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return matrix
