@@ -1,0 +1,38 @@
+# What a person does with this checkout. `make` alone lists it.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+MAKEFLAGS += --no-print-directory
+.DEFAULT_GOAL := help
+
+# Tests and demonstrations stay on this machine unless told otherwise.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+
+RUN := source tools/env.sh &&
+PYTEST_ARGS ?=
+
+.PHONY: help setup test lint demo bench campaign clean
+
+help: ## this list
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+
+setup: ## environment and build; takes minutes once, then a moment
+	@tools/setup
+
+test: setup ## all tests; PYTEST_ARGS="-k name" for some
+	@$(RUN) pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+
+lint: setup ## style, types, directions of imports
+	@$(RUN) ruff check . && mypy && lint-imports --no-logo
+
+demo: setup ## a simulated voyage from bag to report
+	@$(RUN) python tools/demo.py
+
+bench: setup ## speed, as ratios within one run
+	@$(RUN) python tools/bench.py
+
+campaign: setup ## many seeds, consistency of the estimates
+	@$(RUN) python tools/campaign.py
+
+clean: ## remove what was built; the wheels stay (rm -r .venv removes them)
+	@rm -rf build install log out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	@find src test tools -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
