@@ -1,0 +1,98 @@
+"""The part of a scenario file that says how the ship moves."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from ship_estimation.parameters import mapping_of, parameter, section
+
+_ANGLE: dict[str, Any] = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
+_GAIN: dict[str, Any] = {"doc": "angle per slope of a long wave", "minimum": 0.0, "maximum": 10.0}
+_PERIOD: dict[str, Any] = {"doc": "natural period", "unit": "s", "minimum": 0.5, "maximum": 100.0}
+_DAMPING: dict[str, Any] = {"doc": "damping ratio", "minimum": 0.01, "maximum": 5.0}
+_LENGTH: dict[str, Any] = {"doc": "hull length that averages the slope", "unit": "m", "minimum": 0.0, "maximum": 500.0}
+
+
+@dataclass(frozen=True)
+class Wave:
+    """One sinusoid of an angle: amplitude * sin(2 pi t / period + phase)."""
+
+    amplitude_deg: float = parameter(doc="amplitude", unit="deg", minimum=0.0, maximum=90.0)
+    period_s: float = parameter(doc="period", unit="s", minimum=0.1, maximum=1e6)
+    phase_rad: float = parameter(0.0, doc="phase at the start", unit="rad", minimum=-10.0, maximum=10.0)
+
+
+@dataclass(frozen=True)
+class AngleMotion:
+    """One angle of the ship: its mean and its sinusoids."""
+
+    mean_deg: float = parameter(0.0, doc="mean", **_ANGLE)
+    waves: dict[str, Wave] = mapping_of("sinusoids by name")
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A turn of the ship at constant rate, with linear ramps of the rate at both ends."""
+
+    start_s: float = parameter(0.0, doc="when the turn begins", unit="s", minimum=0.0, maximum=1e6)
+    angle_deg: float = parameter(
+        0.0, doc="change of heading, to starboard positive", unit="deg", minimum=-36_000.0, maximum=36_000.0
+    )
+    rate_deg_per_s: float = parameter(1.0, doc="rate of turn", unit="deg/s", minimum=0.001, maximum=60.0)
+    ramp_s: float = parameter(10.0, doc="time to reach the rate, and to lose it", unit="s", minimum=0.1, maximum=600.0)
+
+
+@dataclass(frozen=True)
+class Sea:
+    """A long-crested sea and how the ship answers it. The defaults: sea state 5, a research vessel of 80 m."""
+
+    significant_height_m: float = parameter(
+        3.25, doc="significant wave height", unit="m", minimum=0.0, maximum=20.0
+    )
+    modal_period_s: float = parameter(
+        9.7, doc="period at the peak of the spectrum", unit="s", minimum=1.0, maximum=30.0
+    )
+    direction_deg: float = parameter(
+        135.0, doc="where the waves run to: 0 the bow, 90 starboard, 180 the stern", **_ANGLE
+    )
+    component_count: int = parameter(100, doc="number of wave components", minimum=10, maximum=2000)
+    heading_gain: float = parameter(2.0, **_GAIN)
+    heading_period_s: float = parameter(8.0, **_PERIOD)
+    heading_damping: float = parameter(1.0, **_DAMPING)
+    heading_length_m: float = parameter(80.0, **_LENGTH)
+    pitch_gain: float = parameter(1.0, **_GAIN)
+    pitch_period_s: float = parameter(6.5, **_PERIOD)
+    pitch_damping: float = parameter(0.4, **_DAMPING)
+    pitch_length_m: float = parameter(60.0, **_LENGTH)
+    roll_gain: float = parameter(1.0, **_GAIN)
+    roll_period_s: float = parameter(11.0, **_PERIOD)
+    roll_damping: float = parameter(0.12, **_DAMPING)
+    roll_length_m: float = parameter(18.0, **_LENGTH)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recorded attitude that the simulated ship follows."""
+
+    bag: str = parameter("", doc="bag with the attitude; a relative path starts at the scenario file")
+    topic: str = parameter("ins/imu", doc="its topic of type sensor_msgs/msg/Imu")
+
+
+@dataclass(frozen=True)
+class CarrierMotion:
+    """How the ship moves."""
+
+    kind: str = parameter(doc="source of the motion", choices=("sinusoids", "sea_state", "recorded"))
+    heading: AngleMotion = section(AngleMotion)
+    pitch: AngleMotion = section(AngleMotion)
+    roll: AngleMotion = section(AngleMotion)
+    turn: Turn = section(Turn)
+    sea: Sea = section(Sea)
+    recording: Recording = section(Recording)
+
+
+SECTIONS_OF_KIND = {
+    "sinusoids": ("heading", "pitch", "roll", "turn"),
+    "sea_state": ("heading", "pitch", "roll", "turn", "sea"),
+    "recorded": ("recording",),
+}
+"""The groups that each kind of carrier uses."""

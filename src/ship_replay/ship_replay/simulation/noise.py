@@ -1,0 +1,51 @@
+"""Random numbers of a simulation: one stream per component, Gauss–Markov processes, stamps."""
+
+import zlib
+
+import numpy as np
+from scipy.signal import lfilter
+
+from ship_geometry.rotations import FloatArray
+
+SECOND_NS = 1_000_000_000
+
+
+def random_stream(seed: int, component: str) -> np.random.Generator:
+    """The generator of one component, the same whatever other components there are."""
+    key = zlib.crc32(component.encode())
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(key,))))
+
+
+def gauss_markov(
+    rng: np.random.Generator, count: int, period_s: float, sigma: FloatArray, time_s: FloatArray
+) -> FloatArray:
+    """First-order Gauss–Markov processes in their steady state, sampled exactly, shape (count, n).
+
+    Args:
+        rng: source of the noise.
+        count: number of samples.
+        period_s: time from sample to sample.
+        sigma: steady standard deviation of each process, shape (n,).
+        time_s: correlation time of each process, shape (n,).
+    """
+    decay = np.exp(-period_s / np.asarray(time_s, dtype=float))
+    # 1 - decay² without cancellation.
+    innovation = np.sqrt(-np.expm1(-2.0 * period_s / np.asarray(time_s, dtype=float)))
+    noise = rng.standard_normal((count, len(sigma)))
+    noise[1:] *= innovation
+    samples = [lfilter([1.0], [1.0, -decay[i]], noise[:, i]) for i in range(len(sigma))]
+    return np.stack(samples, axis=-1) * sigma
+
+
+def stamps(start_ns: int, rate_hz: float, phase_s: float, duration_s: float) -> np.ndarray:
+    """Stamps of regular samples from ``start + phase`` to ``start + duration`` inclusive, ns, shape (n,)."""
+    # A hair over, so that a duration of whole periods includes its end in spite of rounding.
+    count = int(np.floor((duration_s - phase_s) * rate_hz + 1e-6)) + 1
+    offsets_ns = np.rint((phase_s + np.arange(max(count, 0)) / rate_hz) * SECOND_NS)
+    return start_ns + offsets_ns.astype(np.int64)
+
+
+def arrival_times(stamp_ns: np.ndarray, latency_s: float, jitter_s: float, rng: np.random.Generator) -> np.ndarray:
+    """Log times of samples: stamp + latency + a delay uniform in [0, jitter), ns, shape (n,)."""
+    delay_s = latency_s + jitter_s * rng.random(stamp_ns.size)
+    return stamp_ns + np.rint(delay_s * SECOND_NS).astype(np.int64)

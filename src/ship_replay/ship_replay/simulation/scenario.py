@@ -1,0 +1,166 @@
+"""What a scenario file may say: the voyage, the devices, their errors, what goes wrong.
+
+Each field states its unit, its range and its meaning. Sigmas are what the errors are drawn with, and what the
+suite configuration in the bag tells the estimator (:mod:`ship_replay.simulation.suite`).
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from ship_estimation.parameters import mapping_of, parameter, section
+from ship_replay.simulation.motion_scenario import CarrierMotion
+
+_ANGLE: dict[str, Any] = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
+_SIGMA: dict[str, Any] = {"unit": "arcsec", "minimum": 0.0, "maximum": 360_000.0}
+_CORRELATION: dict[str, Any] = {"unit": "s", "minimum": 0.1, "maximum": 1e7}
+_RATE: dict[str, Any] = {"unit": "Hz", "minimum": 0.01, "maximum": 1000.0}
+_MOMENT: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1e6}
+_DELAY: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 60.0}
+_OFFSET_SIGMA: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1.0}
+
+
+@dataclass(frozen=True)
+class Ins:
+    """The inertial navigation system."""
+
+    rate_hz: float = parameter(100.0, doc="samples per second", **_RATE)
+    latency_s: float = parameter(0.002, doc="from stamp to arrival", **_DELAY)
+    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **_DELAY)
+    tilt_sigma_arcsec: float = parameter(10.0, doc="slow error in tilt, each axis", **_SIGMA)
+    tilt_time_s: float = parameter(1800.0, doc="correlation time of the tilt error", **_CORRELATION)
+    heading_sigma_arcsec: float = parameter(72.0, doc="slow error in heading", **_SIGMA)
+    heading_time_s: float = parameter(10800.0, doc="correlation time of the heading error", **_CORRELATION)
+    white_sigma_arcsec: float = parameter(1.0, doc="noise of each sample, each axis", **_SIGMA)
+    rate_sigma_arcsec_per_s: float = parameter(
+        0.0, doc="noise of the angular rate, each axis", unit="arcsec/s", minimum=0.0, maximum=3600.0
+    )
+    time_offset_s: float = parameter(
+        0.0, doc="mean of: a sample is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
+    )
+    time_offset_sigma_s: float = parameter(0.005, doc="spread of the time offset", **_OFFSET_SIGMA)
+
+
+@dataclass(frozen=True)
+class Outage:
+    """A time without data."""
+
+    start_s: float = parameter(doc="from, after the start", **_MOMENT)
+    end_s: float = parameter(doc="to, after the start", **_MOMENT)
+
+
+@dataclass(frozen=True)
+class StarSensor:
+    """A star sensor that gives its horizon attitude."""
+
+    azimuth_deg: float = parameter(doc="installation azimuth of the boresight in the deck", **_ANGLE)
+    elevation_deg: float = parameter(
+        doc="installation elevation of the boresight over the deck", unit="deg", minimum=-90.0, maximum=90.0
+    )
+    roll_deg: float = parameter(0.0, doc="installation roll about the boresight, right side down", **_ANGLE)
+    rate_hz: float = parameter(5.0, doc="exposures per second", **_RATE)
+    phase_s: float = parameter(0.0, doc="first exposure after the start", **_MOMENT)
+    latency_s: float = parameter(0.1, doc="from stamp to arrival", **_DELAY)
+    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **_DELAY)
+    installation_sigma_forward_arcsec: float = parameter(20.0, doc="installation error about the boresight", **_SIGMA)
+    installation_sigma_up_arcsec: float = parameter(1.0, doc="installation error about the up axis", **_SIGMA)
+    installation_sigma_right_arcsec: float = parameter(1.0, doc="installation error about the right axis", **_SIGMA)
+    sigma_forward_arcsec: float = parameter(100.0, doc="noise about the boresight", **_SIGMA)
+    sigma_up_arcsec: float = parameter(3.0, doc="noise about the up axis", **_SIGMA)
+    sigma_right_arcsec: float = parameter(3.0, doc="noise about the right axis", **_SIGMA)
+    common_sigma_arcsec: float = parameter(0.0, doc="slow error that all stars share, each axis", **_SIGMA)
+    common_time_s: float = parameter(3600.0, doc="correlation time of that error", **_CORRELATION)
+    flexure_sigma_arcsec: float = parameter(0.0, doc="hull flexure between INS and sensor, each axis", **_SIGMA)
+    flexure_time_s: float = parameter(10.0, doc="correlation time of the flexure", **_CORRELATION)
+    time_offset_s: float = parameter(
+        0.0, doc="mean of: a message is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
+    )
+    time_offset_sigma_s: float = parameter(0.0, doc="spread of the time offset", **_OFFSET_SIGMA)
+    star_count: int = parameter(8, doc="stars in each solution", minimum=1, maximum=1000)
+    outages: dict[str, Outage] = mapping_of("times without stars, by name")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Another attitude system."""
+
+    rate_hz: float = parameter(1.0, doc="samples per second", **_RATE)
+    phase_s: float = parameter(0.0, doc="first sample after the start", **_MOMENT)
+    latency_s: float = parameter(0.1, doc="from stamp to arrival", **_DELAY)
+    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **_DELAY)
+    heading_deg: float = parameter(0.0, doc="mean of: its heading minus that of the INS", **_ANGLE)
+    pitch_deg: float = parameter(0.0, doc="mean of: its pitch minus that of the INS", **_ANGLE)
+    roll_deg: float = parameter(0.0, doc="mean of: its roll minus that of the INS", **_ANGLE)
+    installation_sigma_arcsec: float = parameter(7200.0, doc="spread of the three angles", **_SIGMA)
+    sigma_roll_arcsec: float = parameter(60.0, doc="noise about its forward axis", **_SIGMA)
+    sigma_pitch_arcsec: float = parameter(60.0, doc="noise about its right axis", **_SIGMA)
+    sigma_heading_arcsec: float = parameter(60.0, doc="noise about its up axis", **_SIGMA)
+    time_offset_s: float = parameter(
+        0.0, doc="mean of: its stamp minus the INS's for the same attitude", unit="s", minimum=-10.0, maximum=10.0
+    )
+    time_offset_sigma_s: float = parameter(
+        0.2, doc="spread of the time offset", unit="s", minimum=0.0, maximum=10.0
+    )
+
+
+@dataclass(frozen=True)
+class Position:
+    """Where the ship lies, and its satellite receiver."""
+
+    latitude_deg: float = parameter(0.0, doc="geodetic latitude", unit="deg", minimum=-90.0, maximum=90.0)
+    longitude_deg: float = parameter(0.0, doc="longitude, East positive", unit="deg", minimum=-180.0, maximum=360.0)
+    height_m: float = parameter(20.0, doc="height over the ellipsoid", unit="m", minimum=-500.0, maximum=9000.0)
+    sigma_m: float = parameter(2.0, doc="noise of a fix, each axis", unit="m", minimum=0.0, maximum=1000.0)
+    rate_hz: float = parameter(1.0, doc="fixes per second", **_RATE)
+
+
+@dataclass(frozen=True)
+class Weather:
+    """What the weather station says."""
+
+    pressure_hpa: float = parameter(1013.25, doc="air pressure", unit="hPa", minimum=800.0, maximum=1100.0)
+    temperature_c: float = parameter(15.0, doc="air temperature", unit="°C", minimum=-60.0, maximum=60.0)
+    humidity_percent: float = parameter(70.0, doc="relative humidity", unit="%", minimum=0.0, maximum=100.0)
+    rate_hz: float = parameter(0.5, doc="messages per second", **_RATE)
+
+
+FAULT_KINDS = (
+    "drop",
+    "delay",
+    "duplicate",
+    "conflict",
+    "freeze",
+    "nan",
+    "stamp_zero",
+    "frame",
+    "covariance_unknown",
+    "covariance_negative",
+    "rate_in_degrees",
+)
+"""What may go wrong with a message; :mod:`ship_replay.simulation.faults` says what each does."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something that goes wrong with one topic for a time."""
+
+    topic: str = parameter(doc="topic, for example ins/imu")
+    kind: str = parameter(doc="what goes wrong", choices=FAULT_KINDS)
+    start_s: float = parameter(doc="from, after the start, by stamps", **_MOMENT)
+    end_s: float = parameter(doc="to, after the start, by stamps", **_MOMENT)
+    delay_s: float = parameter(0.0, doc="further delay, of kind delay only", **_DELAY)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A simulated voyage."""
+
+    carrier: CarrierMotion
+    start_utc: str = parameter(doc="start, ISO 8601 with the letter Z, for example 2014-07-09T11:50:07.8Z")
+    duration_s: float = parameter(doc="length", unit="s", minimum=1.0, maximum=1e6)
+    description: str = parameter("", doc="what the scenario shows")
+    ins: Ins = section(Ins)
+    star_sensors: dict[str, StarSensor] = mapping_of("star sensors by id")
+    references: dict[str, Reference] = mapping_of("other attitude systems by name")
+    position: Position = section(Position)
+    weather: Weather = section(Weather)
+    faults: dict[str, Fault] = mapping_of("faults by name")

@@ -1,0 +1,84 @@
+"""A sea as a spectrum, and the ship's answer to it, as a sum of sinusoids.
+
+Spectrum of the wave elevation: the two-parameter spectrum of Bretschneider (1959), the one that ITTC (15th
+conference, 1978; Recommended Procedure 7.5-02-07-01.1) takes for the open ocean:
+
+    S(w) = 5/16 Hs² wp⁴ / w⁵ exp(-5/4 (wp / w)⁴)
+
+Sea state 5 of STANAG 4194: Hs 2.5 m to 4 m, mean 3.25 m, modal period 9.7 s in the North Atlantic.
+
+The answer of each angle is a damped resonance driven by the wave's slope as the hull averages it, at zero speed:
+
+    angle / elevation = direction factor * gain * k * sinc(k L / 2) / (1 - (w / wn)² + 2 i z w / wn),  k = w² / g
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+
+_GRAVITY = 9.80665
+"""Standard gravity, m/s²."""
+
+# Outside of these multiples of the modal frequency lies 0.5 % of the elevation's variance, at the high end,
+# where the hull no longer answers.
+_LOWEST, _HIGHEST = 0.5, 4.0
+
+
+@dataclass(frozen=True)
+class Response:
+    """How one angle of the ship answers the slope of the waves.
+
+    Attributes:
+        direction_factor: what the direction of the waves leaves of the slope.
+        gain: angle per slope of a long wave.
+        period_s: natural period.
+        damping: damping ratio.
+        length_m: length of hull that averages the slope.
+    """
+
+    direction_factor: float
+    gain: float
+    period_s: float
+    damping: float
+    length_m: float
+
+    def transfer(self, angular_frequency: FloatArray) -> np.ndarray:
+        """Angle per wave elevation, rad/m, complex, shape (n,)."""
+        wave_number = angular_frequency**2 / _GRAVITY
+        averaged_slope = wave_number * np.sinc(wave_number * self.length_m / (2.0 * np.pi))
+        ratio = angular_frequency * self.period_s / (2.0 * np.pi)
+        return self.direction_factor * self.gain * averaged_slope / (1.0 - ratio**2 + 2j * self.damping * ratio)
+
+
+def elevation_spectrum(angular_frequency: FloatArray, significant_height_m: float, modal_period_s: float) -> FloatArray:
+    """Bretschneider's spectrum of the wave elevation, m² s/rad, one-sided."""
+    modal = 2.0 * np.pi / modal_period_s
+    ratio4 = (modal / angular_frequency) ** 4
+    return 5.0 / 16.0 * significant_height_m**2 * ratio4 / angular_frequency * np.exp(-1.25 * ratio4)
+
+
+def wave_components(
+    significant_height_m: float, modal_period_s: float, count: int, rng: np.random.Generator
+) -> tuple[FloatArray, np.ndarray]:
+    """A realisation of the sea as sinusoids: angular frequencies, rad/s, and complex amplitudes, m, each (n,).
+
+    Equal bands of frequency, in each a component at a random place (so that the sum does not repeat itself)
+    with a random phase and the exact variance of its band.
+    """
+    modal = 2.0 * np.pi / modal_period_s
+    edges = modal * np.linspace(_LOWEST, _HIGHEST, count + 1)
+    # The integral of the spectrum from 0 to w is Hs² / 16 exp(-5/4 (wp / w)⁴).
+    variance = significant_height_m**2 / 16.0 * np.diff(np.exp(-1.25 * (modal / edges) ** 4))
+    angular_frequency = edges[:-1] + np.diff(edges) * rng.random(count)
+    phase = 2.0 * np.pi * rng.random(count)
+    return angular_frequency, np.sqrt(2.0 * variance) * np.exp(1j * phase)
+
+
+def ship_phasors(
+    angular_frequency: FloatArray, elevation: np.ndarray, responses: Sequence[Response]
+) -> np.ndarray:
+    """Complex amplitude of (heading, pitch, roll) for each wave, rad, shape (n, 3)."""
+    return np.stack([elevation * response.transfer(angular_frequency) for response in responses], axis=-1)

@@ -1,0 +1,73 @@
+"""A simulated run as messages in the order of their arrival, with the faults of the scenario."""
+
+import heapq
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ship_node.message_factory import MessageFactory
+from ship_replay.simulation.device_messages import Maker, ins_maker, reference_maker, star_maker
+from ship_replay.simulation.environment_messages import fix_maker, weather_makers
+from ship_replay.simulation.faults import deliver, simulated_topics, spoil
+from ship_replay.simulation.noise import stamps
+from ship_replay.simulation.run import SimulatedRun
+from ship_replay.simulation.truth_messages import truth_alignments, truth_attitudes
+
+TRUTH_ATTITUDE, TRUTH_ALIGNMENT = "truth/attitude", "truth/alignment"
+
+LogEntry = tuple[str, Any, int]
+"""(topic, message, log time in ns)."""
+
+
+def messages(run: SimulatedRun, factory: MessageFactory) -> Iterator[LogEntry]:
+    """All messages of a run in order of log time; the truth is logged at its stamps."""
+    types = simulated_topics(run.scenario)
+    streams = [
+        _logged_at_stamp(TRUTH_ALIGNMENT, truth_alignments(run, factory)),
+        _logged_at_stamp(TRUTH_ATTITUDE, truth_attitudes(run, factory)),
+    ]
+    for topic, (time_ns, log_time_ns, maker) in _sources(run, factory).items():
+        streams.append(_delivered(run, topic, types[topic], time_ns, log_time_ns, maker))
+    return heapq.merge(*streams, key=lambda entry: entry[2])
+
+
+def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.ndarray, np.ndarray, Maker]]:
+    """Topic → stamps, log times and maker of messages."""
+    scenario = run.scenario
+    sources = {"ins/imu": (run.ins.time_ns, run.ins.log_time_ns, ins_maker(run.ins, scenario.ins, factory))}
+    for key, stars in run.stars.items():
+        maker = star_maker(key, stars, scenario.star_sensors[key], factory)
+        sources[f"star/{key}/horizon_attitude"] = stars.time_ns, stars.log_time_ns, maker
+    for key, samples in run.references.items():
+        maker = reference_maker(key, samples, factory)
+        sources[f"reference/{key}/imu"] = samples.time_ns, samples.log_time_ns, maker
+    fix_ns = stamps(run.start_ns, scenario.position.rate_hz, 0.0, scenario.duration_s)
+    sources["gnss/fix"] = fix_ns, fix_ns, fix_maker(fix_ns, scenario.position, run.seed, factory)
+    weather_ns = stamps(run.start_ns, scenario.weather.rate_hz, 0.0, scenario.duration_s)
+    for topic, maker in weather_makers(weather_ns, scenario.weather, factory).items():
+        sources[topic] = weather_ns, weather_ns, maker
+    return sources
+
+
+def _logged_at_stamp(topic: str, stamped: Iterator[tuple[int, Any]]) -> Iterator[LogEntry]:
+    for time_ns, message in stamped:
+        yield topic, message, time_ns
+
+
+def _delivered(
+    run: SimulatedRun, topic: str, type_name: str, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
+) -> Iterator[LogEntry]:
+    faults = [fault for _, fault in sorted(run.scenario.faults.items()) if fault.topic == topic]
+    deliveries = deliver(time_ns, log_time_ns, faults, run.start_ns)
+    for stamp, value, log, spoilt_by in zip(
+        deliveries.stamp_index.tolist(),
+        deliveries.value_index.tolist(),
+        deliveries.log_time_ns.tolist(),
+        deliveries.spoilt_by.tolist(),
+        strict=True,
+    ):
+        message = maker(stamp, value)
+        if spoilt_by:
+            spoil(message, type_name, [fault for bit, fault in enumerate(faults) if spoilt_by >> bit & 1])
+        yield topic, message, log
