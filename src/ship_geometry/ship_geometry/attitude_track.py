@@ -81,8 +81,8 @@ class AttitudeTrack:
         """Put a sample in its place; one with the same stamp is replaced.
 
         Returns:
-            The stamp after which interpolated attitudes may have changed; None where none can have, because
-            the sample is the newest.
+            The stamp after which interpolated attitudes may have changed; None where the sample is the newest
+            and so none that :meth:`covers` held for can have.
         """
         if not self._times or sample.time_ns > self._times[-1]:
             self._times.append(sample.time_ns)
@@ -94,8 +94,9 @@ class AttitudeTrack:
         else:
             self._times.insert(index, sample.time_ns)
             self._samples.insert(index, sample)
-        # Differenced rates reach one sample beyond the interval itself.
-        return self._times[max(index - 2, 0)]
+        # Differenced rates reach one sample beyond the interval itself; near the start, the first sample's own
+        # rate, or its being there at all, is new.
+        return self._times[index - 2] if index >= 2 else self._times[0] - 1
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed to interpolate at or after ``time_ns``."""
@@ -150,8 +151,7 @@ class AttitudeTrack:
         sample = self._samples[index]
         if sample.rate_d is not None:
             return sample.rate_d
-        before = index - 1 if index > 0 and self._joined(index - 1) else index
-        after = index + 1 if index + 1 < len(self._samples) and self._joined(index) else index
+        before, after = self._neighbours(index)
         if before == after:
             return np.zeros(3)
         turn = log_rotation(self._samples[before].rotation_nd.T @ self._samples[after].rotation_nd)
@@ -165,6 +165,12 @@ class AttitudeTrack:
         if earlier is None or self._samples[index].rate_d is None:
             return np.zeros(3)
         return (rate - earlier) * (_SECOND_NS / (self._times[index] - self._times[index - 1]))
+
+    def _neighbours(self, index: int) -> tuple[int, int]:
+        """The samples whose difference gives the rate at sample ``index``: itself where there is no other."""
+        before = index - 1 if index > 0 and self._joined(index - 1) else index
+        after = index + 1 if index + 1 < len(self._samples) and self._joined(index) else index
+        return before, after
 
     def _joined(self, left: int) -> bool:
         return self._times[left + 1] - self._times[left] <= self._max_gap_ns
@@ -182,19 +188,18 @@ class AttitudeTrack:
             (1 - s) * (1 - 3 * s) * start_slope + 6 * s * (1 - s) * turn + s * (3 * s - 2) * end_slope
         )
         rate = left_jacobian(vector).T @ derivative / interval_s
-        gain = self._noise_gain(first, second, fraction)
+        gain = self._noise_gain(left, fraction)
         return InterpolatedAttitude(first.rotation_nd @ exp_rotation(vector), rate, gain)
 
-    @staticmethod
-    def _noise_gain(first: AttitudeSample, second: AttitudeSample, fraction: float) -> float:
-        """Sum of the squared weights of the samples' attitudes."""
+    def _noise_gain(self, left: int, fraction: float) -> float:
+        """Sum of the squared weights of the samples' attitudes; measured rates are taken as free of noise."""
         value0, slope0, value1, slope1 = hermite_weights(fraction)
-        if first.rate_d is not None and second.rate_d is not None:
-            return value0**2 + value1**2
-        # Central differences: each slope is half the difference of the neighbours on either side.
-        return float(
-            (0.5 * slope0) ** 2
-            + (value0 - 0.5 * slope1) ** 2
-            + (value1 + 0.5 * slope0) ** 2
-            + (0.5 * slope1) ** 2
-        )
+        weights = {left: value0, left + 1: value1}
+        interval_ns = self._times[left + 1] - self._times[left]
+        for index, slope in ((left, slope0), (left + 1, slope1)):
+            if self._samples[index].rate_d is None:
+                before, after = self._neighbours(index)
+                share = slope * interval_ns / (self._times[after] - self._times[before])
+                weights[before] = weights.get(before, 0.0) - share
+                weights[after] = weights.get(after, 0.0) + share
+        return sum(weight * weight for weight in weights.values())

@@ -20,7 +20,9 @@ _SMALL_ANGLE = 1e-4
 
 def wrap_pi(angle: FloatArray | float) -> FloatArray:
     """Angle (rad) brought into [-pi, pi)."""
-    return (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi
+    wrapped = (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi
+    # Just below -pi the remainder is rounded up to 2 pi itself.
+    return np.where(wrapped == np.pi, -np.pi, wrapped)[()]
 
 
 def wrap_two_pi(angle: FloatArray | float) -> FloatArray:
@@ -44,7 +46,7 @@ def skew(vector: FloatArray) -> FloatArray:
 
 
 def _sinc_coefficients(angle_squared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """sin t / t, (1 - cos t) / t² and (t - sin t) / t³ for t² given."""
+    """Three ratios, sin t / t, (1 - cos t) / t² and (t - sin t) / t³, for t² given."""
     small = angle_squared < _SMALL_ANGLE**2
     t2 = np.where(small, 1.0, angle_squared)
     t = np.sqrt(t2)

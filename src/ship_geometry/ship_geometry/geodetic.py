@@ -1,0 +1,63 @@
+"""Positions on the WGS 84 ellipsoid, the horizon there, and the way from one position to another.
+
+ECEF is the Earth-fixed frame of WGS 84 (x to Greenwich on the equator, z to the north pole). The horizon's Up is the
+ellipsoid normal (models.md §1), so a level instrument differs from it by the deflection of the vertical.
+All functions take arrays of positions.
+"""
+
+from dataclasses import dataclass
+
+import erfa
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+
+
+@dataclass(frozen=True)
+class GeodeticPosition:
+    """A position on WGS 84.
+
+    Attributes:
+        latitude: geodetic, north positive, rad, shape (...).
+        longitude: east positive, rad, shape (...).
+        height_m: above the ellipsoid (not above sea level), shape (...).
+    """
+
+    latitude: FloatArray | float
+    longitude: FloatArray | float
+    height_m: FloatArray | float
+
+
+def ecef_from_geodetic(position: GeodeticPosition) -> FloatArray:
+    """Earth-fixed coordinates in metres, shape (..., 3)."""
+    ecef_m: FloatArray = erfa.gd2gc(erfa.WGS84, position.longitude, position.latitude, position.height_m)
+    return ecef_m
+
+
+def geodetic_from_ecef(ecef_m: FloatArray) -> GeodeticPosition:
+    """The position with given Earth-fixed coordinates (m), shape (..., 3); longitude in [-pi, pi]."""
+    longitude, latitude, height_m = erfa.gc2gd(erfa.WGS84, ecef_m)
+    return GeodeticPosition(latitude, longitude, height_m)
+
+
+def rotation_horizon_from_ecef(latitude: FloatArray | float, longitude: FloatArray | float) -> FloatArray:
+    """Rotation "horizon (North, Up, East) from ECEF" at a place (rad), shape (..., 3, 3)."""
+    latitude, longitude = np.broadcast_arrays(np.asarray(latitude, float), np.asarray(longitude, float))
+    sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
+    rotation = np.zeros((*latitude.shape, 3, 3))
+    rotation[..., 0, 0] = -sin_lat * cos_lon
+    rotation[..., 0, 1] = -sin_lat * sin_lon
+    rotation[..., 0, 2] = cos_lat
+    rotation[..., 1, 0] = cos_lat * cos_lon
+    rotation[..., 1, 1] = cos_lat * sin_lon
+    rotation[..., 1, 2] = sin_lat
+    rotation[..., 2, 0] = -sin_lon
+    rotation[..., 2, 1] = cos_lon
+    return rotation
+
+
+def vector_between(start: GeodeticPosition, end: GeodeticPosition) -> FloatArray:
+    """The straight line from ``start`` to ``end`` in the horizon (North, Up, East) of ``start``, metres, (..., 3)."""
+    line_ecef_m = ecef_from_geodetic(end) - ecef_from_geodetic(start)
+    rotation = rotation_horizon_from_ecef(start.latitude, start.longitude)
+    return (rotation @ line_ecef_m[..., None])[..., 0]
