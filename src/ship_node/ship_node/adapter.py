@@ -1,0 +1,63 @@
+"""What the shell of a node, and the offline replay, expect of an adapter.
+
+An adapter says which topic feeds which method of a core and which result goes to which topic. It only reads and
+sets attributes of messages, so it serves rclpy messages in a live node and decoded messages of a bag alike.
+"""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+from ship_node.input_health import InputHealthBook
+from ship_node.message_factory import MessageFactory
+from ship_node.topics import InputTopic, OutputTopic, Published
+
+TICK_PERIOD_NS = 100_000_000
+"""Period of :meth:`Adapter.tick` in the time of the node, ns."""
+
+
+class ServiceResult(NamedTuple):
+    """Answer of a service: whether it was done, and a sentence for people."""
+
+    success: bool
+    message: str
+
+
+class Adapter(Protocol):
+    """One per node; the first line of its docstring is what ``--help`` says that the node does.
+
+    All times are integer ns. ``health`` is fed by the adapter and, with what only the middleware knows, by the
+    shell; the adapter publishes it in :meth:`tick`.
+    """
+
+    node_name: ClassVar[str]
+    config_type: ClassVar[type]
+    services: ClassVar[tuple[str, ...]]
+    inputs: tuple[InputTopic, ...]
+    outputs: tuple[OutputTopic, ...]
+    health: InputHealthBook
+
+    def __init__(self, config: Any, factory: MessageFactory) -> None: ...
+
+    def handle(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
+        """Take one message of an input topic."""
+        ...
+
+    def tick(self, now_ns: int) -> list[Published]:
+        """Do what depends on waiting; called every ``TICK_PERIOD_NS``."""
+        ...
+
+    def clock_jumped_back(self, now_ns: int) -> list[Published]:
+        """Start anew: the clock went back, as when a bag starts over."""
+        ...
+
+    def service(self, name: str, now_ns: int) -> ServiceResult:
+        """Do one of ``services``."""
+        ...
+
+    def set_parameters(self, changes: Mapping[str, Any]) -> None:
+        """Take live parameters, dotted name → value.
+
+        Raises:
+            ParameterError: nothing was changed; the text says why.
+        """
+        ...

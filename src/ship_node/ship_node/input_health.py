@@ -1,0 +1,206 @@
+"""How the inputs of a node do: a record per topic, judged, for ``input_health`` and ``/diagnostics``."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from ship_node.diagnostics import Level, Status
+from ship_node.input_record import LATE_EDGES_S, InputRecord
+from ship_node.message_factory import MessageFactory
+from ship_node.stamps import make_header
+from ship_node.topics import InputTopic
+
+WATCHDOG_NS = 5_000_000_000
+"""A required topic must have come this long after the start, and any topic with publishers, ns."""
+
+REFUSAL_SHOWN_NS = 2_000_000_000
+"""A single refusal is shown for this long, ns."""
+
+SILENT_PERIODS = 3.0
+SILENCE_ERROR_NS = 1_000_000_000
+"""A required topic may not be silent for longer, ns."""
+
+LEAST_SILENCE_NS = 100_000_000
+"""Nothing shorter counts as silence: it is judged once per tick, ns."""
+
+REFUSALS_WARN = 5
+REFUSALS_ERROR = 20
+FUTURE_ERROR = 10
+
+_EXPECTED_REASONS = ("gate", "revised")
+"""Refusals that good data also meet now and then: only a run of them is worth a warning."""
+
+_Judgement = tuple[Level, str]
+
+
+class InputHealthBook:
+    """The records of all inputs of a node.
+
+    The adapter calls :meth:`arrived` and then :meth:`accepted` or :meth:`rejected` for each message. What only
+    the middleware knows is told by the shell; offline it stays unknown.
+
+    Args:
+        inputs: the topics; others are unknown (KeyError).
+    """
+
+    def __init__(self, inputs: Iterable[InputTopic]) -> None:
+        self._records = {input_topic.topic: InputRecord(input_topic) for input_topic in inputs}
+        self._publishers: dict[str, int] = {}
+        self._incompatible: dict[str, str] = {}
+        self._lost: dict[str, int] = {}
+        self._start_ns: int | None = None
+
+    def arrived(self, topic: str, receive_ns: int) -> None:
+        """A message came at ``receive_ns``."""
+        self._start(receive_ns)
+        self._records[topic].add_arrival(receive_ns)
+
+    def accepted(self, topic: str, stamp_ns: int, receive_ns: int) -> None:
+        """A message was used."""
+        self._records[topic].add_accepted(stamp_ns, receive_ns)
+
+    def rejected(self, topic: str, reason: str, text: str, receive_ns: int, stamp_ns: int | None = None) -> None:
+        """A message was not used.
+
+        Args:
+            topic: the topic that it came on.
+            reason: a constant of ship_msgs/Innovation in lower case.
+            text: the same for people.
+            receive_ns: when it was refused.
+            stamp_ns: its stamp, where there is one to believe.
+        """
+        self._records[topic].add_rejected(reason, text, receive_ns, stamp_ns)
+
+    def noted(self, topic: str, reason: str) -> None:
+        """Something about a message is worth a count, although it may be used, as ``covariance_unknown``."""
+        self._records[topic].reasons[reason] += 1
+
+    def restart(self, now_ns: int) -> None:
+        """The clock went back or the node was reset: counts stay, everything timed starts anew."""
+        self._start_ns = now_ns
+        for record in self._records.values():
+            record.forget_times()
+
+    def publisher_count(self, topic: str, count: int) -> None:
+        """How many publishers a topic has now; without any, none is incompatible."""
+        self._publishers[topic] = count
+        if count == 0:
+            self._incompatible.pop(topic, None)
+
+    def incompatible_qos(self, topic: str, text: str) -> None:
+        """A publisher's quality of service does not fit: nothing of it will ever arrive."""
+        self._incompatible[topic] = text
+
+    def lost(self, topic: str, count: int) -> None:
+        """The middleware lost ``count`` further messages."""
+        self._lost[topic] = self._lost.get(topic, 0) + count
+
+    def statuses(self, now_ns: int) -> list[Status]:
+        """One diagnostic status per topic."""
+        self._start(now_ns)
+        return [self._status(record, now_ns) for record in self._records.values()]
+
+    def messages(self, factory: MessageFactory, now_ns: int) -> list[Any]:
+        """One ship_msgs/InputHealth per topic."""
+        self._start(now_ns)
+        return [self._message(factory, record, now_ns) for record in self._records.values()]
+
+    def _start(self, now_ns: int) -> None:
+        if self._start_ns is None:
+            self._start_ns = now_ns
+
+    def _message(self, factory: MessageFactory, record: InputRecord, now_ns: int) -> Any:
+        return factory.make(
+            "ship_msgs/msg/InputHealth",
+            header=make_header(factory, now_ns),
+            topic=record.input.topic,
+            received=record.received,
+            accepted=record.accepted,
+            rejected=record.rejected,
+            rate_hz=record.rate_hz(now_ns),
+            latency_s=record.latency_s,
+            age_s=record.age_s(now_ns),
+            level=int(self._judge(record, now_ns)[0]),
+            reasons=list(record.reasons),
+            reason_counts=np.array(list(record.reasons.values()), dtype=np.uint64),
+        )
+
+    def _status(self, record: InputRecord, now_ns: int) -> Status:
+        level, text = self._judge(record, now_ns)
+        values = {
+            "received": str(record.received),
+            "accepted": str(record.accepted),
+            "rejected": str(record.rejected),
+            "rate [Hz]": f"{record.rate_hz(now_ns):.2f}",
+            "latency [s]": f"{record.latency_s:.3f}",
+            "age [s]": f"{record.age_s(now_ns):.3f}",
+        }
+        values |= {f"reason {reason}": str(count) for reason, count in record.reasons.items()}
+        edges = [f"up to {edge:g} s" for edge in LATE_EDGES_S] + [f"above {LATE_EDGES_S[-1]:g} s"]
+        values |= {f"late {edge}": str(n) for edge, n in zip(edges, record.late_delays, strict=True) if n}
+        topic = record.input.topic
+        if topic in self._publishers:
+            values["publishers"] = str(self._publishers[topic])
+        if topic in self._lost:
+            values["lost by the middleware"] = str(self._lost[topic])
+        return Status(f"input {topic}", level, text, values)
+
+    def _judge(self, record: InputRecord, now_ns: int) -> _Judgement:
+        """The worst that there is to say; the earlier of equals."""
+        judgements = [
+            *self._judge_connection(record, now_ns),
+            *_judge_refusals(record, now_ns),
+            *_judge_silence(record, now_ns),
+        ]
+        if record.received == 0:
+            judgements.append((Level.OK, "no message yet"))
+        judgements.append((Level.OK, f"{record.rate_hz(now_ns):.1f} Hz, latency {record.latency_s:.3f} s"))
+        return max(judgements, key=lambda judgement: judgement[0])
+
+    def _judge_connection(self, record: InputRecord, now_ns: int) -> list[_Judgement]:
+        """Whether messages can come at all."""
+        topic, judgements = record.input.topic, []
+        if topic in self._incompatible:
+            judgements.append((Level.ERROR, f"incompatible QoS: {self._incompatible[topic]}"))
+        waited = self._start_ns is not None and now_ns - self._start_ns >= WATCHDOG_NS
+        if waited and record.last_arrival_ns is None:
+            publishers = self._publishers.get(topic)
+            waited_s = (now_ns - (self._start_ns or 0)) * 1e-9
+            if publishers:
+                hint = f"{publishers} publisher(s) but no message for {waited_s:.0f} s: QoS mismatch, or it is silent"
+            else:
+                hint = f"no message for {waited_s:.0f} s since the start"
+                hint += ": nobody publishes it" if publishers == 0 else ""
+            if record.input.required:
+                judgements.append((Level.ERROR, f"required: {hint}"))
+            elif publishers:
+                judgements.append((Level.WARN, hint))
+        return judgements
+
+
+def _judge_refusals(record: InputRecord, now_ns: int) -> list[_Judgement]:
+    """Whether what comes can be used."""
+    if record.future_in_a_row >= FUTURE_ERROR:
+        return [(Level.ERROR, f"clock offset: {record.future_in_a_row} in a row from the future; {record.last_text}")]
+    if record.refused_in_a_row >= REFUSALS_WARN:
+        level = Level.ERROR if record.refused_in_a_row >= REFUSALS_ERROR else Level.WARN
+        run = f"{record.refused_in_a_row} refused in a row"
+        return [(level, f"{run}, last {record.last_refusal}: {record.last_text}")]
+    recent = record.last_refusal_ns is not None and now_ns - record.last_refusal_ns <= REFUSAL_SHOWN_NS
+    if recent and record.last_refusal not in _EXPECTED_REASONS:
+        return [(Level.WARN, f"refused, {record.last_refusal}: {record.last_text}")]
+    return []
+
+
+def _judge_silence(record: InputRecord, now_ns: int) -> list[_Judgement]:
+    """Whether it still comes."""
+    if record.last_arrival_ns is None:
+        return []
+    silence_ns = now_ns - record.last_arrival_ns
+    expected_ns = max(LEAST_SILENCE_NS, SILENT_PERIODS * record.mean_period_ns)
+    if silence_ns <= (WATCHDOG_NS if math.isnan(record.mean_period_ns) else expected_ns):
+        return []
+    level = Level.ERROR if record.input.required and silence_ns > SILENCE_ERROR_NS else Level.WARN
+    return [(level, f"silent for {silence_ns * 1e-9:.1f} s")]

@@ -1,0 +1,224 @@
+"""An adapter in a live rclpy node: its inputs, ticks, services and parameters.
+
+Nothing that an adapter raises ends the node (:mod:`ship_node.guard`). Ticks fall on the same grid of the node's
+clock as in replay (:mod:`ship_node.tick_grid`). The events executor is spun by ``spin_once``: half the processor
+time of the single-threaded one, and messages of all topics are handled in the order in which they came.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import qos_policy_name_from_kind
+from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
+
+from ship_estimation.parameters import ParameterError
+from ship_node.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
+from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level, Status, diagnostic_array
+from ship_node.errors import BadInput
+from ship_node.guard import Guard
+from ship_node.message_factory import RosidlFactory, message_class
+from ship_node.parameter_file import quoted_parameter, read_whatever_fits
+from ship_node.qos import input_qos, output_qos, overridable, overrides_checked
+from ship_node.ros_parameters import NodeParameters
+from ship_node.tick_grid import TickGrid
+from ship_node.topics import InputTopic, OutputTopic, Published
+
+SPIN_TIMEOUT_S = 0.1
+WATCH_PERIOD_S = 1.0
+CLOCK_WATCHDOG_S = 5.0
+JUMP_BACK = Duration(nanoseconds=-100_000_000)
+"""Only a jump that is longer starts anew: /clock from two hosts may waver."""
+
+LONGEST_CATCH_UP_NS = 10_000_000_000
+"""After a longer jump forward the ticks start anew instead of being made up for, ns."""
+
+
+class LiveNode:
+    """A live node around an adapter.
+
+    Attributes:
+        node: the rclpy node.
+        adapter: the adapter.
+
+    Args:
+        adapter_class: what to run.
+        context: an initialised rclpy context.
+        parameter_files: files given on the command line, to say where a bad parameter stands.
+
+    Raises:
+        BadInput: a parameter is unknown, of the wrong type, out of its range or missing.
+    """
+
+    def __init__(self, adapter_class: type[Adapter], context: Context, parameter_files: tuple[Path, ...] = ()) -> None:
+        self.node = Node(adapter_class.node_name, context=context)
+        self._context = context
+        self._factory = RosidlFactory()
+        self._guard = Guard(self.node.get_logger(), time.monotonic_ns)
+        try:
+            self._parameters = NodeParameters(self.node, adapter_class.config_type)
+            self.adapter = adapter_class(self._parameters.config, self._factory)
+            self._publishers = {o.topic: self._create_publisher(o) for o in _outputs(self.adapter)}
+            self._subscriptions = {i.topic: self._create_subscription(i) for i in self.adapter.inputs}
+        except (ParameterError, BadInput) as error:
+            self.node.destroy_node()
+            raise _with_line(error, parameter_files, adapter_class.node_name) from error
+        self._parameters.on_change(self.adapter.set_parameters)
+        self._grid = TickGrid()
+        self._last_ns = 0
+        self._before_clock: deque[tuple[str, Any]] = deque(maxlen=sum(i.depth for i in self.adapter.inputs))
+        for name in adapter_class.services:
+            self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
+        self._warn_of_unused_overrides()
+        self._create_clocks()
+        self._executor = EventsExecutor(context=context)
+        self._executor.add_node(self.node)
+
+    def spin(self, stop: Callable[[], bool]) -> None:
+        """Work until ``stop()`` or until the context ends."""
+        while not stop() and self._context.ok():
+            self._guard.call("executor", self._executor.spin_once, SPIN_TIMEOUT_S)
+
+    def close(self) -> None:
+        """Give everything back to the middleware."""
+        self._jump_handle.unregister()
+        self._executor.remove_node(self.node)
+        self._executor.shutdown()
+        self.node.destroy_node()
+
+    def _create_publisher(self, output: OutputTopic) -> Publisher:
+        kind, qos = message_class(output.type_name), output_qos(output)
+        with overrides_checked(self.node, output.topic):
+            return self.node.create_publisher(kind, output.topic, qos, qos_overriding_options=overridable())
+
+    def _create_subscription(self, input_topic: InputTopic) -> Subscription:
+        topic = input_topic.topic
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=partial(self._guard.call, "QoS event", self._on_incompatible_qos, topic),
+            message_lost=partial(self._guard.call, "QoS event", self._on_lost, topic),
+        )
+        with overrides_checked(self.node, topic):
+            return self.node.create_subscription(
+                message_class(input_topic.type_name),
+                topic,
+                partial(self._guard.call, topic, self._on_message, topic),
+                input_qos(input_topic),
+                event_callbacks=events,
+                qos_overriding_options=overridable(),
+            )
+
+    def _create_clocks(self) -> None:
+        """The tick on the node's clock, the watch on a clock that never stops, and the reset when time goes back."""
+        clock = self.node.get_clock()
+        self._start_steady_s = time.monotonic()
+        self.node.create_timer(TICK_PERIOD_NS * 1e-9, partial(self._guard.call, "tick", self._advance))
+        self.node.create_timer(
+            WATCH_PERIOD_S,
+            partial(self._guard.call, "watch", self._watch),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        self._jump_handle = clock.create_jump_callback(
+            JumpThreshold(min_forward=None, min_backward=JUMP_BACK, on_clock_change=False),
+            post_callback=partial(self._guard.call, "clock jump", self._on_jump_back),
+        )
+
+    def _warn_of_unused_overrides(self) -> None:
+        for name in self.node._parameter_overrides:
+            if name.startswith("qos_overrides.") and not self.node.has_parameter(name):
+                self.node.get_logger().warning(f"parameter '{name}' names no topic and policy of this node")
+
+    def _on_message(self, topic: str, message: Any) -> None:
+        now_ns = self._advance()
+        if now_ns:
+            self._publish(self.adapter.handle(topic, message, now_ns))
+            return
+        if len(self._before_clock) == self._before_clock.maxlen:
+            self.adapter.health.lost(self._before_clock[0][0], 1)
+        self._before_clock.append((topic, message))
+
+    def _advance(self) -> int:
+        """Tick up to now, which is returned (ns); 0 while the node waits for its first /clock."""
+        now_ns = int(self.node.get_clock().now().nanoseconds)
+        if now_ns == 0:
+            return 0
+        if self._last_ns and now_ns - self._last_ns > LONGEST_CATCH_UP_NS:
+            self._grid.restart(now_ns)
+        self._last_ns = now_ns
+        for tick_ns in self._grid.due(now_ns):
+            self._guard.call("tick", lambda ns: self._publish(self.adapter.tick(ns)), tick_ns)
+        while self._before_clock:
+            topic, message = self._before_clock.popleft()
+            self._guard.call(topic, lambda t, m: self._publish(self.adapter.handle(t, m, now_ns)), topic, message)
+        return now_ns
+
+    def _on_jump_back(self, jump: TimeJump) -> None:
+        now_ns = int(self.node.get_clock().now().nanoseconds)
+        self.node.get_logger().warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: starting anew")
+        self._grid.restart(now_ns)
+        self._last_ns = now_ns
+        self._publish(self.adapter.clock_jumped_back(now_ns))
+
+    def _publish(self, published: list[Published]) -> None:
+        for topic, message in published:
+            self._publishers[topic].publish(message)
+
+    def _serve(self, name: str, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        now_ns = int(self.node.get_clock().now().nanoseconds)
+        result: ServiceResult | None = ServiceResult(False, "the clock has not started: no /clock came yet")
+        if now_ns:
+            result = self._guard.call(f"~/{name}", self.adapter.service, name, now_ns)
+        response.success, response.message = result or (False, "failed with an exception: see the node's log")
+        self.node.get_logger().info(f"~/{name}: {'done' if response.success else 'failed'}: {response.message}")
+        return response
+
+    def _on_incompatible_qos(self, topic: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        text = f"a publisher of {topic} offers another {policy} than asked for; no message of it will come"
+        self.adapter.health.incompatible_qos(topic, text)
+        self.node.get_logger().error(f"incompatible QoS: {text}")
+
+    def _on_lost(self, topic: str, event: QoSMessageLostInfo) -> None:
+        self.adapter.health.lost(topic, event.total_count_change)
+
+    def _watch(self) -> None:
+        """What time does not bring: publishers of the inputs, a clock that never starts, exceptions."""
+        for topic, subscription in self._subscriptions.items():
+            self.adapter.health.publisher_count(topic, self.node.count_publishers(subscription.topic_name))
+        statuses = [self._guard.status(), self._clock_status()]
+        now_ns = int(self.node.get_clock().now().nanoseconds)
+        message = diagnostic_array(self._factory, now_ns, self.node.get_name(), statuses)
+        self._publishers[DIAGNOSTICS_TOPIC].publish(message)
+
+    def _clock_status(self) -> Status:
+        if self.node.get_clock().now().nanoseconds:
+            return Status("clock", Level.OK, "running")
+        waited_s = time.monotonic() - self._start_steady_s
+        text = f"use_sim_time is set, but no /clock came for {waited_s:.0f} s"
+        return Status("clock", Level.ERROR if waited_s >= CLOCK_WATCHDOG_S else Level.OK, text)
+
+
+def _outputs(adapter: Adapter) -> tuple[OutputTopic, ...]:
+    """The adapter's outputs and the diagnostics, which every node has."""
+    diagnostics = OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE)
+    others = tuple(output for output in adapter.outputs if output.topic != DIAGNOSTICS_TOPIC)
+    return (*others, diagnostics)
+
+
+def _with_line(error: ValueError, parameter_files: tuple[Path, ...], node_name: str) -> BadInput:
+    """The error with the file that gives the parameter, and its line; the last one of several."""
+    text = str(error)
+    parameter = quoted_parameter(text)
+    files = [read_whatever_fits(path, node_name) for path in reversed(parameter_files)]
+    naming = [file for file in files if parameter in file.lines] or [file for file in files if file.line_of(parameter)]
+    return naming[0].error(text) if naming else BadInput(text)

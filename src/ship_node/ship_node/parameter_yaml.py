@@ -1,0 +1,158 @@
+"""The sections of a ROS 2 parameter file, each value with its line.
+
+Numbers are read as rcl reads them: ``1e-3`` is a number and ``1:30`` a text, unlike in plain YAML 1.1.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ship_node.errors import BadInput
+
+PARAMETERS_KEY = "ros__parameters"
+
+_NULL = re.compile(r"~|null|Null|NULL|$")
+_BOOLEAN = re.compile(r"yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF")
+_INTEGER = re.compile(r"[-+]?(0x[0-9a-fA-F]+|[0-9]+)")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+
+
+@dataclass(frozen=True)
+class Section:
+    """What a file says about one node.
+
+    Attributes:
+        node: ``/NAMESPACE/NAME``, wildcards as written.
+        parameters: value and line (from 1) by dotted name.
+    """
+
+    node: str
+    parameters: dict[str, tuple[Any, int]]
+
+
+def read_sections(source: Path | str) -> tuple[str, list[Section]]:
+    """Name of the source for messages, and its sections in order, nested namespaces resolved.
+
+    Args:
+        source: a path; a ``str`` that holds a line break is the text itself.
+
+    Raises:
+        BadInput: the file cannot be read or is no parameter file; names file, line and key.
+    """
+    name, text = _text(source)
+    root = _root(name, text)
+    if root is None:
+        raise BadInput(f"{name}: empty: expected a section 'NODE: {{{PARAMETERS_KEY}: ...}}'")
+    return name, list(_sections(name, root, ""))
+
+
+def read_plain_section(source: Path | str) -> tuple[str, Section]:
+    """Name of the source, and all of it as one section: a file of nested parameters that belongs to no node.
+
+    Raises:
+        BadInput: the file cannot be read or is no mapping; names file, line and key.
+    """
+    name, text = _text(source)
+    root = _root(name, text)
+    if not isinstance(root, yaml.MappingNode):
+        raise BadInput(f"{name}:1: expected 'name: value' entries, the file holds none")
+    return name, Section("", dict(_parameters(name, root, "")))
+
+
+def _text(source: Path | str) -> tuple[str, str]:
+    if isinstance(source, str) and "\n" in source:
+        return "configuration", source
+    try:
+        return str(source), Path(source).read_text(encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{source}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{source}: is not a text file (UTF-8): expected a ROS 2 parameter file") from error
+
+
+def _root(name: str, text: str) -> yaml.Node | None:
+    try:
+        return yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f":{mark.line + 1}" if mark else ""
+        raise BadInput(f"{name}{where}: not YAML: {error.problem or error.context}") from error
+    except yaml.YAMLError as error:
+        raise BadInput(f"{name}: not YAML: {str(error).splitlines()[0]}") from error
+
+
+def _sections(name: str, node: yaml.Node, path: str) -> Iterator[Section]:
+    for key, line, value in _entries(name, node, path or "the file"):
+        if key == PARAMETERS_KEY:
+            if not path:
+                raise BadInput(f"{name}:{line}: '{PARAMETERS_KEY}' must stand below the name of a node")
+            yield Section(path, dict(_parameters(name, value, "")))
+        else:
+            yield from _sections(name, value, f"{path}/{key.strip('/')}")
+
+
+def _parameters(name: str, node: yaml.Node, prefix: str) -> Iterator[tuple[str, tuple[Any, int]]]:
+    if isinstance(node, yaml.ScalarNode) and _is_null(node):
+        return
+    for key, line, value in _entries(name, node, prefix.rstrip(".") or PARAMETERS_KEY):
+        if isinstance(value, yaml.MappingNode):
+            yield from _parameters(name, value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, (_value(name, value, prefix + key), line)
+
+
+def _entries(name: str, node: yaml.Node, what: str) -> Iterator[tuple[str, int, yaml.Node]]:
+    """Key, line and value of each entry of a mapping."""
+    if not isinstance(node, yaml.MappingNode):
+        line = node.start_mark.line + 1
+        raise BadInput(f"{name}:{line}: {what}: expected 'name: value' entries, got {_kind(node)}")
+    seen: dict[str, int] = {}
+    for key, value in node.value:
+        line = key.start_mark.line + 1
+        if not isinstance(key, yaml.ScalarNode):
+            raise BadInput(f"{name}:{line}: {what}: {_kind(key)} cannot be a name")
+        if key.value in seen:
+            raise BadInput(f"{name}:{line}: '{key.value}' was given before, in line {seen[key.value]}")
+        seen[key.value] = line
+        yield key.value, line, value
+
+
+def _value(name: str, node: yaml.Node, parameter: str) -> Any:
+    where = f"{name}:{node.start_mark.line + 1}: parameter '{parameter}'"
+    if isinstance(node, yaml.SequenceNode):
+        elements = [_value(name, element, parameter) for element in node.value]
+        kinds = sorted({type(element).__name__ for element in elements})
+        if len(kinds) > 1:
+            raise BadInput(f"{where} mixes {' and '.join(kinds)}: all elements of a list must be of one type")
+        if kinds == ["list"]:
+            raise BadInput(f"{where} is a list of lists: expected a plain list")
+        return elements
+    if not isinstance(node, yaml.ScalarNode):
+        raise BadInput(f"{where} is a list of groups: expected a plain list")
+    if node.style in ("'", '"', "|", ">"):
+        return node.value
+    if _is_null(node):
+        raise BadInput(f"{where} has no value")
+    text = node.value
+    if _BOOLEAN.fullmatch(text):
+        return text.lower() in ("yes", "true", "on")
+    if _INTEGER.fullmatch(text):
+        return int(text, 16) if "x" in text else int(text)
+    if _FLOAT.fullmatch(text):
+        return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+    return text
+
+
+def _kind(node: yaml.Node) -> str:
+    """What a node is, for people."""
+    if isinstance(node, yaml.ScalarNode):
+        return f"a single value ({node.value:.40})" if node.value else "nothing"
+    return "a list" if isinstance(node, yaml.SequenceNode) else "a group"
+
+
+def _is_null(node: yaml.ScalarNode) -> bool:
+    return node.style is None and _NULL.fullmatch(node.value) is not None

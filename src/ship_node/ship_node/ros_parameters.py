@@ -1,0 +1,108 @@
+"""A configuration dataclass as parameters of an rclpy node: declared with unit and range, changed live."""
+
+import re
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe, flatten, nest
+from ship_node.parameter_file import is_middleware_parameter
+
+_LEAST_INTEGER, _GREATEST_INTEGER = -(2**63), 2**63 - 1
+
+
+class NodeParameters:
+    """The parameters of one node.
+
+    Attributes:
+        config: the configuration as it is now.
+
+    Args:
+        node: has no parameters of its own yet.
+        config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
+
+    Raises:
+        ParameterError: an override is unknown, of the wrong type, out of its range or missing.
+    """
+
+    def __init__(self, node: Node, config_type: type) -> None:
+        self._node = node
+        self._config_type = config_type
+        self.config: Any = build(config_type, nest(_overrides(node)))
+        self._descriptions = {name: _description(name, config_type) for name in flatten(self.config)}
+        for name, value in flatten(self.config).items():
+            # The override is in the value already, as a float where the file had an integer.
+            node.declare_parameter(name, value, _descriptor(self._descriptions[name]), ignore_override=True)
+
+    def on_change(self, apply: Callable[[Mapping[str, Any]], None]) -> None:
+        """From now on give live changes to ``apply``; what it raises refuses them with that reason."""
+        self._apply = apply
+        self._node.add_on_set_parameters_callback(self._set)
+
+    def _set(self, parameters: list[Parameter]) -> SetParametersResult:
+        changes = {p.name: _plain(p.value) for p in parameters if p.name in self._descriptions}
+        if not changes:
+            return SetParametersResult(successful=True)
+        before = flatten(self.config)
+        try:
+            config: Any = build(self._config_type, nest(before | changes))
+            self._apply({name: flatten(config)[name] for name in changes})
+        except ParameterError as error:
+            self._node.get_logger().warning(f"refused: {error}")
+            return SetParametersResult(successful=False, reason=str(error))
+        except Exception as error:
+            reason = f"not changed: {type(error).__name__}: {error}"
+            self._node.get_logger().error(reason)
+            return SetParametersResult(successful=False, reason=reason)
+        self.config = config
+        for name, value in changes.items():
+            unit = self._descriptions[name].unit
+            self._node.get_logger().info(f"parameter {name} = {value} {unit}".rstrip() + f", was {before[name]}")
+        return SetParametersResult(successful=True)
+
+
+def _overrides(node: Node) -> dict[str, Any]:
+    """What files and command line say, by dotted name; rclpy has no public way to ask before declaring."""
+    overrides = node._parameter_overrides
+    return {name: _plain(p.value) for name, p in overrides.items() if not is_middleware_parameter(name)}
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists."""
+    return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)
+
+
+def _description(name: str, config_type: type) -> ParameterDescription:
+    """The description that a dotted name follows; ``<id>`` in it stands for any one part."""
+    for description in describe(config_type):
+        if re.fullmatch(re.escape(description.name).replace("<id>", r"[^.]+"), name):
+            return description
+    raise ParameterError(f"parameter '{name}' has no description")
+
+
+def _descriptor(description: ParameterDescription) -> ParameterDescriptor:
+    low, high = description.minimum, description.maximum
+    descriptor = ParameterDescriptor(
+        description=f"{description.doc} [{description.unit}]" if description.unit else description.doc,
+        read_only=not description.live,
+    )
+    if description.choices:
+        descriptor.additional_constraints = "one of " + ", ".join(description.choices)
+    if description.kind is float and (low is not None or high is not None):
+        limit = sys.float_info.max
+        bounds = FloatingPointRange(
+            from_value=-limit if low is None else float(low), to_value=limit if high is None else float(high), step=0.0
+        )
+        descriptor.floating_point_range = [bounds]
+    if description.kind is int and (low is not None or high is not None):
+        bounds = IntegerRange(
+            from_value=_LEAST_INTEGER if low is None else int(low),
+            to_value=_GREATEST_INTEGER if high is None else int(high),
+            step=0,
+        )
+        descriptor.integer_range = [bounds]
+    return descriptor

@@ -1,0 +1,33 @@
+"""What a node listens to and what it publishes, by relative topic names."""
+
+from dataclasses import dataclass
+from typing import Any
+
+Published = tuple[str, Any]
+"""A message on its way out: (topic, message)."""
+
+
+@dataclass(frozen=True)
+class InputTopic:
+    """A topic that a node listens to.
+
+    Attributes:
+        topic: relative name, as ``"ins/imu"``.
+        type_name: as ``"sensor_msgs/msg/Imu"``.
+        required: whether the node is of no use without it.
+        depth: messages that may wait for the node: a second of data.
+    """
+
+    topic: str
+    type_name: str
+    required: bool
+    depth: int
+
+
+@dataclass(frozen=True)
+class OutputTopic:
+    """A topic that a node publishes; who comes later to a ``latched`` one still gets its last message."""
+
+    topic: str
+    type_name: str
+    latched: bool = False

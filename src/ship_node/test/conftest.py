@@ -1,0 +1,29 @@
+"""Nodes of these tests meet only each other: this machine, a domain of their own."""
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+# Of the domains that Linux has ports for, one that two test runs on a machine hardly share.
+os.environ["ROS_DOMAIN_ID"] = str(20 + os.getpid() % 80)
+
+
+@pytest.fixture
+def live_relay() -> Iterator["object"]:
+    """Starts relay nodes in this process; see :class:`live_relay.LiveRelay`."""
+    from live_relay import LiveRelay
+
+    started: list[LiveRelay] = []
+
+    def start(*ros_arguments: str) -> LiveRelay:
+        started.append(LiveRelay(*ros_arguments))
+        return started[-1]
+
+    yield start
+    for relay in started:
+        relay.close()

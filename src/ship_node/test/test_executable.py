@@ -1,0 +1,84 @@
+"""What people meet who start a node: help, one line for what is wrong, a clean end."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+
+RELAY = [sys.executable, str(Path(__file__).with_name("relay_adapter.py"))]
+
+
+def run_relay(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*RELAY, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_help_shows_topics_and_parameters_with_units():
+    result = run_relay("--help")
+    assert result.returncode == 0
+    lines = [" ".join(line.split()) for line in result.stdout.splitlines()]
+    assert "Relays every Imu as ShipAttitude." in lines
+    assert "ins/imu sensor_msgs/msg/Imu required" in lines
+    assert "ship/calibration ship_msgs/msg/AlignmentState latched" in lines
+    assert "sensors.<id>.elevation_deg deg must be given [-90, 90] elevation" in lines
+    assert "gate.probability* - 0.99 [0.5, 1] gate" in lines
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--ros-args", "-p", "gate.x:=1"], "relay: parameter 'gate.x' is unknown: expected one of bias_deg, count,"),
+        (
+            ["--ros-args", "-p", "sensors.fore.elevation_deg:=95.0"],
+            "relay: parameter 'sensors.fore.elevation_deg' = 95.0 deg is out of its range [-90.0, 90.0] deg",
+        ),
+        (
+            ["--ros-args", "-p", "sensors.fore.mode:=slow"],
+            "relay: parameter 'sensors.fore.elevation_deg' (elevation) must be given",
+        ),
+        (["--ros-args", "-p", "gate.bias_deg:=.nan"], "relay: parameter 'gate.bias_deg' must be finite, got nan"),
+        (["--ros-args", "--params-file", "absent.yaml"], "relay: absent.yaml: cannot be read: No such file"),
+        (["bag.mcap"], "relay: unknown argument 'bag.mcap': parameters go behind --ros-args, see --help"),
+    ],
+)
+def test_bad_start_exits_2_with_one_line(arguments, line):
+    result = run_relay(*arguments)
+    assert result.returncode == 2
+    assert result.stderr.startswith(line)
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("parameters", "line", "text"),
+    [
+        ("gate:\n      probability: 3.0", 4, "parameter 'gate.probability' = 3.0 is out of its range [0.5, 1.0]"),
+        ("gate: {probability: 1.0", 4, "not YAML: expected ',' or '}'"),
+        ("gate.probabilty: 0.9", 3, "parameter 'gate.probabilty' is unknown: expected one of bias_deg, count"),
+        ("qos_overrides:\n      /ins/imu: {subscription: {reliability: sure}}", 4, "parameter 'qos_overrides./ins/i"),
+        ("qos_overrides:\n      /ins/imu: {subscription: {depth: 0}}", 4, "parameter 'qos_overrides./ins/imu': "),
+    ],
+)
+def test_bad_parameter_file_exits_2_with_file_and_line(tmp_path, parameters, line, text):
+    path = tmp_path / "relay.yaml"
+    path.write_text(f"relay:\n  ros__parameters:\n    {parameters}\n")
+    result = run_relay("--ros-args", "--params-file", str(path))
+    assert result.returncode == 2
+    assert result.stderr.startswith(f"relay: {path}:{line}: {text}")
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_the_node_cleanly(number):
+    # Nothing tells from outside that the signal handlers stand, so wait for a line that the node logs later.
+    arguments = ["--ros-args", "-p", "qos_overrides./absent.subscription.depth:=1"]
+    with subprocess.Popen([*RELAY, *arguments], stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert "names no topic and policy" in process.stderr.readline()
+        os.kill(process.pid, number)
+        rest = process.stderr.read()
+        assert process.wait(timeout=30) == 0
+        assert rest == ""

@@ -1,0 +1,218 @@
+import math
+
+import pytest
+
+from ship_node.diagnostics import Level
+from ship_node.input_health import InputHealthBook
+from ship_node.message_factory import RosidlFactory
+from ship_node.topics import InputTopic
+
+MS = 1_000_000
+S = 1_000_000_000
+START_NS = 1_400_000_000 * S
+IMU, STAR = "ins/imu", "star/fore/horizon_attitude"
+
+
+@pytest.fixture
+def book():
+    """An INS that must be there, a star sensor that may."""
+    return InputHealthBook(
+        [
+            InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100),
+            InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", required=False, depth=10),
+        ]
+    )
+
+
+def feed(book, count, *, start_ns=START_NS, period_ns=10 * MS, latency_ns=5 * MS):
+    """Accepted INS samples; the time of the last arrival, ns."""
+    for i in range(count):
+        receive_ns = start_ns + i * period_ns
+        book.arrived(IMU, receive_ns)
+        book.accepted(IMU, receive_ns - latency_ns, receive_ns)
+    return receive_ns
+
+
+def reject(book, count, reason, *, start_ns=START_NS, period_ns=10 * MS):
+    for i in range(count):
+        receive_ns = start_ns + i * period_ns
+        book.arrived(IMU, receive_ns)
+        book.rejected(IMU, reason, f"text {i}", receive_ns)
+    return receive_ns
+
+
+def imu_status(book, now_ns):
+    return {status.name: status for status in book.statuses(now_ns)}[f"input {IMU}"]
+
+
+def imu_message(book, now_ns):
+    return {message.topic: message for message in book.messages(RosidlFactory(), now_ns)}[IMU]
+
+
+def test_good_data_is_ok_with_rate_latency_and_age(book):
+    last_ns = feed(book, 200)
+    status = imu_status(book, last_ns + 10 * MS)
+    assert (status.level, status.message) == (Level.OK, "100.0 Hz, latency 0.005 s")
+    message = imu_message(book, last_ns + 10 * MS)
+    assert (message.received, message.accepted, message.rejected, message.level) == (200, 200, 0, 0)
+    # 10 ms apart, 5 ms under way, then 10 ms more.
+    assert (message.rate_hz, message.latency_s, message.age_s) == pytest.approx((100.0, 0.005, 0.015))
+
+
+def test_nothing_yet_is_nan_and_ok_before_the_watchdog(book):
+    book.statuses(START_NS)
+    message = imu_message(book, START_NS + 4_999 * MS)
+    assert (message.received, message.level) == (0, 0)
+    assert all(math.isnan(value) for value in (message.rate_hz, message.latency_s, message.age_s))
+
+
+def test_required_topic_that_never_came_is_an_error_after_five_seconds(book):
+    book.statuses(START_NS)
+    statuses = book.statuses(START_NS + 5 * S)
+    assert [status.level for status in statuses] == [Level.ERROR, Level.OK]
+    assert statuses[0].message == "required: no message for 5 s since the start"
+    assert statuses[1].message == "no message yet"
+
+
+def test_watchdog_names_publishers_where_they_are_known(book):
+    book.statuses(START_NS)
+    book.publisher_count(IMU, 0)
+    book.publisher_count(STAR, 2)
+    imu, star = book.statuses(START_NS + 6 * S)
+    assert imu.message.endswith("nobody publishes it")
+    assert star.level is Level.WARN
+    assert star.message == "2 publisher(s) but no message for 6 s: QoS mismatch, or it is silent"
+
+
+@pytest.mark.parametrize(("silence_ms", "level"), [(100, Level.OK), (101, Level.WARN), (1001, Level.ERROR)])
+def test_silence_of_a_required_fast_topic(book, silence_ms, level):
+    last_ns = feed(book, 100)
+    assert imu_status(book, last_ns + silence_ms * MS).level is level
+
+
+@pytest.mark.parametrize(("silence_ms", "level"), [(600, Level.OK), (601, Level.WARN), (5000, Level.WARN)])
+def test_silence_of_an_optional_slow_topic_is_three_periods(book, silence_ms, level):
+    for i in range(20):
+        book.arrived(STAR, START_NS + i * 200 * MS)
+        book.accepted(STAR, START_NS + i * 200 * MS, START_NS + i * 200 * MS)
+    status = book.statuses(START_NS + (19 * 200 + silence_ms) * MS)[1]
+    assert status.level is level
+    assert ("silent for" in status.message) == (level is Level.WARN)
+
+
+def test_one_gap_does_not_hide_the_next(book):
+    last_ns = feed(book, 30)
+    last_ns = feed(book, 5, start_ns=last_ns + 60 * S)
+    assert imu_status(book, last_ns + 200 * MS).message == "silent for 0.2 s"
+
+
+def test_single_message_and_then_nothing_is_noticed(book):
+    last_ns = feed(book, 1)
+    assert imu_status(book, last_ns + 5 * S).level is Level.OK
+    assert imu_status(book, last_ns + 5 * S + 1).level is Level.ERROR
+
+
+def test_rate_falls_while_silent(book):
+    last_ns = feed(book, 51)
+    # 50 intervals in 0.5 s, then 4.5 s of nothing.
+    assert imu_message(book, last_ns + 4_500 * MS).rate_hz == pytest.approx(10.0)
+
+
+def test_single_refusal_is_a_warning_for_two_seconds_with_reason_and_count(book):
+    feed(book, 50)
+    refused_ns = reject(book, 1, "bad_quaternion", start_ns=START_NS + 500 * MS)
+    feed(book, 300, start_ns=refused_ns + 10 * MS)
+    status = imu_status(book, refused_ns + 1_100 * MS)
+    assert (status.level, status.message) == (Level.WARN, "refused, bad_quaternion: text 0")
+    assert status.values["reason bad_quaternion"] == "1"
+    message = imu_message(book, refused_ns + 1_100 * MS)
+    assert (message.rejected, message.reasons, list(message.reason_counts)) == (1, ["bad_quaternion"], [1])
+    assert imu_status(book, refused_ns + 2_001 * MS).level is Level.OK
+
+
+def test_single_gate_refusal_is_no_warning_but_a_run_is(book):
+    last_ns = reject(book, 4, "gate", start_ns=feed(book, 50) + 10 * MS)
+    assert imu_status(book, last_ns).level is Level.OK
+    last_ns = reject(book, 1, "gate", start_ns=last_ns + 10 * MS)
+    assert imu_status(book, last_ns).message == "5 refused in a row, last gate: text 0"
+
+
+@pytest.mark.parametrize(("count", "level"), [(5, Level.WARN), (19, Level.WARN), (20, Level.ERROR)])
+def test_run_of_refusals(book, count, level):
+    status = imu_status(book, reject(book, count, "bad_covariance"))
+    assert (status.level, status.message.split(",")[0]) == (level, f"{count} refused in a row")
+
+
+def test_accepted_message_ends_the_run(book):
+    last_ns = feed(book, 1, start_ns=reject(book, 30, "units") + 10 * MS)
+    assert imu_status(book, last_ns + 2 * S + 10 * MS).message.startswith("silent")
+    reject(book, 4, "units", start_ns=last_ns + 10 * MS)
+    assert "in a row" not in imu_status(book, last_ns + 50 * MS).message
+
+
+def test_ten_from_the_future_in_a_row_are_a_clock_offset(book):
+    last_ns = reject(book, 9, "future")
+    assert imu_status(book, last_ns).level is Level.WARN
+    last_ns = reject(book, 1, "future", start_ns=last_ns + 10 * MS)
+    status = imu_status(book, last_ns)
+    assert status.level is Level.ERROR
+    assert status.message.startswith("clock offset: 10 in a row from the future")
+
+
+def test_another_refusal_in_between_is_no_clock_offset(book):
+    last_ns = reject(book, 9, "future")
+    last_ns = reject(book, 1, "frame", start_ns=last_ns + 10 * MS)
+    last_ns = reject(book, 9, "future", start_ns=last_ns + 10 * MS)
+    assert "clock offset" not in imu_status(book, last_ns).message
+
+
+def test_delays_of_late_messages_are_kept(book):
+    for delay_ms in (500, 2_500, 4_000, 90_000):
+        book.arrived(IMU, START_NS)
+        book.rejected(IMU, "late", "older than the lag", START_NS, START_NS - delay_ms * MS)
+    values = imu_status(book, START_NS).values
+    late = {key: value for key, value in values.items() if key.startswith("late ")}
+    assert late == {"late up to 1 s": "1", "late up to 5 s": "2", "late above 60 s": "1"}
+
+
+def test_noted_reason_is_counted_and_the_message_accepted(book):
+    last_ns = feed(book, 3)
+    book.noted(IMU, "covariance_unknown")
+    message = imu_message(book, last_ns)
+    assert (message.accepted, message.rejected, message.level) == (3, 0, 0)
+    assert (message.reasons, list(message.reason_counts)) == (["covariance_unknown"], [1])
+
+
+def test_incompatible_qos_is_an_error_until_the_publisher_goes(book):
+    last_ns = feed(book, 10)
+    book.incompatible_qos(IMU, "RELIABILITY")
+    assert imu_status(book, last_ns).message == "incompatible QoS: RELIABILITY"
+    assert imu_status(book, last_ns).level is Level.ERROR
+    book.publisher_count(IMU, 0)
+    assert imu_status(book, last_ns).level is Level.OK
+
+
+def test_restart_keeps_counts_and_forgets_times(book):
+    feed(book, 50)
+    reject(book, 30, "future", start_ns=START_NS + 500 * MS)
+    early_ns = START_NS - 3600 * S
+    book.restart(early_ns)
+    message = imu_message(book, early_ns + 1 * S)
+    assert (message.received, message.rejected, message.level) == (80, 30, 0)
+    assert math.isnan(message.rate_hz)
+    assert math.isnan(message.age_s)
+    assert imu_status(book, early_ns + 5 * S).level is Level.ERROR
+
+
+def test_late_sample_does_not_make_the_data_older(book):
+    book.arrived(IMU, START_NS)
+    book.accepted(IMU, START_NS - 1 * S, START_NS)
+    book.arrived(IMU, START_NS)
+    book.accepted(IMU, START_NS - 2 * S, START_NS)
+    assert imu_message(book, START_NS).age_s == pytest.approx(1.0)
+
+
+def test_lost_messages_are_shown(book):
+    book.lost(IMU, 3)
+    book.lost(IMU, 4)
+    assert imu_status(book, START_NS).values["lost by the middleware"] == "7"

@@ -1,0 +1,197 @@
+"""A real node over real DDS: relays, survives, refuses, follows the clock."""
+
+import math
+import time
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from relay_adapter import EXPLOSIVE_FRAME
+from std_srvs.srv import Trigger
+
+from ship_node.stamps import ns_from_stamp
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+
+
+def set_parameter(relay, name: str, value: object):
+    parameter = Parameter(name, value=value).to_parameter_msg()
+    return relay.call(SetParameters, "set_parameters", SetParameters.Request(parameters=[parameter])).results[0]
+
+
+def test_relays_a_thousand_messages_at_500_hz_and_loses_none(live_relay):
+    relay = live_relay(*RELIABLE_INPUT)
+    publisher = relay.imu_publisher()
+    sent_ns = []
+    for _ in range(1000):
+        sent_ns.append(time.time_ns())
+        publisher.publish(imu_message(sent_ns[-1]))
+        relay.spin()
+        time.sleep(0.002)
+    relay.wait_until(lambda: len(relay.attitudes) >= 1000)
+    assert [ns_from_stamp(a.header.stamp) for a in relay.attitudes] == sent_ns
+
+
+def test_exception_in_handle_is_reported_and_the_next_message_is_relayed(live_relay):
+    relay = live_relay(*RELIABLE_INPUT)
+    publisher = relay.imu_publisher()
+    for _ in range(3):
+        publisher.publish(imu_message(time.time_ns(), EXPLOSIVE_FRAME))
+    publisher.publish(imu_message(time.time_ns()))
+    relay.wait_until(lambda: len(relay.attitudes) == 1)
+    relay.wait_until(lambda: relay.reports("relay: callbacks", DiagnosticStatus.ERROR))
+    text = relay.diagnostics["relay: callbacks"].message
+    assert text.startswith("3 exceptions, the last in ins/imu: RuntimeError: a defect of the adapter")
+    assert "relay_adapter.py:" in text
+
+
+def test_message_refused_by_the_adapter_is_counted_and_shown(live_relay):
+    relay = live_relay(*RELIABLE_INPUT, "-p", "frame_id:=ins")
+    publisher = relay.imu_publisher()
+    publisher.publish(imu_message(time.time_ns(), "radar"))
+    relay.wait_until(lambda: "refused, frame" in getattr(relay.diagnostics.get("relay: input ins/imu"), "message", ""))
+    status = relay.diagnostics["relay: input ins/imu"]
+    assert status.message == "refused, frame: frame_id is 'radar': expected 'ins'"
+    assert {v.key: v.value for v in status.values}["reason frame"] == "1"
+    assert relay.attitudes == []
+
+
+def test_services_answer_also_where_the_adapter_raises(live_relay):
+    relay = live_relay()
+    assert relay.call(Trigger, "reset", Trigger.Request()) == Trigger.Response(success=True, message="reset")
+    answer = relay.call(Trigger, "explode", Trigger.Request())
+    assert not answer.success
+    assert "exception" in answer.message
+    assert relay.call(Trigger, "reset", Trigger.Request()).success
+
+
+def test_live_parameter_reaches_the_adapter(live_relay):
+    relay = live_relay()
+    assert set_parameter(relay, "gate.probability", 0.75).successful
+    assert relay.adapter.changes == {"gate.probability": 0.75}
+    assert relay.live.node.get_parameter("gate.probability").value == 0.75
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("gate.probability", 1.5, "out of range"),
+        ("gate.probability", "high", "expected 'Type.DOUBLE' got 'Type.STRING'"),
+        ("gate.bias_deg", math.nan, "parameter 'gate.bias_deg' must be finite, got nan"),
+        ("gate.count", 13, "parameter 'gate.count' = 13 is not wanted by the adapter"),
+        ("gate.count", 0, "out of range"),
+        ("sensors.fore.elevation_deg", 50.0, "read-only"),
+        ("gate.probabilty", 0.75, "undeclared"),
+    ],
+)
+def test_bad_live_parameter_is_refused_with_a_reason(live_relay, name, value, reason):
+    relay = live_relay("-p", "sensors.fore.elevation_deg:=45")
+    before = relay.live.node.get_parameter_or(name).value
+    result = set_parameter(relay, name, value)
+    assert not result.successful
+    assert reason in result.reason
+    assert relay.adapter.changes == {}
+    assert relay.live.node.get_parameter_or(name).value == before
+
+
+def test_parameters_are_described_with_unit_and_range(live_relay):
+    relay = live_relay("-p", "sensors.fore.elevation_deg:=45")
+    request = DescribeParameters.Request(names=["sensors.fore.elevation_deg", "gate.count", "sensors.fore.mode"])
+    elevation, count, mode = relay.call(DescribeParameters, "describe_parameters", request).descriptors
+    assert (elevation.description, elevation.read_only) == ("elevation [deg]", True)
+    bounds = elevation.floating_point_range[0]
+    assert (bounds.from_value, bounds.to_value, bounds.step) == (-90.0, 90.0, 0.0)
+    assert (count.integer_range[0].from_value, count.read_only) == (1, False)
+    assert mode.additional_constraints == "one of fast, slow"
+    # 45 was an integer on the command line.
+    assert relay.adapter.config.sensors["fore"].elevation_deg == 45.0
+    parameter = relay.live.node.get_parameter("sensors.fore.elevation_deg").get_parameter_value()
+    assert parameter == ParameterValue(type=3, double_value=45.0)
+
+
+def test_publisher_with_incompatible_qos_is_an_error_that_names_the_policy(live_relay):
+    relay = live_relay(*RELIABLE_INPUT)
+    relay.imu_publisher(ReliabilityPolicy.BEST_EFFORT, match=False)
+    name = "relay: input ins/imu"
+    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
+    assert "incompatible QoS" in relay.diagnostics[name].message
+    assert "RELIABILITY" in relay.diagnostics[name].message
+
+
+def test_quality_of_service_as_the_contract_says(live_relay):
+    node = live_relay().live.node
+    (imu,) = node.get_subscriptions_info_by_topic("/ins/imu")
+    assert imu.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    (attitude,) = node.get_publishers_info_by_topic("/ship/attitude")
+    assert attitude.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+    assert attitude.qos_profile.durability == DurabilityPolicy.VOLATILE
+    (calibration,) = node.get_publishers_info_by_topic("/ship/calibration")
+    assert calibration.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+
+
+def test_bag_time_ticks_on_the_grid_and_a_jump_back_starts_anew_once(live_relay):
+    relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
+    set_time = relay.clock_publisher()
+    for time_s in (1000.03, 1000.12, 1000.34):
+        set_time(time_s)
+    relay.wait_until(lambda: len(relay.adapter.ticks) == 3)
+    assert relay.adapter.ticks == [1000_100_000_000, 1000_200_000_000, 1000_300_000_000]
+    set_time(1000.33)
+    assert relay.adapter.resets == []
+    set_time(500.0)
+    relay.wait_until(lambda: relay.adapter.resets == [500_000_000_000])
+    set_time(500.1)
+    relay.wait_until(lambda: relay.adapter.ticks[3:] == [500_100_000_000])
+    relay.imu_publisher().publish(imu_message(500_050_000_000))
+    relay.wait_until(lambda: len(relay.attitudes) == 1)
+    assert len(relay.adapter.resets) == 1
+
+
+def test_long_jump_forward_is_not_made_up_for_tick_by_tick(live_relay):
+    relay = live_relay(*SIM_TIME)
+    set_time = relay.clock_publisher()
+    set_time(1000.0)
+    relay.wait_until(lambda: relay.live._last_ns == 1000_000_000_000)
+    set_time(5000.0)
+    relay.wait_until(lambda: relay.live._last_ns == 5000_000_000_000)
+    set_time(5000.1)
+    relay.wait_until(lambda: relay.adapter.ticks == [5000_100_000_000])
+
+
+def test_messages_before_the_first_clock_wait_for_it(live_relay):
+    relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
+    publisher = relay.imu_publisher()
+    for stamp_s in (999, 1000):
+        publisher.publish(imu_message(stamp_s * 1_000_000_000))
+    relay.wait_until(lambda: len(relay.live._before_clock) == 2)
+    assert relay.adapter.ticks == []
+    assert not relay.call(Trigger, "reset", Trigger.Request()).success
+    relay.clock_publisher()(1000.0)
+    relay.wait_until(lambda: len(relay.attitudes) == 2)
+    assert relay.adapter.handled == [1000_000_000_000] * 2
+
+
+def test_topic_with_a_publisher_and_no_message_is_reported_after_five_seconds(live_relay):
+    relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
+    set_time = relay.clock_publisher()
+    relay.imu_publisher()
+    name = "relay: input ins/imu"
+    set_time(1000.0)
+    for tenth in range(1, 50):
+        set_time(1000.0 + 0.1 * tenth)
+    assert relay.diagnostics[name].level == DiagnosticStatus.OK
+    relay.wait_until(lambda: relay.adapter.health._publishers.get("ins/imu") == 1)
+    set_time(1005.1)
+    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
+    assert relay.diagnostics[name].message.startswith("required: 1 publisher(s) but no message for 5 s: QoS mismatch")
+
+
+def test_clock_that_never_starts_is_an_error(live_relay):
+    relay = live_relay(*SIM_TIME)
+    name = "relay: clock"
+    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
+    assert "no /clock came" in relay.diagnostics[name].message

@@ -1,0 +1,122 @@
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ship_node.message_checks import (
+    Refused,
+    covariance_3x3,
+    finite_numbers,
+    finite_vector,
+    frame,
+    stamp_ns,
+    unit_quaternion,
+)
+
+
+def quaternion(x: float, y: float, z: float, w: float) -> SimpleNamespace:
+    return SimpleNamespace(x=x, y=y, z=z, w=w)
+
+
+def header(sec: int, nanosec: int) -> SimpleNamespace:
+    return SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec))
+
+
+def refusal(check, *arguments: object) -> Refused:
+    with pytest.raises(Refused) as caught:
+        check(*arguments)
+    return caught.value
+
+
+@pytest.mark.parametrize("norm", [0.9901, 1.0, 1.0099])
+def test_quaternion_a_little_off_is_renormalised(norm):
+    np.testing.assert_allclose(unit_quaternion(quaternion(0.6 * norm, 0.0, 0.0, -0.8 * norm)), [0.6, 0, 0, -0.8])
+
+
+@pytest.mark.parametrize("norm", [0.0, 9e-7, 0.9899, 1.0101, 57.3])
+def test_quaternion_far_off_is_refused(norm):
+    assert refusal(unit_quaternion, quaternion(0.0, 0.6 * norm, 0.8 * norm, 0.0)).reason == "bad_quaternion"
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("place", range(4))
+def test_quaternion_that_is_not_finite_is_refused(place, bad):
+    numbers = [0.0, 0.0, 0.0, 1.0]
+    numbers[place] = bad
+    assert refusal(unit_quaternion, quaternion(*numbers)).reason == "non_finite"
+
+
+@pytest.mark.parametrize("unknown", [[0.0] * 9, [-1.0] + [0.0] * 8, [-1.0] + [math.nan] * 8])
+def test_covariance_not_given_is_unknown(unknown):
+    assert covariance_3x3(unknown) is None
+
+
+def test_covariance_of_rounded_correlations_is_accepted_symmetric():
+    # Fully correlated axes, 1 : 100 in sigma, one element off by half the tolerance.
+    matrix = np.outer([1e-6, 1e-4, 1e-5], [1e-6, 1e-4, 1e-5])
+    given = matrix.copy()
+    given[0, 1] *= 1.0 + 0.5e-6
+    checked = covariance_3x3(given.ravel())
+    np.testing.assert_array_equal(checked, checked.T)
+    np.testing.assert_allclose(checked, matrix, rtol=1e-6)
+
+
+def test_covariance_with_a_perfectly_known_axis_is_a_covariance():
+    np.testing.assert_array_equal(covariance_3x3(np.diag([1.0, 0.0, 2.0]).ravel()), np.diag([1.0, 0.0, 2.0]))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "text"),
+    [
+        ([[1, 0, 0], [0, -1e-12, 0], [0, 0, 1]], "negative variance"),
+        ([[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1]], "not symmetric"),
+        # Small against the largest variance, large against its own sigmas.
+        ([[1, 0, 0], [0, 1e-10, 1e-12], [0, -1e-12, 1e-10]], "not symmetric"),
+        ([[1, 2, 0], [2, 1, 0], [0, 0, 1]], "correlation exceeds 1"),
+        ([[0, 1e-9, 0], [1e-9, 1, 0], [0, 0, 1]], "correlation exceeds 1"),
+        # Each pair is possible, all three together are not: eigenvalue 1 - 2 * 0.9.
+        ([[1, -0.9, -0.9], [-0.9, 1, -0.9], [-0.9, -0.9, 1]], "eigenvalue -0.8"),
+    ],
+)
+def test_what_no_covariance_can_be_is_refused(matrix, text):
+    refused = refusal(covariance_3x3, np.array(matrix, dtype=float).ravel(), "noise_covariance")
+    assert refused.reason == "bad_covariance"
+    assert refused.text.startswith("noise_covariance")
+    assert text in refused.text
+
+
+def test_covariance_that_is_not_finite_is_refused():
+    assert refusal(covariance_3x3, [1, 0, 0, 0, math.nan, 0, 0, 0, 1]).reason == "non_finite"
+
+
+def test_stamp_zero_is_refused():
+    assert refusal(stamp_ns, header(0, 0), 10**18).reason == "bad_stamp"
+    assert refusal(stamp_ns, header(-5, 0), 10**18).reason == "bad_stamp"
+
+
+def test_stamp_may_be_50_ms_ahead_and_no_more():
+    assert stamp_ns(header(1000, 50_000_000), 1000 * 10**9) == 1000_050_000_000
+    refused = refusal(stamp_ns, header(1000, 50_000_001), 1000 * 10**9)
+    assert refused.reason == "future"
+    assert "0.050 s ahead" in refused.text
+
+
+def test_any_old_stamp_is_the_business_of_the_filter():
+    assert stamp_ns(header(1, 0), 10**18) == 10**9
+
+
+def test_frame_names_what_was_expected_and_what_came():
+    frame("anything", "")
+    frame("ins", "ins")
+    refused = refusal(frame, "radar", "ins")
+    assert (refused.reason, refused.text) == ("frame", "frame_id is 'radar': expected 'ins'")
+
+
+def test_numbers_and_vectors_must_be_finite():
+    finite_numbers("azimuth", 1.0, -2.0)
+    assert refusal(finite_numbers, "azimuth", 1.0, math.nan).text == "azimuth holds nan"
+    vector = SimpleNamespace(x=1.0, y=2.0, z=3.0)
+    np.testing.assert_array_equal(finite_vector(vector, "angular_velocity"), [1.0, 2.0, 3.0])
+    vector.y = math.inf
+    assert refusal(finite_vector, vector, "angular_velocity").reason == "non_finite"

@@ -1,0 +1,29 @@
+from ship_node.tick_grid import TickGrid
+
+
+def test_first_call_only_starts_the_grid():
+    assert list(TickGrid(100).due(1050)) == []
+
+
+def test_every_multiple_reached_comes_once():
+    grid = TickGrid(100)
+    list(grid.due(1050))
+    assert list(grid.due(1099)) == []
+    assert list(grid.due(1100)) == [1100]
+    assert list(grid.due(1100)) == []
+    assert list(grid.due(1420)) == [1200, 1300, 1400]
+
+
+def test_time_that_wavers_back_repeats_no_tick():
+    grid = TickGrid(100)
+    list(grid.due(1050))
+    assert list(grid.due(1210)) == [1100, 1200]
+    assert list(grid.due(1190)) == []
+    assert list(grid.due(1300)) == [1300]
+
+
+def test_restart_makes_up_for_nothing():
+    grid = TickGrid(100)
+    list(grid.due(1050))
+    grid.restart(500)
+    assert list(grid.due(700)) == [600, 700]
