@@ -61,10 +61,12 @@ def simulate_star_sensor(
     sigma_v = ARCSEC * np.array([config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec])
     time_ns = stamps(start_ns, config.rate_hz, config.phase_s, scenario.duration_s)
     since_start_s = (time_ns - start_ns) / SECOND_NS
-    flexure_d = _slow_error(name + ".flexure", seed, time_ns.size, config.rate_hz, config.flexure_sigma_arcsec,
-                            config.flexure_time_s)
-    common_n = _slow_error(name + ".common", seed, time_ns.size, config.rate_hz, config.common_sigma_arcsec,
-                           config.common_time_s)
+    flexure_d = _slow_error(
+        name + ".flexure", seed, time_ns.size, config.rate_hz, config.flexure_sigma_arcsec, config.flexure_time_s
+    )
+    common_n = _slow_error(
+        name + ".common", seed, time_ns.size, config.rate_hz, config.common_sigma_arcsec, config.common_time_s
+    )
     true_nd = carrier.attitude(since_start_s + truth.time_offset_s)
     clean_nv = exp_rotation(common_n) @ true_nd @ exp_rotation(flexure_d) @ truth.rotation_dv
     samples = _samples(name, seed, time_ns, clean_nv, sigma_v, config.common_sigma_arcsec * ARCSEC, config)
@@ -97,9 +99,7 @@ def _draw_truth(
     )
 
 
-def _slow_error(
-    name: str, seed: int, count: int, rate_hz: float, sigma_arcsec: float, time_s: float
-) -> FloatArray:
+def _slow_error(name: str, seed: int, count: int, rate_hz: float, sigma_arcsec: float, time_s: float) -> FloatArray:
     """A Gauss–Markov rotation vector with equal axes, rad, shape (count, 3)."""
     sigma = np.full(3, sigma_arcsec * ARCSEC)
     return gauss_markov(random_stream(seed, name), count, 1.0 / rate_hz, sigma, np.full(3, time_s))

@@ -55,9 +55,7 @@ def sea_responses(sea: Sea) -> tuple[Response, Response, Response]:
 
 
 def _sea_components(sea: Sea, rng: np.random.Generator) -> tuple[FloatArray, np.ndarray]:
-    frequency, elevation = wave_components(
-        sea.significant_height_m, sea.modal_period_s, sea.component_count, rng
-    )
+    frequency, elevation = wave_components(sea.significant_height_m, sea.modal_period_s, sea.component_count, rng)
     return frequency, ship_phasors(frequency, elevation, sea_responses(sea))
 
 

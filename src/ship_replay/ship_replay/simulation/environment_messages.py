@@ -49,9 +49,7 @@ def weather_makers(time_ns: np.ndarray, weather: Weather, factory: MessageFactor
     return {topic: _constant_maker(time_ns, *content, factory) for topic, content in values.items()}
 
 
-def _constant_maker(
-    time_ns: np.ndarray, type_name: str, field: str, constant: float, factory: MessageFactory
-) -> Maker:
+def _constant_maker(time_ns: np.ndarray, type_name: str, field: str, constant: float, factory: MessageFactory) -> Maker:
     def make(stamp: int, value: int) -> object:
         header = make_header(factory, int(time_ns[stamp]), "met")
         # A variance of zero says unknown.

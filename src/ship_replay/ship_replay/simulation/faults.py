@@ -1,16 +1,16 @@
 """What goes wrong on the way from the devices to the bag.
 
-    drop                 nothing arrives
-    delay                arrives later by ``delay_s``
-    duplicate            arrives again, the same bytes, 1 ms later
-    conflict             another message with the same stamp and the next one's values arrives 1 ms later
-    freeze               new stamps, the values of the first message of the time
-    nan                  NaN in the first value
-    stamp_zero           stamp zero
-    frame                another frame_id
-    covariance_unknown   covariances all zero
-    covariance_negative  a negative variance
-    rate_in_degrees      angular rate in degrees per second
+drop                 nothing arrives
+delay                arrives later by ``delay_s``
+duplicate            arrives again, the same bytes, 1 ms later
+conflict             another message with the same stamp and the next one's values arrives 1 ms later
+freeze               new stamps, the values of the first message of the time
+nan                  NaN in the first value
+stamp_zero           stamp zero
+frame                another frame_id
+covariance_unknown   covariances all zero
+covariance_negative  a negative variance
+rate_in_degrees      angular rate in degrees per second
 """
 
 from collections.abc import Iterable

@@ -45,9 +45,7 @@ class Turn:
 class Sea:
     """A long-crested sea and how the ship answers it. The defaults: sea state 5, a research vessel of 80 m."""
 
-    significant_height_m: float = parameter(
-        3.25, doc="significant wave height", unit="m", minimum=0.0, maximum=20.0
-    )
+    significant_height_m: float = parameter(3.25, doc="significant wave height", unit="m", minimum=0.0, maximum=20.0)
     modal_period_s: float = parameter(
         9.7, doc="period at the peak of the spectrum", unit="s", minimum=1.0, maximum=30.0
     )

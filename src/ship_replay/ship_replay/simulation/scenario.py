@@ -97,9 +97,7 @@ class Reference:
     time_offset_s: float = parameter(
         0.0, doc="mean of: its stamp minus the INS's for the same attitude", unit="s", minimum=-10.0, maximum=10.0
     )
-    time_offset_sigma_s: float = parameter(
-        0.2, doc="spread of the time offset", unit="s", minimum=0.0, maximum=10.0
-    )
+    time_offset_sigma_s: float = parameter(0.2, doc="spread of the time offset", unit="s", minimum=0.0, maximum=10.0)
 
 
 @dataclass(frozen=True)

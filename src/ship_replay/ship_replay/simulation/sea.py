@@ -77,8 +77,6 @@ def wave_components(
     return angular_frequency, np.sqrt(2.0 * variance) * np.exp(1j * phase)
 
 
-def ship_phasors(
-    angular_frequency: FloatArray, elevation: np.ndarray, responses: Sequence[Response]
-) -> np.ndarray:
+def ship_phasors(angular_frequency: FloatArray, elevation: np.ndarray, responses: Sequence[Response]) -> np.ndarray:
     """Complex amplitude of (heading, pitch, roll) for each wave, rad, shape (n, 3)."""
     return np.stack([elevation * response.transfer(angular_frequency) for response in responses], axis=-1)

@@ -26,20 +26,23 @@ def truth_attitudes(run: SimulatedRun, factory: MessageFactory) -> Iterator[tupl
     rates = flu_from_device_vector(run.truth.rate_d).tolist()
     for row, time_ns in enumerate(run.ins.time_ns[run.truth.ins_index].tolist()):
         heading, pitch, roll = angles[row]
-        yield time_ns, factory.make(
-            "ship_msgs/msg/ShipAttitude",
-            header=make_header(factory, time_ns, DECK_FRAME),
-            heading=heading,
-            pitch=pitch,
-            roll=roll,
-            covariance=_EXACT,
-            orientation=make_quaternion(factory, quaternions[row]),
-            rotation_covariance=_EXACT,
-            angular_velocity=make_vector(factory, rates[row]),
-            status=0,
-            horizon=0,
-            sources=["truth"],
-            star_age_s=float("nan"),
+        yield (
+            time_ns,
+            factory.make(
+                "ship_msgs/msg/ShipAttitude",
+                header=make_header(factory, time_ns, DECK_FRAME),
+                heading=heading,
+                pitch=pitch,
+                roll=roll,
+                covariance=_EXACT,
+                orientation=make_quaternion(factory, quaternions[row]),
+                rotation_covariance=_EXACT,
+                angular_velocity=make_vector(factory, rates[row]),
+                status=0,
+                horizon=0,
+                sources=["truth"],
+                star_age_s=float("nan"),
+            ),
         )
 
 
@@ -53,13 +56,16 @@ def truth_alignments(run: SimulatedRun, factory: MessageFactory) -> Iterator[tup
     units = ["s" if name.endswith("time_offset") else "rad" for name in names]
     for sample in chosen.tolist():
         time_ns = int(run.ins.time_ns[sample])
-        yield time_ns, factory.make(
-            "ship_msgs/msg/AlignmentState",
-            header=make_header(factory, time_ns, DECK_FRAME),
-            names=names,
-            values=np.array([*run.truth.ins.attitude_error_n[sample], *constant.values()]),
-            covariance=np.zeros(len(names) ** 2),
-            units=units,
+        yield (
+            time_ns,
+            factory.make(
+                "ship_msgs/msg/AlignmentState",
+                header=make_header(factory, time_ns, DECK_FRAME),
+                names=names,
+                values=np.array([*run.truth.ins.attitude_error_n[sample], *constant.values()]),
+                covariance=np.zeros(len(names) ** 2),
+                units=units,
+            ),
         )
 
 
