@@ -1,0 +1,1 @@
+"""Bags: simulate, replay, play, record, evaluate, import."""

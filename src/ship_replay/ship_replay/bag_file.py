@@ -1,0 +1,214 @@
+"""One MCAP file as a list of chunks that can be read one by one, however damaged the file is.
+
+A whole file ends in a summary that says where each chunk lies. Of a file without one — a recorder was killed, a disk
+was full — the records are walked through from the start up to the cut.
+"""
+
+import io
+import struct
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.summary import Summary
+
+from ship_replay.errors import BadInput
+from ship_replay.mcap_records import COMPRESSIONS, HEADER, ChunkPlace, DamagedChunk, RecordFile, parsed
+from ship_replay.times import utc_text
+
+MAGIC = b"\x89MCAP0\r\n"
+_FOOTER = struct.Struct("<BQQQI8s")
+_LOOSE_MESSAGES_PER_PLACE = 5000
+
+
+@dataclass
+class McapFile:
+    """What an MCAP file holds besides its messages, and where the messages are.
+
+    Attributes:
+        path: the file.
+        data: its records.
+        chunks: places of the messages, in file order.
+        problems: one line for each thing wrong with the file that is known so far.
+    """
+
+    path: Path
+    data: RecordFile
+    chunks: list[ChunkPlace] = field(default_factory=list)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+    def messages(self, place: ChunkPlace) -> list[Message]:
+        """The messages of one place, in file order; none and a line in ``problems`` where it is damaged."""
+        try:
+            return [record for record in self.data.records_of(place) if isinstance(record, Message)]
+        except DamagedChunk as damage:
+            self.problems.append(
+                f"{self.path.name}: the chunk at byte {place.offset} is damaged ({damage}): messages from "
+                f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)} are lost"
+            )
+            return []
+
+
+def open_mcap(path: Path) -> McapFile:
+    """Open an MCAP file and find its chunks.
+
+    Raises:
+        BadInput: the file is missing, unreadable, empty, not MCAP, or compressed in a way unknown here.
+    """
+    try:
+        stream = open(path, "rb")  # noqa: SIM115 - closed by the bag that owns it
+    except OSError as problem:
+        raise BadInput(f"{path}: cannot be read: {problem.strerror}") from problem
+    size = stream.seek(0, io.SEEK_END)
+    stream.seek(0)
+    magic = stream.read(len(MAGIC))
+    if magic != MAGIC:
+        stream.close()
+        raise BadInput(f"{path}: the file is empty" if size == 0 else f"{path}: not an MCAP file")
+    file = McapFile(path, RecordFile(stream, size))
+    summary = _summary(file)
+    if summary is not None:
+        _take_summary(file, summary)
+    else:
+        _walk(file)
+    return file
+
+
+def _summary(file: McapFile) -> Summary | None:
+    """The file's summary where it is there, whole, and lists every chunk."""
+    if not _has_whole_footer(file):
+        return None
+    file.data.stream.seek(0)
+    try:
+        summary = SeekingReader(file.data.stream).get_summary()
+    except Exception:
+        # Damaged bytes make the parser fail in any way; the walk does without the summary.
+        return None
+    return summary if summary is not None and _is_complete(summary) else None
+
+
+def _is_complete(summary: Summary) -> bool:
+    """Whether a summary alone tells all channels, their schemas and all places of messages."""
+    statistics = summary.statistics
+    if statistics is None or statistics.channel_count != len(summary.channels):
+        return False
+    if any(channel.schema_id and channel.schema_id not in summary.schemas for channel in summary.channels.values()):
+        return False
+    if statistics.chunk_count != len(summary.chunk_indexes):
+        return False
+    return statistics.message_count == 0 or statistics.chunk_count > 0
+
+
+def _has_whole_footer(file: McapFile) -> bool:
+    """Whether the file ends in a footer whose checksum over the summary is right."""
+    if file.data.size < len(MAGIC) + _FOOTER.size:
+        return False
+    file.data.stream.seek(-_FOOTER.size, io.SEEK_END)
+    opcode, _, summary_start, _, checksum, magic = _FOOTER.unpack(file.data.stream.read())
+    if opcode != Opcode.FOOTER or magic != MAGIC or not 0 < summary_start < file.data.size:
+        return False
+    file.data.stream.seek(summary_start)
+    summary = file.data.stream.read(file.data.size - summary_start - len(MAGIC) - 4)
+    return checksum in (0, zlib.crc32(summary))
+
+
+def _take_summary(file: McapFile, summary: Summary) -> None:
+    compressions = {index.compression for index in summary.chunk_indexes}
+    if compressions and compressions.isdisjoint(COMPRESSIONS):
+        raise BadInput(f"{file.path}: compression {min(compressions)!r} is unknown: expected zstd, lz4 or none")
+    file.schemas.update(summary.schemas)
+    file.channels.update(summary.channels)
+    for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
+        place = ChunkPlace(
+            index.chunk_start_offset, index.chunk_length, index.message_start_time, index.message_end_time
+        )
+        file.chunks.append(place)
+    for offset in [index.offset for index in [*summary.attachment_indexes, *summary.metadata_indexes]]:
+        record = file.data.record_at(offset)
+        if record is None:
+            file.problems.append(f"{file.path.name}: the attachment or metadata at byte {offset} is damaged")
+        else:
+            _take_side_record(file, *record)
+
+
+def _walk(file: McapFile) -> None:
+    """Find the chunks of a file without a usable summary, up to its end or its cut."""
+    offset = len(MAGIC)
+    loose: list[tuple[int, int, int]] = []
+    message_count, complete = 0, False
+    while (record := file.data.record_at(offset)) is not None:
+        opcode, body = record
+        length = HEADER.size + len(body)
+        if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+            complete = True
+            break
+        if opcode == Opcode.CHUNK:
+            message_count += _take_chunk(file, offset, body)
+        elif opcode == Opcode.MESSAGE:
+            loose.append((offset, length, struct.unpack_from("<Q", body, 6)[0]))
+            message_count += 1
+        else:
+            _take_side_record(file, opcode, body)
+        if loose and (opcode != Opcode.MESSAGE or len(loose) == _LOOSE_MESSAGES_PER_PLACE):
+            file.chunks.append(_loose_place(loose))
+            loose = []
+        offset += length
+    if loose:
+        file.chunks.append(_loose_place(loose))
+    last_ns = max((place.end_ns for place in file.chunks), default=None)
+    last = "none" if last_ns is None else utc_text(last_ns)
+    what = "its summary is missing or damaged" if complete else f"no footer, it ends or is damaged at byte {offset}"
+    file.problems.append(f"{file.path.name}: {what}; {message_count} messages could be read, the last at {last}")
+
+
+def _take_chunk(file: McapFile, offset: int, body: bytes) -> int:
+    """Note a chunk met on the walk and the channels it announces; returns its number of messages."""
+    start_ns, end_ns = struct.unpack_from("<QQ", body)
+    place = ChunkPlace(offset, HEADER.size + len(body), start_ns, end_ns)
+    file.chunks.append(place)
+    try:
+        records = file.data.records_of(place)
+    except DamagedChunk:
+        return 0  # messages() will say so, with the time range
+    for record in records:
+        if isinstance(record, Schema):
+            file.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            file.channels[record.id] = record
+    return sum(isinstance(record, Message) for record in records)
+
+
+def _loose_place(messages: list[tuple[int, int, int]]) -> ChunkPlace:
+    """The place of neighbouring messages given as (offset, length, log time)."""
+    times = [time_ns for _, _, time_ns in messages]
+    length = messages[-1][0] + messages[-1][1] - messages[0][0]
+    return ChunkPlace(messages[0][0], length, min(times), max(times), loose=True)
+
+
+def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
+    """Keep a schema, channel, attachment or metadata record; others are of no use here."""
+    try:
+        if opcode == Opcode.SCHEMA:
+            schema = parsed(Schema.read, body)
+            file.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = parsed(Channel.read, body)
+            file.channels[channel.id] = channel
+        elif opcode == Opcode.METADATA:
+            metadata = parsed(Metadata.read, body)
+            file.metadata[metadata.name] = metadata.metadata
+        elif opcode == Opcode.ATTACHMENT:
+            checksum = struct.unpack("<I", body[-4:])[0]
+            if checksum not in (0, zlib.crc32(body[:-4])):
+                raise DamagedChunk("its checksum is wrong")
+            attachment = parsed(Attachment.read, body)
+            file.attachments[attachment.name] = attachment.data
+    except Exception as problem:
+        file.problems.append(f"{file.path.name}: a {Opcode(opcode).name.lower()} record is damaged: {problem}")
