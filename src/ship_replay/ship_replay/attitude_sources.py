@@ -1,0 +1,164 @@
+"""Collects, from the messages of a bag, attitudes that can be compared with the truth."""
+
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.config import InsConfig, ShipAttitudeConfig, StarSensorConfig
+from ship_geometry.attitude_track import AttitudeTrack
+from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
+from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.stamps import ns_from_stamp
+from ship_replay.attitude_errors import AttitudeErrors, attitude_errors
+from ship_replay.truth_errors import truth_sample
+
+_TRUTH_GAP_NS = 1_000_000_000
+
+
+class Truth:
+    """True attitudes by stamp, and between stamps."""
+
+    def __init__(self) -> None:
+        self._track = AttitudeTrack(_TRUTH_GAP_NS)
+        self._rotations: dict[int, FloatArray] = {}
+
+    def add(self, message: Any) -> None:
+        """A ShipAttitude of the truth."""
+        sample = truth_sample(message)
+        self._track.insert(sample)
+        self._rotations[sample.time_ns] = sample.rotation_nd
+
+    def __len__(self) -> int:
+        return len(self._rotations)
+
+    def exactly_at(self, stamp_ns: int) -> FloatArray | None:
+        """Horizon from deck, shape (3, 3), at a stamp of the truth."""
+        return self._rotations.get(stamp_ns)
+
+    def around(self, stamp_ns: int) -> FloatArray | None:
+        """Horizon from deck, shape (3, 3), interpolated; None outside the truth."""
+        found = self._track.at(stamp_ns)
+        return None if found is None else found.rotation_nd
+
+
+class AttitudeSource:
+    """Attitudes of one source at times where the truth is known.
+
+    A subclass says in :meth:`take` which rotation and covariance a message stands for.
+    """
+
+    def __init__(self, label: str, truth: Truth) -> None:
+        self.label = label
+        self._truth = truth
+        self._time_ns: list[int] = []
+        self._estimates: list[FloatArray] = []
+        self._truths: list[FloatArray] = []
+        self._covariances: list[FloatArray] = []
+
+    def take(self, message: Any) -> None:
+        """Keep a message's attitude where the truth is known."""
+        raise NotImplementedError
+
+    def errors(self) -> AttitudeErrors | None:
+        """Errors in order of stamps; None where nothing could be compared."""
+        if not self._time_ns:
+            return None
+        order = np.argsort(self._time_ns, kind="stable")
+        time_ns = np.array(self._time_ns, dtype=np.int64)[order]
+        estimates, truths, covariances = (
+            np.array(part)[order] for part in (self._estimates, self._truths, self._covariances)
+        )
+        return attitude_errors(self.label, time_ns, estimates, truths, covariances)
+
+    def _keep(self, time_ns: int, estimate_nd: FloatArray, truth_nd: FloatArray, covariance_n: FloatArray) -> None:
+        self._time_ns.append(time_ns)
+        self._estimates.append(estimate_nd)
+        self._truths.append(truth_nd)
+        self._covariances.append(covariance_n)
+
+
+class FusedAttitude(AttitudeSource):
+    """``ship/attitude`` where an attitude is claimed, at the stamps of the truth."""
+
+    def __init__(self, truth: Truth) -> None:
+        super().__init__("fused", truth)
+        self.invalid_count = 0
+
+    def take(self, message: Any) -> None:
+        """A ShipAttitude."""
+        if message.status == message.INVALID:
+            self.invalid_count += 1
+            return
+        stamp_ns = ns_from_stamp(message.header.stamp)
+        truth_nd = self._truth.exactly_at(stamp_ns)
+        if truth_nd is not None:
+            self._keep(
+                stamp_ns,
+                rotation_from_angles(message.heading, message.pitch, message.roll),
+                truth_nd,
+                horizon_covariance(message.rotation_covariance.reshape(3, 3)),
+            )
+
+
+class InsAttitude(AttitudeSource):
+    """``ins/imu`` by itself, at the stamps of the truth, its time offset not corrected."""
+
+    def __init__(self, truth: Truth, config: InsConfig) -> None:
+        super().__init__("ins", truth)
+        angles = (config.installation_heading_deg, config.installation_pitch_deg, config.installation_roll_deg)
+        self._rotation_di = rotation_from_angles(*np.deg2rad(angles))
+        self._convention = config.convention
+
+    def take(self, message: Any) -> None:
+        """A sensor_msgs/Imu."""
+        stamp_ns = ns_from_stamp(message.header.stamp)
+        truth_nd = self._truth.exactly_at(stamp_ns)
+        q = message.orientation
+        quaternion = np.array([q.x, q.y, q.z, q.w])
+        if truth_nd is not None and np.linalg.norm(quaternion) > 0.5:
+            rotation_ni = rotation_from_quaternion(quaternion, self._convention)
+            covariance = message.orientation_covariance.reshape(3, 3)
+            unknown = covariance[0, 0] < 0.0 or not covariance.any() or self._convention != "enu_flu"
+            covariance_n = np.full((3, 3), np.nan) if unknown else horizon_covariance(covariance)
+            self._keep(stamp_ns, rotation_ni @ self._rotation_di.T, truth_nd, covariance_n)
+
+
+class StarAttitude(AttitudeSource):
+    """One star sensor by itself, carried to the deck by its nominal installation."""
+
+    def __init__(self, sensor_id: str, truth: Truth, config: StarSensorConfig) -> None:
+        super().__init__(f"star.{sensor_id}", truth)
+        angles = (config.azimuth_deg, config.elevation_deg, config.roll_deg)
+        self._rotation_dv = rotation_from_angles(*np.deg2rad(angles))
+        installation_sigmas_arcsec = (
+            config.installation_sigma_forward_arcsec,
+            config.installation_sigma_up_arcsec,
+            config.installation_sigma_right_arcsec,
+        )
+        self._installation_covariance_v = np.diag(np.square(installation_sigmas_arcsec)) * ARCSEC**2
+
+    def take(self, message: Any) -> None:
+        """A StarHorizonAttitude."""
+        stamp_ns = ns_from_stamp(message.header.stamp)
+        truth_nd = self._truth.around(stamp_ns)
+        angles = (message.azimuth, message.elevation, message.roll)
+        if truth_nd is None or not np.all(np.isfinite(angles)):
+            return
+        rotation_nv = rotation_from_angles(*angles)
+        installation_n = rotation_nv @ self._installation_covariance_v @ rotation_nv.T
+        own_n = horizon_covariance(message.rotation_covariance.reshape(3, 3))
+        if not own_n.any():
+            own_n = rotation_vector_covariance(message.covariance.reshape(3, 3), message.azimuth, message.elevation)
+        self._keep(stamp_ns, rotation_nv @ self._rotation_dv.T, truth_nd, own_n + installation_n)
+
+
+def sources(truth: Truth, config: ShipAttitudeConfig | None) -> dict[str, AttitudeSource]:
+    """Relative topic → what collects its attitudes; star sensors only where the configuration places them."""
+    collectors: dict[str, AttitudeSource] = {
+        "ship/attitude": FusedAttitude(truth),
+        "ins/imu": InsAttitude(truth, config.ins if config else InsConfig()),
+    }
+    for sensor_id, sensor in (config.star_sensors if config else {}).items():
+        collectors[f"star/{sensor_id}/{sensor.input}"] = StarAttitude(sensor_id, truth, sensor)
+    return collectors

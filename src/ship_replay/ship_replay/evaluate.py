@@ -1,0 +1,159 @@
+"""What a run was worth: errors against the truth where it is known, innovations and alignment in any case."""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from ship_attitude_star.config import ShipAttitudeConfig
+from ship_node.errors import BadInput as BadNodeInput
+from ship_node.parameter_file import load_config
+from ship_replay.alignment_values import AlignmentValue, alignment_values
+from ship_replay.attitude_errors import AttitudeErrors
+from ship_replay.attitude_sources import FusedAttitude, Truth, sources
+from ship_replay.bag_reader import Bag, BagRecord, read_bag
+from ship_replay.bag_writer import SUITE_ATTACHMENT
+from ship_replay.errors import BadInput
+from ship_replay.innovations import InnovationBook, SourceInnovations
+from ship_replay.times import NS_PER_S
+from ship_replay.topic_names import relative_topics
+from ship_replay.truth_errors import ATTITUDE_TOPIC, TRUTH_TOPIC
+
+INNOVATION_TOPIC = "ship/innovation"
+ALIGNMENT_TOPIC = "ship/alignment"
+_NODE_NAME = "ship_attitude"
+_RESULTS = (INNOVATION_TOPIC, ALIGNMENT_TOPIC)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Results of one run.
+
+    Attributes:
+        errors: per source of attitude, fused first; empty without truth.
+        innovations: by name of the source.
+        alignment: last estimates of the filter.
+        invalid_count: attitudes that claimed nothing, where there is truth.
+        problems: what is wrong with the bags, one line each.
+        start_ns: log time at which the bag begins.
+    """
+
+    errors: list[AttitudeErrors]
+    innovations: dict[str, SourceInnovations]
+    alignment: list[AlignmentValue]
+    invalid_count: int
+    problems: list[str]
+    start_ns: int
+
+    def flat(self) -> dict[str, float]:
+        """Name of each quantity → value; the names that bounds refer to (bags/README.md)."""
+        values: dict[str, float] = {}
+        for errors in self.errors:
+            values |= {f"{errors.label}.{name}": value for name, value in errors.statistics().items()}
+        if self.errors:
+            values["fused.invalid"] = float(self.invalid_count)
+        for source, innovations in self.innovations.items():
+            values |= {f"innovation.{source}.{name}": value for name, value in innovations.statistics().items()}
+        for item in self.alignment:
+            values[f"alignment.{item.name}_{item.unit}"] = item.value
+            values[f"alignment.{item.name}_sigma_{item.unit}"] = item.sigma
+        return values
+
+    def json_text(self) -> str:
+        """:meth:`flat` as JSON; null where a value is undefined."""
+        values = {name: value if math.isfinite(value) else None for name, value in self.flat().items()}
+        return json.dumps(values, indent=1) + "\n"
+
+
+def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, namespace: str = "") -> Evaluation:
+    """Evaluate the outputs in a bag.
+
+    Args:
+        bag_path: bag that holds ``ship/attitude`` and what else the node published.
+        against: bag with the truth and the inputs, where they are not in ``bag_path``.
+        skip_s: leave out what is stamped earlier than this after the beginning of the bag.
+        namespace: namespace of the ship in the bags.
+
+    Raises:
+        BadInput: a bag cannot be read, or holds nothing to evaluate.
+    """
+    with read_bag(bag_path) as bag:
+        others = [] if against is None or against.resolve() == bag_path.resolve() else [read_bag(against)]
+        try:
+            return _evaluate(bag, others, skip_s, namespace)
+        finally:
+            for other in others:
+                other.close()
+
+
+def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Evaluation:
+    bags = [*others, bag]
+    truth = _truth(bags, namespace)
+    collectors = sources(truth, _config(bags)) if len(truth) else {}
+    innovations = InnovationBook()
+    last_alignment: BagRecord | None = None
+    for candidate, topics in _reading_plan(bag, others, [*collectors, *_RESULTS], namespace):
+        for record in candidate.records(topics):
+            topic = topics[record.topic]
+            if topic == INNOVATION_TOPIC:
+                innovations.add(record.decode())
+            elif topic == ALIGNMENT_TOPIC:
+                last_alignment = record
+            else:
+                collectors[topic].take(record.decode())
+    start_ns = bag.start_ns or 0
+    skip_to_ns = start_ns + round(skip_s * NS_PER_S)
+    found = [errors for source in collectors.values() if (errors := source.errors()) is not None]
+    errors = [kept for errors in found if len((kept := errors.since(skip_to_ns)).time_ns)]
+    if not errors and not innovations.sources and last_alignment is None:
+        raise BadInput(
+            f"{bag.path}: nothing to evaluate: expected topics {ATTITUDE_TOPIC} (with {TRUTH_TOPIC}), "
+            f"{INNOVATION_TOPIC} or {ALIGNMENT_TOPIC}, found {', '.join(sorted(bag.topics)) or 'none'}"
+        )
+    fused = collectors.get(ATTITUDE_TOPIC)
+    return Evaluation(
+        errors=errors,
+        innovations={name: innovations.sources[name].since(skip_to_ns) for name in sorted(innovations.sources)},
+        alignment=[] if last_alignment is None else alignment_values(last_alignment.decode()),
+        invalid_count=fused.invalid_count if isinstance(fused, FusedAttitude) else 0,
+        problems=[problem for candidate in bags for problem in candidate.problems],
+        start_ns=start_ns,
+    )
+
+
+def _reading_plan(bag: Bag, others: list[Bag], topics: list[str], namespace: str) -> list[tuple[Bag, dict[str, str]]]:
+    """Which bag serves which topics (name in the bag → relative name).
+
+    Results come from the run's own bag, inputs from the bag that it is held against where that has them.
+    """
+    plan: list[tuple[Bag, dict[str, str]]] = [(candidate, {}) for candidate in [*others, bag]]
+    for topic in topics:
+        for candidate, served in plan:
+            name = relative_topics(candidate.topics, namespace).get(topic)
+            if name is not None and (candidate is bag or topic not in (ATTITUDE_TOPIC, *_RESULTS)):
+                served[name] = topic
+                break
+    return plan
+
+
+def _truth(bags: list[Bag], namespace: str) -> Truth:
+    """Truth of the first bag that holds any."""
+    truth = Truth()
+    for bag in bags:
+        name = relative_topics(bag.topics, namespace).get(TRUTH_TOPIC)
+        if name is not None and not len(truth):
+            for record in bag.records({name}):
+                truth.add(record.decode())
+    return truth
+
+
+def _config(bags: list[Bag]) -> ShipAttitudeConfig | None:
+    """The suite configuration attached to one of the bags; it says where the star sensors look."""
+    for bag in reversed(bags):
+        if SUITE_ATTACHMENT in bag.attachments:
+            text = bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
+            try:
+                return load_config(ShipAttitudeConfig, text, _NODE_NAME)
+            except BadNodeInput as problem:
+                raise BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}") from problem
+    return None

@@ -1,0 +1,95 @@
+"""An evaluation as tables on a terminal."""
+
+from rich.console import Console
+from rich.table import Table
+
+from ship_replay.attitude_errors import ANGLES
+from ship_replay.evaluate import Evaluation
+
+_SHOWN = {"arcsec": (1.0, 2, "arcsec"), "deg": (1.0, 5, "deg"), "s": (1e3, 3, "ms")}
+"""Unit of a value → factor, decimals and unit in the table."""
+
+
+def print_evaluation(evaluation: Evaluation, console: Console) -> None:
+    """Print the tables that the evaluation has something for."""
+    if evaluation.errors:
+        console.print(attitude_table(evaluation))
+        if evaluation.invalid_count:
+            console.print(f"attitudes that claimed nothing (INVALID): {evaluation.invalid_count}")
+    if evaluation.innovations:
+        console.print(innovation_table(evaluation))
+    if evaluation.alignment:
+        console.print(alignment_table(evaluation))
+
+
+def attitude_table(evaluation: Evaluation) -> Table:
+    """Per source and angle: RMS, bias, predicted sigma and their ratio; NEES per source."""
+    table = Table(title="Error against the truth, arcseconds")
+    for column in ("source", "angle"):
+        table.add_column(column)
+    for column in ("RMS", "bias", "predicted σ", "RMS/σ", "NEES (3)", "samples"):
+        table.add_column(column, justify="right")
+    for errors in evaluation.errors:
+        values = errors.statistics()
+        for name in ANGLES:
+            first = name == ANGLES[0]
+            table.add_row(
+                errors.label if first else "",
+                name,
+                _text(values[f"{name}.rms_arcsec"]),
+                _text(values[f"{name}.bias_arcsec"]),
+                _text(values[f"{name}.sigma_arcsec"]),
+                _text(values[f"{name}.rms_over_sigma"]),
+                _text(values["nees_mean"]) if first else "",
+                f"{values['samples']:.0f}" if first else "",
+                end_section=name == ANGLES[-1],
+            )
+    return table
+
+
+def innovation_table(evaluation: Evaluation) -> Table:
+    """Per source and component of the residual: mean, deviation, predicted sigma; NIS and counts per source."""
+    table = Table(title="Measurement - prediction, arcseconds")
+    for column in ("source", "component"):
+        table.add_column(column)
+    for column in ("mean", "deviation", "predicted σ", "NIS (degrees)", "minutes in band", "accepted", "refused"):
+        table.add_column(column, justify="right")
+    for source, innovations in evaluation.innovations.items():
+        values = innovations.statistics()
+        reasons = ", ".join(f"{name} {count}" for name, count in sorted(innovations.refused.items()))
+        share = values.get("nis_windows_in_band")
+        per_source = [
+            f"{values['nis_mean']:.2f} ({values['nis_degrees']:.3g})" if "nis_mean" in values else "-",
+            "-" if share is None else f"{100 * share:.0f} %",
+            f"{values['accepted']:.0f}",
+            f"{values['refused']:.0f}" + (f" ({reasons})" if reasons else ""),
+        ]
+        names = [name for name in innovations.components if f"{name}.std_arcsec" in values]
+        for number, name in enumerate(names):
+            table.add_row(
+                source if number == 0 else "",
+                name,
+                *(_text(values[f"{name}.{what}_arcsec"]) for what in ("mean", "std", "sigma")),
+                *(per_source if number == 0 else []),
+                end_section=number + 1 == len(names),
+            )
+        if not names:
+            table.add_row(source, "-", "-", "-", "-", *per_source, end_section=True)
+    return table
+
+
+def alignment_table(evaluation: Evaluation) -> Table:
+    """The last estimates of the filter with their sigma."""
+    table = Table(title="Alignment at the end")
+    table.add_column("quantity")
+    for column in ("value", "σ"):
+        table.add_column(column, justify="right")
+    table.add_column("unit")
+    for item in evaluation.alignment:
+        scale, places, unit = _SHOWN[item.unit]
+        table.add_row(item.name, f"{item.value * scale:.{places}f}", f"{item.sigma * scale:.{places}f}", unit)
+    return table
+
+
+def _text(value: float) -> str:
+    return "-" if value != value else f"{value:.2f}"

@@ -1,0 +1,146 @@
+"""Figures of a run: attitude errors inside their ±3σ, residuals inside theirs. Used by evaluate, demo and docs."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_replay.attitude_errors import ANGLES, AttitudeErrors
+from ship_replay.errors import BadInput
+from ship_replay.evaluate import Evaluation
+from ship_replay.innovations import SourceInnovations
+from ship_replay.times import NS_PER_S
+
+_STYLE = {
+    "font.size": 12,
+    "axes.titlesize": 14,
+    "axes.grid": True,
+    "grid.color": "0.85",
+    "axes.axisbelow": True,
+    "legend.framealpha": 0.95,
+    "legend.fontsize": 11,
+    "savefig.facecolor": "white",
+}
+_BAND_COLOUR = "#bcd4ea"
+_LINE_COLOUR = "#0b3c6f"
+# Readable in print and for the colour-blind (Okabe and Ito).
+_OTHER_COLOURS = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
+_ROOM = 1.3
+# What would make a figure's file depend on when and by which version it was written.
+_DATED = {".png": "Software", ".pdf": "CreationDate", ".svg": "Date"}
+
+
+def evaluation_figure(evaluation: Evaluation, title: str) -> Figure:
+    """Errors where the truth is known, residuals otherwise."""
+    if evaluation.errors:
+        return attitude_error_figure(evaluation.errors, title)
+    return innovation_figure(evaluation.innovations, title)
+
+
+def attitude_error_figure(series: Sequence[AttitudeErrors], title: str) -> Figure:
+    """Errors of heading, pitch and roll over time.
+
+    Args:
+        series: the first is drawn inside its ±3σ band on its own scale; where there are others, all are drawn
+            together in a second column.
+        title: title of the figure.
+    """
+    columns = 2 if len(series) > 1 else 1
+    start_ns = min(int(errors.time_ns[0]) for errors in series)
+    with plt.rc_context(_STYLE):
+        figure, grid = plt.subplots(
+            3, columns, figsize=(7.5 * columns, 9), sharex=True, squeeze=False, layout="constrained"
+        )
+        figure.suptitle(title)
+        for row, angle in enumerate(ANGLES):
+            _draw_band(grid[row, 0], series[0], row, start_ns)
+            grid[row, 0].set_ylabel(f"{angle} error [arcsec]")
+            if columns == 2:
+                _draw_together(grid[row, 1], series, row, start_ns)
+        grid[0, 0].legend(loc="upper right")
+        for axes in grid[-1]:
+            axes.set_xlabel("time [s]")
+        if columns == 2:
+            grid[0, 1].legend(loc="upper right", markerscale=5)
+            grid[0, 0].set_title(series[0].label)
+            grid[0, 1].set_title("all sources")
+    return figure
+
+
+def innovation_figure(innovations: Mapping[str, SourceInnovations], title: str) -> Figure:
+    """Residuals of the accepted measurements inside their predicted ±3σ, one row per source and component."""
+    rows = [
+        (source, part, column)
+        for source, part in innovations.items()
+        for column in range(len(part.components))
+        if part.compared
+    ]
+    if not rows:
+        raise BadInput(f"{title}: no figure: no measurement was accepted")
+    start_ns = min(min(part.compared) for _, part, _ in rows)
+    with plt.rc_context(_STYLE):
+        figure, grid = plt.subplots(
+            len(rows), 1, figsize=(9, 2.4 * len(rows) + 1), sharex=True, squeeze=False, layout="constrained"
+        )
+        figure.suptitle(title)
+        for (source, part, column), axes in zip(rows, grid[:, 0], strict=True):
+            stamps, residuals, sigmas, _ = part.arrays()
+            time_s = (stamps - start_ns) / NS_PER_S
+            band = 3.0 * sigmas[:, column] / ARCSEC
+            axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
+            axes.plot(time_s, residuals[:, column] / ARCSEC, ".", color=_LINE_COLOUR, ms=3, label="residual")
+            axes.set_ylabel(f"{source}\n{part.components[column]} [arcsec]")
+            _limit(axes, np.concatenate([residuals[:, column] / ARCSEC, band]))
+        grid[0, 0].legend(loc="upper right")
+        grid[-1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure (.png, .pdf or .svg by the name) and forget it; the same figure gives the same file.
+
+    Raises:
+        BadInput: the format is unknown or the file cannot be written.
+    """
+    metadata = {_DATED[path.suffix.lower()]: None} if path.suffix.lower() in _DATED else {}
+    try:
+        figure.savefig(path, dpi=110, metadata=metadata)
+    except (ValueError, OSError) as problem:
+        raise BadInput(f"{path}: the figure cannot be written: {problem}") from problem
+    finally:
+        plt.close(figure)
+
+
+def _draw_band(axes: Axes, errors: AttitudeErrors, column: int, start_ns: int) -> None:
+    time_s = (errors.time_ns - start_ns) / NS_PER_S
+    band = 3.0 * errors.sigma_arcsec[:, column]
+    axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
+    axes.plot(time_s, errors.error_arcsec[:, column], color=_LINE_COLOUR, lw=0.8, label="error")
+    _limit(axes, np.concatenate([errors.error_arcsec[:, column], band]))
+
+
+def _draw_together(axes: Axes, series: Sequence[AttitudeErrors], column: int, start_ns: int) -> None:
+    for number, errors in enumerate(series):
+        time_s = (errors.time_ns - start_ns) / NS_PER_S
+        colour = _LINE_COLOUR if number == 0 else _OTHER_COLOURS[(number - 1) % len(_OTHER_COLOURS)]
+        # Points, since sources pause; the first lies on top of the noisier ones.
+        axes.plot(
+            time_s, errors.error_arcsec[:, column], ".", color=colour, ms=2.5, label=errors.label, zorder=3 - number
+        )
+    _limit(axes, np.concatenate([errors.error_arcsec[:, column] for errors in series]))
+
+
+def _limit(axes: Axes, values: FloatArray) -> None:
+    """Symmetric limits that leave out the rare large values of a start, which would flatten all the rest."""
+    values = np.abs(values[np.isfinite(values)])
+    top = float(np.percentile(values, 98.0)) * _ROOM if len(values) else 0.0
+    if top > 0.0:
+        axes.set_ylim(-top, top)
