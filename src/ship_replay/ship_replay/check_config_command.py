@@ -1,0 +1,51 @@
+"""``check_config``: what a suite configuration lacks, and what of it does not fit a bag."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_replay.bag_reader import read_bag
+from ship_replay.check_config import Findings, check_bag, check_file
+from ship_replay.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser, run_command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="check_config",
+        description="Check a suite configuration (ROS 2 parameter file; units stand in the names of the parameters) "
+        "and, with a bag, whether it fits: topics, types, frame_ids. Exit code 2 when something is wrong, 0 when "
+        "there is nothing but warnings.",
+    )
+    parser.add_argument("config", type=Path, metavar="FILE", help="suite configuration")
+    parser.add_argument(
+        "bag", type=Path, nargs="?", metavar="BAG", help=".mcap file or rosbag2 folder to check against"
+    )
+    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    findings = Findings()
+    config = check_file(options.config, findings)
+    if options.bag is not None and config is not None:
+        with read_bag(options.bag) as bag:
+            check_bag(options.config, config, bag, options.namespace, findings)
+    for line in findings.errors:
+        print(f"error: {line}")
+    for line in findings.warnings:
+        print(f"warning: {line}")
+    if not findings.errors:
+        print(f"{options.config}: good" + (f" for {options.bag}" if options.bag is not None else ""))
+        return EXIT_DONE
+    errors, warnings = len(findings.errors), len(findings.warnings)
+    print(
+        f"check_config: {options.config}: errors: {errors}, warnings: {warnings}; first: {findings.errors[0]}",
+        file=sys.stderr,
+    )
+    return EXIT_BAD_INPUT
