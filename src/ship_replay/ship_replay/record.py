@@ -1,0 +1,188 @@
+"""Records live topics into one MCAP file that survives a crash: each message as it came, flushed in short periods."""
+
+import contextlib
+import os
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
+
+from ship_replay.bag_writer import BagWriter
+from ship_replay.errors import BadInput
+from ship_replay.installed_types import use_installed_definition
+from ship_replay.message_class import message_class
+from ship_replay.record_topics import DEPTH, adapted_qos, offers
+
+_DISCOVERY_PERIOD_S = 0.1
+# Publishers that go on past the end must not hold it up.
+_DRAIN_S = 1.0
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """What is recorded and when it ends; see ``record --help``. Times are steady; None is without end."""
+
+    topics: tuple[str, ...] = ()
+    flush_period_s: float = 0.1
+    duration_s: float | None = None
+    until_idle_s: float | None = None
+
+
+class Recorder:
+    """Writes what the topics of a node's graph carry.
+
+    Log time is the node's clock at receipt — bag time with ``use_sim_time`` —, publish time the publisher's.
+
+    Args:
+        node: node that subscribes; :meth:`run` spins it.
+        path: file to write.
+        options: what to record and when to end.
+
+    Raises:
+        BadInput: the file cannot be made.
+    """
+
+    def __init__(self, node: Node, path: Path, options: RecordOptions) -> None:
+        self.counts: Counter[str] = Counter()
+        self.lost: Counter[str] = Counter()
+        self._node = node
+        self._path = path
+        self._options = options
+        self._bag = BagWriter(path, atomic=False)
+        self._whole_bytes = 0
+        self._stopped = False
+        self._known: set[str] = set()
+        self._before_clock: list[tuple[str, str, bytes, int]] = []
+        self._last_receipt_s: float | None = None
+
+    def stop(self) -> None:
+        """End soon; for signal handlers."""
+        self._stopped = True
+
+    def run(self) -> None:
+        """Record until the end, then finish the file.
+
+        Raises:
+            BadInput: the disk is full or fails; the file is whole up to the last flush.
+        """
+        executor = SingleThreadedExecutor(context=self._node.context)
+        executor.add_node(self._node)
+        try:
+            self._spin(executor)
+            self._bag.close()
+        except OSError as problem:
+            self._give_up()
+            raise BadInput(
+                f"{self._path}: recording ended: {problem.strerror}; the file is whole up to the last flush, "
+                f"{self._whole_bytes} bytes"
+            ) from problem
+        finally:
+            executor.shutdown()
+
+    def _spin(self, executor: SingleThreadedExecutor) -> None:
+        start_s = time.monotonic()
+        next_flush_s = next_discovery_s = start_s
+        while not self._stopped and not self._is_over(start_s):
+            now_s = time.monotonic()
+            if now_s >= next_discovery_s:
+                self._discover()
+                next_discovery_s = now_s + _DISCOVERY_PERIOD_S
+            if now_s >= next_flush_s:
+                self._flush()
+                next_flush_s = now_s + self._options.flush_period_s
+            executor.spin_once(timeout_sec=max(0.0, min(next_discovery_s, next_flush_s) - now_s))
+        self._drain(executor)
+        if self._before_clock:
+            self._say(f"no /clock came: {len(self._before_clock)} messages get their publishers' time")
+            for topic, type_name, data, sent_ns in self._before_clock:
+                self._bag.write_raw(topic, type_name, data, sent_ns, sent_ns)
+
+    def _is_over(self, start_s: float) -> bool:
+        now_s = time.monotonic()
+        duration_s, idle_s = self._options.duration_s, self._options.until_idle_s
+        if duration_s is not None and now_s - start_s >= duration_s:
+            return True
+        return (
+            idle_s is not None and self._last_receipt_s is not None and now_s - self._last_receipt_s >= idle_s
+        )
+
+    def _drain(self, executor: SingleThreadedExecutor) -> None:
+        """Take what had arrived already when the end came."""
+        deadline_s = time.monotonic() + _DRAIN_S
+        before = -1
+        while before != sum(self.counts.values()) and time.monotonic() < deadline_s:
+            before = sum(self.counts.values())
+            for _ in range(2 * len(self._known) + 1):
+                executor.spin_once(timeout_sec=0.0)
+
+    def _flush(self) -> None:
+        self._bag.flush()
+        self._whole_bytes = self._path.stat().st_size
+
+    def _give_up(self) -> None:
+        """Cut off what was written in part: everything before is whole chunks."""
+        with contextlib.suppress(OSError):
+            self._bag.discard()
+        with contextlib.suppress(OSError):
+            os.truncate(self._path, self._whole_bytes)
+
+    def _discover(self) -> None:
+        for topic, endpoints in offers(self._node, self._options.topics).items():
+            if topic not in self._known:
+                self._known.add(topic)
+                self._subscribe(topic, endpoints[0].topic_type, adapted_qos(endpoints))
+
+    def _subscribe(self, topic: str, type_name: str, qos: Any) -> None:
+        try:
+            kind = message_class(type_name)
+            use_installed_definition(type_name)
+        except BadInput as problem:
+            self._say(f"topic '{topic}' is not recorded: {problem}")
+            return
+        self._bag.add_topic(topic, type_name, latched=qos.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+        events = SubscriptionEventCallbacks(
+            message_lost=lambda info: self._note_loss(topic, info.total_count_change)
+        )
+
+        def take_all(data: bytes, info: dict[str, int]) -> None:
+            # The executor looks at every entity of the node for each message it hands over; taking the rest of the
+            # queue here keeps up with ten times the rate, and the log time near the receipt.
+            taken: tuple[bytes, dict[str, int]] | None = (data, info)
+            count = 0
+            while taken is not None and count < DEPTH:
+                self._receive(topic, type_name, *taken)
+                count += 1
+                with subscription.handle:
+                    taken = subscription.handle.take_message(kind, True)
+
+        subscription = self._node.create_subscription(
+            kind, topic, take_all, qos, raw=True, event_callbacks=events
+        )
+
+    def _receive(self, topic: str, type_name: str, data: bytes, info: dict[str, int]) -> None:
+        self._last_receipt_s = time.monotonic()
+        self.counts[topic] += 1
+        now_ns = self._node.get_clock().now().nanoseconds
+        if now_ns == 0:
+            # With use_sim_time there is no time before the first /clock; what came before it was not later.
+            self._before_clock.append((topic, type_name, data, info["source_timestamp"]))
+            return
+        self._write_held(now_ns)
+        self._bag.write_raw(topic, type_name, data, now_ns, info["source_timestamp"])
+
+    def _write_held(self, now_ns: int) -> None:
+        for topic, type_name, data, sent_ns in self._before_clock:
+            self._bag.write_raw(topic, type_name, data, now_ns, sent_ns)
+        self._before_clock.clear()
+
+    def _note_loss(self, topic: str, count: int) -> None:
+        self.lost[topic] += count
+
+    def _say(self, line: str) -> None:
+        self._node.get_logger().warning(line)

@@ -1,0 +1,42 @@
+"""Which topics a recorder takes, and with what quality of service."""
+
+from collections.abc import Sequence
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+# Deep enough for ten seconds at 100 Hz, or one at 1 kHz, of a recorder that the disk holds up.
+DEPTH = 1000
+
+_LEFT_OUT = ("/clock",)
+"""Left out unless named: /clock is the time of the log itself, which a player gives again."""
+
+
+def offers(node: Node, wanted: Sequence[str]) -> dict[str, list[TopicEndpointInfo]]:
+    """Topics to record that somebody publishes now, with what their publishers offer.
+
+    Args:
+        node: the recording node.
+        wanted: names of topics; empty means all but hidden ones and /clock.
+    """
+    names = {node.resolve_topic_name(name) for name in wanted}
+    found = {}
+    for topic, _ in node.get_topic_names_and_types():
+        if topic in names if wanted else topic not in _LEFT_OUT and "/_" not in topic:
+            endpoints = node.get_publishers_info_by_topic(topic)
+            if endpoints:
+                found[topic] = endpoints
+    return found
+
+
+def adapted_qos(endpoints: Sequence[TopicEndpointInfo]) -> QoSProfile:
+    """The strongest quality of service that all publishers of a topic offer."""
+    profiles = [endpoint.qos_profile for endpoint in endpoints]
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
+    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
+    return QoSProfile(
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
