@@ -62,6 +62,7 @@ class ShipAttitudeCore:
         self.filter = ShipFilter(config)
         self._start: tuple[AlignmentPrior, int] | None = None
         self._lag_ns = round(config.lag_s * _SECOND_NS)
+        self._max_gap_ns = round(config.ins.max_gap_s * _SECOND_NS)
         self._silence_ns = round(config.ins.silence_s * _SECOND_NS)
         self._last_output_ns = 0
         self.reset()
@@ -78,7 +79,7 @@ class ShipAttitudeCore:
         if self._start is not None:
             initial, _ = state_from_prior(self.filter, self.config, *self._start)
         self._log: TimeOrderedLog[FilterState, AttitudeMeasurement, Decision] = TimeOrderedLog(initial)
-        self._track = AttitudeTrack(round(self.config.ins.max_gap_s * _SECOND_NS))
+        self._track = AttitudeTrack(self._max_gap_ns)
         self._corrected = CorrectedIns(self.filter.model, initial)
         self._corrected_state = initial
         self._newest_ns = 0
@@ -95,8 +96,13 @@ class ShipAttitudeCore:
         self.filter = ShipFilter(config)
         self._corrected = CorrectedIns(self.filter.model, self.state)
 
-    def add_ins(self, sample: AttitudeSample) -> Outcome:
-        """An INS sample: stamp and attitude of the deck as the INS has it."""
+    def add_ins(self, sample: AttitudeSample, estimate: bool = True) -> Outcome:
+        """An INS sample: stamp and attitude of the deck as the INS has it.
+
+        Args:
+            sample: attitude, and rate where the INS measures it.
+            estimate: False where only the filter's state matters, as in a Monte Carlo run.
+        """
         refusal = self._ins_refusal(sample)
         if refusal is not None:
             return Outcome(refusal)
@@ -111,7 +117,7 @@ class ShipAttitudeCore:
         if changed_after_ns is not None:
             self._log.rewind_where(lambda decision: decision.ins_time_ns > changed_after_ns)
         self._advance(sample.time_ns, outcome)
-        if sample.time_ns > self._last_output_ns and self._track.newest is sample:
+        if estimate and sample.time_ns > self._last_output_ns and self._track.newest is sample:
             outcome.estimates.append(self._estimate_from_ins(sample.time_ns))
             self._last_output_ns = sample.time_ns
         return outcome
@@ -130,7 +136,8 @@ class ShipAttitudeCore:
         else:
             outcome = Outcome()
         self._log.insert(key, measurement)
-        self._latest[measurement.source] = measurement
+        if self._is_latest(measurement):
+            self._latest[measurement.source] = measurement
         self._advance(measurement.time_ns, outcome)
         if self._ins_silent(measurement.time_ns) and self.filter.devices[measurement.source].is_star:
             self._estimate_from_star(measurement, outcome)
@@ -191,12 +198,16 @@ class ShipAttitudeCore:
             sigma = float(np.sqrt(np.max(np.diagonal(measurement.noise_v))))
             guard = self._stuck[measurement.source] = StuckGuard(5.0 * sigma)
         newest = self._track.newest
-        latest = self._latest.get(measurement.source)
-        in_order = latest is None or measurement.time_ns > latest.time_ns
-        witnesses = {"ins": newest.rotation_nd} if newest is not None else {}
-        if in_order and guard.observe(measurement.rotation_nv, witnesses):
-            return Refusal(Reason.STUCK, "attitude stands still while the INS moves")
+        witnesses = {source: m.rotation_nv for source, m in self._latest.items() if source != measurement.source}
+        if newest is not None:
+            witnesses["ins"] = newest.rotation_nd
+        if self._is_latest(measurement) and guard.observe(measurement.rotation_nv, witnesses):
+            return Refusal(Reason.STUCK, "attitude stands still while other sources move")
         return None
+
+    def _is_latest(self, measurement: AttitudeMeasurement) -> bool:
+        latest = self._latest.get(measurement.source)
+        return latest is None or measurement.time_ns > latest.time_ns
 
     def _too_late(self, time_ns: int) -> bool:
         return time_ns < self._newest_ns - self._lag_ns
@@ -216,7 +227,8 @@ class ShipAttitudeCore:
             elif previous.accepted != decision.accepted:
                 outcome.decisions.append(replace(decision, revised=True))
         oldest_ns = self._newest_ns - self._lag_ns
-        self._log.forget_before(oldest_ns)
+        # An INS sample as late as the lag allows still changes what was compared within a gap of it.
+        self._log.forget_before(oldest_ns - self._max_gap_ns)
         # Clock offsets move a measurement against the INS; two seconds more cover any of them.
         self._track.drop_before(oldest_ns - 2 * _SECOND_NS)
 
