@@ -16,6 +16,7 @@ from ship_node.stamps import ns_from_stamp
 FUTURE_TOLERANCE_NS = 50_000_000
 """A stamp may be this far ahead of the node's clock, ns."""
 
+_SECOND_NS = 1_000_000_000
 _LEAST_QUATERNION_NORM = 1e-6
 _QUATERNION_NORM_TOLERANCE = 1e-2
 _COVARIANCE_TOLERANCE = 1e-6
@@ -39,8 +40,11 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
     """The stamp of a header, ns.
 
     Raises:
-        Refused: ``bad_stamp`` where it is zero, ``future`` where it is more than 50 ms ahead of ``receive_ns``.
+        Refused: ``bad_stamp`` where it is zero, negative or has a second and more of nanoseconds, ``future`` where
+            it is more than 50 ms ahead of ``receive_ns``.
     """
+    if header.stamp.nanosec >= _SECOND_NS:
+        raise Refused("bad_stamp", f"header.stamp.nanosec is {header.stamp.nanosec}: expected less than a second")
     ns = ns_from_stamp(header.stamp)
     if ns <= 0:
         raise Refused("bad_stamp", f"header.stamp is {ns} ns: expected POSIX time")
@@ -104,7 +108,7 @@ def covariance_3x3(values: Sequence[float], what: str = "covariance") -> npt.NDA
 
     Raises:
         Refused: ``non_finite``, or ``bad_covariance`` where a variance is negative or the matrix is, beyond
-            rounding, not symmetric or not positive semidefinite.
+            rounding, not symmetric or not positive semidefinite. Rounding itself is taken out.
     """
     matrix = np.array(values, dtype=np.float64).reshape(3, 3)
     if matrix[0, 0] == -1.0 or not matrix.any():
@@ -120,11 +124,16 @@ def covariance_3x3(values: Sequence[float], what: str = "covariance") -> npt.NDA
     asymmetry = np.abs(matrix - matrix.T)
     if (asymmetry > _COVARIANCE_TOLERANCE * limit).any():
         raise Refused("bad_covariance", f"{what} is not symmetric: elements differ by {asymmetry.max():.3g}")
-    symmetric = 0.5 * (matrix + matrix.T)
+    symmetric = 0.5 * matrix + 0.5 * matrix.T
     if (np.abs(symmetric) > limit * (1.0 + _COVARIANCE_TOLERANCE)).any():
         raise Refused("bad_covariance", f"{what} is not positive semidefinite: a correlation exceeds 1")
     correlation = symmetric / np.where(limit > 0.0, limit, 1.0)
-    least = np.linalg.eigvalsh(correlation)[0]
-    if least < -_COVARIANCE_TOLERANCE:
-        raise Refused("bad_covariance", f"{what} is not positive semidefinite: eigenvalue {least:.3g} of correlations")
+    eigenvalues, vectors = np.linalg.eigh(correlation)
+    if eigenvalues[0] < -_COVARIANCE_TOLERANCE:
+        text = f"{what} is not positive semidefinite: eigenvalue {eigenvalues[0]:.3g} of correlations"
+        raise Refused("bad_covariance", text)
+    if eigenvalues[0] < 0.0:
+        # Rounded numbers are let in, but no filter may meet a negative variance.
+        correlation = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
+        symmetric = 0.5 * limit * (correlation + correlation.T)
     return symmetric

@@ -9,6 +9,7 @@ from types import FrameType
 
 import rclpy
 from rclpy.context import Context
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
@@ -21,9 +22,9 @@ from ship_node.usage import usage_text
 
 EXIT_DONE, EXIT_BAD_INPUT = 0, 2
 
-_BAD_START = ValueError, OSError, RuntimeError, ImportError
+_BAD_START = ValueError, OSError, ImportError, rclpy_implementation.RCLError
 """What bad parameters, arguments or a missing message package raise before the node runs; the bad input of every
-package is a ValueError, errors of rcl are RuntimeErrors."""
+package is a ValueError."""
 
 
 def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:

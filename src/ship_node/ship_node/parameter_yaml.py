@@ -44,10 +44,13 @@ def read_sections(source: Path | str) -> tuple[str, list[Section]]:
         BadInput: the file cannot be read or is no parameter file; names file, line and key.
     """
     name, text = _text(source)
-    root = _root(name, text)
-    if root is None:
-        raise BadInput(f"{name}: empty: expected a section 'NODE: {{{PARAMETERS_KEY}: ...}}'")
-    return name, list(_sections(name, root, ""))
+    try:
+        root = _root(name, text)
+        if root is None:
+            raise BadInput(f"{name}: empty: expected a section 'NODE: {{{PARAMETERS_KEY}: ...}}'")
+        return name, list(_sections(name, root, ""))
+    except RecursionError as error:
+        raise BadInput(f"{name}: nested too deeply, or a group that holds itself by an alias") from error
 
 
 def read_plain_section(source: Path | str) -> tuple[str, Section]:

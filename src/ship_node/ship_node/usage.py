@@ -48,9 +48,9 @@ def _example_values(descriptions: list[ParameterDescription]) -> dict[str, Any]:
         if description.default is not None:
             values[description.name] = description.default
         else:
-            placeholder = _PLACEHOLDERS[description.kind]
-            low = description.minimum
-            values[description.name] = placeholder if low is None else max(placeholder, description.kind(low))
+            placeholder, low = _PLACEHOLDERS.get(description.kind, ()), description.minimum
+            is_number = description.kind in (float, int) and low is not None
+            values[description.name] = max(placeholder, description.kind(low)) if is_number else placeholder
     return nest(values)
 
 

@@ -42,6 +42,7 @@ class RelayConfig:
     gate: GateConfig = section(GateConfig)
     sensors: dict[str, SensorConfig] = mapping_of("sensors by id")
     frame_id: str = parameter("", doc="frame_id expected")
+    offsets_s: tuple[float, ...] = parameter((0.0, 1.0), doc="offsets", unit="s", maximum=9.0, live=True)
 
 
 class RelayAdapter:

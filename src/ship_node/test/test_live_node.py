@@ -74,6 +74,8 @@ def test_live_parameter_reaches_the_adapter(live_relay):
     assert set_parameter(relay, "gate.probability", 0.75).successful
     assert relay.adapter.changes == {"gate.probability": 0.75}
     assert relay.live.node.get_parameter("gate.probability").value == 0.75
+    assert set_parameter(relay, "offsets_s", [2.0, 3.0, 4.0]).successful
+    assert relay.adapter.changes["offsets_s"] == [2.0, 3.0, 4.0]
 
 
 @pytest.mark.parametrize(
@@ -84,6 +86,7 @@ def test_live_parameter_reaches_the_adapter(live_relay):
         ("gate.bias_deg", math.nan, "parameter 'gate.bias_deg' must be finite, got nan"),
         ("gate.count", 13, "parameter 'gate.count' = 13 is not wanted by the adapter"),
         ("gate.count", 0, "out of range"),
+        ("offsets_s", [1.0, 10.0], "parameter 'offsets_s[1]' = 10.0 s is out of its range [-inf, 9.0] s"),
         ("sensors.fore.elevation_deg", 50.0, "read-only"),
         ("gate.probabilty", 0.75, "undeclared"),
     ],

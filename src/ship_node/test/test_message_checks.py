@@ -62,6 +62,15 @@ def test_covariance_of_rounded_correlations_is_accepted_symmetric():
     np.testing.assert_allclose(checked, matrix, rtol=1e-6)
 
 
+def test_covariance_that_rounding_made_indefinite_has_no_negative_variance():
+    # Fully correlated, but for a correlation of 1 + 5e-7: eigenvalue -5e-7 times 39 rad² would be a negative variance.
+    given = 39.0 * np.array([[1.0, 1.0 + 5e-7, 0.0], [1.0 + 5e-7, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    assert np.linalg.eigvalsh(given)[0] < -1e-6
+    checked = covariance_3x3(given.ravel())
+    assert np.linalg.eigvalsh(checked)[0] > -1e-13
+    np.testing.assert_allclose(checked, given, rtol=1e-6)
+
+
 def test_covariance_with_a_perfectly_known_axis_is_a_covariance():
     np.testing.assert_array_equal(covariance_3x3(np.diag([1.0, 0.0, 2.0]).ravel()), np.diag([1.0, 0.0, 2.0]))
 
@@ -93,6 +102,11 @@ def test_covariance_that_is_not_finite_is_refused():
 def test_stamp_zero_is_refused():
     assert refusal(stamp_ns, header(0, 0), 10**18).reason == "bad_stamp"
     assert refusal(stamp_ns, header(-5, 0), 10**18).reason == "bad_stamp"
+
+
+def test_stamp_with_a_second_of_nanoseconds_is_refused():
+    assert refusal(stamp_ns, header(1000, 10**9), 10**18).reason == "bad_stamp"
+    assert stamp_ns(header(1000, 10**9 - 1), 10**18) == 1001 * 10**9 - 1
 
 
 def test_stamp_may_be_50_ms_ahead_and_no_more():

@@ -129,6 +129,7 @@ def test_bad_files_are_refused_with_name_and_line(tmp_path, body, line, text):
             "sections /a/ship and /b/ship both",
         ),
         ("a: \x00\n", "configuration: not YAML"),
+        ("ship:\n  ros__parameters: &a {b: *a}\n", "configuration: nested too deeply, or a group that holds itself"),
     ],
 )
 def test_what_is_no_parameter_file(text, complaint):
