@@ -78,7 +78,8 @@ class ShipAttitudeAdapter:
             converted = self._convert(topic, message, receive_ns)
         except Refused as refused:
             reason = Reason[refused.reason.upper()]
-            return self._refusal(topic, ns_from_stamp(message.header.stamp), reason, refused.text, receive_ns)
+            time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
+            return self._refusal(topic, time_ns, reason, refused.text, receive_ns)
         if not converted.covariance_known:
             self.health.noted(topic, Reason.COVARIANCE_UNKNOWN.name.lower())
         is_ins = topic == _INS_TOPIC

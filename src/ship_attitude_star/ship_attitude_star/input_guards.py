@@ -89,7 +89,7 @@ class RateUnitsGuard:
     def __init__(self, window_s: float = 5.0) -> None:
         self._chunks: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=round(window_s * 1e9 / self._CHUNK_NS))
         self._start: tuple[int, FloatArray, FloatArray] | None = None
-        self._wrong = False
+        self.wrong = False
         self.slope = 1.0
 
     def restart(self, time_ns: int, rotation_nd: FloatArray, integrated: FloatArray) -> None:
@@ -106,14 +106,14 @@ class RateUnitsGuard:
         """
         if self._start is None:
             self.restart(time_ns, rotation_nd, integrated)
-            return self._wrong
+            return self.wrong
         start_ns, start_rotation, start_integrated = self._start
         if time_ns - start_ns >= self._CHUNK_NS:
             by_attitude = log_rotation(start_rotation.T @ rotation_nd)
             self._chunks.append((by_attitude, log_rotation(start_integrated.T @ integrated)))
             self.restart(time_ns, rotation_nd, integrated)
-            self._wrong = self._contradict()
-        return self._wrong
+            self.wrong = self._contradict()
+        return self.wrong
 
     def _contradict(self) -> bool:
         if len(self._chunks) < (self._chunks.maxlen or 0):

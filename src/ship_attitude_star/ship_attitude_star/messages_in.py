@@ -11,11 +11,21 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.ros_axes import device_vector_from_ros, horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.message_checks import Refused, covariance_3x3, finite_numbers, finite_vector, frame, stamp_ns
-from ship_node.message_checks import unit_quaternion
+from ship_node.message_checks import (
+    Refused,
+    covariance_3x3,
+    finite_numbers,
+    finite_vector,
+    frame,
+    stamp_ns,
+    unit_quaternion,
+)
 
 _STAR_INVALID = 3
 _COVARIANCE_TOLERANCE = 1e-6
+_LARGEST_VARIANCE = (2.0 * np.pi) ** 2
+_LARGEST_RATE = 100.0
+"""No ship turns like this, rad/s; far above what degrees per second would give, which are found by their ratio."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +58,10 @@ def ins_sample(message: Any, config: InsConfig, receive_ns: int) -> Converted:
     )
     rate_d = None
     if message.angular_velocity_covariance[0] != -1.0:
-        rate_i = device_vector_from_ros(finite_vector(message.angular_velocity, "angular_velocity"), config.convention)
-        rate_d = rotation_di @ rate_i
+        rate_ros = finite_vector(message.angular_velocity, "angular_velocity")
+        if np.max(np.abs(rate_ros)) > _LARGEST_RATE:
+            raise Refused("units", f"angular_velocity {rate_ros.tolist()} cannot be a ship's in rad/s")
+        rate_d = rotation_di @ device_vector_from_ros(rate_ros, config.convention)
     return Converted(AttitudeSample(time_ns, rotation_ni @ rotation_di.T, rate_d), covariance is not None)
 
 
@@ -71,7 +83,7 @@ def star_measurement(message: Any, sensor_id: str, config: StarSensorConfig, rec
         sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
         noise_s = np.diag((np.array(sigma) * ARCSEC) ** 2)
         return Converted(AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s), False)
-    noise_enu = covariance_3x3(message.noise_covariance, "noise_covariance")
+    noise_enu = _angular_covariance(message.noise_covariance, "noise_covariance")
     noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
     measurement = AttitudeMeasurement(
         f"star.{sensor_id}",
@@ -92,7 +104,7 @@ def reference_measurement(message: Any, name: str, config: ReferenceConfig, rece
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
     rotation_nr = _rotation(message, config.convention)
-    covariance_enu = covariance_3x3(message.orientation_covariance, "orientation_covariance")
+    covariance_enu = _angular_covariance(message.orientation_covariance, "orientation_covariance")
     if covariance_enu is None:
         sigma = [config.sigma_roll_arcsec, config.sigma_heading_arcsec, config.sigma_pitch_arcsec]
         noise_r = np.diag((np.array(sigma) * ARCSEC) ** 2)
@@ -116,12 +128,21 @@ def _radians(message: Any) -> None:
         )
 
 
+def _angular_covariance(values: Any, what: str) -> FloatArray | None:
+    """A covariance (rad²) that is used as noise; None where it is unknown."""
+    covariance = covariance_3x3(values, what)
+    if covariance is not None and covariance.diagonal().max() > _LARGEST_VARIANCE:
+        largest = covariance.diagonal().max()
+        raise Refused("bad_covariance", f"{what}: a variance of {largest:.3g} rad² is a sigma of more than a full turn")
+    return covariance
+
+
 def _total_covariance(message: Any) -> FloatArray | None:
     """Total covariance of the rotation vector in the horizon frame; None where the message gives none."""
-    rotation_enu = covariance_3x3(message.rotation_covariance, "rotation_covariance")
+    rotation_enu = _angular_covariance(message.rotation_covariance, "rotation_covariance")
     if rotation_enu is not None:
         return horizon_covariance(rotation_enu)
-    angles = covariance_3x3(message.covariance, "covariance")
+    angles = _angular_covariance(message.covariance, "covariance")
     if angles is None:
         return None
     return rotation_vector_covariance(angles, message.azimuth, message.elevation)

@@ -40,7 +40,12 @@ class Reason(enum.IntEnum):
     FRAME = 10
     UNITS = 11
     STUCK = 12
+    NOT_FIXED = 13
+    MISIDENTIFIED = 14
+    TOO_FEW_STARS = 15
     ATTITUDE_CONFLICT = 16
+    LIGHT_CONFLICT = 17
+    OVERFLOW = 18
     GATE = 19
     REVISED = 20
     GAP = 21

@@ -75,13 +75,8 @@ class ShipAttitudeCore:
 
     def reset(self, clock_jumped: bool = False) -> None:
         """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
-        initial = self.filter.initial_state()
-        if self._start is not None:
-            initial, _ = state_from_prior(self.filter, self.config, *self._start)
-        self._log: TimeOrderedLog[FilterState, AttitudeMeasurement, Decision] = TimeOrderedLog(initial)
+        self._forget_estimate()
         self._track = AttitudeTrack(self._max_gap_ns)
-        self._corrected = CorrectedIns(self.filter.model, initial)
-        self._corrected_state = initial
         self._newest_ns = 0
         self._rates = RateIntegrator()
         self._units = RateUnitsGuard()
@@ -89,6 +84,14 @@ class ShipAttitudeCore:
         self._latest: dict[str, AttitudeMeasurement] = {}
         if clock_jumped:
             self._last_output_ns = 0
+
+    def _forget_estimate(self) -> None:
+        """Back to the configured errors, or to those of the saved alignment."""
+        initial = self.filter.initial_state()
+        if self._start is not None:
+            initial, _ = state_from_prior(self.filter, self.config, *self._start)
+        self._log: TimeOrderedLog[FilterState, AttitudeMeasurement, Decision] = TimeOrderedLog(initial)
+        self._corrected, self._corrected_state = CorrectedIns(self.filter.model, initial), initial
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """Go on with other noise and gates; geometry and the set of devices stay."""
@@ -180,7 +183,11 @@ class ShipAttitudeCore:
             if not self._rates.advance(sample.time_ns, sample.rate_d):
                 self._units.restart(sample.time_ns, sample.rotation_nd, self._rates.rotation)
             witnesses["rate"] = self._rates.rotation
+            known_wrong = self._units.wrong
             if self._units.observe(sample.time_ns, sample.rotation_nd, self._rates.rotation):
+                if not known_wrong:
+                    # By wrong rates the stars were compared with attitudes that never were: nothing of it can stay.
+                    self._forget_estimate()
                 text = (
                     f"angular velocity turns {self._units.slope:.3g} times as fast as the orientation: "
                     "degrees for radians? ins/imu must be in rad/s"

@@ -93,12 +93,15 @@ class ShipFilter:
             text = "no INS samples on both sides of it: it cannot be compared"
             return state, Decision(measurement, Reason.GAP, ins_time_ns, text=text)
         device = self.devices[measurement.source]
-        state = self._with_common(self.predicted(state, measurement.time_ns), measurement)
+        before, state = state, self._with_common(self.predicted(state, measurement.time_ns), measurement)
         predicted = predict_attitude(device, self.model, state.mean, ins)
         residual = attitude_residual(predicted, measurement.rotation_nv)
         source_index = self.model.sources.index(device.noise_source)
         linear = LinearMeasurement(residual, predicted.jacobian_v, measurement.noise_v, source_index)
-        covariance, nis = innovation(state.parts, linear)
+        try:
+            covariance, nis = innovation(state.parts, linear)
+        except np.linalg.LinAlgError as error:
+            return before, Decision(measurement, Reason.BAD_COVARIANCE, ins_time_ns, text=str(error))
         decision = Decision(
             measurement=measurement,
             reason=Reason.NONE,
@@ -109,8 +112,9 @@ class ShipFilter:
             gate=chi_square_gate(self._gate.probability, 3),
         )
         if nis > decision.gate:
+            # Not even the prediction is kept: the state stays, to the last bit, as without this measurement.
             rotation_nv_turn = predicted.rotation_nv @ residual
-            return self._refused(state, decision, float(rotation_nv_turn[1]))
+            return self._refused(before, decision, float(rotation_nv_turn[1]))
         correction, parts = update(state.parts, linear, covariance)
         state = replace(
             state,

@@ -1,0 +1,398 @@
+"""Messages that cannot be used: the reason, where it is told, and that the ship's attitude is as without them."""
+
+import functools
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from small_voyage import (
+    FORE,
+    INS,
+    SECOND_NS,
+    Arrival,
+    Run,
+    added,
+    changed_copy,
+    changed_where,
+    clean_run,
+    drive,
+    in_order,
+    index_at,
+    new_adapter,
+    replaced,
+    voyage,
+    without,
+)
+
+from ship_attitude_star.samples import Reason
+from ship_geometry.rotations import ARCSEC
+
+MOMENT_S = 2.5
+SOURCE = {INS: "ins", FORE: "star.fore"}
+ONE_SIGMA = 3.0 * ARCSEC
+
+Change = Callable[[Any], None]
+
+
+def put(path: str, value: float) -> Change:
+    """Sets a field (``orientation.x``) or one element of an array (``covariance.4``) or all of it."""
+    *parents, leaf = path.split(".")
+
+    def change(message: Any) -> None:
+        holder = functools.reduce(getattr, parents, message)
+        if leaf.isdigit():
+            holder[int(leaf)] = value
+        elif isinstance(getattr(holder, leaf), np.ndarray):
+            getattr(holder, leaf)[:] = value
+        else:
+            setattr(holder, leaf, value)
+
+    return change
+
+
+def scale_quaternion(factor: float) -> Change:
+    def change(message: Any) -> None:
+        for axis in "xyzw":
+            setattr(message.orientation, axis, factor * getattr(message.orientation, axis))
+
+    return change
+
+
+def stamp_ahead(seconds: float) -> Change:
+    """Stamps beyond the moment of arrival, which is 5 ms (INS) or 120 ms (star) after the true stamp."""
+
+    def change(message: Any) -> None:
+        ns = message.header.stamp.sec * SECOND_NS + message.header.stamp.nanosec + round(seconds * SECOND_NS)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, SECOND_NS)
+
+    return change
+
+
+def stamp_zero(message: Any) -> None:
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+
+
+def covariance(field: str, *rows: tuple[float, float, float]) -> Change:
+    def change(message: Any) -> None:
+        getattr(message, field)[:] = np.array(rows).ravel() * ONE_SIGMA**2
+
+    return change
+
+
+NEGATIVE = (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)
+ASYMMETRIC = (1.0, 0.5, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+CORRELATED_BEYOND_1 = (1.0, 2.0, 0.0), (2.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+# Each correlation is below 1, the three together are not possible: eigenvalue 1 - 2 * 0.9 = -0.8.
+NOT_PSD = (1.0, -0.9, -0.9), (-0.9, 1.0, -0.9), (-0.9, -0.9, 1.0)
+
+DROPPED = [
+    ("ins quaternion NaN", INS, put("orientation.x", np.nan), "non_finite", "orientation"),
+    ("ins quaternion infinite", INS, put("orientation.w", -np.inf), "non_finite", "orientation"),
+    ("ins rate NaN", INS, put("angular_velocity.y", np.nan), "non_finite", "angular_velocity"),
+    ("ins covariance NaN", INS, put("orientation_covariance.4", np.nan), "non_finite", "orientation_covariance"),
+    ("ins quaternion zero", INS, scale_quaternion(0.0), "bad_quaternion", "no orientation"),
+    ("ins quaternion 2 % long", INS, scale_quaternion(1.02), "bad_quaternion", "1.02"),
+    ("ins quaternion overflows", INS, put("orientation.x", 1e300), "bad_quaternion", "1e+300"),
+    ("ins variance negative", INS, covariance("orientation_covariance", *NEGATIVE), "bad_covariance", "negative"),
+    ("ins covariance asymmetric", INS, covariance("orientation_covariance", *ASYMMETRIC), "bad_covariance", "symm"),
+    ("ins covariance not PSD", INS, covariance("orientation_covariance", *NOT_PSD), "bad_covariance", "definite"),
+    ("ins rate no ship can have", INS, put("angular_velocity.x", 1e200), "units", "rad/s"),
+    ("ins stamp zero", INS, stamp_zero, "bad_stamp", "0 ns"),
+    ("ins stamp negative", INS, put("header.stamp.sec", -5), "bad_stamp", "POSIX time"),
+    ("ins stamp nanoseconds beyond a second", INS, put("header.stamp.nanosec", 4_000_000_000), "bad_stamp", "nanosec"),
+    ("ins from the future", INS, stamp_ahead(0.06), "future", "0.055 s ahead"),
+    ("ins from 2038", INS, put("header.stamp.sec", 2**31 - 1), "future", "ahead"),
+    ("ins frame", INS, put("header.frame_id", "imu_link"), "frame", "'imu_link': expected 'ins'"),
+    ("star azimuth NaN", FORE, put("azimuth", np.nan), "non_finite", "azimuth"),
+    ("star roll infinite", FORE, put("roll", np.inf), "non_finite", "roll"),
+    ("star covariance NaN", FORE, put("rotation_covariance.8", np.nan), "non_finite", "rotation_covariance"),
+    ("star noise NaN", FORE, put("noise_covariance.1", np.nan), "non_finite", "noise_covariance"),
+    ("star variance negative", FORE, covariance("rotation_covariance", *NEGATIVE), "bad_covariance", "negative"),
+    ("star asymmetric", FORE, covariance("rotation_covariance", *ASYMMETRIC), "bad_covariance", "symmetric"),
+    ("star correlation", FORE, covariance("rotation_covariance", *CORRELATED_BEYOND_1), "bad_covariance", "exceeds 1"),
+    ("star not PSD", FORE, covariance("rotation_covariance", *NOT_PSD), "bad_covariance", "definite"),
+    ("star noise exceeds total", FORE, put("noise_covariance.0", 1.0), "bad_covariance", "larger than the total"),
+    ("star variance beyond a full turn", FORE, put("rotation_covariance.0", 1e300), "bad_covariance", "full turn"),
+    ("star stamp zero", FORE, stamp_zero, "bad_stamp", "0 ns"),
+    ("star from the future", FORE, stamp_ahead(0.18), "future", "0.060 s ahead"),
+    ("star frame", FORE, put("header.frame_id", "star_aft"), "frame", "'star_aft': expected 'star_fore'"),
+    ("star elevation in degrees", FORE, put("elevation", 45.0), "units", "degrees"),
+    ("star azimuth in degrees", FORE, put("azimuth", 34.4), "units", "degrees"),
+    ("star invalid by itself", FORE, put("status", 3), "too_few_stars", "INVALID"),
+]
+
+
+@functools.cache
+def run_without(topic: str, moment_s: float = MOMENT_S) -> Run:
+    return drive(new_adapter(), without(voyage(), index_at(voyage(), topic, moment_s)))
+
+
+@pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
+def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
+    index = index_at(voyage(), topic, MOMENT_S)
+    run = drive(new_adapter(), replaced(voyage(), index, change))
+
+    assert run.results() == run_without(topic).results()
+    assert run.state() == run_without(topic).state()
+    assert_told_once(run, topic, reason, text, voyage()[index].receive_ns)
+
+
+def assert_told_once(run: Run, topic: str, reason: str, text: str, receive_ns: int) -> None:
+    """Counted, in an innovation, and in the diagnostics within 1.1 s."""
+    health = run.health(topic)
+    assert run.reasons(topic) == {reason: 1}
+    assert (health.rejected, health.received) == (1, health.accepted + 1)
+    (innovation,) = run.innovations(Reason[reason.upper()])
+    assert innovation.source == SOURCE[topic]
+    assert not innovation.accepted
+    assert text in innovation.reason_text
+    reports = run.diagnostics(f"input {topic}", receive_ns, receive_ns + 1_100_000_000)
+    assert any(level == 1 and reason in said and text in said for level, said in reports)
+
+
+def test_without_faults_nothing_is_refused() -> None:
+    assert {m.reason for m in clean_run().messages("ship/innovation")} == {Reason.NONE}
+    assert run_without(INS).results() != clean_run().results()  # the comparisons above would see a difference
+    assert run_without(FORE).state() != clean_run().state()
+
+
+def test_a_quaternion_a_little_long_is_renormalised() -> None:
+    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, scale_quaternion(1.005)))
+    assert run.reasons(INS) == {}
+    clean = clean_run()
+    for one, other in zip(run.messages("ship/attitude"), clean.messages("ship/attitude"), strict=True):
+        # Rounding of the numbers handed over: a few 1e-16.
+        assert np.allclose([one.heading, one.pitch, one.roll], [other.heading, other.pitch, other.roll], atol=1e-14)
+
+
+def test_a_quaternion_with_all_signs_changed_is_the_same_attitude() -> None:
+    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, scale_quaternion(-1.0)))
+    assert run.results() == clean_run().results()
+    assert run.state() == clean_run().state()
+
+
+@pytest.mark.parametrize("unknown", [put("rotation_covariance", 0.0), put("rotation_covariance.0", -1.0)])
+def test_a_star_without_covariance_gets_the_configured_sigma(unknown: Change) -> None:
+    """The voyage's stars state 100", 3", 3", which is what the configuration has by default."""
+    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == FORE, unknown))
+    count = sum(a.topic == FORE for a in voyage())
+    assert run.reasons(FORE) == {"covariance_unknown": count}
+    assert run.health(FORE).rejected == 0
+    state, stated = run.adapter.core.state, clean_run().adapter.core.state
+    assert np.allclose(state.mean, stated.mean, atol=1e-6 * ARCSEC)
+    assert np.allclose(state.covariance, stated.covariance, rtol=1e-6, atol=1e-20)
+
+
+def test_a_perfect_axis_where_nothing_else_is_uncertain_is_refused_and_not_in_the_way() -> None:
+    """With every sigma of the configuration at zero, only the star's own covariance is left, and it has no inverse."""
+    exact = {"ins__time_offset_sigma_s": 0.0}
+    exact |= {f"ins__{name}_sigma_arcsec": 0.0 for name in ("tilt", "heading", "white")}
+    for axis in ("forward", "up", "right"):
+        exact |= {f"star_sensors__{sensor}__installation_sigma_{axis}_arcsec": 0.0 for sensor in ("fore", "starboard")}
+    perfect_axis = covariance("rotation_covariance", (900.0, 0.0, 0.0), (0.0, 900.0, 0.0), (0.0, 0.0, 0.0))
+    arrivals = changed_where(voyage(), lambda a: a.topic == FORE, perfect_axis)
+    run = drive(new_adapter(**exact), arrivals)
+    assert "bad_covariance" in run.reasons(FORE)  # where rounding makes it invertible, the gate refuses it
+    assert run.health(FORE).accepted == 0
+    assert "positive definite" in run.innovations(Reason.BAD_COVARIANCE)[0].reason_text
+    assert len([m for m in run.messages("ship/innovation") if m.source == "star.starboard"]) > 20
+
+
+def test_another_configured_sigma_rules_where_the_message_gives_none() -> None:
+    """With 30 times the sigma, the fore sensor says next to nothing about the heading: never taken as perfect."""
+    arrivals = changed_where(voyage(), lambda a: a.topic.startswith("star"), put("rotation_covariance", 0.0))
+    coarse = {
+        f"star_sensors__{sensor}__sigma_{axis}_arcsec": 3000.0
+        for sensor in ("fore", "starboard")
+        for axis in ("forward", "up", "right")
+    }
+    sigma = [
+        np.sqrt(np.diagonal(drive(new_adapter(**changes), arrivals).adapter.core.state.covariance))[1]
+        for changes in ({}, coarse)
+    ]
+    assert sigma[1] > 10.0 * sigma[0]
+
+
+@pytest.mark.parametrize("unknown", [put("orientation_covariance", 0.0), put("orientation_covariance.0", -1.0)])
+def test_an_ins_without_covariance_is_used_as_configured(unknown: Change) -> None:
+    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, unknown))
+    assert run.reasons(INS) == {"covariance_unknown": sum(a.topic == INS for a in voyage())}
+    assert run.results() == clean_run().results()
+
+
+def test_an_ins_without_rates_is_used_without_them() -> None:
+    """The first element of the rate's covariance at −1: not measured (sensor_msgs/Imu), whatever the rate says."""
+
+    def no_rate(message: Any) -> None:
+        message.angular_velocity_covariance[0] = -1.0
+        message.angular_velocity.x = np.nan
+
+    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, no_rate))
+    assert run.reasons(INS) == {}
+    assert run.health(FORE).rejected == 0
+
+
+@pytest.mark.parametrize("topic", [INS, FORE])
+def test_the_same_message_again_is_a_duplicate(topic: str) -> None:
+    index = index_at(voyage(), topic, MOMENT_S)
+    again_ns = voyage()[index].receive_ns + SECOND_NS
+    run = drive(new_adapter(), added(voyage(), index, lambda message: None, again_ns))
+    assert run.results() == clean_run().results()
+    assert run.state() == clean_run().state()
+    assert_told_once(run, topic, "duplicate", "again", again_ns)
+
+
+@pytest.mark.parametrize("topic", [INS, FORE])
+@pytest.mark.parametrize("apart_s", [0.001, 1.0])
+def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(topic: str, apart_s: float) -> None:
+    def other(message: Any) -> None:
+        if topic == INS:
+            message.angular_velocity.x += 1e-4
+        else:
+            message.azimuth += 5.0 * ARCSEC
+
+    arrivals = voyage()
+    index = index_at(arrivals, topic, 2.6)  # the INS sample just before the star's of 2.613 s
+    one, another = arrivals[index], changed_copy(arrivals[index], other)
+    second_ns = one.receive_ns + round(apart_s * SECOND_NS)
+    one_first, another_first = (
+        drive(new_adapter(), in_order((*without(arrivals, index), first, replace(second, receive_ns=second_ns))))
+        for first, second in ((one, another), (another, one))
+    )
+    alone = clean_run(), drive(new_adapter(), replaced(arrivals, index, other))
+    assert alone[0].state() != alone[1].state()
+    assert one_first.state() == another_first.state()
+    assert one_first.state() in (alone[0].state(), alone[1].state())
+    for run in (one_first, another_first):
+        assert_told_once(run, topic, "conflict", "sort first", second_ns)
+    # Where the first one is kept, the second one has changed nothing at all.
+    assert (one_first.results() == alone[0].results()) != (another_first.results() == alone[1].results())
+
+
+@pytest.mark.parametrize("topic", [INS, FORE])
+def test_a_message_older_than_the_lag_is_dropped(topic: str) -> None:
+    """``lag_s`` is 2 s: at 2.2 s after its stamp the window is closed."""
+    index = index_at(voyage(), topic, 1.5)
+    arrives_ns = voyage()[index].stamp_ns + 2_200_000_000
+    run = drive(new_adapter(), replaced(voyage(), index, lambda message: None, arrives_ns))
+    assert run.results() == run_without(topic, 1.5).results()
+    assert run.state() == run_without(topic, 1.5).state()
+    assert_told_once(run, topic, "late", "more than lag_s = 2", arrives_ns)
+    (values,) = {
+        tuple((v.key, v.value) for v in status.values if v.key.startswith("late "))
+        for status in run.messages("/diagnostics")[-1].status
+        if status.name == f"ship_attitude: input {topic}"
+    }
+    assert values == (("late up to 5 s", "1"),)
+
+
+def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
+    from_ns = voyage()[index_at(voyage(), INS, MOMENT_S)].receive_ns
+    ahead = changed_where(voyage(), lambda a: a.topic == INS and a.receive_ns >= from_ns, stamp_ahead(0.2))
+    run = drive(new_adapter(), ahead)
+    tenth_ns = from_ns + 9 * 40_000_000
+    before = run.diagnostics(f"input {INS}", from_ns, tenth_ns)
+    after = run.diagnostics(f"input {INS}", tenth_ns, tenth_ns + 1_100_000_000)
+    assert all(level < 2 for level, _ in before)
+    assert any(level == 2 and "clock offset" in text for level, text in after)
+    # Nothing was re-timed: the INS carries no output any more.
+    assert max(stamp_of(m) for m in run.messages("ship/attitude") if "ins" in m.sources) < from_ns
+
+
+def test_a_star_far_off_once_is_gated_and_changes_nothing() -> None:
+    """600" in heading: four times the sigma about Up that a sensor looking up by 45° has, 100" sin 45°."""
+    run = drive(new_adapter(), replaced(voyage(), index_at(voyage(), FORE, MOMENT_S), put("azimuth", 0.7)))
+    assert run.results() == run_without(FORE).results()
+    assert run.state() == run_without(FORE).state()
+    assert run.reasons(FORE) == {"gate": 1}
+    (innovation,) = run.innovations(Reason.GATE)
+    assert innovation.nis > innovation.gate
+    assert list(innovation.components) == ["forward", "up", "right"]
+    assert np.all(np.isfinite(innovation.residual))
+    assert np.all(np.array(innovation.sigma) > 0.0)
+
+
+def test_rates_in_degrees_are_found_and_refused_until_they_are_right() -> None:
+    def degrees(message: Any) -> None:
+        for axis in "xyz":
+            setattr(message.angular_velocity, axis, np.rad2deg(getattr(message.angular_velocity, axis)))
+
+    arrivals = voyage(17.0)
+    wrong_until_ns = arrivals[0].receive_ns + 8 * SECOND_NS
+    run = drive(
+        new_adapter(), changed_where(arrivals, lambda a: a.topic == INS and a.receive_ns < wrong_until_ns, degrees)
+    )
+    refused = run.innovations(Reason.UNITS)
+    first_s = (stamp_of(refused[0]) - arrivals[0].stamp_ns) * 1e-9
+    assert 5.0 <= first_s <= 5.7
+    assert "rad/s" in refused[0].reason_text
+    assert "57" in refused[0].reason_text
+    told_ns = round(first_s * SECOND_NS) + arrivals[0].receive_ns
+    reports = run.diagnostics(f"input {INS}", told_ns, told_ns + 1_100_000_000)
+    assert any(level >= 1 and "units" in text for level, text in reports)
+    # Within six seconds of right rates all is well again, the damage of the first ones forgotten.
+    assert run.messages("ship/attitude")[-1].status == 0
+    assert stamp_of(refused[-1]) < wrong_until_ns + 6 * SECOND_NS
+
+
+def test_a_frozen_ins_is_found_and_comes_back_after_twenty_changing_values() -> None:
+    arrivals = voyage(8.0)
+    frozen = arrivals[index_at(arrivals, INS, 3.0)].message.orientation
+    from_ns, until_ns = arrivals[0].stamp_ns + 3 * SECOND_NS, arrivals[0].stamp_ns + 6 * SECOND_NS
+
+    def freeze(message: Any) -> None:
+        message.orientation = frozen
+
+    run = drive(
+        new_adapter(), changed_where(arrivals, lambda a: a.topic == INS and from_ns <= a.stamp_ns < until_ns, freeze)
+    )
+    # 75 samples in three seconds: the 20th identical one is the first refused; then 19 changing ones are.
+    assert run.reasons(INS) == {"stuck": 75 - 19 + 19}
+    stamps = [stamp_of(m) for m in run.innovations(Reason.STUCK)]
+    assert stamps[0] == from_ns + 19 * 40_000_000
+    assert stamps[-1] == until_ns + 18 * 40_000_000
+    reports = run.diagnostics(f"input {INS}", stamps[0], stamps[0] + 1_100_000_000)
+    assert any(level >= 1 and "stuck" in text for level, text in reports)
+    assert run.messages("ship/attitude")[-1].status == 0
+
+
+@pytest.mark.parametrize("witness", [INS, "other star sensor"])
+def test_a_frozen_star_sensor_is_found_and_comes_back(witness: str) -> None:
+    """While the INS says that the ship moves, or, the INS being gone, the other star sensor does."""
+    arrivals = voyage(16.0)
+    frozen = arrivals[index_at(arrivals, FORE, 3.0)].message
+    from_ns, until_ns = arrivals[0].stamp_ns + 3 * SECOND_NS, arrivals[0].stamp_ns + 10 * SECOND_NS
+    if witness != INS:
+        arrivals = tuple(a for a in arrivals if a.topic != INS or not from_ns <= a.stamp_ns < until_ns)
+
+    def freeze(message: Any) -> None:
+        message.azimuth, message.elevation, message.roll = frozen.azimuth, frozen.elevation, frozen.roll
+
+    def chosen(arrival: Arrival) -> bool:
+        return arrival.topic == FORE and from_ns <= arrival.stamp_ns < until_ns
+
+    run = drive(new_adapter(), changed_where(arrivals, chosen, freeze))
+    stuck = [stamp_of(m) for m in run.innovations(Reason.STUCK)]
+    assert len(stuck) == run.reasons(FORE)["stuck"] == 35 - 19 + 19  # 35 frozen at 5 Hz in seven seconds
+    assert min(stuck) == stamp_of(frozen) + 19 * 200_000_000
+    assert run.innovations(Reason.NONE)[-2].source in ("star.fore", "star.starboard")
+    assert max(stamp_of(m) for m in run.innovations(Reason.NONE) if m.source == "star.fore") > max(stuck)
+
+
+def test_a_ship_at_rest_is_not_stuck() -> None:
+    """Identical values where nothing else moves are what a ship in dock gives."""
+    first = voyage()[index_at(voyage(), INS, 0.0)].message
+
+    def rest(message: Any) -> None:
+        message.orientation = first.orientation
+        message.angular_velocity = first.linear_acceleration  # zero
+
+    run = drive(new_adapter(), changed_where([a for a in voyage() if a.topic == INS], lambda a: True, rest))
+    assert run.reasons(INS) == {}
+
+
+def stamp_of(message: Any) -> int:
+    stamp = message.header.stamp
+    return stamp.sec * SECOND_NS + stamp.nanosec
