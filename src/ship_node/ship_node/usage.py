@@ -58,8 +58,8 @@ def _parameter_row(description: ParameterDescription) -> tuple[str, ...]:
     default = "must be given" if description.default is None else f"{description.default!r}"
     allowed = " | ".join(description.choices)
     if description.minimum is not None or description.maximum is not None:
-        low = "-inf" if description.minimum is None else f"{description.minimum:g}"
-        high = "inf" if description.maximum is None else f"{description.maximum:g}"
+        low = "-inf" if description.minimum is None else f"{description.minimum:.12g}"
+        high = "inf" if description.maximum is None else f"{description.maximum:.12g}"
         allowed = f"[{low}, {high}]"
     live = "*" if description.live else ""
     return description.name + live, description.unit or "-", default, allowed, description.doc
