@@ -1,0 +1,93 @@
+"""The sequential filter against one least-squares solution over all epochs at once, set up from the definitions."""
+
+import numpy as np
+
+from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
+from ship_estimation.state import StateModel, block
+
+TIMES_S = [0.0, 0.0, 3.0, 10.0, 11.0, 60.0, 61.5, 200.0]
+DRIFT_SIGMA, DRIFT_TIME_S, WHITE_SIGMA, CONSTANT_SIGMA, WALK_SIGMA, WALK = 4.0, 30.0, 0.7, 6.0, 2.0, 0.3
+NOISE = np.array([[1.0, 0.3], [0.3, 2.0]])
+
+
+def measurement_rows(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Jacobians by (drift, white, constant, walk), shape (k, 2, 4), and measured values, shape (k, 2)."""
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((len(TIMES_S), 2, 4)), 5.0 * rng.standard_normal((len(TIMES_S), 2))
+
+
+def sequential(jacobians: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    model = StateModel(
+        [
+            block("drift", [DRIFT_SIGMA], "drift", time_s=DRIFT_TIME_S),
+            block("white", [WHITE_SIGMA], "white", time_s=0.0),
+            block("constant", [CONSTANT_SIGMA], "constant"),
+            block("walk", [WALK_SIGMA], "walk", walk=WALK),
+        ],
+        ["noise"],
+    )
+    mean, parts, last_s = np.zeros(4), model.initial_parts(), 0.0
+    for time_s, jacobian, value in zip(TIMES_S, jacobians, values, strict=True):
+        decay, noise = model.transition(time_s - last_s)
+        mean, parts, last_s = decay * mean, predict(parts, decay, model.booked_noise(noise)), time_s
+        measurement = LinearMeasurement(value - jacobian @ mean, jacobian, NOISE, model.sources.index("noise"))
+        covariance, _ = innovation(parts, measurement)
+        correction, parts = update(parts, measurement, covariance)
+        mean = mean + correction
+    return mean, parts.sum(axis=0)
+
+
+def prior_covariance() -> np.ndarray:
+    """Of all states at all epochs, ordered (epoch, state), by autocovariances: no step between epochs."""
+    t = np.array(TIMES_S)
+    apart_s = np.abs(t[:, None] - t)
+    covariance = np.zeros((len(t), 4, len(t), 4))
+    covariance[:, 0, :, 0] = DRIFT_SIGMA**2 * np.exp(-apart_s / DRIFT_TIME_S)
+    covariance[:, 1, :, 1] = WHITE_SIGMA**2 * (apart_s == 0.0)
+    covariance[:, 2, :, 2] = CONSTANT_SIGMA**2
+    covariance[:, 3, :, 3] = WALK_SIGMA**2 + WALK**2 * np.minimum(t[:, None], t)
+    return covariance.reshape(4 * len(t), 4 * len(t))
+
+
+def batch(jacobians: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least squares of all measurements against the prior: mean and covariance of the last epoch's state."""
+    epochs = len(TIMES_S)
+    design = np.zeros((epochs, 2, epochs, 4))
+    for k in range(epochs):
+        design[k, :, k] = jacobians[k]
+    design = design.reshape(2 * epochs, 4 * epochs)
+    prior = prior_covariance()
+    weighted = prior @ design.T @ np.linalg.inv(design @ prior @ design.T + np.kron(np.eye(epochs), NOISE))
+    mean = weighted @ values.ravel()
+    covariance = prior - weighted @ design @ prior
+    return mean[-4:], covariance[-4:, -4:]
+
+
+def test_filter_is_batch_least_squares() -> None:
+    for seed in range(10):
+        jacobians, values = measurement_rows(seed)
+        mean, covariance = sequential(jacobians, values)
+        expected_mean, expected_covariance = batch(jacobians, values)
+        np.testing.assert_allclose(mean, expected_mean, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(covariance, expected_covariance, rtol=0, atol=1e-11)
+
+
+def test_constant_measured_often_is_the_weighted_mean() -> None:
+    """Normal equations without a prior to speak of: sigma²/n, and numpy's own least squares."""
+    rng = np.random.default_rng(3)
+    design, true = rng.standard_normal((50, 3)), np.array([1.0, -2.0, 0.5])
+    sigmas = rng.uniform(0.5, 2.0, 50)
+    values = design @ true + sigmas * rng.standard_normal(50)
+    model = StateModel([block("constant", [1e4] * 3, "constant")], ["noise"])
+    mean, parts = np.zeros(3), model.initial_parts()
+    for row, value, sigma in zip(design, values, sigmas, strict=True):
+        measurement = LinearMeasurement(np.array([value - row @ mean]), row[None], np.array([[sigma**2]]), 1)
+        covariance, _ = innovation(parts, measurement)
+        correction, parts = update(parts, measurement, covariance)
+        mean = mean + correction
+    expected, *_ = np.linalg.lstsq(design / sigmas[:, None], values / sigmas)
+    np.testing.assert_allclose(mean, expected, rtol=0, atol=1e-7)
+    normal = design.T @ (design / sigmas[:, None] ** 2)
+    np.testing.assert_allclose(parts.sum(axis=0), np.linalg.inv(normal), rtol=1e-6)
+    # With so wide a prior, all that is left is booked to the noise.
+    assert np.trace(parts[0]) < 1e-6 * np.trace(parts[1])

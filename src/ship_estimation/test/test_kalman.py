@@ -1,0 +1,173 @@
+"""Kalman steps on a covariance in parts, against the textbook filter with one full covariance."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
+from ship_estimation.state import StateModel, block
+
+SOURCES = ["drift", "white", "installation", "star_noise", "reference_noise"]
+
+
+def ship_like_model() -> StateModel:
+    return StateModel(
+        [
+            block("drift", [10.0, 72.0, 10.0], "drift", time_s=[1800.0, 10800.0, 1800.0]),
+            block("white", [1.0, 1.0, 1.0], "white", time_s=0.0),
+            block("installation", [20.0, 1.0, 1.0], "installation", walk=0.01),
+        ],
+        ["star_noise", "reference_noise"],
+    )
+
+
+def random_measurements(model: StateModel, count: int, seed: int) -> Iterator[tuple[float, LinearMeasurement]]:
+    """Steps of time, zero among them, and measurements of 1 to 3 components with correlated noise."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        size = int(rng.integers(1, 4))
+        root = rng.standard_normal((size, size))
+        measurement = LinearMeasurement(
+            residual=rng.standard_normal(size) * 10.0,
+            jacobian=rng.standard_normal((size, model.size)),
+            noise=root @ root.T + 0.5 * np.eye(size),
+            source_index=model.sources.index(str(rng.choice(["star_noise", "reference_noise"]))),
+        )
+        yield float(rng.choice([0.0, 0.2, 5.0, 300.0])), measurement
+
+
+def textbook_update(P: np.ndarray, measurement: LinearMeasurement) -> tuple[np.ndarray, np.ndarray]:
+    """Kalman 1960: K = P H' (H P H' + R)^-1, x = K r, P = (I - K H) P."""
+    H, R = measurement.jacobian, measurement.noise
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    return K @ measurement.residual, (np.eye(len(P)) - K @ H) @ P
+
+
+def information_update(P: np.ndarray, measurement: LinearMeasurement) -> np.ndarray:
+    H, R = measurement.jacobian, measurement.noise
+    return np.linalg.inv(np.linalg.inv(P) + H.T @ np.linalg.inv(R) @ H)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sum_of_parts_is_the_textbook_filter(seed: int) -> None:
+    model = ship_like_model()
+    parts = model.initial_parts()
+    P = parts.sum(axis=0)
+    for dt_s, measurement in random_measurements(model, 60, seed):
+        decay, noise = model.transition(dt_s)
+        parts = predict(parts, decay, model.booked_noise(noise))
+        F = np.diag(decay)
+        P = F @ P @ F.T + np.diag(noise)
+        covariance, nis = innovation(parts, measurement)
+        expected_covariance = measurement.jacobian @ P @ measurement.jacobian.T + measurement.noise
+        np.testing.assert_allclose(covariance, expected_covariance, rtol=0, atol=1e-12 * np.abs(covariance).max())
+        expected_nis = measurement.residual @ np.linalg.inv(expected_covariance) @ measurement.residual
+        assert nis == pytest.approx(expected_nis, rel=1e-9)
+        correction, parts = update(parts, measurement, covariance)
+        expected_correction, P = textbook_update(P, measurement)
+        # 72² is the size of the covariance at the start, and of its rounding.
+        np.testing.assert_allclose(parts.sum(axis=0), P, rtol=0, atol=1e-12 * 72.0**2)
+        np.testing.assert_allclose(correction, expected_correction, rtol=0, atol=1e-11 * 72.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_update_is_that_of_the_information_form(seed: int) -> None:
+    model = ship_like_model()
+    parts = model.initial_parts()
+    _, measurement = next(random_measurements(model, 1, seed))
+    covariance, _ = innovation(parts, measurement)
+    _, updated = update(parts, measurement, covariance)
+    expected = information_update(parts.sum(axis=0), measurement)
+    np.testing.assert_allclose(updated.sum(axis=0), expected, rtol=0, atol=1e-11 * expected.max())
+
+
+def test_every_part_stays_symmetric_and_positive_semidefinite() -> None:
+    model = ship_like_model()
+    parts = model.initial_parts()
+    for dt_s, measurement in random_measurements(model, 400, 7):
+        decay, noise = model.transition(dt_s)
+        parts = predict(parts, decay, model.booked_noise(noise))
+        covariance, _ = innovation(parts, measurement)
+        _, parts = update(parts, measurement, covariance)
+        np.testing.assert_array_equal(parts, parts.transpose(0, 2, 1))
+        for part in parts:
+            eigenvalues = np.linalg.eigvalsh(part)
+            assert eigenvalues[0] >= -1e-12 * max(eigenvalues[-1], 1.0)
+
+
+def test_very_precise_measurement_leaves_a_valid_covariance() -> None:
+    """A noise 1e-14 of the prior's variance, where (I - K H) P alone loses its sign."""
+    model = ship_like_model()
+    parts = model.initial_parts()
+    for axis in (0, 1, 2, 1):
+        jacobian = np.zeros((1, model.size))
+        jacobian[0, axis] = jacobian[0, axis + 3] = 1.0
+        measurement = LinearMeasurement(np.array([1.0]), jacobian, np.array([[5e-11]]), 3)
+        covariance, _ = innovation(parts, measurement)
+        _, parts = update(parts, measurement, covariance)
+        assert np.linalg.eigvalsh(parts.sum(axis=0))[0] > 0.0
+
+
+def test_budget_is_the_variance_that_each_source_alone_causes() -> None:
+    """Drawn errors, all gains equal: the estimate's error is the sum of what each source did to it."""
+    model = ship_like_model()
+    rng = np.random.default_rng(8)
+    draws = 20_000
+    parts = model.initial_parts()
+    rows = model.booked_noise(np.ones(model.size))
+    start_sigma = np.sqrt(np.diagonal(parts, axis1=1, axis2=2))
+    # errors[s] is what the estimate's error would be had source s alone been at work.
+    errors = start_sigma[:, None, :] * rng.standard_normal((len(SOURCES), draws, model.size))
+    for dt_s, measurement in random_measurements(model, 25, 9):
+        decay, noise = model.transition(dt_s)
+        parts = predict(parts, decay, model.booked_noise(noise))
+        driven = np.sqrt(noise) * rng.standard_normal((draws, model.size))
+        errors = decay * errors + rows[:, None, :] * driven
+        covariance, _ = innovation(parts, measurement)
+        H, P = measurement.jacobian, parts.sum(axis=0)
+        K = P @ H.T @ np.linalg.inv(covariance)
+        errors = errors @ (np.eye(model.size) - K @ H).T
+        errors[measurement.source_index] -= rng.multivariate_normal(np.zeros(len(H)), measurement.noise, draws) @ K.T
+        _, parts = update(parts, measurement, covariance)
+    assert model.sources == SOURCES
+    total = np.diagonal(parts.sum(axis=0))
+    for part, error in zip(parts, errors, strict=True):
+        # Five standard errors of a variance.
+        expected, tolerance = np.diagonal(part), 5 * (2 / draws) ** 0.5
+        np.testing.assert_allclose(np.var(error, axis=0), expected, rtol=tolerance, atol=1e-9 * total.max())
+    np.testing.assert_allclose(np.var(errors.sum(axis=0), axis=0), total, rtol=5 * (2 / draws) ** 0.5)
+
+
+def test_useless_measurement_changes_nothing() -> None:
+    model = ship_like_model()
+    parts = model.initial_parts()
+    measurement = LinearMeasurement(np.array([5.0]), np.zeros((1, model.size)), np.eye(1), 3)
+    covariance, nis = innovation(parts, measurement)
+    correction, updated = update(parts, measurement, covariance)
+    assert nis == 25.0
+    np.testing.assert_array_equal(correction, 0.0)
+    np.testing.assert_array_equal(updated, parts)
+
+
+def test_inputs_are_left_as_they_were() -> None:
+    """States are kept and returned to by the time-ordered log: a step must not write into them."""
+    model = ship_like_model()
+    parts = model.initial_parts()
+    _, measurement = next(random_measurements(model, 1, 1))
+    arrays = (parts, measurement.residual, measurement.jacobian, measurement.noise)
+    copies = [a.copy() for a in arrays]
+    covariance, _ = innovation(parts, measurement)
+    covariance_before = covariance.copy()
+    update(parts, measurement, covariance)
+    decay, noise = model.transition(1.0)
+    predict(parts, decay, model.booked_noise(noise))
+    for array, copy in zip((*arrays, covariance), (*copies, covariance_before), strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+def test_impossible_innovation_covariance_is_refused() -> None:
+    model = ship_like_model()
+    measurement = LinearMeasurement(np.zeros(1), np.zeros((1, model.size)), np.array([[-1.0]]), 3)
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        innovation(model.initial_parts(), measurement)

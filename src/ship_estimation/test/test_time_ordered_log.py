@@ -1,0 +1,243 @@
+"""The time-ordered log: whatever the order of arrival, the state is that of the measurements in their own order.
+
+The step of these tests is not associative and rounds, so any difference in order or repetition shows in the state.
+"""
+
+import math
+
+import hypothesis.strategies as st
+import pytest
+from hypothesis import given, settings
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from ship_estimation.time_ordered_log import Key, TimeOrderedLog
+
+# Fixed examples, nothing kept between runs.
+repeatable = settings(derandomize=True, database=None, deadline=None, max_examples=200)
+
+State = tuple[int, float]
+"""Measurements so far, and a number that depends on their order."""
+Decision = tuple[int, float]
+"""Time of the measurement and the state that it met."""
+Log = TimeOrderedLog[State, tuple[int, float], Decision]
+
+START: State = (0, 0.1)
+
+keys = st.tuples(st.integers(0, 40), st.sampled_from(["ins", "star.abeam", "star.fore"]))
+values = st.floats(-1.0, 1.0, allow_nan=False)
+measurements = st.dictionaries(keys, values, min_size=1, max_size=25)
+
+
+def step(state: State, measurement: tuple[int, float]) -> tuple[State, Decision]:
+    time_ns, value = measurement
+    return (state[0] + 1, math.cos(1.7 * state[1]) + value / 3.0), (time_ns, state[1])
+
+
+def in_own_order(known: dict[Key, float], start: State = START) -> tuple[State, list[Decision]]:
+    state, decisions = start, []
+    for key in sorted(known):
+        state, decision = step(state, (key[0], known[key]))
+        decisions.append(decision)
+    return state, decisions
+
+
+def insert(log: Log, key: Key, value: float) -> None:
+    log.insert(key, (key[0], value))
+
+
+@repeatable
+@given(known=measurements, data=st.data())
+def test_any_order_of_arrival_any_pauses_give_the_same_state_and_last_decisions(
+    known: dict[Key, float], data: st.DataObject
+) -> None:
+    log = Log(START)
+    latest: list[Decision] = []
+    for key in data.draw(st.permutations(sorted(known))):
+        insert(log, key, known[key])
+        if data.draw(st.booleans()):
+            for decision, previous in log.apply(step):
+                if previous is not None:
+                    latest.remove(previous)
+                latest.append(decision)
+    for decision, previous in log.apply(step):
+        if previous is not None:
+            latest.remove(previous)
+        latest.append(decision)
+    state, decisions = in_own_order(known)
+    assert log.state == state
+    assert sorted(latest) == sorted(decisions)
+    assert log.waiting == 0
+
+
+@repeatable
+@given(known=measurements, data=st.data())
+def test_measurement_that_comes_again_replaces_the_first(known: dict[Key, float], data: st.DataObject) -> None:
+    log = Log(START)
+    for key, value in known.items():
+        insert(log, key, value)
+    log.apply(step)
+    key = data.draw(st.sampled_from(sorted(known)))
+    insert(log, key, 0.123)
+    assert log.get(key) == (key[0], 0.123)
+    assert log.waiting == sum(other >= key for other in known)
+    replaced = log.apply(step)
+    assert all(previous is not None for _, previous in replaced)
+    assert log.state == in_own_order({**known, key: 0.123})[0]
+
+
+@repeatable
+@given(known=measurements, ready_ns=st.lists(st.integers(0, 45), max_size=6))
+def test_measurements_wait_for_their_data(known: dict[Key, float], ready_ns: list[int]) -> None:
+    log = Log(START)
+    for key, value in known.items():
+        insert(log, key, value)
+    reached = 0
+    for limit_ns in ready_ns:
+        reached = max(reached, limit_ns)
+        log.apply(lambda state, m, limit_ns=limit_ns: step(state, m) if m[0] < limit_ns else None)
+        before = {key: value for key, value in known.items() if key[0] < reached}
+        assert log.state == in_own_order(before)[0]
+        assert log.waiting == len(known) - len(before)
+
+
+@repeatable
+@given(known=measurements, since_ns=st.integers(0, 45))
+def test_rewinding_applies_again_from_the_first_affected(known: dict[Key, float], since_ns: int) -> None:
+    """What the step depends on besides its measurements, the INS's samples, was other up to now."""
+    log = Log(START)
+    for key, value in known.items():
+        insert(log, key, value)
+    log.apply(lambda state, m: step(state, (m[0], m[1] + (0.5 if m[0] > since_ns else 0.0))))
+    log.rewind_where(lambda decision: decision[0] > since_ns)
+    again = log.apply(step)
+    assert len(again) == sum(key[0] > since_ns for key in known)
+    assert all(previous is not None for _, previous in again)
+    assert log.state == in_own_order(known)[0]
+
+
+@repeatable
+@given(known=measurements, late=measurements, oldest_ns=st.integers(0, 45))
+def test_forgotten_measurements_stay_in_the_state_and_later_ones_can_still_be_late(
+    known: dict[Key, float], late: dict[Key, float], oldest_ns: int
+) -> None:
+    log = Log(START)
+    for key, value in known.items():
+        insert(log, key, value)
+    log.apply(step)
+    log.forget_before(oldest_ns)
+    assert log.state == in_own_order(known)[0]
+    forgotten = {key: value for key, value in known.items() if key[0] < oldest_ns}
+    assert all(log.get(key) is None for key in forgotten)
+    within = {key: value for key, value in late.items() if key[0] >= oldest_ns}
+    for key, value in within.items():
+        insert(log, key, value)
+    log.apply(step)
+    kept = {key: value for key, value in known.items() if key not in forgotten}
+    assert log.state == in_own_order({**kept, **within}, in_own_order(forgotten)[0])[0]
+
+
+@repeatable
+@given(known=measurements, oldest_ns=st.integers(0, 45))
+def test_what_still_waits_is_not_forgotten(known: dict[Key, float], oldest_ns: int) -> None:
+    log = Log(START)
+    for key, value in known.items():
+        insert(log, key, value)
+    log.forget_before(oldest_ns)
+    assert log.waiting == len(known)
+    log.apply(step)
+    assert log.state == in_own_order(known)[0]
+
+
+def test_decisions_are_told_with_what_they_replace() -> None:
+    log = Log(START)
+    insert(log, (2, "b"), 0.5)
+    assert log.apply(step) == [((2, 0.1), None)]
+    assert log.apply(step) == []
+    insert(log, (1, "a"), -0.5)
+    state_1, _ = step(START, (1, -0.5))
+    assert log.apply(step) == [((1, 0.1), None), ((2, state_1[1]), (2, 0.1))]
+
+
+def test_tie_breaker_orders_measurements_of_one_moment() -> None:
+    forth, back = Log(START), Log(START)
+    for log, order in ((forth, ("a", "b", "c")), (back, ("c", "b", "a"))):
+        for name in order:
+            insert(log, (5, name), float(ord(name)))
+            log.apply(step)
+    assert forth.state == back.state
+    assert forth.get((5, "b")) == (5, 98.0)
+    assert forth.get((5, "d")) is None
+    assert forth.get((4, "a")) is None
+
+
+def test_failing_step_leaves_the_log_as_it_was() -> None:
+    """A callback's exception is caught by the node: what was applied stays, the rest waits."""
+    log = Log(START)
+    insert(log, (1, "a"), 0.1)
+    insert(log, (2, "a"), 0.2)
+
+    def failing(state: State, measurement: tuple[int, float]) -> tuple[State, Decision]:
+        if measurement[0] == 2:
+            raise ArithmeticError("singular")
+        return step(state, measurement)
+
+    with pytest.raises(ArithmeticError, match="singular"):
+        log.apply(failing)
+    assert log.waiting == 1
+    assert log.state == in_own_order({(1, "a"): 0.1})[0]
+    log.apply(step)
+    assert log.state == in_own_order({(1, "a"): 0.1, (2, "a"): 0.2})[0]
+
+
+class LogAgainstSorting(RuleBasedStateMachine):
+    """Any mixture of arrivals, replacements, rewinds, applications and forgetting, against sorting everything."""
+
+    @initialize()
+    def start(self) -> None:
+        self.log = Log(START)
+        self.known: dict[Key, float] = {}
+        self.bias: dict[int, float] = {}
+        self.base, self.closed_ns = START, 0
+
+    def biased_step(self, state: State, measurement: tuple[int, float]) -> tuple[State, Decision]:
+        time_ns, value = measurement
+        return step(state, (time_ns, value + self.bias.get(time_ns, 0.0)))
+
+    def expected(self) -> State:
+        biased = {key: value + self.bias.get(key[0], 0.0) for key, value in self.known.items()}
+        return in_own_order(biased, self.base)[0]
+
+    @rule(key=keys, value=values)
+    def arrives(self, key: Key, value: float) -> None:
+        if key[0] >= self.closed_ns:
+            self.known[key] = value
+            insert(self.log, key, value)
+
+    @rule(time_ns=st.integers(0, 40), value=values)
+    def data_behind_a_moment_changes(self, time_ns: int, value: float) -> None:
+        if time_ns >= self.closed_ns:
+            self.bias[time_ns] = value
+            self.log.rewind_where(lambda decision: decision[0] == time_ns)
+
+    @rule()
+    def applied(self) -> None:
+        self.log.apply(self.biased_step)
+        assert self.log.waiting == 0
+        assert self.log.state == self.expected()
+
+    @precondition(lambda self: self.log.waiting == 0)
+    @rule(oldest_ns=st.integers(0, 40))
+    def window_closes(self, oldest_ns: int) -> None:
+        self.log.forget_before(oldest_ns)
+        old = {key: value + self.bias.get(key[0], 0.0) for key, value in self.known.items() if key[0] < oldest_ns}
+        self.base = in_own_order(old, self.base)[0]
+        self.known = {key: value for key, value in self.known.items() if key not in old}
+        self.closed_ns = max(self.closed_ns, oldest_ns)
+
+    @invariant()
+    def measurements_are_found(self) -> None:
+        assert all(self.log.get(key) == (key[0], value) for key, value in self.known.items())
+
+
+TestLogAgainstSorting = LogAgainstSorting.TestCase
+TestLogAgainstSorting.settings = settings(repeatable, max_examples=100, stateful_step_count=30)
