@@ -142,14 +142,14 @@ class ShipAttitudeCore:
         if self._is_latest(measurement):
             self._latest[measurement.source] = measurement
         self._advance(measurement.time_ns, outcome)
-        if self._ins_silent(measurement.time_ns) and self.filter.devices[measurement.source].is_star:
+        if self._ins_silent(measurement.time_ns) and self._may_carry(measurement.source):
             self._estimate_from_star(measurement, outcome)
         return outcome
 
     def tick(self, now_ns: int) -> Outcome:
         """The time now: says INVALID, once a second, when nothing carries an attitude any more."""
         outcome = Outcome()
-        stars_ns = [m.time_ns for m in self._latest.values() if self.filter.devices[m.source].is_star]
+        stars_ns = [m.time_ns for source, m in self._latest.items() if self._may_carry(source)]
         star_carries = bool(stars_ns) and now_ns - max(stars_ns) <= _SECOND_NS
         due = now_ns - self._last_output_ns >= _SECOND_NS
         if self._ins_silent(now_ns) and not star_carries and due:
@@ -250,6 +250,11 @@ class ShipAttitudeCore:
     def _ins_silent(self, now_ns: int) -> bool:
         newest = self._track.newest
         return newest is None or now_ns - newest.time_ns > self._silence_ns
+
+    def _may_carry(self, source: str) -> bool:
+        """Star sensors may carry the attitude alone, unless they were in conflict with the INS to the last."""
+        in_conflict = self.state.refusals.get(source, 0) >= self.config.gate.conflict_after
+        return self.filter.devices[source].is_star and not in_conflict
 
     def _estimate_from_ins(self, time_ns: int) -> AttitudeEstimate:
         state = self._log.state

@@ -48,7 +48,7 @@ class Arrival:
 
     @property
     def stamp_ns(self) -> int:
-        return ns_from_stamp(self.message.header.stamp)
+        return stamp_of(self.message)
 
 
 @dataclass
@@ -197,6 +197,10 @@ def vector_message(vector: FloatArray) -> Any:
 
 def in_order(arrivals: Iterable[Arrival]) -> tuple[Arrival, ...]:
     return tuple(sorted(arrivals, key=lambda arrival: arrival.receive_ns))
+
+
+def stamp_of(message: Any) -> int:
+    return ns_from_stamp(message.header.stamp)
 
 
 def index_at(arrivals: tuple[Arrival, ...], topic: str, since_s: float) -> int:

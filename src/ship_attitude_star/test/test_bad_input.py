@@ -22,6 +22,7 @@ from small_voyage import (
     index_at,
     new_adapter,
     replaced,
+    stamp_of,
     voyage,
     without,
 )
@@ -64,8 +65,8 @@ def stamp_ahead(seconds: float) -> Change:
     """Stamps beyond the moment of arrival, which is 5 ms (INS) or 120 ms (star) after the true stamp."""
 
     def change(message: Any) -> None:
-        ns = message.header.stamp.sec * SECOND_NS + message.header.stamp.nanosec + round(seconds * SECOND_NS)
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, SECOND_NS)
+        later_ns = stamp_of(message) + round(seconds * SECOND_NS)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(later_ns, SECOND_NS)
 
     return change
 
@@ -391,8 +392,3 @@ def test_a_ship_at_rest_is_not_stuck() -> None:
 
     run = drive(new_adapter(), changed_where([a for a in voyage() if a.topic == INS], lambda a: True, rest))
     assert run.reasons(INS) == {}
-
-
-def stamp_of(message: Any) -> int:
-    stamp = message.header.stamp
-    return stamp.sec * SECOND_NS + stamp.nanosec
