@@ -1,0 +1,366 @@
+"""What the node claims, and how far it can be relied on, while inputs come and go and clocks jump."""
+
+import functools
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Quaternion
+from scipy.spatial.transform import Rotation
+from small_voyage import (
+    FORE,
+    INS,
+    SECOND_NS,
+    STARBOARD,
+    START_NS,
+    Arrival,
+    Run,
+    attitude,
+    changed_where,
+    clean_run,
+    drive,
+    new_adapter,
+    quaternion_message,
+    stamp_of,
+    voyage,
+)
+
+from ship_attitude_star.samples import Horizon, Reason, Status
+from ship_geometry.frames import angles_from_rotation
+from ship_geometry.ros_axes import FRD_FROM_DEVICE, NED_FROM_HORIZON, rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation, wrap_pi
+from ship_msgs.msg import Innovation, ShipAttitude
+
+
+def cut(arrivals: tuple[Arrival, ...], from_s: float, until_s: float, *topics: str) -> tuple[Arrival, ...]:
+    """Without what these topics carry with stamps in [from_s, until_s)."""
+    from_ns, until_ns = (START_NS + round(s * SECOND_NS) for s in (from_s, until_s))
+    return tuple(a for a in arrivals if a.topic not in topics or not from_ns <= a.stamp_ns < until_ns)
+
+
+def outputs(run: Run, from_s: float = -1.0, until_s: float = 1e6) -> list[Any]:
+    """The attitudes published for [from_s, until_s)."""
+    return [m for m in run.messages("ship/attitude") if from_s <= since_start_s(m) < until_s]
+
+
+def since_start_s(message: Any) -> float:
+    return (stamp_of(message) - START_NS) * 1e-9
+
+
+def rotation_of(message: Any) -> np.ndarray:
+    q = message.orientation
+    return rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
+
+
+def assert_honest(message: Any, heading_deg: float = 34.4) -> None:
+    """The attitude is the true one within five of its own sigmas, each axis."""
+    true_nd = attitude(since_start_s(message), heading_deg)
+    error_n = log_rotation(true_nd @ rotation_of(message).T)
+    variance_enu = np.diagonal(np.reshape(message.rotation_covariance, (3, 3)))
+    sigma_n = np.sqrt(variance_enu[[1, 2, 0]])
+    assert np.all(np.abs(error_n) < 5.0 * sigma_n), (error_n / ARCSEC, sigma_n / ARCSEC)
+
+
+def assert_strictly_increasing(run: Run) -> None:
+    stamps = [stamp_of(m) for m in run.messages("ship/attitude")]
+    assert all(earlier < later for earlier, later in pairwise(stamps))
+
+
+@pytest.mark.parametrize(
+    ("enum", "message", "others"),
+    [(Reason, Innovation, ()), (Status, ShipAttitude, Horizon), (Horizon, ShipAttitude, Status)],
+)
+def test_the_numbers_are_those_of_the_messages(enum: Any, message: Any, others: Any) -> None:
+    constants = {name: getattr(message, name) for name in dir(message) if name.isupper()}
+    del constants["SLOT_TYPES"]
+    for other in others:
+        del constants[other.name]
+    assert {member.name: member.value for member in enum} == constants
+
+
+def test_before_the_first_star_the_ins_passes_through() -> None:
+    first = outputs(clean_run(), until_s=0.013)
+    ins = next(a.message for a in voyage() if a.topic == INS)
+    assert len(first) == 1
+    assert (first[0].status, first[0].horizon) == (Status.DEGRADED, Horizon.GRAVITY)
+    assert first[0].sources == ["ins"]
+    assert np.isnan(first[0].star_age_s)
+    turn = log_rotation(rotation_of(ins).T @ rotation_of(first[0]))
+    assert np.allclose(turn, 0.0, atol=1e-15)
+    assert_honest(first[0])
+    early = clean_run().diagnostics("attitude", START_NS, START_NS + SECOND_NS)
+    assert early[0] == (1, "DEGRADED: INS alone, no star yet")
+
+
+def test_with_stars_the_attitude_is_valid_and_right() -> None:
+    run = clean_run()
+    assert_strictly_increasing(run)
+    assert len(outputs(run)) == sum(a.topic == INS for a in voyage())
+    for message in outputs(run, from_s=0.5):
+        assert (message.status, message.horizon) == (Status.VALID, Horizon.GEODETIC)
+        assert message.sources == ["ins", "star.fore", "star.starboard"]
+        assert 0.0 <= message.star_age_s < 0.4
+        assert_honest(message)
+    last = outputs(run)[-1]
+    sigma_arcsec = np.sqrt(np.reshape(last.covariance, (3, 3)).diagonal()) / ARCSEC
+    # One of 24 measurements each: a few arcseconds in place of 72" in heading.
+    assert np.all(sigma_arcsec < 3.0)
+    assert run.diagnostics("attitude", START_NS + 3 * SECOND_NS, run.now_ns)[-1] == (0, "VALID: INS and stars")
+
+
+def test_angles_quaternion_and_imu_are_one_attitude() -> None:
+    run = clean_run()
+    imus = {stamp_of(m): m for m in run.messages("ship/imu")}
+    for message in outputs(run):
+        angles = angles_from_rotation(rotation_of(message))
+        assert np.allclose(wrap_pi(angles - [message.heading, message.pitch, message.roll]), 0.0, atol=1e-14)
+        imu = imus[stamp_of(message)]
+        assert imu.orientation == message.orientation
+        assert np.array_equal(imu.orientation_covariance, message.rotation_covariance)
+
+
+def test_the_error_budget_is_the_covariance() -> None:
+    run = clean_run()
+    attitudes = {stamp_of(m): m for m in outputs(run)}
+    budgets = run.messages("ship/error_budget")
+    assert len(budgets) >= 4
+    for budget in budgets:
+        parts = np.reshape(budget.covariances, (len(budget.sources), 9))
+        total = attitudes[stamp_of(budget)].rotation_covariance
+        scale = np.max(np.abs(total))
+        assert np.allclose(parts.sum(axis=0), total, rtol=1e-9, atol=1e-9 * scale)
+        assert np.allclose(budget.total, total, rtol=1e-9, atol=1e-9 * scale)
+        for part in parts.reshape(-1, 3, 3):
+            assert np.linalg.eigvalsh(part)[0] > -1e-9 * scale
+
+
+def test_without_stars_the_ins_coasts_with_growing_covariance() -> None:
+    run = drive(new_adapter(), cut(voyage(9.0), 3.0, 9.0, FORE, STARBOARD))
+    coasting = outputs(run, from_s=5.0)
+    assert len(coasting) == 100
+    assert {(m.status, m.horizon) for m in coasting} == {(Status.COASTING, Horizon.GEODETIC)}
+    assert {m.status for m in outputs(run, 3.0, 4.8)} == {Status.VALID}
+    assert coasting[-1].sources == ["ins"]
+    assert coasting[-1].star_age_s == pytest.approx(8.96 - 2.877, abs=1e-6)
+    traces = [np.reshape(m.rotation_covariance, (3, 3)).trace() for m in outputs(run, from_s=3.0)]
+    assert traces[-1] > traces[-25] > traces[0]
+    for message in coasting:
+        assert_honest(message)
+    level, text = run.diagnostics("attitude", START_NS + 6 * SECOND_NS, run.now_ns)[-1]
+    assert (level, text.split(":")[0]) == (1, "COASTING")
+
+
+@functools.cache
+def run_without_ins_for_four_seconds() -> Run:
+    return drive(new_adapter(), cut(voyage(10.0), 3.0, 7.0, INS))
+
+
+def test_a_silent_ins_is_told_after_three_periods() -> None:
+    run = run_without_ins_for_four_seconds()
+    last_ns = START_NS + 2_960_000_000
+    reports = run.diagnostics(f"input {INS}", last_ns + 3 * 40_000_000, last_ns + 1_100_000_000)
+    assert any(level >= 1 and "silent" in text for level, text in reports)
+    assert any(
+        level == 2 and "silent" in text
+        for level, text in run.diagnostics(f"input {INS}", last_ns + SECOND_NS, last_ns + 2_100_000_000)
+    )
+
+
+def test_with_the_ins_gone_for_a_second_the_stars_carry_the_attitude_at_their_rate() -> None:
+    run = run_without_ins_for_four_seconds()
+    assert outputs(run, 2.97, 3.96) == []  # never a frozen value
+    alone = outputs(run, 3.96, 7.0)
+    stamps = [a.stamp_ns for a in voyage(10.0) if a.topic in (FORE, STARBOARD)]
+    assert [stamp_of(m) for m in alone] == sorted(ns for ns in stamps if 3.96 <= (ns - START_NS) * 1e-9 < 7.0)
+    for message in alone:
+        assert (message.status, message.horizon) == (Status.DEGRADED, Horizon.GEODETIC)
+        assert len(message.sources) == 1
+        assert message.sources[0].startswith("star.")
+        assert np.isnan(message.angular_velocity.x)
+        assert_honest(message)
+    level, text = run.diagnostics("attitude", START_NS + 5 * SECOND_NS, START_NS + 7 * SECOND_NS)[-1]
+    assert (level, text) == (1, "DEGRADED: INS gone, stars alone")
+
+
+def test_when_the_ins_comes_back_all_is_as_before() -> None:
+    run = run_without_ins_for_four_seconds()
+    back = outputs(run, from_s=7.5)
+    assert {m.status for m in back} == {Status.VALID}
+    assert back[-1].sources == ["ins", "star.fore", "star.starboard"]
+    for message in outputs(run, from_s=7.0):
+        assert_honest(message)
+    assert_strictly_increasing(run)
+    # Stars of the silence could not be compared: refused with a reason, none is left waiting.
+    in_gap = [m for m in run.messages("ship/innovation") if 3.0 <= since_start_s(m) < 6.9]
+    assert {m.reason for m in in_gap} == {Reason.GAP}
+    assert run.health(FORE).received == run.health(FORE).accepted + run.health(FORE).rejected
+    assert run.reasons(FORE) == {"gap": 20}
+
+
+def test_with_all_gone_no_attitude_is_claimed_until_they_are_back() -> None:
+    run = drive(new_adapter(), cut(voyage(10.0), 3.0, 8.0, INS, FORE, STARBOARD))
+    silent = outputs(run, 2.961, 8.0)
+    assert {m.status for m in silent} == {Status.INVALID}
+    assert 1.0 < since_start_s(silent[0]) - 2.96 <= 1.1  # the last INS sample is of 2.96 s
+    intervals = np.diff([since_start_s(m) for m in silent])
+    assert np.all(intervals <= 1.1)
+    for message in silent:
+        assert_claims_nothing(message)
+    imus = [m for m in run.messages("ship/imu") if 2.961 <= since_start_s(m) < 8.0]
+    assert imus == []
+    level, text = run.diagnostics("attitude", START_NS + 5 * SECOND_NS, START_NS + 8 * SECOND_NS)[-1]
+    assert (level, text.split(":")[0]) == (2, "INVALID")
+    assert {m.status for m in outputs(run, from_s=8.5)} == {Status.VALID}
+    assert_honest(outputs(run)[-1])
+    assert_strictly_increasing(run)
+
+
+def assert_claims_nothing(message: Any) -> None:
+    q, rate = message.orientation, message.angular_velocity
+    numbers = [message.heading, message.pitch, message.roll, q.x, q.y, q.z, q.w, rate.x, rate.y, rate.z]
+    assert np.all(np.isnan([*numbers, *message.covariance, *message.rotation_covariance]))
+    assert list(message.sources) == []
+
+
+def test_when_the_last_star_goes_too_it_is_told_within_a_second() -> None:
+    arrivals = cut(cut(voyage(8.0), 3.0, 8.0, INS), 5.0, 8.0, FORE, STARBOARD)
+    run = drive(new_adapter(), arrivals, until_ns=START_NS + 8 * SECOND_NS)
+    carried = [m for m in outputs(run) if m.status == Status.DEGRADED]
+    first_invalid = next(m for m in outputs(run) if m.status == Status.INVALID)
+    assert since_start_s(carried[-1]) == pytest.approx(4.877)
+    assert 1.0 < since_start_s(first_invalid) - 4.877 <= 1.1
+    assert_strictly_increasing(run)
+
+
+def test_stars_alone_from_the_start_carry_the_attitude() -> None:
+    run = drive(new_adapter(), cut(voyage(), 0.0, 5.0, INS))
+    carried = [m for m in outputs(run) if m.status != Status.INVALID]
+    assert {m.status for m in carried} == {Status.DEGRADED}
+    assert len(carried) == sum(a.topic != INS for a in voyage())
+    for message in carried:
+        assert_honest(message)
+
+
+def test_nothing_at_all_is_invalid_not_silent() -> None:
+    run = Run(new_adapter())
+    for now_ns in range(START_NS, START_NS + 6 * SECOND_NS, SECOND_NS // 10):
+        run.published += [(now_ns, *item) for item in run.adapter.tick(now_ns)]
+    assert {m.status for m in outputs(run)} == {Status.INVALID}
+    assert run.diagnostics(f"input {INS}", START_NS, START_NS + 6 * SECOND_NS)[-1][0] == 2
+
+
+# -- clocks -------------------------------------------------------------------------------------------------
+
+
+def test_a_clock_that_jumps_back_resets_once_and_cleanly() -> None:
+    adapter = drive(new_adapter(), voyage()).adapter
+    assert adapter.clock_jumped_back(START_NS) == []
+    again = drive(adapter, voyage())
+    assert again.results() == clean_run().results()
+    assert again.state() == clean_run().state()
+    assert again.health(INS).received == 2 * clean_run().health(INS).received  # counts stay
+    (values,) = {
+        tuple((v.key, v.value) for v in status.values if v.key == "clock jumps back")
+        for report in again.messages("/diagnostics")
+        for status in report.status
+        if status.name == "ship_attitude: attitude"
+    }
+    assert values == (("clock jumps back", "1"),)
+
+
+def test_a_reset_starts_anew_without_going_back_in_time() -> None:
+    adapter = drive(new_adapter(), voyage()).adapter
+    assert adapter.service("reset", START_NS + 5 * SECOND_NS).success
+    assert adapter.core.state.time_ns is None
+    again = drive(adapter, voyage(8.0)[len(voyage()) :])
+    assert since_start_s(outputs(again)[0]) >= 5.0
+    assert outputs(again)[0].status == Status.DEGRADED
+    assert outputs(again)[-1].status == Status.VALID
+
+
+# -- conflicts ----------------------------------------------------------------------------------------------
+
+
+def as_ned_frd(message: Any) -> None:
+    """What a driver gives that was told to speak NED <- FRD: its yaw is the heading itself."""
+    rotation_nd = rotation_of(message)
+    x, y, z, w = Rotation.from_matrix(NED_FROM_HORIZON @ rotation_nd @ FRD_FROM_DEVICE.T).as_quat().tolist()
+    message.orientation = Quaternion(x=x, y=y, z=z, w=w)
+    rate = message.angular_velocity
+    rate.y, rate.z = -rate.y, -rate.z
+
+
+@pytest.mark.parametrize(("heading_deg", "off_deg"), [(1.0, 90), (91.0, 90), (181.0, 90), (136.0, 180), (314.0, 180)])
+def test_heading_given_as_yaw_is_a_conflict_with_a_hint(heading_deg: float, off_deg: int) -> None:
+    """ENU yaw = 90° - heading; a driver that gives the heading itself is off by 90° - 2 heading."""
+    arrivals = changed_where(voyage(4.0, heading_deg), lambda a: a.topic == INS, as_ned_frd)
+    run = drive(new_adapter(), arrivals)
+    conflicts = run.innovations(Reason.ATTITUDE_CONFLICT)
+    assert {m.source for m in conflicts} == {"star.fore", "star.starboard"}
+    assert all(f"about {off_deg}° in heading" in m.reason_text for m in conflicts)
+    assert "ins." in conflicts[0].reason_text
+    assert run.health(FORE).accepted == 0
+    # Ten refusals of a sensor at 5 Hz take two seconds.
+    raised_ns = stamp_of(conflicts[0]) + 120_000_000
+    assert since_start_s(conflicts[0]) == pytest.approx(1.813)
+    reports = run.diagnostics("conflict star.fore", raised_ns, raised_ns + 1_100_000_000)
+    assert any(level == 2 and f"{off_deg}°" in text for level, text in reports)
+
+
+def test_the_same_data_with_the_right_convention_are_the_same_attitude() -> None:
+    run = drive(new_adapter(ins__convention="ned_frd"), changed_where(voyage(), lambda a: a.topic == INS, as_ned_frd))
+    for one, other in zip(outputs(run), outputs(clean_run()), strict=True):
+        assert np.allclose(rotation_of(one), rotation_of(other), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"star_sensors__fore__azimuth_deg": 90.0}, "about 90° in heading"),
+        ({"star_sensors__fore__azimuth_deg": 180.0}, "about 180° in heading"),
+        ({"star_sensors__fore__azimuth_deg": 30.0}, "disagree"),
+    ],
+)
+def test_a_sensor_at_another_azimuth_is_the_only_one_in_conflict(changes: dict[str, Any], text: str) -> None:
+    run = drive(new_adapter(**changes), voyage())
+    conflicts = run.innovations(Reason.ATTITUDE_CONFLICT)
+    assert {m.source for m in conflicts} == {"star.fore"}
+    assert all(text in m.reason_text for m in conflicts)
+    assert ("in heading" in conflicts[0].reason_text) == ("heading" in text)
+    # The other sensor rules, as if this one were not there.
+    assert outputs(run)[-1].sources == ["ins", "star.starboard"]
+    assert_honest(outputs(run)[-1])
+
+
+def heading_off(message: Any) -> None:
+    """0.5° in heading: 25 times the sigma that the INS is given."""
+    message.orientation = quaternion_message(exp_rotation(np.array([0.0, np.deg2rad(0.5), 0.0])) @ rotation_of(message))
+
+
+def test_a_conflict_holds_the_estimate_unless_configured() -> None:
+    arrivals = changed_where(voyage(), lambda a: a.topic == INS, heading_off)
+    run = drive(new_adapter(), arrivals)
+    assert run.health(FORE).accepted == 0
+    assert {m.status for m in outputs(run)} == {Status.DEGRADED}
+    assert run.diagnostics("conflict star.fore", run.now_ns - SECOND_NS, run.now_ns)[-1][0] == 2
+
+
+def test_a_gate_that_may_reopen_lets_the_stars_in_again() -> None:
+    arrivals = changed_where(voyage(8.0), lambda a: a.topic == INS, heading_off)
+    run = drive(new_adapter(gate__reopen_after=10), arrivals)
+    reopened = [m for m in run.messages("ship/innovation") if "re-opened" in m.reason_text]
+    assert 1 <= len(reopened) <= 4
+    assert outputs(run)[-1].status == Status.VALID
+    assert_honest(outputs(run)[-1])
+    assert run.diagnostics("conflict star.fore", run.now_ns - SECOND_NS, run.now_ns) == []  # and it is over
+
+
+def test_a_star_in_conflict_does_not_carry_the_attitude_when_the_ins_goes() -> None:
+    """Sensor fore is bolted at another azimuth than configured; with the INS gone only starboard may speak."""
+    run = drive(new_adapter(star_sensors__fore__azimuth_deg=30.0), cut(voyage(6.0), 3.0, 6.0, INS))
+    alone = outputs(run, from_s=3.96)
+    assert {tuple(m.sources) for m in alone} == {("star.starboard",)}
+    both_gone = cut(cut(voyage(6.0), 3.0, 6.0, INS), 3.0, 6.0, STARBOARD)
+    run = drive(new_adapter(star_sensors__fore__azimuth_deg=30.0), both_gone)
+    assert {m.status for m in outputs(run, from_s=2.961)} == {Status.INVALID}
