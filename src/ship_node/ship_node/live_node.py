@@ -25,6 +25,7 @@ from std_srvs.srv import Trigger
 
 from ship_estimation.parameters import ParameterError
 from ship_node.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
+from ship_node.clock_queue import queue_clock
 from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level, Status, diagnostic_array
 from ship_node.errors import BadInput
 from ship_node.guard import Guard
@@ -63,6 +64,7 @@ class LiveNode:
 
     def __init__(self, adapter_class: type[Adapter], context: Context, parameter_files: tuple[Path, ...] = ()) -> None:
         self.node = Node(adapter_class.node_name, context=context)
+        queue_clock(self.node)
         self._context = context
         self._factory = RosidlFactory()
         self._guard = Guard(self.node.get_logger(), time.monotonic_ns)

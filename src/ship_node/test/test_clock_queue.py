@@ -1,0 +1,62 @@
+"""A node that is behind sees the time that belongs to each message, not the newest."""
+
+import time
+
+import pytest
+import rclpy
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Int32
+
+from ship_node.clock_queue import CLOCK_DEPTH, queue_clock
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+COUNT = 200
+
+
+@pytest.fixture
+def context(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=100)
+    yield context
+    rclpy.shutdown(context=context)
+
+
+def test_each_message_is_handled_at_its_own_time(context):
+    sim_time = [Parameter("use_sim_time", value=True)]
+    node = rclpy.create_node("behind", context=context, parameter_overrides=sim_time)
+    queue_clock(node)
+    seen = {}
+    node.create_subscription(
+        Int32, "data", lambda m: seen.update({m.data: node.get_clock().now().nanoseconds}), CLOCK_DEPTH
+    )
+    executor = EventsExecutor(context=context)
+    executor.add_node(node)
+    clock = node.create_publisher(Clock, "/clock", CLOCK_DEPTH)
+    data = node.create_publisher(Int32, "data", CLOCK_DEPTH)
+
+    def publish(number):
+        message = Clock()
+        message.clock.sec = number
+        clock.publish(message)
+        data.publish(Int32(data=number))
+
+    deadline_s = time.monotonic() + 10
+    while 0 not in seen and time.monotonic() < deadline_s:
+        # Until everything is connected.
+        publish(0)
+        executor.spin_once(0.01)
+    # All of it waits before the node takes the first; within a process DDS keeps the order between topics.
+    for number in range(1, COUNT + 1):
+        publish(number)
+    while COUNT not in seen and time.monotonic() < deadline_s:
+        executor.spin_once(0.01)
+    assert seen == {number: number * 10**9 for number in range(COUNT + 1)}
+
+
+def test_wall_time_stays_as_it_is(context):
+    node = rclpy.create_node("wall", context=context)
+    queue_clock(node)
+    assert node.count_subscribers("/clock") == 0
