@@ -67,11 +67,11 @@ def attitude_errors(
         time_ns: stamps, shape (n,).
         estimate_nd: horizon from deck, shape (n, 3, 3).
         truth_nd: horizon from deck, shape (n, 3, 3).
-        covariance_n: of the rotation vector (North, Up, East), rad², shape (n, 3, 3); NaN where unknown.
+        covariance_n: of the rotation vector (North, Up, East), rad², shape (n, 3, 3); NaN or zero where unknown.
     """
     angles, true_angles = angles_from_rotation(estimate_nd), angles_from_rotation(truth_nd)
     vector_n = log_rotation(truth_nd @ np.swapaxes(estimate_nd, -1, -2))
-    known = np.all(np.isfinite(covariance_n), axis=(-2, -1))
+    known = _is_covariance(covariance_n)
     variances = np.full((len(time_ns), 3), np.nan)
     nees = np.full(len(time_ns), np.nan)
     if np.any(known):
@@ -79,6 +79,13 @@ def attitude_errors(
         variances[known] = np.diagonal(covariance_angles, axis1=-2, axis2=-1)
         nees[known] = normalized_error_squared(vector_n[known], covariance_n[known])
     return AttitudeErrors(label, time_ns, wrap_pi(angles - true_angles) / ARCSEC, np.sqrt(variances) / ARCSEC, nees)
+
+
+def _is_covariance(matrices: FloatArray) -> np.ndarray:
+    """Which of the matrices, shape (n, 3, 3), are finite and positive definite; shape (n,)."""
+    finite = np.all(np.isfinite(matrices), axis=(-2, -1))
+    eigenvalues = np.linalg.eigvalsh(np.where(finite[:, None, None], matrices, 0.0))
+    return finite & (eigenvalues[:, 0] > 0.0)
 
 
 def _root_mean_square(values: FloatArray) -> float:

@@ -97,7 +97,7 @@ class FusedAttitude(AttitudeSource):
                 stamp_ns,
                 rotation_from_angles(message.heading, message.pitch, message.roll),
                 truth_nd,
-                horizon_covariance(message.rotation_covariance.reshape(3, 3)),
+                _total_covariance_n(message, message.heading, message.pitch),
             )
 
 
@@ -147,10 +147,16 @@ class StarAttitude(AttitudeSource):
             return
         rotation_nv = rotation_from_angles(*angles)
         installation_n = rotation_nv @ self._installation_covariance_v @ rotation_nv.T
-        own_n = horizon_covariance(message.rotation_covariance.reshape(3, 3))
-        if not own_n.any():
-            own_n = rotation_vector_covariance(message.covariance.reshape(3, 3), message.azimuth, message.elevation)
+        own_n = _total_covariance_n(message, message.azimuth, message.elevation)
         self._keep(stamp_ns, rotation_nv @ self._rotation_dv.T, truth_nd, own_n + installation_n)
+
+
+def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> FloatArray:
+    """Covariance of the rotation vector (North, Up, East), rad², which may be given by that of the angles alone."""
+    rotation_covariance = message.rotation_covariance.reshape(3, 3)
+    if rotation_covariance.any():
+        return horizon_covariance(rotation_covariance)
+    return rotation_vector_covariance(message.covariance.reshape(3, 3), azimuth, elevation)
 
 
 def sources(truth: Truth, config: ShipAttitudeConfig | None) -> dict[str, AttitudeSource]:

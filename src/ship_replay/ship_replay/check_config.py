@@ -77,6 +77,7 @@ def check_bag(path: Path, config: ShipAttitudeConfig, bag: Bag, namespace: str, 
         findings.errors.append(f"{path}: {problem}")
         return
     found = relative_topics(bag.topics, namespace)
+    readable: dict[str, str] = {}
     for topic in adapter.inputs:
         place = _place(file, path, topic.topic)
         if topic.topic not in found:
@@ -92,20 +93,22 @@ def check_bag(path: Path, config: ShipAttitudeConfig, bag: Bag, namespace: str, 
             )
             continue
         findings.errors += [f"{bag.path}: topic '{topic.topic}': {line}" for line in bag.differences.get(type_name, [])]
-    findings.errors += _frame_errors(path, file, config, bag, found)
+        if type_name not in bag.differences:
+            readable[topic.topic] = found[topic.topic]
+    findings.errors += _frame_errors(path, file, config, bag, readable)
     configured = {topic.topic for topic in adapter.inputs}
     findings.warnings += list(_not_configured(config, bag, found, configured))
     findings.warnings += bag.problems
 
 
 def _frame_errors(
-    path: Path, file: ParameterFile, config: ShipAttitudeConfig, bag: Bag, found: dict[str, str]
+    path: Path, file: ParameterFile, config: ShipAttitudeConfig, bag: Bag, readable: dict[str, str]
 ) -> Iterator[str]:
     """Messages that would be refused because their frame_id is not the configured one."""
     expected = {_INS_TOPIC: config.ins.frame_id}
     expected |= {f"star/{name}/{sensor.input}": sensor.frame_id for name, sensor in config.star_sensors.items()}
     expected |= {f"reference/{name}/imu": reference.frame_id for name, reference in config.references.items()}
-    waiting = {found[topic]: topic for topic, frame in expected.items() if frame and topic in found}
+    waiting = {readable[topic]: topic for topic, frame in expected.items() if frame and topic in readable}
     for record in bag.records(waiting) if waiting else ():
         topic = waiting.pop(record.topic, None)
         if topic is not None:

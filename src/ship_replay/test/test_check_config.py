@@ -1,0 +1,153 @@
+"""check_config: all that is wrong, each with its line, and what does not fit the bag."""
+
+import pytest
+from hand_made_bags import START_NS, imu, vector
+
+from ship_replay.bag_writer import BagWriter
+from ship_replay.check_config_command import main
+
+GOOD = """\
+ship_attitude:
+  ros__parameters:
+    ins:
+      frame_id: ins
+    references:
+      b:
+        frame_id: b
+"""
+
+
+@pytest.fixture
+def check(tmp_path, capsys):
+    """Runs the command on texts; returns exit code, lines on stdout, lines on stderr."""
+
+    def run(text, bag=None, *options):
+        config = tmp_path / "suite.yaml"
+        config.write_text(text)
+        code = main([str(config), *([str(bag)] if bag else []), *options])
+        captured = capsys.readouterr()
+        return code, captured.out.replace(f"{tmp_path}/", "").splitlines(), captured.err.splitlines()
+
+    return run
+
+
+def write_bag(path, ins_frame="ins", b_frame="b", prefix="", topics=("ins/imu", "reference/b/imu")):
+    frames = {"ins/imu": ins_frame}
+    with BagWriter(path) as bag:
+        for number in range(3):
+            stamp_ns = START_NS + number
+            for topic in topics:
+                bag.write(prefix + topic, imu(stamp_ns, frames.get(topic, b_frame)), stamp_ns)
+    return path
+
+
+def test_a_configuration_that_fits(check, tmp_path):
+    assert check(GOOD, write_bag(tmp_path / "a.mcap")) == (0, ["suite.yaml: good for a.mcap"], [])
+    assert check(GOOD) == (0, ["suite.yaml: good"], [])
+
+
+def test_all_wrong_parameters_are_named_with_their_lines(check):
+    text = """\
+ship_attitude:
+  ros__parameters:
+    ins:
+      convention: enu
+      tilt_sigma_arcsec: -1.0
+    lagg_s: 1.0
+    star_sensors:
+      fore:
+        azimuth_deg: 400.0
+        elevation_deg: high
+      aft: {roll_deg: 1.0}
+    coasting_after_s: 1
+"""
+    code, lines, errors = check(text)
+    assert code == 2
+    starts = {line.split(" must ")[0].split(" is ")[0].split(" (")[0] for line in lines}
+    assert starts == {
+        "error: suite.yaml:4: parameter 'ins.convention' = 'enu'",
+        "error: suite.yaml:5: parameter 'ins.tilt_sigma_arcsec' = -1.0 arcsec",
+        "error: suite.yaml:6: parameter 'lagg_s'",
+        "error: suite.yaml:9: parameter 'star_sensors.fore.azimuth_deg' = 400.0 deg",
+        "error: suite.yaml:10: parameter 'star_sensors.fore.elevation_deg'",
+        "error: suite.yaml:11: parameter 'star_sensors.aft.azimuth_deg'",
+        "error: suite.yaml:11: parameter 'star_sensors.aft.elevation_deg'",
+    }
+    assert len(lines) == 7
+    assert len(errors) == 1
+    assert "errors: 7, warnings: 0" in errors[0]
+
+
+def test_wrong_frame_id(check, tmp_path):
+    code, (line,), _ = check(GOOD, write_bag(tmp_path / "a.mcap", b_frame="c"))
+    assert code == 2
+    expected = "parameter 'references.b.frame_id' = 'b', but topic 'reference/b/imu' in a.mcap carries frame_id 'c'"
+    assert line == f"error: suite.yaml:7: {expected}"
+
+
+def test_required_topic_missing(check, tmp_path):
+    code, lines, _ = check(GOOD, write_bag(tmp_path / "a.mcap", topics=("reference/b/imu",)))
+    assert code == 2
+    assert lines == ["error: suite.yaml:4: topic 'ins/imu' is not in a.mcap"]
+
+
+def test_sensor_without_a_topic_is_a_warning(check, tmp_path):
+    code, lines, _ = check(GOOD, write_bag(tmp_path / "a.mcap", topics=("ins/imu",)))
+    assert code == 0
+    assert lines == ["warning: suite.yaml:7: topic 'reference/b/imu' is not in a.mcap", "suite.yaml: good for a.mcap"]
+
+
+def test_topic_without_a_configuration_is_a_warning(check, tmp_path):
+    bag = write_bag(tmp_path / "a.mcap", topics=("ins/imu", "reference/b/imu", "reference/gyro/imu"))
+    code, lines, _ = check(GOOD, bag)
+    assert code == 0
+    assert "warning: a.mcap: topic 'reference/gyro/imu' has no references.gyro in the configuration: not used" in lines
+
+
+def test_wrong_type(check, tmp_path):
+    with BagWriter(tmp_path / "a.mcap") as bag:
+        bag.write("ins/imu", vector(), START_NS)
+        bag.write("reference/b/imu", imu(START_NS, "b"), START_NS)
+    code, (line,), _ = check(GOOD, tmp_path / "a.mcap")
+    assert code == 2
+    expected = "topic 'ins/imu' in a.mcap is geometry_msgs/msg/Vector3: expected sensor_msgs/msg/Imu"
+    assert line == f"error: suite.yaml:4: {expected}"
+
+
+def test_a_bag_in_a_namespace(check, tmp_path):
+    bag = write_bag(tmp_path / "a.mcap", prefix="/palmer/")
+    code, lines, _ = check(GOOD, bag)
+    assert code == 2
+    expected = "topic 'ins/imu' is not in a.mcap (there is one under the namespace 'palmer')"
+    assert lines[0] == f"error: suite.yaml:4: {expected}"
+    assert check(GOOD, bag, "--namespace", "palmer")[0] == 0
+
+
+def test_the_ins_alone_is_a_warning(check):
+    code, lines, _ = check("ship_attitude:\n  ros__parameters: {}\n")
+    assert code == 0
+    assert "no star_sensors and no references" in lines[0]
+
+
+def test_problems_of_the_bag_are_warnings(check, tmp_path):
+    bag = write_bag(tmp_path / "a.mcap")
+    bag.write_bytes(bag.read_bytes()[:-20])
+    code, lines, _ = check(GOOD, bag)
+    assert code == 0
+    assert any(line.startswith("warning: a.mcap: its summary is missing or damaged; 6 messages") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "suite.yaml: empty"),
+        ("star_attitude: {ros__parameters: {}}\n", "no section for node 'ship_attitude'"),
+        ("ship_attitude: [\n", "not YAML"),
+    ],
+)
+def test_no_parameter_file_is_one_line_and_two(check, text, complaint):
+    code, lines, errors = check(text)
+    assert code == 2
+    assert lines == []
+    assert len(errors) == 1
+    assert complaint in errors[0]

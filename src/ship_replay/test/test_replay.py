@@ -1,0 +1,287 @@
+"""Replay hands a bag to an adapter in order of log time and writes what comes out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, ship_attitude, write_imu_bag
+
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_estimation.parameters import parameter
+from ship_geometry.rotations import ARCSEC
+from ship_node.errors import BadInput as BadNodeInput
+from ship_node.input_health import InputHealthBook
+from ship_node.stamps import ns_from_stamp
+from ship_node.topics import InputTopic, OutputTopic
+from ship_replay.bag_reader import read_bag
+from ship_replay.bag_writer import BagWriter
+from ship_replay.errors import BadInput
+from ship_replay.message_store import serialize
+from ship_replay.replay import replay
+from ship_replay.replay_command import main
+
+TICK_NS = 100_000_000
+SUITE = "tiny:\n  ros__parameters:\n    error_arcsec: 2.0\n"
+
+
+@dataclass(frozen=True)
+class TinyConfig:
+    error_arcsec: float = parameter(0.0, doc="added to the heading", unit="arcsec", minimum=0.0, maximum=10.0)
+
+
+class TinyAdapter:
+    """Imu in, attitude with the same stamp out, a known error added; notes each call."""
+
+    node_name = "tiny"
+    config_type = TinyConfig
+    calls = ()
+
+    def __init__(self, config, factory):
+        self.config, self.factory = config, factory
+        self.inputs = (
+            InputTopic("ins/imu", "sensor_msgs/msg/Imu", required=True, depth=100),
+            InputTopic("reference/b/imu", "sensor_msgs/msg/Imu", required=False, depth=100),
+        )
+        self.outputs = (
+            OutputTopic("ship/attitude", "ship_msgs/msg/ShipAttitude"),
+            OutputTopic("ship/error_arcsec", "ship_msgs/msg/AttitudeErrorArcsec"),
+        )
+        self.health = InputHealthBook(self.inputs)
+        self.latest_header = None
+        TinyAdapter.calls = []
+
+    def handle(self, topic, message, receive_ns):
+        self.calls.append((topic, receive_ns))
+        self.health.arrived(topic, receive_ns)
+        if message.header.frame_id == "wrong":
+            self.health.rejected(topic, "frame", "wrong frame", receive_ns)
+            return []
+        self.health.accepted(topic, ns_from_stamp(message.header.stamp), receive_ns)
+        self.latest_header = message.header
+        heading = true_heading(ns_from_stamp(message.header.stamp)) + self.config.error_arcsec * ARCSEC
+        return [("ship/attitude", ship_attitude(ns_from_stamp(message.header.stamp), heading, factory=self.factory))]
+
+    def tick(self, now_ns):
+        self.calls.append(("tick", now_ns))
+        if self.latest_header is None:
+            return []
+        fields = {f"{kind}_{angle}": np.nan for kind in ("sigma", "error") for angle in ("heading", "pitch", "roll")}
+        message = self.factory.make("ship_msgs/msg/AttitudeErrorArcsec", header=self.latest_header, **fields)
+        return [("ship/error_arcsec", message)]
+
+
+def true_heading(stamp_ns):
+    """A heading that turns through North, 4° about it in 11 s: 5.9″ off at 10 Hz if interpolated straight."""
+    return np.deg2rad(4.0) * np.sin(2 * np.pi * (stamp_ns - START_NS) * 1e-9 / 11.0) % (2 * np.pi)
+
+
+def true_rate(stamp_ns):
+    return np.deg2rad(4.0) * 2 * np.pi / 11.0 * np.cos(2 * np.pi * (stamp_ns - START_NS) * 1e-9 / 11.0)
+
+
+def write_bag_with_truth(path, count=500):
+    """Imu at 100 Hz, truth at 10 Hz that is logged later than the Imu of the same stamp."""
+    with BagWriter(path) as bag:
+        bag.add_attachment("suite.yaml", SUITE)
+        bag.add_metadata("simulation", {"seed": "1"})
+        for number in range(count):
+            stamp_ns = START_NS + number * PERIOD_NS
+            bag.write("ins/imu", imu(stamp_ns), stamp_ns)
+            if number % 10 == 0:
+                truth = ship_attitude(stamp_ns, true_heading(stamp_ns))
+                truth.angular_velocity.z = -true_rate(stamp_ns)  # heading is clockwise, z is up
+                bag.write("truth/attitude", truth, stamp_ns + 5_000_000)
+    return path
+
+
+def outputs(path, topic):
+    with read_bag(path) as bag:
+        return [(record.log_time_ns, record.decode()) for record in bag.records({topic})]
+
+
+def test_messages_and_ticks_come_in_order(tmp_path):
+    bag = write_imu_bag(tmp_path / "in.mcap", 25, attachments=[("suite.yaml", SUITE)])
+    summary = replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    # The bag runs from .050 to .290: the grid passes .100 and .200, each before the message that passes it.
+    expected = [("ins/imu", START_NS + number * PERIOD_NS) for number in range(25)]
+    expected.insert(15, ("tick", START_NS + 150_000_000))
+    expected.insert(5, ("tick", START_NS + 50_000_000))
+    assert TinyAdapter.calls == expected
+    assert summary.inputs == {"ins/imu": 25}
+    assert summary.outputs == {"ship/attitude": 25, "ship/error_arcsec": 2}
+    assert summary.absent == ["reference/b/imu"]
+
+
+def test_outputs_carry_the_log_time_of_what_caused_them(tmp_path):
+    bag = write_imu_bag(tmp_path / "in.mcap", 25, attachments=[("suite.yaml", SUITE)])
+    replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    assert [time for time, _ in outputs(tmp_path / "out.mcap", "ship/attitude")] == [
+        START_NS + number * PERIOD_NS for number in range(25)
+    ]
+    errors = outputs(tmp_path / "out.mcap", "ship/error_arcsec")
+    assert [time for time, _ in errors] == [START_NS + 50_000_000, START_NS + 150_000_000]
+
+
+def test_a_long_silence_does_not_tick_for_ever(tmp_path):
+    path = tmp_path / "in.mcap"
+    with BagWriter(path) as bag:
+        bag.add_attachment("suite.yaml", SUITE)
+        for log_time_ns in (START_NS, START_NS + 10**18):
+            bag.write("ins/imu", imu(START_NS), log_time_ns)
+    replay(path, tmp_path / "out.mcap", TinyAdapter)
+    assert [name for name, _ in TinyAdapter.calls].count("tick") == 6000
+    assert TinyAdapter.calls[-1] == ("ins/imu", START_NS + 10**18)
+
+
+def test_the_same_bag_gives_the_same_bytes(tmp_path):
+    bag = write_bag_with_truth(tmp_path / "in.mcap")
+    for name in ("a.mcap", "b.mcap"):
+        replay(bag, tmp_path / name, TinyAdapter)
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_truth_and_marks_are_copied(tmp_path):
+    bag = write_bag_with_truth(tmp_path / "in.mcap")
+    replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    with read_bag(bag) as first, read_bag(tmp_path / "out.mcap") as second:
+        kept = [[(r.log_time_ns, r.data) for r in b.records({"truth/attitude"})] for b in (first, second)]
+        assert len(kept[0]) == 50
+        assert kept[0] == kept[1]
+        assert second.attachments == {"suite.yaml": SUITE.encode()}
+        assert second.metadata == {"simulation": {"seed": "1"}}
+
+
+def test_errors_are_filled_in_from_the_truth(tmp_path):
+    bag = write_bag_with_truth(tmp_path / "in.mcap")
+    replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    filled = [message for _, message in outputs(tmp_path / "out.mcap", "ship/error_arcsec")]
+    assert len(filled) == 50
+    # They lie between two stamps of the truth; a cubic of 0.1 s errs by 4e-4 arcsec here.
+    np.testing.assert_allclose([message.error_heading for message in filled[:-1]], 2.0, atol=1e-3)
+    np.testing.assert_allclose([message.error_pitch for message in filled[:-1]], 0.0, atol=1e-6)
+    # The last is stamped later than the truth reaches.
+    assert np.isnan(filled[-1].error_heading)
+
+
+def test_errors_stay_nan_without_truth(tmp_path):
+    bag = write_imu_bag(tmp_path / "in.mcap", 50, attachments=[("suite.yaml", SUITE)])
+    replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    assert all(np.isnan(message.error_heading) for _, message in outputs(tmp_path / "out.mcap", "ship/error_arcsec"))
+
+
+@pytest.mark.parametrize(
+    ("topic", "namespace"), [("/ins/imu", ""), ("/ship/ins/imu", "ship"), ("/ship/ins/imu", "/ship/"), ("ins/imu", "")]
+)
+def test_topics_of_any_namespace(tmp_path, topic, namespace):
+    bag = write_imu_bag(tmp_path / "in.mcap", 10, topic, attachments=[("suite.yaml", SUITE)])
+    assert replay(bag, tmp_path / "out.mcap", TinyAdapter, namespace=namespace).inputs == {"ins/imu": 10}
+
+
+def test_refusals_and_undecodable_messages_are_counted(tmp_path):
+    path = tmp_path / "in.mcap"
+    with BagWriter(path) as bag:
+        bag.add_attachment("suite.yaml", SUITE)
+        bag.write("ins/imu", imu(START_NS), START_NS)
+        bag.write("ins/imu", imu(START_NS + 1, "wrong"), START_NS + 1)
+        bag.write_raw("ins/imu", "sensor_msgs/msg/Imu", serialize(imu(START_NS))[:40], START_NS + 2)
+    summary = replay(path, tmp_path / "out.mcap", TinyAdapter)
+    assert summary.refused == {"ins/imu": {"frame": 1}}
+    assert summary.undecodable == {"ins/imu": 1}
+    assert summary.inputs == {"ins/imu": 2}
+
+
+def test_a_configuration_given_rules_over_the_attached_one(tmp_path):
+    config = tmp_path / "mine.yaml"
+    config.write_text(SUITE.replace("2.0", "5.0"))
+    bag = write_bag_with_truth(tmp_path / "in.mcap", 100)
+    replay(bag, tmp_path / "out.mcap", TinyAdapter, config)
+    with read_bag(tmp_path / "out.mcap") as out:
+        assert b"5.0" in out.attachments["suite.yaml"]
+    assert outputs(tmp_path / "out.mcap", "ship/error_arcsec")[0][1].error_heading == pytest.approx(5.0, abs=1e-3)
+
+
+class TestBadInput:
+    def refused(self, tmp_path, bag, match, **options):
+        with pytest.raises((BadInput, BadNodeInput), match=match):
+            replay(bag, tmp_path / "out.mcap", TinyAdapter, **options)
+        assert not list(tmp_path.glob("out.mcap*"))
+
+    def test_required_topic_missing(self, tmp_path):
+        bag = write_imu_bag(tmp_path / "in.mcap", 5, "compass", attachments=[("suite.yaml", SUITE)])
+        self.refused(tmp_path, bag, r"in\.mcap: required topics ins/imu are missing; found compass$")
+
+    def test_required_topic_in_a_namespace(self, tmp_path):
+        bag = write_imu_bag(tmp_path / "in.mcap", 5, "/ship/ins/imu", attachments=[("suite.yaml", SUITE)])
+        self.refused(tmp_path, bag, "under the namespace 'ship': give --namespace ship")
+
+    def test_wrong_type(self, tmp_path):
+        path = tmp_path / "in.mcap"
+        with BagWriter(path) as bag:
+            bag.add_attachment("suite.yaml", SUITE)
+            bag.write("ins/imu", ship_attitude(START_NS), START_NS)
+        self.refused(tmp_path, path, "topic 'ins/imu' is ship_msgs/msg/ShipAttitude: expected sensor_msgs/msg/Imu")
+
+    def test_no_configuration(self, tmp_path):
+        bag = write_imu_bag(tmp_path / "in.mcap", 5)
+        self.refused(tmp_path, bag, r"no configuration suite\.yaml is attached to the bag: give one by --config")
+
+    def test_unknown_parameter_in_the_attached_configuration(self, tmp_path):
+        bag = write_imu_bag(tmp_path / "in.mcap", 5, attachments=[("suite.yaml", SUITE + "    gain: 1.0\n")])
+        self.refused(tmp_path, bag, r"in\.mcap: attachment suite\.yaml: .*:4: parameter 'gain' is unknown")
+
+    def test_output_over_the_input(self, tmp_path):
+        bag = write_imu_bag(tmp_path / "in.mcap", 5, attachments=[("suite.yaml", SUITE)])
+        before = bag.read_bytes()
+        with pytest.raises(BadInput, match="would overwrite the input"):
+            replay(bag, bag, TinyAdapter)
+        assert bag.read_bytes() == before
+
+
+class TestCommand:
+    """The command with the real adapter."""
+
+    SUITE = "ship_attitude:\n  ros__parameters:\n    ins:\n      frame_id: ins\n"
+
+    def test_replays_and_reports(self, tmp_path, capsys):
+        bag = tmp_path / "in.mcap"
+        with BagWriter(bag) as writer:
+            writer.add_attachment("suite.yaml", self.SUITE)
+            for number in range(300):
+                stamp_ns = START_NS + number * PERIOD_NS
+                writer.write("ins/imu", imu(stamp_ns), stamp_ns)
+                if number % 10 == 0:
+                    writer.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
+        out = tmp_path / "out.mcap"
+        assert main([str(bag), "--out", str(out), "--report", str(tmp_path / "report")]) == 0
+        printed = capsys.readouterr().out
+        assert "in:  ins/imu 300" in printed
+        assert "x real time)" in printed
+        attitudes = [message for _, message in outputs(out, "ship/attitude")]
+        assert [ns_from_stamp(message.header.stamp) for message in attitudes] == [
+            START_NS + number * PERIOD_NS for number in range(300)
+        ]
+        assert (tmp_path / "report" / "out.png").read_bytes().startswith(b"\x89PNG")
+        assert '"fused.heading.rms_arcsec"' in (tmp_path / "report" / "out.json").read_text()
+        with read_bag(out) as replayed:
+            names = {topic.topic for topic in ShipAttitudeAdapter.outputs}
+            assert names <= set(replayed.topics)
+
+    def test_bad_input_is_one_line_and_two(self, tmp_path, capsys):
+        assert main([str(tmp_path / "none.mcap"), "--out", str(tmp_path / "out.mcap")]) == 2
+        lines = capsys.readouterr().err.splitlines()
+        assert lines == [f"replay: {tmp_path / 'none.mcap'}: no such file or folder"]
+
+    def test_wrong_usage_is_one_line_and_two(self, capsys):
+        with pytest.raises(SystemExit) as caught:
+            main(["--speed", "2"])
+        assert caught.value.code == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_factory_messages_are_written_as_they_are(tmp_path):
+    """The adapter's messages come from the factory and are not changed on their way."""
+    bag = write_bag_with_truth(tmp_path / "in.mcap", 20)
+    replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    expected = ship_attitude(START_NS, true_heading(START_NS) + 2.0 * ARCSEC, factory=FACTORY)
+    with read_bag(tmp_path / "out.mcap") as out:
+        assert next(out.records({"ship/attitude"})).data == serialize(expected)
