@@ -1,0 +1,130 @@
+"""Messages late and out of order: within the lag the end is the same to the last bit, and outputs never go back."""
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from small_voyage import (
+    FORE,
+    INS,
+    SECOND_NS,
+    STARBOARD,
+    START_NS,
+    Arrival,
+    clean_run,
+    drive,
+    exactly,
+    in_order,
+    index_at,
+    new_adapter,
+    replaced,
+    stamp_of,
+    voyage,
+)
+
+from ship_attitude_star.samples import Reason
+
+LAG_S = 2.0
+
+
+def delayed(arrivals: tuple[Arrival, ...], delays_s: np.ndarray) -> tuple[Arrival, ...]:
+    return in_order(
+        replace(a, receive_ns=a.stamp_ns + round(delay_s * SECOND_NS))
+        for a, delay_s in zip(arrivals, delays_s.tolist(), strict=True)
+    )
+
+
+def shuffled(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:
+    """Delays drawn over the whole lag for these topics, a few milliseconds for the others."""
+    rng = np.random.default_rng(seed)
+    late = np.array([a.topic in topics for a in voyage()])
+    return delayed(voyage(), np.where(late, rng.uniform(0.0, LAG_S - 0.001, late.size), 0.005))
+
+
+SHUFFLES = [
+    (seed, topics)
+    for seed, topics in enumerate([(FORE, STARBOARD), (INS,), (FORE, INS), *[(INS, FORE, STARBOARD)] * 4], start=1)
+]
+
+
+@pytest.mark.parametrize(("seed", "topics"), SHUFFLES)
+def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tuple[str, ...]) -> None:
+    run = drive(new_adapter(), shuffled(seed, topics))
+    clean = clean_run()
+    assert run.state() == clean.state()
+    assert run.health(INS).rejected == 0
+    for topic in (FORE, STARBOARD):
+        # Where the INS samples around it came late, it is refused first and used in the end.
+        assert set(run.reasons(topic)) <= {"gap", "revised"}
+    assert INS in topics or run.reasons(FORE) == run.reasons(STARBOARD) == {}
+    stamps = [stamp_of(m) for m in run.messages("ship/attitude")]
+    assert all(earlier < later for earlier, later in pairwise(stamps))
+    one, other = run.adapter.core.alignment(), clean.adapter.core.alignment()
+    assert one.values.tobytes() == other.values.tobytes()
+    assert one.covariance.tobytes() == other.covariance.tobytes()
+
+
+def test_the_shuffles_do_shuffle() -> None:
+    stamps = np.array([a.stamp_ns for a in shuffled(4, (INS, FORE, STARBOARD))])
+    assert np.mean(np.diff(stamps) < 0) > 0.4
+    assert np.max(np.maximum.accumulate(stamps) - stamps) > 1.8 * SECOND_NS
+
+
+@pytest.mark.parametrize(("topic", "since_s"), [(INS, 2.60), (INS, 2.64), (FORE, 2.6)])
+@pytest.mark.parametrize("late_s", [0.5, 1.0, LAG_S])
+def test_one_late_message_is_applied_at_its_own_time(topic: str, since_s: float, late_s: float) -> None:
+    """As late as it can be behind the newest stamp that came; the INS samples are those around a star's stamp."""
+    index = index_at(voyage(), topic, since_s)
+    limit_ns = voyage()[index].stamp_ns + round(late_s * SECOND_NS)
+    too_new = next(a for a in voyage() if a.stamp_ns > limit_ns)
+    run = drive(new_adapter(), replaced(voyage(), index, lambda message: None, too_new.receive_ns - 1))
+    assert run.state() == clean_run().state()
+    assert run.health(topic).rejected == 0
+
+
+def test_a_late_star_changes_the_attitude_only_from_its_arrival_on() -> None:
+    index = index_at(voyage(), FORE, 2.0)
+    arrives_ns = START_NS + 3 * SECOND_NS
+    late = drive(new_adapter(), replaced(voyage(), index, lambda message: None, arrives_ns))
+
+    def attitudes(run: Any, from_ns: int, until_ns: int) -> list[Any]:
+        return [exactly(m) for ns, topic, m in run.published if topic == "ship/attitude" and from_ns <= ns < until_ns]
+
+    usual_ns = voyage()[index].receive_ns
+    assert attitudes(late, 0, usual_ns) == attitudes(clean_run(), 0, usual_ns)
+    assert attitudes(late, usual_ns, arrives_ns) != attitudes(clean_run(), usual_ns, arrives_ns)
+    assert attitudes(late, arrives_ns, late.now_ns) == attitudes(clean_run(), arrives_ns, late.now_ns)
+
+
+def test_a_late_star_that_changes_an_earlier_decision_says_so() -> None:
+    """Three stars far off come first: with no star before them they pass the gate; the good ones of before refuse them.
+
+    The INS's heading is known to 72"; 150" is within the gate then, and far outside once two sensors were used.
+    """
+
+    def off(message: Any) -> None:
+        message.azimuth += 150.0 * np.pi / (180 * 3600)
+
+    wrong = index_at(voyage(), STARBOARD, 1.6)
+    moved = replaced(voyage(), wrong, off)
+    good = [a for a in moved if a.topic != INS and a.stamp_ns < moved[wrong].stamp_ns]
+    late = in_order(
+        replace(a, receive_ns=START_NS + 1_900_000_000) if a in good else a
+        for a in moved
+        if a.topic == INS or a.stamp_ns <= moved[wrong].stamp_ns
+    )
+    run = drive(new_adapter(star_sensors__starboard__sigma_forward_arcsec=3.0), late)
+    revised = run.innovations(Reason.REVISED)
+    assert [m.source for m in revised] == ["star.starboard"]
+    assert not revised[0].accepted
+    assert "now refused" in revised[0].reason_text
+    assert run.reasons(STARBOARD) == {"revised": 1}
+
+
+def test_without_a_lag_only_what_comes_in_order_is_used() -> None:
+    run = drive(new_adapter(lag_s=0.0), voyage())
+    assert set(run.reasons(FORE)) == {"late"}  # stars come 120 ms after the INS samples of their moment
+    assert run.health(FORE).accepted == 0
+    assert run.health(INS).rejected == 0
