@@ -124,6 +124,14 @@ class ReferenceConfig:
     sigma_heading_arcsec: float = parameter(
         60.0, doc="noise in heading where the message gives none", live=True, **_ARCSEC
     )
+    slow_sigma_roll_arcsec: float = parameter(0.0, doc="slow error of its own in roll", **_ARCSEC)
+    slow_sigma_pitch_arcsec: float = parameter(0.0, doc="slow error of its own in pitch", **_ARCSEC)
+    slow_sigma_heading_arcsec: float = parameter(
+        0.0, doc="slow error of its own in heading; 0 for all three leaves it out", **_ARCSEC
+    )
+    slow_time_s: float = parameter(
+        300.0, doc="correlation time of its slow error", unit="s", minimum=0.1, maximum=1e7
+    )
     time_offset_s: float = parameter(
         0.0,
         doc="stamp of the reference minus stamp of the INS for the same attitude",

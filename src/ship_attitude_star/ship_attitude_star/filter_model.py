@@ -11,6 +11,7 @@ star.<id>.common (3)            horizon  error shared by successive solutions: R
 star.<id>.time_offset (1)                a message is valid at its stamp + this; only where it has a sigma
 star.<id>.flexure (3)           deck     hull between INS and sensor; only where it has a sigma
 reference.<name>.installation   device   as for a star sensor, from the INS's deck axes
+reference.<name>.slow           device   its own slow error; only where it has a sigma
 reference.<name>.time_offset             stamp of the reference - stamp of the INS for the same attitude
 ==============================  =======  ====================================================================
 """
@@ -34,6 +35,7 @@ SOURCE_STAR_TIME = "star_time_offset"
 SOURCE_FLEXURE = "flexure"
 SOURCE_REFERENCE = "reference_installation"
 SOURCE_REFERENCE_NOISE = "reference_noise"
+SOURCE_REFERENCE_SLOW = "reference_slow_error"
 SOURCE_REFERENCE_TIME = "reference_time_offset"
 SOURCE_SAVED_ALIGNMENT = "saved_alignment"
 
@@ -149,7 +151,12 @@ def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
 def _reference_blocks(name: str, reference: ReferenceConfig) -> list[StateBlock]:
     sigma = [reference.installation_sigma_arcsec * ARCSEC] * 3
     walk = reference.installation_walk_arcsec_per_sqrt_h * ARCSEC / _SQRT_HOUR
-    return [
+    blocks = [
         block(f"{name}.installation", sigma, SOURCE_REFERENCE, walk=walk),
         block(f"{name}.time_offset", [reference.time_offset_sigma_s], SOURCE_REFERENCE_TIME),
     ]
+    slow = [reference.slow_sigma_roll_arcsec, reference.slow_sigma_heading_arcsec, reference.slow_sigma_pitch_arcsec]
+    if any(slow):
+        slow_sigma = np.array(slow) * ARCSEC
+        blocks.append(block(f"{name}.slow", slow_sigma, SOURCE_REFERENCE_SLOW, time_s=reference.slow_time_s))
+    return blocks

@@ -2,7 +2,9 @@
 
 With R_i the INS attitude at the device's moment, all errors explained in :mod:`ship_attitude_star.filter_model`:
 
-    R_measured = exp(c) exp(a) exp(w) R_i exp(f) R0 exp(m) exp(noise)        horizon from device
+    R_measured = exp(c) exp(a) exp(w) R_i exp(f) R0 exp(m) exp(s) exp(noise)        horizon from device
+
+with c a star sensor's common error, f flexure, m installation error, s the slow error of a reference.
 
 The residual is log(R_predicted^T R_measured), a rotation vector in the device frame.
 """
@@ -57,7 +59,8 @@ def predict_attitude(
         jacobian[:, model.slices[name]] = scale * rotation.T @ left_jacobian(vector)
         return rotation
 
-    rotation_dv = device.rotation_dv0 @ turned(f"{device.name}.installation", np.eye(3))
+    rotation_dv = turned(f"{device.name}.slow", np.eye(3))
+    rotation_dv = device.rotation_dv0 @ turned(f"{device.name}.installation", rotation_dv)
     rotation_dv = turned(f"{device.name}.flexure", rotation_dv)
     rate_v = rotation_dv.T @ ins.rate_d
     for name, sign in device.ins_time_states:
