@@ -144,6 +144,8 @@ def install_wheels(prefix: str, identity: str) -> None:
     chosen = VENV / "requirements.txt"
     chosen.write_text("\n".join(wheels) + "\n")
     pip = [str(VENV / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--no-input"]
+    if prefix:
+        pip.append("--ignore-installed")  # what the system has of the same name is not ours to count on
     env = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
     try:
         run([*pip, "--no-deps", "--no-compile", "--prefer-binary", "-r", str(chosen)], SETUP_LOG, env)
@@ -250,9 +252,11 @@ def set_up() -> None:
     venv_identity = digest(str(ROOT), f"{sys.version_info[:2]}", prefix)
     wheels_identity = digest(venv_identity, LOCK.read_bytes())
     # Wheels half installed cannot be told from whole ones: without the stamp of the wheels all begins anew.
-    fresh = read_stamp(STAMP_VENV) != venv_identity or not STAMP_WHEELS.exists()
+    wheels_done = read_stamp(STAMP_WHEELS)
+    fresh = read_stamp(STAMP_VENV) != venv_identity or not wheels_done
+    fresh = fresh or (bool(prefix) and wheels_done != wheels_identity)
     identity = build_identity(wheels_identity)
-    if not fresh and read_stamp(STAMP_WHEELS) == wheels_identity and read_stamp(STAMP_BUILD) == identity:
+    if not fresh and wheels_done == wheels_identity and read_stamp(STAMP_BUILD) == identity:
         return
     check_machine(fresh)
     if fresh:
