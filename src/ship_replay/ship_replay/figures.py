@@ -98,7 +98,7 @@ def innovation_figure(innovations: Mapping[str, SourceInnovations], title: str) 
             axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
             axes.plot(time_s, residuals[:, column] / ARCSEC, ".", color=_LINE_COLOUR, ms=3, label="residual")
             axes.set_ylabel(f"{source}\n{part.components[column]} [arcsec]")
-            _limit(axes, np.concatenate([residuals[:, column] / ARCSEC, band]))
+            _limit(axes, np.concatenate([residuals[:, column] / ARCSEC, band]), percentile=100.0)
         grid[0, 0].legend(loc="upper right")
         grid[-1, 0].set_xlabel("time [s]")
     return figure
@@ -138,9 +138,9 @@ def _draw_together(axes: Axes, series: Sequence[AttitudeErrors], column: int, st
     _limit(axes, np.concatenate([errors.error_arcsec[:, column] for errors in series]))
 
 
-def _limit(axes: Axes, values: FloatArray) -> None:
-    """Symmetric limits that leave out the rare large values of a start, which would flatten all the rest."""
+def _limit(axes: Axes, values: FloatArray, percentile: float = 98.0) -> None:
+    """Symmetric limits; by default without the rare large values of a start, which would flatten all the rest."""
     values = np.abs(values[np.isfinite(values)])
-    top = float(np.percentile(values, 98.0)) * _ROOM if len(values) else 0.0
+    top = float(np.percentile(values, percentile)) * _ROOM if len(values) else 0.0
     if top > 0.0:
         axes.set_ylim(-top, top)

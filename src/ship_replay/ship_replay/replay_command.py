@@ -18,6 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="replay",
+        epilog="exit code: 0 replayed; 2 bad input or usage, with one line that says which",
         description="Replay a bag through the ship_attitude node, in process and as fast as it goes; the same bag "
         "and configuration give the same output. Topics truth/* are copied.",
     )
