@@ -5,6 +5,8 @@ parent's forward axis), elevation (up positive) and roll (right side down positi
 leading dimensions.
 """
 
+import math
+
 import numpy as np
 
 from ship_geometry.rotations import FloatArray, wrap_two_pi
@@ -37,6 +39,8 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
     At the zenith and nadir only azimuth + roll, or their difference, is defined; the value returned there still
     gives the rotation back.
     """
+    if rotation.ndim == 2:
+        return _angles_of_one(rotation)
     azimuth = wrap_two_pi(np.arctan2(rotation[..., 2, 0], rotation[..., 0, 0]))
     # atan2 keeps full precision near the zenith, where an arcsine would not.
     horizontal = np.hypot(rotation[..., 0, 0], rotation[..., 2, 0])
@@ -46,6 +50,15 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
     sine = ca * rotation[..., 2, 1] - sa * rotation[..., 0, 1]
     cosine = ca * rotation[..., 2, 2] - sa * rotation[..., 0, 2]
     return np.stack([azimuth, elevation, np.arctan2(sine, cosine)], axis=-1)
+
+
+def _angles_of_one(rotation: FloatArray) -> FloatArray:
+    """The same for one matrix, as a live node has it."""
+    (r00, r01, r02), (r10, _, _), (r20, r21, r22) = rotation.tolist()
+    azimuth = float(wrap_two_pi(math.atan2(r20, r00)))
+    ca, sa = math.cos(azimuth), math.sin(azimuth)
+    roll = math.atan2(ca * r21 - sa * r01, ca * r22 - sa * r02)
+    return np.array([azimuth, math.atan2(r10, math.hypot(r00, r20)), roll])
 
 
 def rotation_vector_from_angle_errors(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
@@ -64,6 +77,8 @@ def rotation_vector_from_angle_errors(azimuth: FloatArray, elevation: FloatArray
 
 def angle_errors_from_rotation_vector(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
     """Inverse of B, shape (..., 3, 3); NaN beyond :data:`SINGULAR_ELEVATION`."""
+    if np.ndim(azimuth) == 0 and np.ndim(elevation) == 0:
+        return _inverse_of_one(float(azimuth), float(elevation))
     azimuth, elevation = np.broadcast_arrays(np.asarray(azimuth, float), np.asarray(elevation, float))
     ca, sa = np.cos(azimuth), np.sin(azimuth)
     regular = np.abs(elevation) <= SINGULAR_ELEVATION
@@ -78,6 +93,13 @@ def angle_errors_from_rotation_vector(azimuth: FloatArray, elevation: FloatArray
     matrix[..., 2, 0] = ca / ce
     matrix[..., 2, 2] = sa / ce
     return np.where(regular[..., None, None], matrix, np.nan)
+
+
+def _inverse_of_one(azimuth: float, elevation: float) -> FloatArray:
+    if not abs(elevation) <= SINGULAR_ELEVATION:
+        return np.full((3, 3), np.nan)
+    ca, sa, ce, tangent = math.cos(azimuth), math.sin(azimuth), math.cos(elevation), math.tan(elevation)
+    return np.array([[ca * tangent, -1.0, sa * tangent], [-sa, 0.0, ca], [ca / ce, 0.0, sa / ce]])
 
 
 def angle_covariance(covariance_parent: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
