@@ -220,7 +220,10 @@ class ShipAttitudeAdapter:
 
     def _save_alignment(self, now_ns: int) -> str:
         path = self._alignment_path()
-        alignment_file.save(path, self.core.alignment_to_save())
+        prior = self.core.alignment_to_save()
+        if prior is None:
+            raise BadInput("no star attitude was used yet: there is no alignment to save")
+        alignment_file.save(path, prior)
         return f"alignment saved to {path}"
 
     def _load_alignment(self, now_ns: int) -> str:

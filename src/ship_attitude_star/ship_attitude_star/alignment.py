@@ -95,7 +95,8 @@ def alignment_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterS
 
 
 def prior_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> AlignmentPrior:
-    """What to save of a state."""
+    """What to save of a state that rests on measurements."""
+    assert state.time_ns is not None
     model = filter_.model
     names = [name for name in model.slices if name.endswith((".installation", ".time_offset"))]
     rows = np.concatenate([np.arange(model.slices[n].start, model.slices[n].stop) for n in names])
@@ -112,7 +113,7 @@ def prior_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState
         if name.endswith(".time_offset")
     }
     serials = {id_: star.serial for id_, star in config.star_sensors.items()}
-    return AlignmentPrior(state.time_ns or 0, serials, rotations, offsets, tuple(names), covariance)
+    return AlignmentPrior(state.time_ns, serials, rotations, offsets, tuple(names), covariance)
 
 
 def state_from_prior(

@@ -1,19 +1,25 @@
 """The saved alignment as a file: YAML that people can read, written atomically, with a version."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 
 from ship_attitude_star.alignment import AlignmentPrior
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.rotations import ARCSEC, wrap_pi
+from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 from ship_node.errors import BadInput
 
 FORMAT = "ship_attitude alignment"
 VERSION = 1
+
+_ANGLES = "azimuth_deg", "elevation_deg", "roll_deg"
+_ROUNDING = 1e-6
+
+Section = TypeVar("Section")
 
 
 def save(path: Path, prior: AlignmentPrior) -> None:
@@ -52,8 +58,8 @@ def load(path: Path) -> AlignmentPrior:
         raise BadInput(f"{path}: version {document.get('version')!r} of the alignment: expected {VERSION}")
     try:
         return _prior(document)
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadInput(f"{path}: {type(error).__name__} in the alignment: {error}; save it anew") from error
+    except ValueError as error:
+        raise BadInput(f"{path}: the alignment cannot be used: {error}; save it anew") from error
 
 
 def _document(prior: AlignmentPrior) -> dict[str, Any]:
@@ -90,22 +96,58 @@ def _human_sigma(prior: AlignmentPrior, sigma: np.ndarray) -> dict[str, list[flo
 
 
 def _prior(document: dict[str, Any]) -> AlignmentPrior:
-    rotations = {
-        name: rotation_from_angles(
-            *np.deg2rad([float(d["azimuth_deg"]), float(d["elevation_deg"]), float(d["roll_deg"])])
-        )
-        for name, d in document["installation"].items()
-    }
-    names = tuple(document["covariance_of"])
-    covariance = np.array(document["covariance"], dtype=float)
-    size = sum(3 if name.endswith(".installation") else 1 for name in names)
-    if covariance.shape != (size, size) or not np.all(np.isfinite(covariance)):
-        raise ValueError(f"covariance of shape {covariance.shape}: expected {size} x {size} finite numbers")
+    """What the document says; a ValueError names the section that cannot be used."""
+    rotations_dv = _section(document, "installation", _rotations)
+    time_offsets_s = _section(document, "time_offset_s", _finite_numbers)
+    names = _section(document, "covariance_of", tuple)
+    known = {f"{device}.installation": 3 for device in rotations_dv} | dict.fromkeys(time_offsets_s, 1)
+    for name in names:
+        if name not in known:
+            raise ValueError(f"'covariance_of': {name!r} is neither in 'installation' nor in 'time_offset_s'")
+    size = sum(known[name] for name in names)
     return AlignmentPrior(
-        time_ns=int(document["time_ns"]),
-        serials={str(k): str(v) for k, v in document["serials"].items()},
-        rotations_dv=rotations,
-        time_offsets_s={str(k): float(v) for k, v in document["time_offset_s"].items()},
+        time_ns=_section(document, "time_ns", int),
+        serials=_section(document, "serials", lambda serials: {str(k): str(v) for k, v in serials.items()}),
+        rotations_dv=rotations_dv,
+        time_offsets_s=time_offsets_s,
         names=names,
-        covariance=covariance,
+        covariance=_section(document, "covariance", lambda rows: _covariance(rows, size)),
     )
+
+
+def _section(document: dict[str, Any], key: str, read: Callable[[Any], Section]) -> Section:
+    try:
+        return read(document[key])
+    except KeyError as error:
+        raise ValueError(f"{error} is missing" if error.args == (key,) else f"'{key}': {error} is missing") from error
+    except (AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"'{key}': {error}") from error
+
+
+def _rotations(installation: dict[str, Any]) -> dict[str, FloatArray]:
+    rotations = {}
+    for name, angles in installation.items():
+        angles_deg = _finite_numbers({f"{name} {key}": angles[key] for key in _ANGLES})
+        rotations[name] = rotation_from_angles(*np.deg2rad(list(angles_deg.values())))
+    return rotations
+
+
+def _finite_numbers(values: dict[str, Any]) -> dict[str, float]:
+    for name, value in values.items():
+        if not np.isfinite(float(value)):
+            raise ValueError(f"{name} is {value}: expected a finite number")
+    return {str(name): float(value) for name, value in values.items()}
+
+
+def _covariance(rows: list[list[float]], size: int) -> FloatArray:
+    covariance = np.array(rows, dtype=float)
+    if covariance.shape != (size, size) or not np.all(np.isfinite(covariance)):
+        raise ValueError(f"shape {covariance.shape}: expected {size} x {size} finite numbers")
+    # In sigmas, because angles are far smaller numbers than seconds.
+    scale = np.sqrt(np.abs(np.diagonal(covariance)))
+    correlation = covariance / np.where(scale > 0.0, np.outer(scale, scale), 1.0)
+    if not np.allclose(correlation, correlation.T, atol=_ROUNDING):
+        raise ValueError("not symmetric")
+    if np.linalg.eigvalsh(correlation)[0] < -_ROUNDING:
+        raise ValueError("not positive semidefinite")
+    return covariance

@@ -161,8 +161,10 @@ class ShipAttitudeCore:
         """What the filter now knows of the INS's errors, installation angles and clocks."""
         return alignment_of(self.filter, self.config, self.state)
 
-    def alignment_to_save(self) -> AlignmentPrior:
-        """The part of it that the next voyage can start from."""
+    def alignment_to_save(self) -> AlignmentPrior | None:
+        """The part of it that the next voyage can start from; None where nothing was ever measured."""
+        if self.state.time_ns is None:
+            return self._start[0] if self._start is not None else None
         return prior_of(self.filter, self.config, self.state)
 
     @property

@@ -1,0 +1,263 @@
+"""The alignment saved at the end of a voyage is the prior of the next one; a bad file is named, never half used."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from small_voyage import FACTORY, FORE, START_NS, clean_run, config, drive, new_adapter, voyage
+
+from ship_attitude_star import alignment_file
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_node.errors import BadInput
+
+DAY_NS = 86_400 * 10**9
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    """The alignment after the voyage."""
+    path = tmp_path / "alignment.yaml"
+    alignment_file.save(path, clean_run().adapter.core.alignment_to_save())
+    return path
+
+
+def started(path: Path, now_ns: int = START_NS, **changes: Any) -> ShipAttitudeAdapter:
+    """An adapter that has started with a file and seen nothing but the time."""
+    adapter = new_adapter(alignment_file=str(path), **changes)
+    adapter.tick(now_ns)
+    return adapter
+
+
+def sigma_of(adapter: ShipAttitudeAdapter) -> dict[str, float]:
+    alignment = adapter.core.alignment()
+    return dict(zip(alignment.names, np.sqrt(np.diagonal(alignment.covariance)).tolist(), strict=True))
+
+
+def value_of(adapter: ShipAttitudeAdapter) -> dict[str, float]:
+    alignment = adapter.core.alignment()
+    return dict(zip(alignment.names, alignment.values.tolist(), strict=True))
+
+
+def alignment_text(adapter: ShipAttitudeAdapter, now_ns: int) -> tuple[int, str]:
+    """What the diagnostics say of the alignment."""
+    published = adapter.tick(now_ns + 2 * 10**9)
+    (report,) = [message for topic, message in published if topic == "/diagnostics"]
+    (status,) = [status for status in report.status if status.name == "ship_attitude: alignment"]
+    return status.level[0], status.message
+
+
+def test_what_was_saved_is_the_prior_of_the_next_voyage(saved: Path) -> None:
+    before, configured, now = clean_run().adapter, started(saved.with_name("none")), started(saved)
+    assert alignment_text(now, START_NS) == (0, "as configured or saved")
+    for name in ("ins.time_offset", *(f"star.{s}.{a}" for s in ("fore", "starboard") for a in ("elevation", "roll"))):
+        assert value_of(now)[name] == pytest.approx(value_of(before)[name], abs=1e-12)
+        assert sigma_of(now)[name] == pytest.approx(sigma_of(before)[name], rel=1e-6)
+        assert sigma_of(now)[name] < sigma_of(configured)[name]
+    # 5 ms configured; a swell of 2 to 4° tells it to a few tenths of a millisecond.
+    assert sigma_of(now)["ins.time_offset"] < 0.2 * sigma_of(configured)["ins.time_offset"]
+    # The INS's own errors are another voyage's.
+    assert value_of(now)["ins.up"] == 0.0
+    assert sigma_of(now)["ins.up"] == pytest.approx(72.0 * ARCSEC)
+
+
+def test_the_next_voyage_starts_closer_and_accepts_its_stars(saved: Path) -> None:
+    fresh, primed = (drive(new_adapter(alignment_file=str(p)), voyage(1.0)) for p in (saved.with_name("none"), saved))
+    fresh_last, primed_last = (run.messages("ship/attitude")[-1] for run in (fresh, primed))
+    assert np.all(np.diagonal(np.reshape(primed_last.covariance - fresh_last.covariance, (3, 3))) < 0.0)
+    assert primed.health(FORE).rejected == 0
+    budget = primed.messages("ship/error_budget")[-1]
+    part = np.reshape(budget.covariances, (-1, 3, 3))[list(budget.sources).index("saved_alignment")]
+    assert part.trace() > 0.0
+
+
+def test_a_file_keeps_every_number(saved: Path) -> None:
+    prior, read = clean_run().adapter.core.alignment_to_save(), alignment_file.load(saved)
+    assert (read.time_ns, read.serials, read.names) == (prior.time_ns, {"fore": "F1", "starboard": "S1"}, prior.names)
+    assert read.time_offsets_s == prior.time_offsets_s
+    assert np.array_equal(read.covariance, prior.covariance)
+    for name, rotation_dv in prior.rotations_dv.items():
+        # Angles in degrees and back: a few 1e-16.
+        assert np.allclose(log_rotation(rotation_dv.T @ read.rotations_dv[name]), 0.0, atol=2e-15)
+    assert list(saved.parent.iterdir()) == [saved]  # nothing partial is left
+
+
+def test_another_serial_number_keeps_the_configured_prior(saved: Path) -> None:
+    configured = started(saved.with_name("none"))
+    now = started(saved, star_sensors__fore__serial="F2")
+    for axis in ("azimuth", "elevation", "roll"):
+        assert value_of(now)[f"star.fore.{axis}"] == value_of(configured)[f"star.fore.{axis}"]
+        assert sigma_of(now)[f"star.fore.{axis}"] == sigma_of(configured)[f"star.fore.{axis}"]
+        assert sigma_of(now)[f"star.starboard.{axis}"] < sigma_of(configured)[f"star.starboard.{axis}"]
+    level, text = alignment_text(now, START_NS)
+    assert level == 1
+    assert all(word in text for word in ("'fore'", "'F1'", "'F2'", "configured prior"))
+
+
+def test_an_old_file_is_a_wider_prior(saved: Path) -> None:
+    now_ns = START_NS + 31 * DAY_NS
+    configured = started(saved.with_name("none"))
+    old, young = started(saved, now_ns), started(saved, now_ns - 2 * DAY_NS)
+    for name in ("ins.time_offset", "star.fore.azimuth", "star.fore.elevation", "star.fore.roll"):
+        assert value_of(old)[name] == value_of(young)[name] != value_of(configured)[name]
+        assert sigma_of(old)[name] > sigma_of(configured)[name] > sigma_of(young)[name]
+    level, text = alignment_text(old, now_ns)
+    assert level == 1
+    assert "31.0 d old" in text
+    assert "alignment_max_age_d = 30" in text
+    assert alignment_text(young, now_ns - 2 * DAY_NS)[0] == 0
+
+
+def test_the_random_walk_of_the_time_between_is_added(saved: Path) -> None:
+    walk = {"star_sensors__fore__installation_walk_up_arcsec_per_sqrt_h": 1.0}
+    sigma = [sigma_of(started(saved, START_NS + 25 * 3600 * 10**9, **w))["star.fore.azimuth"] for w in ({}, walk)]
+    # Azimuth of a sensor at elevation 45° is (rotation about its up axis) / cos 45° and more: 1" a root hour, 25 hours.
+    added = math.sqrt(sigma[1] ** 2 - sigma[0] ** 2)
+    assert added == pytest.approx(5.0 * ARCSEC * math.sqrt(2.0), rel=1e-3)
+
+
+def test_a_sensor_that_the_file_does_not_know_and_one_that_is_gone(saved: Path) -> None:
+    aft = {"azimuth_deg": 180.0, "elevation_deg": 45.0}
+    now = started(saved, star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "serial": "F1"}, "aft": aft})
+    assert sigma_of(now)["star.aft.elevation"] == pytest.approx(ARCSEC)
+    assert sigma_of(now)["star.fore.elevation"] < ARCSEC
+    assert "star.starboard.elevation" not in sigma_of(now)
+
+
+def document(saved: Path) -> dict[str, Any]:
+    return yaml.safe_load(saved.read_text(encoding="utf-8"))
+
+
+def without(*keys: str) -> Any:
+    def change(content: dict[str, Any]) -> None:
+        for key in keys[:-1]:
+            content = content[key]
+        del content[keys[-1]]
+
+    return change
+
+
+def with_value(value: Any, *keys: Any) -> Any:
+    def change(content: dict[str, Any]) -> None:
+        for key in keys[:-1]:
+            content = content[key]
+        content[keys[-1]] = value
+
+    return change
+
+
+BROKEN = [
+    (with_value("other", "format"), "expected 'format: ship_attitude alignment'"),
+    (with_value(2, "version"), "version 2"),
+    (without("covariance"), "'covariance' is missing"),
+    (without("installation", "star.fore"), "star.fore"),
+    (without("installation", "star.fore", "roll_deg"), "roll_deg"),
+    (without("time_offset_s", "ins.time_offset"), "ins.time_offset"),
+    (with_value([1, 2], "covariance_of"), "covariance_of"),
+    (with_value(["star.fore"], "installation"), "installation"),
+    (with_value(3.0, "serials"), "serials"),
+    (with_value("late", "time_ns"), "time_ns"),
+    (with_value(math.nan, "installation", "star.fore", "azimuth_deg"), "star.fore"),
+    (with_value(math.inf, "time_offset_s", "ins.time_offset"), "ins.time_offset"),
+    (with_value([[0.0]], "covariance"), "shape (1, 1)"),
+    (with_value("x", "covariance", 0, 0), "could not convert"),
+    (with_value(math.nan, "covariance", 0, 0), "finite"),
+    (with_value(-1.0, "covariance", 0, 0), "positive semidefinite"),
+    (with_value(1.0, "covariance", 0, 1), "symmetric"),
+]
+
+
+@pytest.mark.parametrize(("change", "text"), BROKEN, ids=[text for _, text in BROKEN])
+def test_a_broken_file_is_named_at_the_start(saved: Path, change: Any, text: str) -> None:
+    content = document(saved)
+    change(content)
+    saved.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises(BadInput) as caught:
+        new_adapter(alignment_file=str(saved))
+    assert str(caught.value).startswith(f"{saved}: ")
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"- 1\n- 2\n", b"a: [1\nb", b"\xff\xfe\x00", b"x: !!python/object:os.system {}\n"]
+)
+def test_what_is_no_alignment_at_all_is_named(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "alignment.yaml"
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match="alignment"):
+        new_adapter(alignment_file=str(path))
+
+
+def test_a_directory_in_place_of_the_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="cannot be read"):
+        new_adapter(alignment_file=str(tmp_path))
+
+
+def test_without_a_file_the_node_starts_as_configured(tmp_path: Path) -> None:
+    run = drive(new_adapter(alignment_file=str(tmp_path / "none.yaml")), voyage())
+    assert run.results() == clean_run().results()
+
+
+def test_the_services_save_and_load(tmp_path: Path) -> None:
+    path = tmp_path / "ship" / "alignment.yaml"
+    run = drive(new_adapter(alignment_file=str(path)), voyage())
+    told = run.adapter.service("save_alignment", run.now_ns)
+    assert told.success
+    assert str(path) in told.message
+    assert alignment_file.load(path).time_ns == run.adapter.core.state.time_ns
+
+    later = ShipAttitudeAdapter(config(), FACTORY)
+    assert not later.service("load_alignment", START_NS).success
+    assert "alignment_file" in later.service("save_alignment", START_NS).message
+
+    path.write_text("nonsense", encoding="utf-8")
+    before = run.state()
+    refused = run.adapter.service("load_alignment", run.now_ns)
+    assert (refused.success, str(path) in refused.message) == (False, True)
+    assert run.state() == before
+    assert run.adapter.service("save_alignment", run.now_ns).success
+    loaded = run.adapter.service("load_alignment", run.now_ns)
+    assert loaded.success
+    assert sigma_of(run.adapter)["ins.time_offset"] < 0.001
+    assert sigma_of(run.adapter)["ins.up"] == pytest.approx(72.0 * ARCSEC)
+
+
+def test_a_place_that_cannot_be_written_is_named_and_the_node_lives(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    path = tmp_path / "file" / "alignment.yaml"
+    adapter = drive(new_adapter(alignment_file=str(path)), voyage()).adapter
+    told = adapter.service("save_alignment", START_NS)
+    assert not told.success
+    assert str(path) in told.message
+
+
+def test_after_a_jump_of_the_clock_the_saved_alignment_is_the_start_again(saved: Path) -> None:
+    run = drive(new_adapter(alignment_file=str(saved)), voyage(1.0))
+    run.adapter.clock_jumped_back(START_NS)
+    again = drive(run.adapter, voyage(1.0))
+    assert again.state() == run_state(saved)
+    assert again.results() == drive(new_adapter(alignment_file=str(saved)), voyage(1.0)).results()
+
+
+def run_state(saved: Path) -> Any:
+    return drive(new_adapter(alignment_file=str(saved)), voyage(1.0)).state()
+
+
+def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(saved: Path) -> None:
+    """Saved anew before the first star of a voyage, it still is what was loaded."""
+    adapter, before = started(saved, START_NS + DAY_NS), document(saved)
+    assert adapter.service("save_alignment", START_NS + DAY_NS).success
+    after = document(saved)
+    assert after["time_ns"] == before["time_ns"]
+    assert after["covariance"] == before["covariance"]
+
+
+def test_where_nothing_was_measured_there_is_nothing_to_save(tmp_path: Path) -> None:
+    adapter = started(tmp_path / "none.yaml")
+    told = adapter.service("save_alignment", START_NS)
+    assert (told.success, "no star" in told.message) == (False, True)
+    assert list(tmp_path.iterdir()) == []
