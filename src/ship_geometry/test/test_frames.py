@@ -86,6 +86,25 @@ def test_rotations_at_the_zenith_exactly_have_angles() -> None:
         np.testing.assert_allclose(back, rotation, rtol=0, atol=1e-15)
 
 
+def test_one_attitude_and_an_array_of_them_agree() -> None:
+    zenith = np.array(
+        [[1.0, side * (np.pi / 2 - short), 2.0] for side in (-1, 1) for short in (0.0, 1e-12, 1e-3, 2e-3)]
+    )
+    angles = np.concatenate([attitudes(50, 9, 90.0), zenith]).reshape(-1, 2, 3)
+    rotations = rotation_from_angles(*np.moveaxis(angles, -1, 0))
+    back = angles_from_rotation(rotations)
+    forth_b = rotation_vector_from_angle_errors(angles[..., 0], angles[..., 1])
+    inverse_b = angle_errors_from_rotation_vector(angles[..., 0], angles[..., 1])
+    for index in np.ndindex(angles.shape[:2]):
+        azimuth, elevation, roll = angles[index]
+        np.testing.assert_allclose(rotation_from_angles(azimuth, elevation, roll), rotations[index], rtol=0, atol=1e-15)
+        np.testing.assert_allclose(angles_from_rotation(rotations[index]), back[index], rtol=0, atol=1e-15)
+        one_b = rotation_vector_from_angle_errors(azimuth, elevation)
+        np.testing.assert_allclose(one_b, forth_b[index], rtol=0, atol=1e-15)
+        one_inverse = angle_errors_from_rotation_vector(azimuth, elevation)
+        np.testing.assert_allclose(one_inverse, inverse_b[index], rtol=1e-14, atol=1e-15)
+
+
 def test_b_is_the_derivative_of_the_rotation_by_its_angles() -> None:
     """Central differences over the whole sphere, the zenith included: B is regular there, its inverse is not."""
     step = 1e-5

@@ -67,6 +67,12 @@ def test_quaternions_of_all_attitudes_there_and_back() -> None:
     assert quaternions.shape == (50, 10, 4)
     assert np.all(quaternions[..., 3] >= 0.0)
     np.testing.assert_allclose(rotation_from_quaternion(quaternions), rotations, rtol=0, atol=2e-15)
+    # One at a time, as a live node has them. All four ways to divide occur: each component is the largest somewhere.
+    assert set(np.argmax(np.abs(quaternions), axis=-1).ravel()) == {0, 1, 2, 3}
+    for index in np.ndindex(50, 10):
+        one = quaternion_from_rotation(rotations[index])
+        np.testing.assert_allclose(one, quaternions[index], rtol=0, atol=2e-15)
+        np.testing.assert_allclose(rotation_from_quaternion(one), rotations[index], rtol=0, atol=2e-15)
 
 
 def test_sign_and_length_of_a_quaternion_do_not_matter() -> None:
