@@ -87,7 +87,7 @@ def alignment_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterS
     for id_, reference in config.references.items():
         angles, jacobian = _installation(filter_, state, f"reference.{id_}")
         for name, index in (("roll", 2), ("pitch", 1), ("heading", 0)):
-            add(f"reference.{id_}.{name}", wrap_pi(angles[index])[()], "rad", jacobian[index])
+            add(f"reference.{id_}.{name}", float(wrap_pi(angles[index])), "rad", jacobian[index])
         add_time_offset(f"reference.{id_}.time_offset", reference.time_offset_s)
     transport = np.array(rows)
     covariance = transport @ state.covariance @ transport.T
@@ -130,7 +130,8 @@ def state_from_prior(
     foreign = tuple(f"star.{id_}." for id_ in warnings)
     usable = [name for name in prior.names if name in model.slices and not name.startswith(foreign)]
     mean = initial.mean.copy()
-    rows, saved_rows = [], []
+    rows: list[int] = []
+    saved_rows: list[int] = []
     start = dict(zip(prior.names, np.cumsum([0] + [_width(n) for n in prior.names]), strict=False))
     to_state = np.eye(model.size)
     for name in usable:

@@ -1,11 +1,20 @@
 """Parameters of the ``ship_attitude`` node. Each states its unit, range and meaning; names are dotted."""
 
+import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 from ship_estimation.parameters import mapping_of, parameter, section
 
-_DEGREES = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
-_ARCSEC = {"unit": "arcsec", "minimum": 0.0, "maximum": 360_000.0}
+
+def _degrees(default: Any = dataclasses.MISSING, *, doc: str) -> Any:
+    """An angle of the geometry; without a default it must be given."""
+    return parameter(default, doc=doc, unit="deg", minimum=-360.0, maximum=360.0)
+
+
+def _arcsec(default: float, *, doc: str, live: bool = False) -> Any:
+    """A standard deviation."""
+    return parameter(default, doc=doc, unit="arcsec", minimum=0.0, maximum=360_000.0, live=live)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,18 +25,18 @@ class InsConfig:
         "enu_flu", doc="axes of ins/imu: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
     )
     frame_id: str = parameter("", doc="frame_id that ins/imu must carry; empty accepts any")
-    installation_heading_deg: float = parameter(0.0, doc="azimuth of the INS's forward axis in the deck", **_DEGREES)
-    installation_pitch_deg: float = parameter(0.0, doc="elevation of the INS's forward axis in the deck", **_DEGREES)
-    installation_roll_deg: float = parameter(0.0, doc="roll of the INS in the deck, right side down", **_DEGREES)
-    tilt_sigma_arcsec: float = parameter(10.0, doc="slow error in tilt, each axis", live=True, **_ARCSEC)
+    installation_heading_deg: float = _degrees(0.0, doc="azimuth of the INS's forward axis in the deck")
+    installation_pitch_deg: float = _degrees(0.0, doc="elevation of the INS's forward axis in the deck")
+    installation_roll_deg: float = _degrees(0.0, doc="roll of the INS in the deck, right side down")
+    tilt_sigma_arcsec: float = _arcsec(10.0, doc="slow error in tilt, each axis", live=True)
     tilt_time_s: float = parameter(
         1800.0, doc="correlation time of the tilt error", unit="s", minimum=1.0, maximum=1e7
     )
-    heading_sigma_arcsec: float = parameter(72.0, doc="slow error in heading", live=True, **_ARCSEC)
+    heading_sigma_arcsec: float = _arcsec(72.0, doc="slow error in heading", live=True)
     heading_time_s: float = parameter(
         10800.0, doc="correlation time of the heading error", unit="s", minimum=1.0, maximum=1e7
     )
-    white_sigma_arcsec: float = parameter(1.0, doc="noise of each sample, each axis", live=True, **_ARCSEC)
+    white_sigma_arcsec: float = _arcsec(1.0, doc="noise of each sample, each axis", live=True)
     time_offset_s: float = parameter(
         0.0, doc="a sample is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
     )
@@ -53,14 +62,14 @@ class StarSensorConfig:
     )
     frame_id: str = parameter("", doc="frame_id that its messages must carry; empty accepts any")
     serial: str = parameter("", doc="serial number; a saved alignment of another one becomes a wider prior")
-    azimuth_deg: float = parameter(doc="installation azimuth of the boresight in the deck", **_DEGREES)
+    azimuth_deg: float = _degrees(doc="installation azimuth of the boresight in the deck")
     elevation_deg: float = parameter(
         doc="installation elevation of the boresight over the deck", unit="deg", minimum=-90.0, maximum=90.0
     )
-    roll_deg: float = parameter(0.0, doc="installation roll about the boresight, right side down", **_DEGREES)
-    installation_sigma_forward_arcsec: float = parameter(20.0, doc="installation error about the boresight", **_ARCSEC)
-    installation_sigma_up_arcsec: float = parameter(1.0, doc="installation error about the up axis", **_ARCSEC)
-    installation_sigma_right_arcsec: float = parameter(1.0, doc="installation error about the right axis", **_ARCSEC)
+    roll_deg: float = _degrees(0.0, doc="installation roll about the boresight, right side down")
+    installation_sigma_forward_arcsec: float = _arcsec(20.0, doc="installation error about the boresight")
+    installation_sigma_up_arcsec: float = _arcsec(1.0, doc="installation error about the up axis")
+    installation_sigma_right_arcsec: float = _arcsec(1.0, doc="installation error about the right axis")
     installation_walk_forward_arcsec_per_sqrt_h: float = parameter(
         0.0, doc="random walk of the installation about the boresight", unit="arcsec/sqrt(h)", minimum=0.0
     )
@@ -70,14 +79,14 @@ class StarSensorConfig:
     installation_walk_right_arcsec_per_sqrt_h: float = parameter(
         0.0, doc="random walk of the installation about the right axis", unit="arcsec/sqrt(h)", minimum=0.0
     )
-    sigma_forward_arcsec: float = parameter(
-        100.0, doc="noise about the boresight where the message gives none", live=True, **_ARCSEC
+    sigma_forward_arcsec: float = _arcsec(
+        100.0, doc="noise about the boresight where the message gives none", live=True
     )
-    sigma_up_arcsec: float = parameter(
-        3.0, doc="noise about the up axis where the message gives none", live=True, **_ARCSEC
+    sigma_up_arcsec: float = _arcsec(
+        3.0, doc="noise about the up axis where the message gives none", live=True
     )
-    sigma_right_arcsec: float = parameter(
-        3.0, doc="noise about the right axis where the message gives none", live=True, **_ARCSEC
+    sigma_right_arcsec: float = _arcsec(
+        3.0, doc="noise about the right axis where the message gives none", live=True
     )
     common_time_s: float = parameter(
         3600.0,
@@ -92,8 +101,8 @@ class StarSensorConfig:
     time_offset_sigma_s: float = parameter(
         0.0, doc="uncertainty of time_offset_s; 0 holds it fixed", unit="s", minimum=0.0, maximum=1.0
     )
-    flexure_sigma_arcsec: float = parameter(
-        0.0, doc="hull flexure between INS and sensor, each axis; 0 leaves it out", **_ARCSEC
+    flexure_sigma_arcsec: float = _arcsec(
+        0.0, doc="hull flexure between INS and sensor, each axis; 0 leaves it out"
     )
     flexure_time_s: float = parameter(
         10.0, doc="correlation time of the flexure", unit="s", minimum=0.1, maximum=1e7
@@ -108,26 +117,26 @@ class ReferenceConfig:
         "enu_flu", doc="axes of its messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
     )
     frame_id: str = parameter("", doc="frame_id that its messages must carry; empty accepts any")
-    heading_deg: float = parameter(0.0, doc="heading of the reference minus heading of the INS", **_DEGREES)
-    pitch_deg: float = parameter(0.0, doc="pitch of the reference minus pitch of the INS", **_DEGREES)
-    roll_deg: float = parameter(0.0, doc="roll of the reference minus roll of the INS", **_DEGREES)
-    installation_sigma_arcsec: float = parameter(7200.0, doc="uncertainty of the three angles", **_ARCSEC)
+    heading_deg: float = _degrees(0.0, doc="heading of the reference minus heading of the INS")
+    pitch_deg: float = _degrees(0.0, doc="pitch of the reference minus pitch of the INS")
+    roll_deg: float = _degrees(0.0, doc="roll of the reference minus roll of the INS")
+    installation_sigma_arcsec: float = _arcsec(7200.0, doc="uncertainty of the three angles")
     installation_walk_arcsec_per_sqrt_h: float = parameter(
         0.0, doc="random walk of the three angles", unit="arcsec/sqrt(h)", minimum=0.0
     )
-    sigma_roll_arcsec: float = parameter(
-        60.0, doc="noise in roll where the message gives none", live=True, **_ARCSEC
+    sigma_roll_arcsec: float = _arcsec(
+        60.0, doc="noise in roll where the message gives none", live=True
     )
-    sigma_pitch_arcsec: float = parameter(
-        60.0, doc="noise in pitch where the message gives none", live=True, **_ARCSEC
+    sigma_pitch_arcsec: float = _arcsec(
+        60.0, doc="noise in pitch where the message gives none", live=True
     )
-    sigma_heading_arcsec: float = parameter(
-        60.0, doc="noise in heading where the message gives none", live=True, **_ARCSEC
+    sigma_heading_arcsec: float = _arcsec(
+        60.0, doc="noise in heading where the message gives none", live=True
     )
-    slow_sigma_roll_arcsec: float = parameter(0.0, doc="slow error of its own in roll", **_ARCSEC)
-    slow_sigma_pitch_arcsec: float = parameter(0.0, doc="slow error of its own in pitch", **_ARCSEC)
-    slow_sigma_heading_arcsec: float = parameter(
-        0.0, doc="slow error of its own in heading; 0 for all three leaves it out", **_ARCSEC
+    slow_sigma_roll_arcsec: float = _arcsec(0.0, doc="slow error of its own in roll")
+    slow_sigma_pitch_arcsec: float = _arcsec(0.0, doc="slow error of its own in pitch")
+    slow_sigma_heading_arcsec: float = _arcsec(
+        0.0, doc="slow error of its own in heading; 0 for all three leaves it out"
     )
     slow_time_s: float = parameter(
         300.0, doc="correlation time of its slow error", unit="s", minimum=0.1, maximum=1e7

@@ -5,6 +5,7 @@ A :class:`FilterState` is never changed in place, so that the time-ordered log c
 
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from ship_estimation.gates import chi_square_gate
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -157,5 +160,5 @@ class ShipFilter:
         return state, replace(decision, reason=reason, text=text)
 
 
-def _with(mapping: MappingProxyType, key: str, value: object) -> MappingProxyType:
+def _with(mapping: MappingProxyType[str, Value], key: str, value: Value) -> MappingProxyType[str, Value]:
     return MappingProxyType({**mapping, key: value})

@@ -1,0 +1,133 @@
+"""Jacobians against central differences, and the chain of rotations against its definition."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ship_attitude_star.attitude_output import CorrectedIns
+from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.filter_model import devices, state_model
+from ship_attitude_star.measurement_models import ins_time_of, predict_attitude
+from ship_attitude_star.ship_filter import FilterState
+from ship_estimation.parameters import build
+from ship_geometry.attitude_track import InterpolatedAttitude
+from ship_geometry.rotations import exp_rotation, log_rotation
+
+CONFIG = build(
+    ShipAttitudeConfig,
+    {
+        "ins": {"time_offset_s": 0.01},
+        "star_sensors": {
+            "fore": {
+                "azimuth_deg": 10.0,
+                "elevation_deg": 40.0,
+                "roll_deg": -30.0,
+                "time_offset_sigma_s": 0.001,
+                "flexure_sigma_arcsec": 5.0,
+            },
+            "plain": {"azimuth_deg": 250.0, "elevation_deg": 85.0},
+        },
+        "references": {"other": {"heading_deg": -0.8, "slow_sigma_heading_arcsec": 10.0, "time_offset_s": 0.1}},
+    },
+)
+MODEL = state_model(CONFIG)
+DEVICES = devices(CONFIG)
+STEP = 1e-6
+
+
+def random_case(seed: int) -> tuple[np.ndarray, InterpolatedAttitude]:
+    """Errors up to a degree, so that second-order terms of the Jacobian matter; a moving ship."""
+    rng = np.random.default_rng(seed)
+    mean = rng.normal(scale=0.01, size=MODEL.size)
+    rotation = Rotation.random(random_state=seed).as_matrix()
+    return mean, InterpolatedAttitude(rotation, rng.normal(scale=0.1, size=3), noise_gain=0.6)
+
+
+def moved(mean: np.ndarray, index: int, by: float) -> np.ndarray:
+    changed = mean.copy()
+    changed[index] += by
+    return changed
+
+
+def at_changed_time(name: str, mean: np.ndarray, changed: np.ndarray, ins: InterpolatedAttitude) -> InterpolatedAttitude:
+    """The INS's attitude at the moment that the changed clock offsets lead to, for a ship turning steadily."""
+    # Whole nanoseconds would swallow the small step: the difference of the two shifts is taken in seconds.
+    shift_s = sum(
+        sign * (changed[MODEL.slices[state]][0] - mean[MODEL.slices[state]][0])
+        for state, sign in DEVICES[name].ins_time_states
+    )
+    return InterpolatedAttitude(ins.rotation_nd @ exp_rotation(ins.rate_d * shift_s), ins.rate_d, ins.noise_gain)
+
+
+@pytest.mark.parametrize("name", DEVICES)
+@pytest.mark.parametrize("seed", range(5))
+def test_jacobian_of_a_device_is_its_central_difference(name: str, seed: int) -> None:
+    mean, ins = random_case(seed)
+    predicted = predict_attitude(DEVICES[name], MODEL, mean, ins)
+    for index in range(MODEL.size):
+        turns = []
+        for by in (STEP, -STEP):
+            changed = moved(mean, index, by)
+            rotation = predict_attitude(
+                DEVICES[name], MODEL, changed, at_changed_time(name, mean, changed, ins)
+            ).rotation_nv
+            turns.append(log_rotation(predicted.rotation_nv.T @ rotation))
+        difference = (turns[0] - turns[1]) / (2.0 * STEP)
+        assert predicted.jacobian_v[:, index] == pytest.approx(difference, abs=1e-7), MODEL.slices
+
+
+def test_chain_of_a_star_sensor_is_that_of_the_model() -> None:
+    """models.md §4: R_measured = exp(c) exp(a) exp(w) R_i exp(f) R0 exp(m), by scipy."""
+    mean, ins = random_case(1)
+
+    def exp(name: str, scale: float = 1.0) -> np.ndarray:
+        return Rotation.from_rotvec(scale * mean[MODEL.slices[name]]).as_matrix()
+
+    expected = (
+        exp("star.fore.common")
+        @ exp("ins.attitude")
+        @ exp("ins.noise", np.sqrt(0.6))
+        @ ins.rotation_nd
+        @ exp("star.fore.flexure")
+        @ DEVICES["star.fore"].rotation_dv0
+        @ exp("star.fore.installation")
+    )
+    assert predict_attitude(DEVICES["star.fore"], MODEL, mean, ins).rotation_nv == pytest.approx(expected, abs=1e-14)
+
+
+def test_clock_offsets_have_the_signs_of_the_contract() -> None:
+    """An INS sample is valid at stamp + tau; a reference's offset is its stamp minus the INS's."""
+    mean = np.zeros(MODEL.size)
+    mean[MODEL.slices["ins.time_offset"]] = 0.005
+    mean[MODEL.slices["star.fore.time_offset"]] = 0.001
+    mean[MODEL.slices["reference.other.time_offset"]] = 0.002
+    one_second = 1_000_000_000
+    assert ins_time_of(DEVICES["star.plain"], MODEL, mean, one_second) == one_second - 15_000_000
+    assert ins_time_of(DEVICES["star.fore"], MODEL, mean, one_second) == one_second - 14_000_000
+    assert ins_time_of(DEVICES["reference.other"], MODEL, mean, one_second) == one_second - 102_000_000
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_covariance_of_the_output_is_that_of_its_errors(seed: int) -> None:
+    """Output covariance = G P G^T + white noise, with G by central differences of the published attitude."""
+    rng = np.random.default_rng(seed)
+    mean, ins = random_case(seed)
+    root = rng.normal(scale=1e-5, size=(MODEL.size, MODEL.size))
+    parts = np.zeros((len(MODEL.sources), MODEL.size, MODEL.size))
+    parts[0] = root @ root.T
+    state = FilterState(1_000_000_000, mean, parts)
+    rotation, covariance_parts = CorrectedIns(MODEL, state).attitude(state.time_ns, ins)
+
+    jacobian = np.zeros((3, MODEL.size))
+    tau = MODEL.slices["ins.time_offset"].start
+    for index in range(MODEL.size):
+        turns = []
+        for by in (STEP, -STEP):
+            changed = FilterState(state.time_ns, moved(mean, index, by), parts)
+            shift_s = -by if index == tau else 0.0
+            shifted = InterpolatedAttitude(ins.rotation_nd @ exp_rotation(ins.rate_d * shift_s), ins.rate_d, 0.6)
+            turns.append(log_rotation(CorrectedIns(MODEL, changed).attitude(state.time_ns, shifted)[0] @ rotation.T))
+        jacobian[:, index] = (turns[0] - turns[1]) / (2.0 * STEP)
+    white = np.diag(MODEL.blocks["ins.noise"].sigma ** 2) * 0.6
+    expected = jacobian @ parts[0] @ jacobian.T + white
+    assert covariance_parts.sum(axis=0) == pytest.approx(expected, rel=1e-5, abs=1e-16)

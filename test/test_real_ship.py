@@ -1,0 +1,68 @@
+"""A real ship: two Seapath systems of cruise NBP1406, one taken as INS, the other as reference.
+
+Expected values: models.md §4, "Real case", found by hand with a spline fit, independently of this project.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_estimation.consistency import mean_nees_band, sigma_ratio_band
+from ship_replay.bag_reader import read_bag
+from ship_replay.import_nmea_command import main as import_nmea
+from ship_replay.monte_carlo import final_error
+from ship_replay.replay_command import main as replay
+from ship_replay.simulation.scenario_file import load_scenario
+
+ROOT = Path(__file__).parents[1]
+LOGS = ROOT.parent / "shared" / "data" / "nbp1406"
+CONFIG = ROOT / "bags" / "nbp1406.suite.yaml"
+SETTLING_S = 120.0
+SEEDS = 12
+
+pytestmark = pytest.mark.skipif(not LOGS.is_dir(), reason=f"the ship's records are not here: {LOGS}")
+
+
+def imported(tmp_path: Path, time: str) -> Path:
+    """Seapath `seap` as INS, resampled, and `s330` as reference."""
+    bag = tmp_path / f"{time}.mcap"
+    arguments = ["--ins", str(LOGS / "NBP1406_seap-2014-08-01")]
+    arguments += ["--reference", f"s330={LOGS / 'NBP1406_s330-2014-08-01'}", "--resample", "20"]
+    assert import_nmea([*arguments, "--time", time, "--out", str(bag)]) == 0
+    return bag
+
+
+@pytest.mark.parametrize(("time", "offset_s"), [("instrument", 0.012), ("receive", 0.110)])
+def test_two_systems_find_their_clocks_and_installation(tmp_path: Path, time: str, offset_s: float) -> None:
+    fused = tmp_path / "fused.mcap"
+    assert replay([str(imported(tmp_path, time)), "--out", str(fused), "--config", str(CONFIG)]) == 0
+    with read_bag(fused) as bag:
+        alignment = [record.decode() for record in bag.records(topics=["ship/alignment"])][-1]
+        innovations = [record.decode() for record in bag.records(topics=["ship/innovation"])]
+    values = dict(zip(alignment.names, alignment.values, strict=True))
+    assert values["reference.s330.time_offset"] == pytest.approx(offset_s, abs=0.005)
+    installation_deg = np.rad2deg([values[f"reference.s330.{name}"] for name in ("roll", "pitch", "heading")])
+    assert installation_deg == pytest.approx([-0.225, -0.039, -0.823], abs=0.005)
+
+    used = [m for m in innovations if m.accepted]
+    stamps_s = np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in used])
+    residuals_deg = np.rad2deg([m.residual for m in used])[stamps_s > stamps_s[0] + SETTLING_S]
+    roll, heading, pitch = np.std(residuals_deg, axis=0)  # about forward, up, right
+    assert roll <= 0.025
+    assert pitch <= 0.054
+    assert heading <= 0.039
+
+
+def test_errors_fit_their_covariance_on_recorded_motion(tmp_path: Path) -> None:
+    """One error a seed; 99.9 % bands for as many seeds. ``make campaign`` runs 200."""
+    bag = imported(tmp_path, "instrument")
+    whole = load_scenario(ROOT / "bags" / "scenarios" / "recorded.yaml", recording=bag)
+    scenario = replace(whole, duration_s=60.0, ins=replace(whole.ins, rate_hz=20.0))
+    results = [final_error(scenario, seed) for seed in range(SEEDS)]
+    low, high = mean_nees_band(SEEDS, degrees=3)
+    assert low <= np.mean([result.nees for result in results]) <= high
+    low, high = sigma_ratio_band(SEEDS)
+    rms = np.sqrt(np.mean([(result.angles / result.sigma) ** 2 for result in results], axis=0))
+    assert np.all((low <= rms) & (rms <= high)), rms
