@@ -1,0 +1,48 @@
+"""Writes docs/parameters.md: every parameter of every node, from the dataclasses that the nodes themselves use."""
+
+import sys
+from pathlib import Path
+
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_estimation.parameters import ParameterDescription, describe
+
+ADAPTERS = (ShipAttitudeAdapter,)
+PAGE = Path(__file__).parents[1] / "docs" / "parameters.md"
+HEAD = """# Parameters
+
+Units are in the names. `<id>` stands for the id of a star sensor or the name of a reference: naming it declares it. A
+parameter marked *live* may be changed while the node runs (`ros2 param set`); the others are read at the start. An unknown
+parameter, or one out of its range, stops the node at the start and is refused later, each time with the reason.
+
+This page is written by `python tools/parameter_table.py`; a test compares it with the code.
+"""
+
+
+def page() -> str:
+    """The whole page."""
+    text = HEAD
+    for adapter in ADAPTERS:
+        text += f"\n## `{adapter.node_name}`\n\n| parameter | default | unit | allowed | |\n|---|---|---|---|---|\n"
+        text += "".join(_row(parameter) for parameter in describe(adapter.config_type))
+    return text
+
+
+def _row(parameter: ParameterDescription) -> str:
+    default = "must be given" if parameter.default is None else f"`{parameter.default}`" if parameter.default != "" else ""
+    live = " *live*" if parameter.live else ""
+    return f"| `{parameter.name}` | {default} | {parameter.unit} | {_allowed(parameter)} | {parameter.doc}{live} |\n"
+
+
+def _allowed(parameter: ParameterDescription) -> str:
+    if parameter.choices:
+        return ", ".join(f"`{choice}`" for choice in parameter.choices)
+    if parameter.minimum is None and parameter.maximum is None:
+        return ""
+    low = "" if parameter.minimum is None else f"{parameter.minimum:g}"
+    high = "" if parameter.maximum is None else f"{parameter.maximum:g}"
+    return f"{low} … {high}"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
+    sys.stdout.write(f"{PAGE.relative_to(PAGE.parents[1])} written\n")
