@@ -10,7 +10,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 RUN := source tools/env.sh &&
 PYTEST_ARGS ?=
 
-.PHONY: help setup test lint demo bench campaign clean
+.PHONY: help setup test lint demo bags bench campaign clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -26,6 +26,9 @@ lint: setup ## style, types, directions of imports
 
 demo: setup ## a simulated voyage from bag to report
 	@$(RUN) python tools/demo.py
+
+bags: setup ## the bags in bags/, from their scenarios
+	@$(RUN) python tools/make_bags.py
 
 bench: setup ## speed, as ratios within one run
 	@$(RUN) python tools/bench.py

@@ -1,0 +1,34 @@
+"""A live run whose node does not start, or dies on the way, says so with the end of its log."""
+
+import signal
+from pathlib import Path
+
+import pytest
+
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_replay.live_run import LiveFailure, LiveRun
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+
+BAG = Path(__file__).parents[1] / "bags" / "demo.mcap"
+
+
+@pytest.fixture(autouse=True)
+def stay_on_this_machine(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def test_a_node_that_does_not_start(tmp_path):
+    with pytest.raises(LiveFailure, match=r"the node ended with exit code 2(.|\n)*parameter 'lag_s'"):
+        LiveRun(BAG, ShipAttitudeAdapter, "ship_attitude_star", tmp_path, {"lag_s": "-1.0"})
+
+
+def test_a_node_that_dies_on_the_way(tmp_path):
+    with LiveRun(BAG, ShipAttitudeAdapter, "ship_attitude_star", tmp_path) as run:
+
+        def kill_after_a_second(elapsed_s):
+            if elapsed_s > 1.0 and run.node.exit_code is None:
+                run.node.end(signal.SIGKILL)
+
+        with pytest.raises(LiveFailure, match=r"the node ended with exit code -9; its log .*ship_attitude\.log ends:"):
+            run.play(1.0, watch=kill_after_a_second)
