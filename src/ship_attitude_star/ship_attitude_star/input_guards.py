@@ -1,39 +1,55 @@
 """Guards against inputs that are well formed but cannot be true: frozen sensors, rates in degrees."""
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 
 
+@dataclass(frozen=True)
+class Witness:
+    """What another source says of the ship's attitude.
+
+    Attributes:
+        rotation: the attitude, in any constant frame, shape (3, 3).
+        sigma_rad: its noise about its worst axis.
+    """
+
+    rotation: FloatArray
+    sigma_rad: float
+
+
 class StuckGuard:
     """Finds a source that repeats one value while others say that the ship moves.
 
-    Stuck after ``count`` identical values during which a witness turned by more than ``threshold_rad``; well
-    again after ``count`` changing ones.
+    Stuck after ``count`` identical values during which a witness turned by more than five sigma, its own noise
+    and the source's taken together; well again after ``count`` changing ones.
 
     Args:
-        threshold_rad: motion that a healthy source could not have missed, five sigma of it.
+        sigma_rad: noise of the source about its worst axis.
         count: identical, then changing values.
     """
 
-    def __init__(self, threshold_rad: float, count: int = 20) -> None:
-        self._threshold_rad = threshold_rad
+    _SIGMAS = 5.0
+
+    def __init__(self, sigma_rad: float, count: int = 20) -> None:
+        self._sigma_rad = sigma_rad
         self._count = count
         self._value: FloatArray | None = None
         self._identical = 0
         self._changing = 0
-        self._witnessed: dict[str, FloatArray] = {}
+        self._witnessed: dict[str, Witness] = {}
         self._moved = False
         self.stuck = False
 
-    def observe(self, value: FloatArray, witnesses: dict[str, FloatArray]) -> bool:
+    def observe(self, value: FloatArray, witnesses: dict[str, Witness]) -> bool:
         """True where the source is stuck.
 
         Args:
             value: its attitude now, shape (3, 3).
-            witnesses: by name, the attitude now as others have it, shape (3, 3).
+            witnesses: by name, the attitude now as others have it.
         """
         if self._value is not None and np.array_equal(value, self._value):
             self._identical += 1
@@ -49,10 +65,12 @@ class StuckGuard:
             self.stuck = False
         return self.stuck
 
-    def _witness(self, witnesses: dict[str, FloatArray]) -> None:
-        for name, rotation in witnesses.items():
-            start = self._witnessed.setdefault(name, rotation)
-            if np.linalg.norm(log_rotation(start.T @ rotation)) > self._threshold_rad:
+    def _witness(self, witnesses: dict[str, Witness]) -> None:
+        for name, now in witnesses.items():
+            start = self._witnessed.setdefault(name, now)
+            sigma_rad = np.hypot(self._sigma_rad, np.hypot(start.sigma_rad, now.sigma_rad))
+            turn = log_rotation(start.rotation.T @ now.rotation)
+            if np.linalg.norm(turn) > self._SIGMAS * sigma_rad:
                 self._moved = True
 
 

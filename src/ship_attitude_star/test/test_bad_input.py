@@ -383,12 +383,17 @@ def test_a_frozen_star_sensor_is_found_and_comes_back(witness: str) -> None:
 
 
 def test_a_ship_at_rest_is_not_stuck() -> None:
-    """Identical values where nothing else moves are what a ship in dock gives."""
-    first = voyage()[index_at(voyage(), INS, 0.0)].message
+    """In dock the INS repeats one value, and what the stars show is their noise: 100" about the boresight."""
+    first = {topic: voyage()[index_at(voyage(), topic, 0.0)].message for topic in (INS, FORE)}
+    rng = np.random.default_rng(7)
 
     def rest(message: Any) -> None:
-        message.orientation = first.orientation
-        message.angular_velocity = first.linear_acceleration  # zero
+        if hasattr(message, "orientation"):
+            message.orientation = first[INS].orientation
+            message.angular_velocity = first[INS].linear_acceleration  # zero
+        else:
+            message.azimuth, message.elevation = first[FORE].azimuth, first[FORE].elevation
+            message.roll = first[FORE].roll + 100.0 * ARCSEC * rng.standard_normal()
 
-    run = drive(new_adapter(), changed_where([a for a in voyage() if a.topic == INS], lambda a: True, rest))
+    run = drive(new_adapter(), changed_where([a for a in voyage() if a.topic in first], lambda a: True, rest))
     assert run.reasons(INS) == {}
