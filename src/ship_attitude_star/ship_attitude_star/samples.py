@@ -52,6 +52,14 @@ class Reason(enum.IntEnum):
 
 
 @dataclass(frozen=True)
+class Refusal:
+    """Why an input was not used at all."""
+
+    reason: Reason
+    text: str
+
+
+@dataclass(frozen=True)
 class AttitudeMeasurement:
     """The attitude of a device fixed to the ship: a star sensor, or another attitude system.
 

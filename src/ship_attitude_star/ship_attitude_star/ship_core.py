@@ -10,29 +10,22 @@ import numpy as np
 from ship_attitude_star.alignment import Alignment, AlignmentPrior, alignment_of, prior_of, state_from_prior
 from ship_attitude_star.attitude_output import CorrectedIns, attitude_by_device
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.input_guards import RateIntegrator, RateUnitsGuard, StuckGuard, Witness
 from ship_attitude_star.samples import (
     AttitudeEstimate,
     AttitudeMeasurement,
     Decision,
     Horizon,
     Reason,
+    Refusal,
     Status,
 )
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
+from ship_attitude_star.stream_guards import StreamGuards
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _SECOND_NS = 1_000_000_000
-
-
-@dataclass(frozen=True)
-class Refusal:
-    """Why an input was not used at all."""
-
-    reason: Reason
-    text: str
 
 
 @dataclass
@@ -78,12 +71,8 @@ class ShipAttitudeCore:
         self._forget_estimate()
         self._track = AttitudeTrack(self._max_gap_ns)
         self._newest_ns = 0
-        self._rates = RateIntegrator()
-        self._units = RateUnitsGuard()
-        self._ins_sigma_rad = max(self.config.ins.white_sigma_arcsec, 1.0) * ARCSEC
-        self._stuck = {"ins": StuckGuard(self._ins_sigma_rad)}
+        self._guards = StreamGuards(self.config.ins.white_sigma_arcsec * ARCSEC)
         self._latest: dict[str, AttitudeMeasurement] = {}
-        self._witnesses: dict[str, Witness] = {}
         if clock_jumped:
             self._last_output_ns = 0
 
@@ -143,7 +132,7 @@ class ShipAttitudeCore:
         self._log.insert(key, measurement)
         if self._is_latest(measurement):
             self._latest[measurement.source] = measurement
-            self._witnesses[measurement.source] = Witness(measurement.rotation_nv, _worst_sigma_rad(measurement))
+            self._guards.used(measurement)
         self._advance(measurement.time_ns, outcome)
         if self._ins_silent(measurement.time_ns) and self._may_carry(measurement.source):
             self._estimate_from_star(measurement, outcome)
@@ -183,39 +172,19 @@ class ShipAttitudeCore:
         newest = self._track.newest
         if newest is not None and sample.time_ns <= newest.time_ns:
             return None  # the guards watch the stream in order
-        witnesses = dict(self._witnesses)
-        if sample.rate_d is not None:
-            if not self._rates.advance(sample.time_ns, sample.rate_d):
-                self._units.restart(sample.time_ns, sample.rotation_nd, self._rates.rotation)
-            witnesses["rate"] = Witness(self._rates.rotation, sigma_rad=0.0)
-            known_wrong = self._units.wrong
-            if self._units.observe(sample.time_ns, sample.rotation_nd, self._rates.rotation):
-                if not known_wrong:
-                    # By wrong rates the stars were compared with attitudes that never were: nothing of it can stay.
-                    self._forget_estimate()
-                text = (
-                    f"angular velocity turns {self._units.slope:.3g} times as fast as the orientation: "
-                    "degrees for radians? ins/imu must be in rad/s"
-                )
-                return Refusal(Reason.UNITS, text)
-        if self._stuck["ins"].observe(sample.rotation_nd, witnesses):
-            return Refusal(Reason.STUCK, "orientation stands still while other sources move")
-        return None
+        known_wrong = self._guards.rates_wrong
+        refusal = self._guards.check_ins(sample)
+        if self._guards.rates_wrong and not known_wrong:
+            # By wrong rates the stars were compared with attitudes that never were: nothing of it can stay.
+            self._forget_estimate()
+        return refusal
 
     def _measurement_refusal(self, measurement: AttitudeMeasurement) -> Refusal | None:
         if self._too_late(measurement.time_ns):
             return self._late(measurement.time_ns)
         if not self._is_latest(measurement):
             return None
-        source, newest = measurement.source, self._track.newest
-        if source not in self._stuck:
-            self._stuck[source] = StuckGuard(_worst_sigma_rad(measurement))
-        witnesses = {name: witness for name, witness in self._witnesses.items() if name != source}
-        if newest is not None:
-            witnesses["ins"] = Witness(newest.rotation_nd, self._ins_sigma_rad)
-        if self._stuck[source].observe(measurement.rotation_nv, witnesses):
-            return Refusal(Reason.STUCK, "attitude stands still while other sources move")
-        return None
+        return self._guards.check_measurement(measurement, self._track.newest)
 
     def _is_latest(self, measurement: AttitudeMeasurement) -> bool:
         latest = self._latest.get(measurement.source)
@@ -320,10 +289,6 @@ class ShipAttitudeCore:
     def _star_age_s(self, state: FilterState, time_ns: int) -> float:
         stars = [t for source, t in state.used_ns.items() if self.filter.devices[source].is_star]
         return (time_ns - max(stars)) / _SECOND_NS if stars else float("nan")
-
-
-def _worst_sigma_rad(measurement: AttitudeMeasurement) -> float:
-    return float(np.sqrt(np.max(np.diagonal(measurement.noise_v))))
 
 
 def _same_stamp(known: bytes, new: bytes) -> Refusal:
