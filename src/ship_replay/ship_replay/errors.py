@@ -1,5 +1,3 @@
-"""The package's exception for bad input."""
+"""The package's exception for bad input: that of the nodes, so that both are said alike."""
 
-
-class BadInput(ValueError):
-    """A file, topic, message or option cannot be used; the text names it and says what was expected."""
+from ship_node.errors import BadInput as BadInput

@@ -1,0 +1,195 @@
+"""Writes MCAP bags as rosbag2 does: CDR messages, embedded definitions, quality of service per topic.
+
+The same calls give the same bytes: nothing in the file depends on the time or the place of writing.
+"""
+
+import contextlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, TypeVar
+
+from mcap.writer import CompressionType, Writer
+
+from ship_node.errors import BadInput
+
+SUITE_ATTACHMENT = "suite.yaml"
+"""Name of the attachment that holds the suite's configuration."""
+
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+_QOS_TEMPLATE = """\
+- history: keep_last
+  depth: {depth}
+  reliability: reliable
+  durability: {durability}
+  deadline: {forever}
+  lifespan: {forever}
+  liveliness: automatic
+  liveliness_lease_duration: {forever}
+  avoid_ros_namespace_conventions: false
+"""
+
+
+Self = TypeVar("Self", bound="CdrBagWriter")
+
+
+class TypeDefinition(NamedTuple):
+    """Definition of a message type with all that it refers to, as a bag embeds it ("ros2msg"), and its RIHS01 hash."""
+
+    text: str
+    hash: str
+
+
+class CdrBagWriter:
+    """One MCAP file being written; use it in a ``with`` statement.
+
+    Attributes:
+        path: the file.
+        message_count: messages written.
+        whole_bytes: length of the file at the last :meth:`flush`: up to there it can be read whatever happens.
+
+    Args:
+        path: file to write, ending in .mcap.
+        define: the definition of a message type by its name; it may fail in any way where there is none.
+        library: name of the program, for the header of the file.
+        atomic: write beside it (``<path>.part``) and rename at the end, so that a file of this name is always
+            whole. A recorder, whose file must survive a crash, says False.
+        exclusive: refuse to write over a file that is there.
+
+    Raises:
+        BadInput: the file cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        define: Callable[[str], TypeDefinition],
+        library: str,
+        atomic: bool = True,
+        exclusive: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        self.message_count = self.whole_bytes = 0
+        self._define = define
+        self._written_path = self.path.with_name(self.path.name + ".part") if atomic else self.path
+        try:
+            self._file = open(self._written_path, "xb" if exclusive else "wb")  # noqa: SIM115 - closed by close()
+        except OSError as problem:
+            raise BadInput(f"{self.path}: cannot be written: {problem.strerror}") from problem
+        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library=library)
+        self._definitions: dict[str, TypeDefinition] = {}
+        self._schema_ids: dict[str, int] = {}
+        self._channels: dict[str, tuple[int, str]] = {}
+        self._sequences: dict[int, int] = {}
+
+    def add_topic(self, topic: str, type_name: str, latched: bool = False) -> None:
+        """Announce a topic before its first message; needed only where it is latched or may stay empty."""
+        self._channel_id(topic, type_name, latched)
+
+    def write_raw(
+        self, topic: str, type_name: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None
+    ) -> None:
+        """Add a message given by its CDR bytes, as they are.
+
+        Raises:
+            BadInput: the topic already carries another type, or the type is unknown.
+        """
+        channel_id = self._channel_id(topic, type_name)
+        sequence = self._sequences[channel_id] = self._sequences.get(channel_id, 0) + 1
+        self._writer.add_message(
+            channel_id=channel_id,
+            log_time=log_time_ns,
+            data=data,
+            publish_time=log_time_ns if publish_time_ns is None else publish_time_ns,
+            sequence=sequence,
+        )
+        self.message_count += 1
+
+    def add_attachment(self, name: str, content: str | bytes, media_type: str = "application/yaml") -> None:
+        """Attach a file."""
+        data = content.encode() if isinstance(content, str) else content
+        self._writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+
+    def add_metadata(self, name: str, entries: dict[str, str]) -> None:
+        """Add a metadata record."""
+        self._writer.add_metadata(name, entries)
+
+    def flush(self) -> None:
+        """Bring every message written so far onto the disk."""
+        self._writer.flush()
+        os.fsync(self._file.fileno())
+        self.whole_bytes = self._file.tell()
+
+    def close(self) -> None:
+        """Finish the file; with ``atomic`` it gets its name now."""
+        if self._file.closed:
+            return
+        self._writer.finish()
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+        if self._written_path != self.path:
+            self._written_path.replace(self.path)
+
+    def discard(self) -> None:
+        """Give up: an atomic writer leaves nothing behind, another what it wrote so far."""
+        self._file.close()
+        if self._written_path != self.path:
+            self._written_path.unlink(missing_ok=True)
+
+    def cut(self) -> None:
+        """Give up after a failed write: what was written since the last :meth:`flush` is cut off."""
+        # Closing tries once more to write what is in the buffer, and fails again.
+        with contextlib.suppress(OSError):
+            self._file.close()
+        with contextlib.suppress(OSError):
+            os.truncate(self._written_path, self.whole_bytes)
+
+    def __enter__(self: Self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if kind is None or self._written_path == self.path:
+            self.close()
+        else:
+            self.discard()
+
+    def _channel_id(self, topic: str, type_name: str, latched: bool = False) -> int:
+        known = self._channels.get(topic)
+        if known is not None:
+            if known[1] != type_name:
+                raise BadInput(f"{self.path}: topic '{topic}' carries {known[1]}, not {type_name}")
+            return known[0]
+        channel_id = self._writer.register_channel(
+            topic=topic,
+            message_encoding="cdr",
+            schema_id=self._schema_id(type_name),
+            metadata={
+                "offered_qos_profiles": _QOS_TEMPLATE.format(
+                    depth=1 if latched else 100,
+                    durability="transient_local" if latched else "volatile",
+                    forever=_FOREVER,
+                ),
+                "topic_type_hash": self._defined(type_name).hash,
+            },
+        )
+        self._channels[topic] = (channel_id, type_name)
+        return channel_id
+
+    def _defined(self, type_name: str) -> TypeDefinition:
+        if type_name not in self._definitions:
+            try:
+                self._definitions[type_name] = self._define(type_name)
+            except Exception as problem:
+                raise BadInput(f"{self.path}: message type {type_name} is unknown") from problem
+        return self._definitions[type_name]
+
+    def _schema_id(self, type_name: str) -> int:
+        if type_name not in self._schema_ids:
+            text = self._defined(type_name).text
+            self._schema_ids[type_name] = self._writer.register_schema(type_name, "ros2msg", text.encode())
+        return self._schema_ids[type_name]
