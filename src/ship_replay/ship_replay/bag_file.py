@@ -1,7 +1,7 @@
 """One MCAP file as a list of chunks that can be read one by one, however damaged the file is.
 
 A whole file ends in a summary that says where each chunk lies. Of a file without one — a recorder was killed, a disk
-was full — the records are walked through from the start up to the cut.
+was full — the records are walked through from the start up to the cut, past damaged ones.
 """
 
 import io
@@ -16,7 +16,8 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.summary import Summary
 
 from ship_replay.errors import BadInput
-from ship_replay.mcap_records import COMPRESSIONS, HEADER, ChunkPlace, DamagedChunk, RecordFile, parsed
+from ship_replay.mcap_records import COMPRESSIONS, ChunkPlace, DamagedChunk, RecordFile, parsed
+from ship_replay.mcap_walk import Gap, WalkedRecord, has_header, walk
 from ship_replay.times import utc_text
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -32,6 +33,7 @@ class McapFile:
         path: the file.
         data: its records.
         chunks: places of the messages, in file order.
+        side_records: attachments and metadata as they lie in the file, in file order.
         problems: one line for each thing wrong with the file that is known so far.
     """
 
@@ -42,6 +44,7 @@ class McapFile:
     channels: dict[int, Channel] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    side_records: list[Attachment | Metadata] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
     def messages(self, place: ChunkPlace) -> list[Message]:
@@ -69,10 +72,12 @@ def open_mcap(path: Path) -> McapFile:
     size = stream.seek(0, io.SEEK_END)
     stream.seek(0)
     magic = stream.read(len(MAGIC))
-    if magic != MAGIC:
-        stream.close()
-        raise BadInput(f"{path}: the file is empty" if size == 0 else f"{path}: not an MCAP file")
     file = McapFile(path, RecordFile(stream, size))
+    if magic != MAGIC:
+        if not has_header(file.data, len(MAGIC)):
+            stream.close()
+            raise BadInput(f"{path}: the file is empty" if size == 0 else f"{path}: not an MCAP file")
+        file.problems.append(f"{path.name}: its first {len(MAGIC)} bytes are damaged; nothing is lost by that")
     summary = _summary(file)
     if summary is not None:
         _take_summary(file, summary)
@@ -140,49 +145,65 @@ def _take_summary(file: McapFile, summary: Summary) -> None:
 
 def _walk(file: McapFile) -> None:
     """Find the chunks of a file without a usable summary, up to its end or its cut."""
-    offset = len(MAGIC)
     loose: list[tuple[int, int, int]] = []
-    message_count, complete = 0, False
-    while (record := file.data.record_at(offset)) is not None:
-        opcode, body = record
-        length = HEADER.size + len(body)
-        if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-            complete = True
-            break
-        if opcode == Opcode.CHUNK:
-            message_count += _take_chunk(file, offset, body)
-        elif opcode == Opcode.MESSAGE:
-            loose.append((offset, length, struct.unpack_from("<Q", body, 6)[0]))
-            message_count += 1
-        else:
-            _take_side_record(file, opcode, body)
-        if loose and (opcode != Opcode.MESSAGE or len(loose) == _LOOSE_MESSAGES_PER_PLACE):
+    gaps: list[tuple[Gap, int]] = []
+    message_count, cut = 0, None
+    for part in walk(file.data, len(MAGIC)):
+        is_message = isinstance(part, WalkedRecord) and part.opcode == Opcode.MESSAGE
+        if loose and (not is_message or len(loose) == _LOOSE_MESSAGES_PER_PLACE):
             file.chunks.append(_loose_place(loose))
             loose = []
-        offset += length
+        if isinstance(part, Gap):
+            if part.end is None:
+                cut = part.start
+            else:
+                gaps.append((part, len(file.chunks)))
+        elif part.opcode == Opcode.CHUNK:
+            message_count += _take_chunk(file, part)
+        elif is_message:
+            loose.append((part.offset, part.length, struct.unpack_from("<Q", part.body, 6)[0]))
+            message_count += 1
+        else:
+            _take_side_record(file, part.opcode, part.body)
     if loose:
         file.chunks.append(_loose_place(loose))
     last_ns = max((place.end_ns for place in file.chunks), default=None)
     last = "none" if last_ns is None else utc_text(last_ns)
-    what = "its summary is missing or damaged" if complete else f"no footer, it ends or is damaged at byte {offset}"
+    what = "its summary is missing or damaged" if cut is None else f"no footer, it ends or is damaged at byte {cut}"
     file.problems.append(f"{file.path.name}: {what}; {message_count} messages could be read, the last at {last}")
+    file.problems.extend(_gap_text(file, gap, place_number) for gap, place_number in gaps)
 
 
-def _take_chunk(file: McapFile, offset: int, body: bytes) -> int:
+def _gap_text(file: McapFile, gap: Gap, place_number: int) -> str:
+    """What a gap before a place of that number may have cost."""
+    before, after = file.chunks[:place_number], file.chunks[place_number:]
+    start = utc_text(before[-1].end_ns) if before else "the start"
+    end = utc_text(after[0].start_ns) if after else "the end"
+    return (
+        f"{file.path.name}: bytes {gap.start} to {gap.end} are damaged: "
+        f"messages between {start} and {end} are lost, if there were any"
+    )
+
+
+def _take_chunk(file: McapFile, chunk: WalkedRecord) -> int:
     """Note a chunk met on the walk and the channels it announces; returns its number of messages."""
-    start_ns, end_ns = struct.unpack_from("<QQ", body)
-    place = ChunkPlace(offset, HEADER.size + len(body), start_ns, end_ns)
-    file.chunks.append(place)
+    announced = ChunkPlace(chunk.offset, chunk.length, *struct.unpack_from("<QQ", chunk.body))
     try:
-        records = file.data.records_of(place)
+        records = file.data.records_of(announced, check_times=False)
     except DamagedChunk:
+        file.chunks.append(announced)
         return 0  # messages() will say so, with the time range
+    times = [record.log_time for record in records if isinstance(record, Message)]
+    if times:
+        # Those in its head are not under its checksum.
+        file.chunks.append(ChunkPlace(chunk.offset, chunk.length, min(times), max(times)))
     for record in records:
+        # Under a checksum here, and so right, whatever stood outside a chunk.
         if isinstance(record, Schema):
             file.schemas[record.id] = record
         elif isinstance(record, Channel):
             file.channels[record.id] = record
-    return sum(isinstance(record, Message) for record in records)
+    return len(times)
 
 
 def _loose_place(messages: list[tuple[int, int, int]]) -> ChunkPlace:
@@ -197,18 +218,20 @@ def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
     try:
         if opcode == Opcode.SCHEMA:
             schema = parsed(Schema.read, body)
-            file.schemas[schema.id] = schema
+            file.schemas.setdefault(schema.id, schema)
         elif opcode == Opcode.CHANNEL:
             channel = parsed(Channel.read, body)
-            file.channels[channel.id] = channel
+            file.channels.setdefault(channel.id, channel)
         elif opcode == Opcode.METADATA:
             metadata = parsed(Metadata.read, body)
             file.metadata[metadata.name] = metadata.metadata
+            file.side_records.append(metadata)
         elif opcode == Opcode.ATTACHMENT:
             checksum = struct.unpack("<I", body[-4:])[0]
             if checksum not in (0, zlib.crc32(body[:-4])):
                 raise DamagedChunk("its checksum is wrong")
             attachment = parsed(Attachment.read, body)
             file.attachments[attachment.name] = attachment.data
+            file.side_records.append(attachment)
     except Exception as problem:
         file.problems.append(f"{file.path.name}: a {Opcode(opcode).name.lower()} record is damaged: {problem}")

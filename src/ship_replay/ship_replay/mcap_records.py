@@ -66,8 +66,12 @@ class RecordFile:
             return None
         return opcode, self.stream.read(length)
 
-    def records_of(self, place: ChunkPlace) -> list[McapRecord]:
+    def records_of(self, place: ChunkPlace, check_times: bool = True) -> list[McapRecord]:
         """Records of one place, in file order.
+
+        Args:
+            place: where they lie.
+            check_times: whether messages outside the times of the place make it damaged.
 
         Raises:
             DamagedChunk: it cannot be decompressed or parsed, its checksum is wrong, or its times are not those
@@ -83,7 +87,7 @@ class RecordFile:
             raise DamagedChunk(f"compression {chunk.compression!r} is unknown")
         records = _guarded(lambda: breakup_chunk(chunk, validate_crc=True))
         times = [record.log_time for record in records if isinstance(record, Message)]
-        if times and (min(times) < place.start_ns or max(times) > place.end_ns):
+        if check_times and times and (min(times) < place.start_ns or max(times) > place.end_ns):
             raise DamagedChunk("its header has other times than its messages")
         return records
 
