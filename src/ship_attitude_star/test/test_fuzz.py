@@ -1,6 +1,7 @@
 """Garbage in any field, tens of thousands of times: nothing is raised, and afterwards the node is as good as new."""
 
 import copy
+import pickle
 from collections import Counter
 from typing import Any
 
@@ -53,7 +54,7 @@ def garbage(value: Any, name: str, rng: np.random.Generator) -> Any:
         return int(rng.choice([0, -1, -(2**31), 2**31 - 1, value - 1, value + 1, value - 3]))
     if name == "nanosec":
         return int(rng.choice([0, 999_999_999, 1_000_000_000, 2**32 - 1, rng.integers(0, SECOND_NS)]))
-    return int(rng.integers(0, 256))
+    return int(rng.choice([0, 1, 2, 3, 4, 255]))
 
 
 def a_number(rng: np.random.Generator, value: float) -> float:
@@ -82,10 +83,11 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
             now_ns = start_ns + arrival.receive_ns - START_NS
             good = later(arrival, start_ns - START_NS)
             take(run, good, now_ns)
+            pickled = pickle.dumps(good.message)  # copies three times as fast as deepcopy()
             for _ in range(mixed_in):
-                bad = copy.deepcopy(good)
-                spoil(bad.message, fields[arrival.topic], rng)
-                take(run, bad, now_ns)
+                bad = pickle.loads(pickled)
+                spoil(bad, fields[arrival.topic], rng)
+                take(run, Arrival(good.topic, bad, now_ns), now_ns)
                 tried["all"] += 1
             if tried["all"] % 100 == 0:
                 run.published += [(now_ns, *item) for item in adapter.tick(now_ns)]
