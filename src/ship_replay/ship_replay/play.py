@@ -72,7 +72,7 @@ class Player:
         self._bag_path = bag_path
         self._options = options
         self._clock = clock
-        self._clock_publisher = node.create_publisher(Clock, "/clock", 10)
+        self._clock_publisher = node.create_publisher(Clock, "/clock", _DEPTH)
         self.clock_ns = 0
         self._publishers: dict[str, Publisher] = {}
         with read_bag(bag_path) as bag:
