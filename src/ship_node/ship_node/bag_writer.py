@@ -1,6 +1,9 @@
 """Writes MCAP bags as rosbag2 does: CDR messages, embedded definitions, quality of service per topic.
 
 The same calls give the same bytes: nothing in the file depends on the time or the place of writing.
+
+A bag that is flushed survives a crash: what was flushed is whole chunks, and definitions stand twice in it, once inside
+a chunk and once behind it, so that no single damage takes the meaning from the messages of other chunks.
 """
 
 import contextlib
@@ -10,6 +13,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, TypeVar
 
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
 from ship_node.errors import BadInput
@@ -19,9 +24,9 @@ SUITE_ATTACHMENT = "suite.yaml"
 
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 _QOS_TEMPLATE = """\
-- history: keep_last
+- history: {history}
   depth: {depth}
-  reliability: reliable
+  reliability: {reliability}
   durability: {durability}
   deadline: {forever}
   lifespan: {forever}
@@ -32,6 +37,13 @@ _QOS_TEMPLATE = """\
 
 
 Self = TypeVar("Self", bound="CdrBagWriter")
+
+
+def qos_text(history: str, depth: int, reliability: str, durability: str) -> str:
+    """One offered quality of service as rosbag2 notes it, e.g. ``qos_text("keep_last", 1, "reliable", "volatile")``."""
+    return _QOS_TEMPLATE.format(
+        history=history, depth=depth, reliability=reliability, durability=durability, forever=_FOREVER
+    )
 
 
 class TypeDefinition(NamedTuple):
@@ -83,10 +95,20 @@ class CdrBagWriter:
         self._schema_ids: dict[str, int] = {}
         self._channels: dict[str, tuple[int, str]] = {}
         self._sequences: dict[int, int] = {}
+        self._unrepeated: list[Schema | Channel] = []
 
-    def add_topic(self, topic: str, type_name: str, latched: bool = False) -> None:
-        """Announce a topic before its first message; needed only where it is latched or may stay empty."""
-        self._channel_id(topic, type_name, latched)
+    def add_topic(
+        self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
+    ) -> None:
+        """Announce a topic before its first message; needed only where it is latched or may stay empty.
+
+        Args:
+            topic: its name.
+            type_name: its type, e.g. ``sensor_msgs/msg/Imu``.
+            latched: whether its last message is kept for late subscribers.
+            qos_profiles: what its publishers offer, by :func:`qos_text`; None: what the suite's own publishers do.
+        """
+        self._channel_id(topic, type_name, latched, qos_profiles)
 
     def write_raw(
         self, topic: str, type_name: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None
@@ -119,6 +141,8 @@ class CdrBagWriter:
     def flush(self) -> None:
         """Bring every message written so far onto the disk."""
         self._writer.flush()
+        self._repeat_definitions()
+        self._file.flush()
         os.fsync(self._file.fileno())
         self.whole_bytes = self._file.tell()
 
@@ -158,25 +182,24 @@ class CdrBagWriter:
         else:
             self.discard()
 
-    def _channel_id(self, topic: str, type_name: str, latched: bool = False) -> int:
+    def _channel_id(
+        self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
+    ) -> int:
         known = self._channels.get(topic)
         if known is not None:
             if known[1] != type_name:
                 raise BadInput(f"{self.path}: topic '{topic}' carries {known[1]}, not {type_name}")
             return known[0]
-        channel_id = self._writer.register_channel(
-            topic=topic,
-            message_encoding="cdr",
-            schema_id=self._schema_id(type_name),
-            metadata={
-                "offered_qos_profiles": _QOS_TEMPLATE.format(
-                    depth=1 if latched else 100,
-                    durability="transient_local" if latched else "volatile",
-                    forever=_FOREVER,
-                ),
-                "topic_type_hash": self._defined(type_name).hash,
-            },
+        own_qos = qos_text(
+            "keep_last", 1 if latched else 100, "reliable", "transient_local" if latched else "volatile"
         )
+        metadata = {
+            "offered_qos_profiles": own_qos if qos_profiles is None else qos_profiles,
+            "topic_type_hash": self._defined(type_name).hash,
+        }
+        schema_id = self._schema_id(type_name)
+        channel_id = self._writer.register_channel(topic, "cdr", schema_id, metadata)
+        self._unrepeated.append(Channel(channel_id, topic, "cdr", metadata, schema_id))
         self._channels[topic] = (channel_id, type_name)
         return channel_id
 
@@ -190,6 +213,15 @@ class CdrBagWriter:
 
     def _schema_id(self, type_name: str) -> int:
         if type_name not in self._schema_ids:
-            text = self._defined(type_name).text
-            self._schema_ids[type_name] = self._writer.register_schema(type_name, "ros2msg", text.encode())
+            data = self._defined(type_name).text.encode()
+            self._schema_ids[type_name] = self._writer.register_schema(type_name, "ros2msg", data)
+            self._unrepeated.append(Schema(self._schema_ids[type_name], data, "ros2msg", type_name))
         return self._schema_ids[type_name]
+
+    def _repeat_definitions(self) -> None:
+        """Write the schemas and channels that are new once more, between chunks, as MCAP allows."""
+        records = RecordBuilder()
+        for record in self._unrepeated:
+            record.write(records)
+        self._unrepeated.clear()
+        self._file.write(records.end())

@@ -5,6 +5,7 @@ from typing import Any
 
 from ship_node.bag_writer import SUITE_ATTACHMENT as SUITE_ATTACHMENT
 from ship_node.bag_writer import CdrBagWriter, TypeDefinition
+from ship_node.bag_writer import qos_text as qos_text
 from ship_replay.message_store import definition, serialize, type_hash
 
 SCENARIO_ATTACHMENT = "scenario.yaml"

@@ -1,27 +1,28 @@
-"""Records live topics into one MCAP file that survives a crash: each message as it came, flushed in short periods."""
+"""Records live topics into a bag that survives a crash: each message as it came, flushed in short periods."""
 
-import contextlib
-import os
 import time
 from collections import Counter
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ship_replay.bag_writer import BagWriter
+from ship_replay.clock_watch import ClockWatch
 from ship_replay.errors import BadInput
 from ship_replay.installed_types import use_installed_definition
 from ship_replay.message_class import message_class
-from ship_replay.record_topics import DEPTH, adapted_qos, offers
+from ship_replay.record_topics import DEPTH, adapted_qos, offers, qos_texts
+from ship_replay.split_bag import FolderWriter
+from ship_replay.times import NS_PER_S, utc_text
 
 _DISCOVERY_PERIOD_S = 0.1
 # Publishers that go on past the end must not hold it up.
 _DRAIN_S = 1.0
+# A flush begins after this share of its period, so that its writing is over within it.
+_FLUSH_SHARE = 0.7
 
 
 @dataclass(frozen=True)
@@ -41,25 +42,24 @@ class Recorder:
 
     Args:
         node: node that subscribes; :meth:`run` spins it.
-        path: file to write.
+        bag: where it is written, crash-safe; :meth:`run` closes it.
         options: what to record and when to end.
-
-    Raises:
-        BadInput: the file cannot be made.
     """
 
-    def __init__(self, node: Node, path: Path, options: RecordOptions) -> None:
+    def __init__(self, node: Node, bag: BagWriter | FolderWriter, options: RecordOptions) -> None:
         self.counts: Counter[str] = Counter()
         self.lost: Counter[str] = Counter()
         self._node = node
-        self._path = path
         self._options = options
-        self._bag = BagWriter(path, atomic=False)
-        self._whole_bytes = 0
+        self._bag = bag
         self._stopped = False
         self._known: set[str] = set()
         self._before_clock: list[tuple[str, str, bytes, int]] = []
         self._last_receipt_s: float | None = None
+        self._last_log_ns = 0
+        self._is_simulated_time = bool(node.get_parameter("use_sim_time").value)
+        self._clock_watch = ClockWatch()
+        self._step_count = 0
 
     def stop(self) -> None:
         """End soon; for signal handlers."""
@@ -77,10 +77,10 @@ class Recorder:
             self._spin(executor)
             self._bag.close()
         except OSError as problem:
-            self._give_up()
+            self._bag.cut()
             raise BadInput(
-                f"{self._path}: recording ended: {problem.strerror}; the file is whole up to the last flush, "
-                f"{self._whole_bytes} bytes"
+                f"{self._bag.path}: recording ended: {problem.strerror}; the file is whole up to the last flush, "
+                f"{self._bag.whole_bytes} bytes, and record --recover finishes it"
             ) from problem
         finally:
             executor.shutdown()
@@ -94,8 +94,11 @@ class Recorder:
                 self._discover()
                 next_discovery_s = now_s + _DISCOVERY_PERIOD_S
             if now_s >= next_flush_s:
-                self._flush()
-                next_flush_s = now_s + self._options.flush_period_s
+                self._look_at_clock()
+                self._bag.flush()
+                # A disk that takes longer than the period for a flush must leave as much time to receive.
+                spent_s = time.monotonic() - now_s
+                next_flush_s = now_s + max(_FLUSH_SHARE * self._options.flush_period_s, 2.0 * spent_s)
             executor.spin_once(timeout_sec=max(0.0, min(next_discovery_s, next_flush_s) - now_s))
         self._drain(executor)
         if self._before_clock:
@@ -121,31 +124,21 @@ class Recorder:
             for _ in range(2 * len(self._known) + 1):
                 executor.spin_once(timeout_sec=0.0)
 
-    def _flush(self) -> None:
-        self._bag.flush()
-        self._whole_bytes = self._path.stat().st_size
-
-    def _give_up(self) -> None:
-        """Cut off what was written in part: everything before is whole chunks."""
-        with contextlib.suppress(OSError):
-            self._bag.discard()
-        with contextlib.suppress(OSError):
-            os.truncate(self._path, self._whole_bytes)
-
     def _discover(self) -> None:
         for topic, endpoints in offers(self._node, self._options.topics).items():
             if topic not in self._known:
                 self._known.add(topic)
-                self._subscribe(topic, endpoints[0].topic_type, adapted_qos(endpoints))
+                self._subscribe(topic, endpoints[0].topic_type, adapted_qos(endpoints), qos_texts(endpoints))
 
-    def _subscribe(self, topic: str, type_name: str, qos: Any) -> None:
+    def _subscribe(self, topic: str, type_name: str, qos: QoSProfile, qos_profiles: str) -> None:
+        latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         try:
             kind = message_class(type_name)
             use_installed_definition(type_name)
         except BadInput as problem:
             self._say(f"topic '{topic}' is not recorded: {problem}")
             return
-        self._bag.add_topic(topic, type_name, latched=qos.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+        self._bag.add_topic(topic, type_name, latched, qos_profiles)
         events = SubscriptionEventCallbacks(
             message_lost=lambda info: self._note_loss(topic, info.total_count_change)
         )
@@ -173,6 +166,9 @@ class Recorder:
             # With use_sim_time there is no time before the first /clock; what came before it was not later.
             self._before_clock.append((topic, type_name, data, info["source_timestamp"]))
             return
+        if self._is_simulated_time and now_ns < self._last_log_ns:
+            self._say_step("/clock", now_ns - self._last_log_ns, now_ns)
+        self._last_log_ns = now_ns
         self._write_held(now_ns)
         self._bag.write_raw(topic, type_name, data, now_ns, info["source_timestamp"])
 
@@ -180,6 +176,19 @@ class Recorder:
         for topic, type_name, data, sent_ns in self._before_clock:
             self._bag.write_raw(topic, type_name, data, now_ns, sent_ns)
         self._before_clock.clear()
+
+    def _look_at_clock(self) -> None:
+        before_ns, clock_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        step_ns = self._clock_watch.look(before_ns, clock_ns, after_ns)
+        if step_ns is not None:
+            self._say_step("the system clock", step_ns, clock_ns)
+
+    def _say_step(self, clock: str, step_ns: int, now_ns: int) -> None:
+        """Tell it, and note it in the bag, where times after the step are the new ones."""
+        self._step_count += 1
+        self._say(f"{clock} stepped by {step_ns / NS_PER_S:+.3f} s to {utc_text(now_ns)}; recording goes on")
+        entries = {"clock": clock, "step_ns": str(step_ns), "to_ns": str(now_ns)}
+        self._bag.add_metadata(f"clock_step_{self._step_count}", entries)
 
     def _note_loss(self, topic: str, count: int) -> None:
         self.lost[topic] += count

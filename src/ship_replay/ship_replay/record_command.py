@@ -1,4 +1,4 @@
-"""``record``: live topics go into a crash-safe MCAP file."""
+"""``record``: live topics go into a crash-safe bag; what a crash left is made whole again."""
 
 import argparse
 import math
@@ -11,25 +11,34 @@ import rclpy
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from ship_replay.command_line import EXIT_DONE, CommandParser, run_command
+from ship_replay.bag_writer import BagWriter
+from ship_replay.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser, run_command
 from ship_replay.errors import BadInput
 from ship_replay.record import Recorder, RecordOptions
+from ship_replay.recover import recover, recovered_path
 from ship_replay.ros_arguments import split_ros_arguments
+from ship_replay.split_bag import FolderWriter, SplitLimits
 
 _DESCRIPTION = """\
-Records live topics into one MCAP file, byte for byte, with definitions and quality of service as ros2 bag does.
-A crash costs one flush period at most. New topics are taken as they appear; subscriptions follow what publishers offer
-(reliable, latched). Log time is the node's clock at receipt, publish time the publisher's. Ctrl-C or SIGTERM ends it.
-ROS arguments may follow after --ros-args (namespace, use_sim_time, remaps).
+Records live topics into one MCAP file or a rosbag2 folder, byte for byte, with definitions and quality of service as
+ros2 bag does. A crash costs one flush period at most. New topics are taken as they appear; subscriptions follow what
+publishers offer (reliable, latched). Log time is the node's clock at receipt, publish time the publisher's. Ctrl-C or
+SIGTERM ends it. ROS arguments may follow after --ros-args (namespace, use_sim_time, remaps).
+
+With --recover it records nothing: of each bag named it takes every message up to the cut, past damaged chunks, whose
+time range it names, and writes FILE.recovered.mcap beside it (FOLDER.recovered for a folder). That is read back whole
+by two other readers before it gets its name; the original stays as it is.
 """
-_EPILOG = "exit code: 0 recorded; 2 bad input or usage, or the disk failed"
+_EPILOG = "exit code: 0 recorded or recovered; 2 bad input or usage, or the disk failed"
+_BYTES_PER_MB = 1_000_000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``record``; returns the exit code."""
     command_line = sys.argv[1:] if arguments is None else list(arguments)
     own, ros = split_ros_arguments(command_line)
-    return run_command(_parser(), lambda parsed: _record(parsed, ros), own)
+    parser = _parser()
+    return run_command(parser, lambda parsed: _run(parser, parsed, ros), own)
 
 
 def _parser() -> CommandParser:
@@ -39,8 +48,21 @@ def _parser() -> CommandParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="BAG.mcap", help="file to write")
-    parser.add_argument("--overwrite", action="store_true", help="write over a file that is there")
+    parser.add_argument(
+        "--out", type=Path, metavar="BAG", help="bag to write: BAG.mcap is one file, any other name a rosbag2 folder"
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="write over a file that is there (never over a folder)"
+    )
+    parser.add_argument(
+        "--recover", type=Path, nargs="+", metavar="FILE", help="make damaged or unfinished bags whole again"
+    )
+    parser.add_argument(
+        "--split-mb", type=_positive, metavar="MB", help="folder: a new file after so many megabytes (never)"
+    )
+    parser.add_argument(
+        "--split-s", type=_positive, metavar="S", help="folder: a new file after S seconds of real time (never)"
+    )
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="only these (all but hidden ones and /clock)"
     )
@@ -59,20 +81,59 @@ def _parser() -> CommandParser:
     return parser
 
 
+def _run(parser: CommandParser, parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
+    if parsed.recover:
+        if parsed.out is not None and len(parsed.recover) > 1:
+            parser.error("--out names one result, but --recover several bags")
+        return _recover(parsed.recover, parsed.out)
+    if parsed.out is None:
+        parser.error("the following arguments are required: --out")
+    if parsed.out.suffix == ".mcap" and (parsed.split_mb or parsed.split_s):
+        parser.error(f"--split-mb and --split-s need a folder: --out {parsed.out.with_suffix('')}")
+    return _record(parsed, ros_arguments)
+
+
+def _recover(sources: list[Path], target: Path | None) -> int:
+    """Recover each bag; one that cannot be does not keep the others from it."""
+    exit_code = EXIT_DONE
+    for source in sources:
+        try:
+            recovery = recover(source, recovered_path(source) if target is None else target)
+        except (BadInput, OSError) as problem:
+            print(f"record: {' '.join(str(problem).split())}", file=sys.stderr)
+            exit_code = EXIT_BAD_INPUT
+            continue
+        for problem in recovery.problems:
+            print(f"record: {problem}")
+        print(
+            f"record: {recovery.path}: {sum(recovery.counts.values())} messages on {len(recovery.counts)} topics, "
+            "all read back by mcap and rosbags"
+        )
+    return exit_code
+
+
+def _opened(parsed: argparse.Namespace) -> BagWriter | FolderWriter:
+    if parsed.out.suffix == ".mcap":
+        if parsed.out.exists() and not parsed.overwrite:
+            raise BadInput(f"{parsed.out}: is there already: --overwrite, or another name")
+        return BagWriter(parsed.out, atomic=False)
+    size_bytes = None if parsed.split_mb is None else round(parsed.split_mb * _BYTES_PER_MB)
+    return FolderWriter(parsed.out, SplitLimits(size_bytes, parsed.split_s))
+
+
 def _record(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
-    if parsed.out.exists() and not parsed.overwrite:
-        raise BadInput(f"{parsed.out}: is there already: --overwrite, or another name")
     options = RecordOptions(
         topics=tuple(parsed.topics),
         flush_period_s=parsed.flush_period_s,
         duration_s=parsed.duration_s,
         until_idle_s=parsed.until_idle_s,
     )
+    bag = _opened(parsed)
     rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         overrides = [Parameter("use_sim_time", value=True)] if parsed.use_sim_time else []
         node = rclpy.create_node("record", parameter_overrides=overrides)
-        recorder = Recorder(node, parsed.out, options)
+        recorder = Recorder(node, bag, options)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: recorder.stop())
         print(f"record: recording to {parsed.out}", flush=True)

@@ -6,6 +6,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from ship_replay.bag_writer import qos_text
+
 # Deep enough for ten seconds at 100 Hz, or one at 1 kHz, of a recorder that the disk holds up.
 DEPTH = 1000
 
@@ -39,4 +41,21 @@ def adapted_qos(endpoints: Sequence[TopicEndpointInfo]) -> QoSProfile:
         depth=DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def qos_texts(endpoints: Sequence[TopicEndpointInfo]) -> str:
+    """What the publishers of a topic offer, one entry each, as rosbag2 notes it.
+
+    DDS does not tell the history of a distant publisher: it is unknown and of depth 0, there as here.
+    """
+    profiles = (endpoint.qos_profile for endpoint in endpoints)
+    return "".join(
+        qos_text(
+            profile.history.name.lower(),
+            profile.depth,
+            profile.reliability.name.lower(),
+            profile.durability.name.lower(),
+        )
+        for profile in profiles
     )
