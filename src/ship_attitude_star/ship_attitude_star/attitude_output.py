@@ -1,13 +1,15 @@
-"""From the filter's state and one INS sample to the published attitude and its covariance by source."""
+"""From the filter's state and the newest data to the published attitude and its covariance by source."""
 
 import numpy as np
 
-from ship_attitude_star.filter_model import SOURCE_INS_NOISE, Device
-from ship_attitude_star.samples import AttitudeMeasurement
-from ship_attitude_star.ship_filter import FilterState
-from ship_estimation.state import StateModel
+from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.filter_model import SOURCE_INS_NOISE
+from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, Horizon, Status
+from ship_attitude_star.ship_filter import FilterState, ShipFilter
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
+
+_SECOND_NS = 1_000_000_000
 
 
 class CorrectedIns:
@@ -16,19 +18,20 @@ class CorrectedIns:
     Only the INS's slow error and its time offset enter, so only those rows of the covariance are carried.
 
     Args:
-        model: the state vector.
-        state: the filter's state after its last measurement.
+        filter_: the filter and its model.
+        state: its state after the last measurement.
     """
 
-    def __init__(self, model: StateModel, state: FilterState) -> None:
-        rows = np.r_[model.slices["ins.attitude"], model.slices["ins.time_offset"]]
-        self._model = model
-        self._rows = rows
-        self._time_ns = state.time_ns
+    def __init__(self, filter_: ShipFilter, state: FilterState) -> None:
+        self.state = state
+        self._filter, self._model = filter_, filter_.model
+        rows = np.r_[self._model.rows("ins.attitude"), self._model.rows("ins.time_offset")]
+        self._attitude_rows = rows[:3]
         self._mean = state.mean[rows]
         self._parts = state.parts[:, rows[:, None], rows]
-        self._white_index = model.sources.index(SOURCE_INS_NOISE)
-        self._white_variance = model.blocks["ins.noise"].sigma ** 2
+        self._drift_index = self._model.sources.index(self._model.blocks["ins.attitude"].source)
+        self._white_index = self._model.sources.index(SOURCE_INS_NOISE)
+        self._white_variance = self._model.blocks["ins.noise"].sigma ** 2
 
     @property
     def time_offset_s(self) -> float:
@@ -42,9 +45,9 @@ class CorrectedIns:
             time_ns: the moment.
             ins: the INS's attitude of that moment (its samples moved by tau).
         """
-        dt_s = max(time_ns - self._time_ns, 0) * 1e-9 if self._time_ns is not None else 0.0
-        decay, noise = self._model.transition(dt_s)
-        error = decay[self._rows[:3]] * self._mean[:3]
+        since_ns = self.state.time_ns if self.state.time_ns is not None else time_ns
+        decay, noise = self._model.transition(max(time_ns - since_ns, 0) * 1e-9)
+        error = decay[self._attitude_rows] * self._mean[:3]
         correction = exp_rotation(error)
         rotation_nd = correction @ ins.rotation_nd
 
@@ -52,30 +55,78 @@ class CorrectedIns:
         jacobian = np.empty((3, 4))
         jacobian[:, :3] = left_jacobian(error)
         jacobian[:, 3] = -(rotation_nd @ ins.rate_d)
-        propagated = jacobian * np.append(decay[self._rows[:3]], 1.0)
+        propagated = jacobian * np.append(decay[self._attitude_rows], 1.0)
         parts = propagated @ self._parts @ propagated.T
-        drift = jacobian[:, :3] * np.sqrt(noise[self._rows[:3]])
-        parts[self._model.sources.index(self._model.blocks["ins.attitude"].source)] += drift @ drift.T
+        drift = jacobian[:, :3] * np.sqrt(noise[self._attitude_rows])
+        parts[self._drift_index] += drift @ drift.T
         white = correction * np.sqrt(self._white_variance * ins.noise_gain)
         parts[self._white_index] += white @ white.T
         return rotation_nd, parts
 
+    def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
+        """The attitude at the stamp of an INS sample, with its status."""
+        rotation_nd, parts = self.attitude(time_ns, ins)
+        recent_ns = time_ns - config.coasting_after_s * _SECOND_NS
+        used = sorted(source for source, used_ns in self.state.used_ns.items() if used_ns >= recent_ns)
+        star_age_s = _star_age_s(self._filter, self.state, time_ns)
+        if np.isnan(star_age_s):
+            status = Status.DEGRADED
+        elif star_age_s <= config.coasting_after_s:
+            status = Status.VALID
+        else:
+            status = Status.COASTING
+        # NaN compares false: before the first star the horizon is the INS's own.
+        horizon = Horizon.GEODETIC if star_age_s <= config.ins.tilt_time_s else Horizon.GRAVITY
+        return AttitudeEstimate(
+            time_ns, rotation_nd, parts, ins.rate_d, status, horizon, ("ins", *used), star_age_s
+        )
 
-def attitude_by_device(
-    device: Device, model: StateModel, state: FilterState, measurement: AttitudeMeasurement
-) -> tuple[FloatArray, FloatArray]:
-    """The ship's attitude by one device alone, for when the INS is gone: its measurement, its installation.
 
-    Returns:
-        Attitude (3, 3) and covariance parts (n_sources, 3, 3), horizon frame, rad².
-    """
-    rows = model.slices[f"{device.name}.installation"]
-    vector = state.mean[rows]
-    rotation_nd = measurement.rotation_nv @ (device.rotation_dv0 @ exp_rotation(vector)).T
+def estimate_from_star(
+    filter_: ShipFilter, state: FilterState, measurement: AttitudeMeasurement
+) -> AttitudeEstimate:
+    """With the INS gone, the attitude of one star sensor alone: its measurement and its installation."""
+    model, device = filter_.model, filter_.devices[measurement.source]
+    state = filter_.predicted(state, measurement.time_ns)
+    installation = state.mean[model.slices[f"{device.name}.installation"]]
     to_horizon = measurement.rotation_nv
-    installation = to_horizon @ left_jacobian(vector).T
-    parts = installation @ state.parts[:, rows, rows] @ installation.T
+    rotation_nd = to_horizon @ (device.rotation_dv0 @ exp_rotation(installation)).T
+    rows, jacobian = model.rows(f"{device.name}.installation"), to_horizon @ left_jacobian(installation).T
+    if f"{device.name}.flexure" in model.slices:
+        # Unknown now, and soon independent of what it was: only its covariance matters.
+        rows = np.r_[rows, model.rows(f"{device.name}.flexure")]
+        jacobian = np.hstack([jacobian, rotation_nd])
+    parts = jacobian @ state.parts[:, rows[:, None], rows] @ jacobian.T
     parts[model.sources.index(device.noise_source)] += to_horizon @ measurement.noise_v @ to_horizon.T
     common = model.blocks[f"{device.name}.common"].source
     parts[model.sources.index(common)] += measurement.common_n
-    return rotation_nd, parts
+    return AttitudeEstimate(
+        time_ns=measurement.time_ns,
+        rotation_nd=rotation_nd,
+        covariance_parts_n=parts,
+        rate_d=np.full(3, np.nan),
+        status=Status.DEGRADED,
+        horizon=Horizon.GEODETIC,
+        sources=(measurement.source,),
+        star_age_s=0.0,
+    )
+
+
+def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int) -> AttitudeEstimate:
+    """Neither INS nor star: no attitude is claimed."""
+    return AttitudeEstimate(
+        time_ns=now_ns,
+        rotation_nd=np.full((3, 3), np.nan),
+        covariance_parts_n=np.full((len(filter_.model.sources), 3, 3), np.nan),
+        rate_d=np.full(3, np.nan),
+        status=Status.INVALID,
+        horizon=Horizon.GRAVITY,
+        sources=(),
+        star_age_s=_star_age_s(filter_, state, now_ns),
+    )
+
+
+def _star_age_s(filter_: ShipFilter, state: FilterState, time_ns: int) -> float:
+    """Time since the last star measurement used; NaN where there was none."""
+    stars = [used_ns for source, used_ns in state.used_ns.items() if filter_.devices[source].is_star]
+    return (time_ns - max(stars)) / _SECOND_NS if stars else float("nan")

@@ -82,7 +82,8 @@ def star_measurement(message: Any, sensor_id: str, config: StarSensorConfig, rec
     if total_n is None:
         sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
         noise_s = np.diag((np.array(sigma) * ARCSEC) ** 2)
-        return Converted(AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s), False)
+        measurement = AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False)
+        return Converted(measurement, False)
     noise_enu = _angular_covariance(message.noise_covariance, "noise_covariance")
     noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
     measurement = AttitudeMeasurement(
@@ -110,8 +111,9 @@ def reference_measurement(message: Any, name: str, config: ReferenceConfig, rece
         noise_r = np.diag((np.array(sigma) * ARCSEC) ** 2)
     else:
         noise_r = rotation_nr.T @ horizon_covariance(covariance_enu) @ rotation_nr
-    measurement = AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r)
-    return Converted(measurement, covariance_enu is not None)
+    known = covariance_enu is not None
+    measurement = AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known)
+    return Converted(measurement, known)
 
 
 def _rotation(message: Any, convention: str) -> FloatArray:

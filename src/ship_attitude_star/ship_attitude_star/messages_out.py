@@ -97,6 +97,8 @@ def innovation(factory: MessageFactory, decision: Decision) -> Any:
     """ship_msgs/Innovation of a measurement that was judged."""
     compared = bool(np.isfinite(decision.nis))
     reason, text = decision.reason, decision.text
+    if decision.accepted and not decision.measurement.covariance_known:
+        reason, text = Reason.COVARIANCE_UNKNOWN, "the message gives no covariance: used with the configured sigma"
     if decision.revised:
         verdict = "now used" if decision.accepted else f"now refused: {reason.name.lower()}"
         reason, text = Reason.REVISED, f"judged anew after a measurement that arrived late, {verdict} {text}".rstrip()

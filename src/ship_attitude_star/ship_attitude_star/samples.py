@@ -69,6 +69,7 @@ class AttitudeMeasurement:
         rotation_nv: horizon from device (forward, up, right), shape (3, 3).
         noise_v: covariance, independent from epoch to epoch, in the device frame, rad², shape (3, 3).
         common_n: covariance of what epochs share, rotation vector in the horizon frame, rad², shape (3, 3).
+        covariance_known: False where the message gave none and the configured sigma stands in.
     """
 
     source: str
@@ -76,6 +77,7 @@ class AttitudeMeasurement:
     rotation_nv: FloatArray
     noise_v: FloatArray
     common_n: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    covariance_known: bool = True
 
     def content(self) -> bytes:
         """All values as bytes: equal for a repeated message, and an order for conflicting ones."""

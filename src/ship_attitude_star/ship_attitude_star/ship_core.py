@@ -5,24 +5,14 @@ Knows no ROS, no files, no clock. Measurements enter in any order; within ``lag_
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from ship_attitude_star.alignment import Alignment, AlignmentPrior, alignment_of, prior_of, state_from_prior
-from ship_attitude_star.attitude_output import CorrectedIns, attitude_by_device
+from ship_attitude_star.attitude_output import CorrectedIns, estimate_from_star, no_estimate
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.samples import (
-    AttitudeEstimate,
-    AttitudeMeasurement,
-    Decision,
-    Horizon,
-    Reason,
-    Refusal,
-    Status,
-)
+from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, Decision, Reason, Refusal
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
 from ship_attitude_star.stream_guards import StreamGuards
 from ship_estimation.time_ordered_log import TimeOrderedLog
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _SECOND_NS = 1_000_000_000
@@ -82,13 +72,13 @@ class ShipAttitudeCore:
         if self._start is not None:
             initial, _ = state_from_prior(self.filter, self.config, *self._start)
         self._log: TimeOrderedLog[FilterState, AttitudeMeasurement, Decision] = TimeOrderedLog(initial)
-        self._corrected, self._corrected_state = CorrectedIns(self.filter.model, initial), initial
+        self._corrected = CorrectedIns(self.filter, initial)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """Go on with other noise and gates; geometry and the set of devices stay."""
         self.config = config
         self.filter = ShipFilter(config)
-        self._corrected = CorrectedIns(self.filter.model, self.state)
+        self._corrected = CorrectedIns(self.filter, self.state)
 
     def add_ins(self, sample: AttitudeSample, estimate: bool = True) -> Outcome:
         """An INS sample: stamp and attitude of the deck as the INS has it.
@@ -112,8 +102,7 @@ class ShipAttitudeCore:
             self._log.rewind_where(lambda decision: decision.ins_time_ns > changed_after_ns)
         self._advance(sample.time_ns, outcome)
         if estimate and sample.time_ns > self._last_output_ns and self._track.newest is sample:
-            outcome.estimates.append(self._estimate_from_ins(sample.time_ns))
-            self._last_output_ns = sample.time_ns
+            self._publish(outcome, self._estimate_from_ins(sample.time_ns))
         return outcome
 
     def add_measurement(self, measurement: AttitudeMeasurement) -> Outcome:
@@ -134,8 +123,9 @@ class ShipAttitudeCore:
             self._latest[measurement.source] = measurement
             self._guards.used(measurement)
         self._advance(measurement.time_ns, outcome)
-        if self._ins_silent(measurement.time_ns) and self._may_carry(measurement.source):
-            self._estimate_from_star(measurement, outcome)
+        carries = self._ins_silent(measurement.time_ns) and self._may_carry(measurement.source)
+        if carries and measurement.time_ns > self._last_output_ns:
+            self._publish(outcome, estimate_from_star(self.filter, self.state, measurement))
         return outcome
 
     def tick(self, now_ns: int) -> Outcome:
@@ -145,8 +135,7 @@ class ShipAttitudeCore:
         star_carries = bool(stars_ns) and now_ns - max(stars_ns) <= _SECOND_NS
         due = now_ns - self._last_output_ns >= _SECOND_NS
         if self._ins_silent(now_ns) and not star_carries and due:
-            outcome.estimates.append(self._no_estimate(now_ns))
-            self._last_output_ns = now_ns
+            self._publish(outcome, no_estimate(self.filter, self.state, now_ns))
         return outcome
 
     def alignment(self) -> Alignment:
@@ -221,6 +210,16 @@ class ShipAttitudeCore:
 
     # -- outputs --------------------------------------------------------------------------------------------
 
+    def _publish(self, outcome: Outcome, estimate: AttitudeEstimate) -> None:
+        outcome.estimates.append(estimate)
+        self._last_output_ns = estimate.time_ns
+
+    def _estimate_from_ins(self, time_ns: int) -> AttitudeEstimate:
+        if self.state is not self._corrected.state:
+            self._corrected = CorrectedIns(self.filter, self.state)
+        moved_s = -(self.config.ins.time_offset_s + self._corrected.time_offset_s)
+        return self._corrected.estimate(time_ns, self._track.newest_moved(moved_s), self.config)
+
     def _ins_silent(self, now_ns: int) -> bool:
         newest = self._track.newest
         return newest is None or now_ns - newest.time_ns > self._silence_ns
@@ -229,66 +228,6 @@ class ShipAttitudeCore:
         """Star sensors may carry the attitude alone, unless they were in conflict with the INS to the last."""
         in_conflict = self.state.refusals.get(source, 0) >= self.config.gate.conflict_after
         return self.filter.devices[source].is_star and not in_conflict
-
-    def _estimate_from_ins(self, time_ns: int) -> AttitudeEstimate:
-        state = self._log.state
-        if state is not self._corrected_state:
-            self._corrected, self._corrected_state = CorrectedIns(self.filter.model, state), state
-        moved_s = -(self.config.ins.time_offset_s + self._corrected.time_offset_s)
-        ins: InterpolatedAttitude = self._track.newest_moved(moved_s)
-        rotation_nd, parts = self._corrected.attitude(time_ns, ins)
-        used = {s: t for s, t in state.used_ns.items() if time_ns - t <= self.config.coasting_after_s * _SECOND_NS}
-        star_age_s = self._star_age_s(state, time_ns)
-        if np.isnan(star_age_s):
-            status = Status.DEGRADED
-        elif star_age_s <= self.config.coasting_after_s:
-            status = Status.VALID
-        else:
-            status = Status.COASTING
-        # NaN compares false: before the first star the horizon is the INS's own.
-        horizon = Horizon.GEODETIC if star_age_s <= self.config.ins.tilt_time_s else Horizon.GRAVITY
-        return AttitudeEstimate(
-            time_ns, rotation_nd, parts, ins.rate_d, status, horizon, ("ins", *sorted(used)), star_age_s
-        )
-
-    def _estimate_from_star(self, measurement: AttitudeMeasurement, outcome: Outcome) -> None:
-        """With the INS gone, the star sensor's own attitude at its own rate."""
-        if measurement.time_ns <= self._last_output_ns:
-            return
-        device = self.filter.devices[measurement.source]
-        state = self.filter.predicted(self._log.state, measurement.time_ns)
-        rotation_nd, parts = attitude_by_device(device, self.filter.model, state, measurement)
-        unknown_rate = np.full(3, np.nan)
-        outcome.estimates.append(
-            AttitudeEstimate(
-                measurement.time_ns,
-                rotation_nd,
-                parts,
-                unknown_rate,
-                Status.DEGRADED,
-                Horizon.GEODETIC,
-                (measurement.source,),
-                0.0,
-            )
-        )
-        self._last_output_ns = measurement.time_ns
-
-    def _no_estimate(self, now_ns: int) -> AttitudeEstimate:
-        sources = len(self.filter.model.sources)
-        return AttitudeEstimate(
-            now_ns,
-            np.full((3, 3), np.nan),
-            np.full((sources, 3, 3), np.nan),
-            np.full(3, np.nan),
-            Status.INVALID,
-            Horizon.GRAVITY,
-            (),
-            self._star_age_s(self._log.state, now_ns),
-        )
-
-    def _star_age_s(self, state: FilterState, time_ns: int) -> float:
-        stars = [t for source, t in state.used_ns.items() if self.filter.devices[source].is_star]
-        return (time_ns - max(stars)) / _SECOND_NS if stars else float("nan")
 
 
 def _same_stamp(known: bytes, new: bytes) -> Refusal:

@@ -116,8 +116,7 @@ class ShipFilter:
         )
         if nis > decision.gate:
             # Not even the prediction is kept: the state stays, to the last bit, as without this measurement.
-            rotation_nv_turn = predicted.rotation_nv @ residual
-            return self._refused(before, decision, float(rotation_nv_turn[1]))
+            return self._refused(before, decision, ins.rotation_nd, predicted.rotation_nv)
         correction, parts = update(state.parts, linear, covariance)
         state = replace(
             state,
@@ -145,14 +144,18 @@ class ShipFilter:
             state, parts=parts, common_n=_with(state.common_n, measurement.source, measurement.common_n)
         )
 
-    def _refused(self, state: FilterState, decision: Decision, turn_up: float) -> tuple[FilterState, Decision]:
+    def _refused(
+        self, state: FilterState, decision: Decision, ins_nd: FloatArray, predicted_nv: FloatArray
+    ) -> tuple[FilterState, Decision]:
         """Hold the estimate; after a run of refusals say so and, where configured, re-open the gate."""
         source = decision.measurement.source
         run = state.refusals.get(source, 0) + 1
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
         if run >= self._gate.conflict_after:
             reason = Reason.ATTITUDE_CONFLICT
-            text = f"{run} refusals in a row: {source} and the INS disagree{heading_hint(turn_up)}"
+            # The deck as the measurement has it: the predicted deck turned as the predicted device must be.
+            measured_nd = decision.measurement.rotation_nv @ predicted_nv.T @ ins_nd
+            text = f"{run} refusals in a row: {source} and the INS disagree{heading_hint(ins_nd, measured_nd)}"
         state = replace(state, refusals=_with(state.refusals, source, run))
         if self._gate.reopen_after and run % self._gate.reopen_after == 0:
             state = replace(state, parts=state.parts * self._gate.reopen_factor)

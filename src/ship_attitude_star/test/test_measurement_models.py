@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.attitude_output import CorrectedIns
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.filter_model import devices, state_model
+from ship_attitude_star.filter_model import devices
 from ship_attitude_star.measurement_models import ins_time_of, predict_attitude
-from ship_attitude_star.ship_filter import FilterState
+from ship_attitude_star.ship_filter import FilterState, ShipFilter
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import exp_rotation, log_rotation
@@ -30,7 +30,8 @@ CONFIG = build(
         "references": {"other": {"heading_deg": -0.8, "slow_sigma_heading_arcsec": 10.0, "time_offset_s": 0.1}},
     },
 )
-MODEL = state_model(CONFIG)
+FILTER = ShipFilter(CONFIG)
+MODEL = FILTER.model
 DEVICES = devices(CONFIG)
 STEP = 1e-6
 
@@ -49,7 +50,9 @@ def moved(mean: np.ndarray, index: int, by: float) -> np.ndarray:
     return changed
 
 
-def at_changed_time(name: str, mean: np.ndarray, changed: np.ndarray, ins: InterpolatedAttitude) -> InterpolatedAttitude:
+def at_changed_time(
+    name: str, mean: np.ndarray, changed: np.ndarray, ins: InterpolatedAttitude
+) -> InterpolatedAttitude:
     """The INS's attitude at the moment that the changed clock offsets lead to, for a ship turning steadily."""
     # Whole nanoseconds would swallow the small step: the difference of the two shifts is taken in seconds.
     shift_s = sum(
@@ -116,7 +119,7 @@ def test_covariance_of_the_output_is_that_of_its_errors(seed: int) -> None:
     parts = np.zeros((len(MODEL.sources), MODEL.size, MODEL.size))
     parts[0] = root @ root.T
     state = FilterState(1_000_000_000, mean, parts)
-    rotation, covariance_parts = CorrectedIns(MODEL, state).attitude(state.time_ns, ins)
+    rotation, covariance_parts = CorrectedIns(FILTER, state).attitude(state.time_ns, ins)
 
     jacobian = np.zeros((3, MODEL.size))
     tau = MODEL.slices["ins.time_offset"].start
@@ -126,7 +129,7 @@ def test_covariance_of_the_output_is_that_of_its_errors(seed: int) -> None:
             changed = FilterState(state.time_ns, moved(mean, index, by), parts)
             shift_s = -by if index == tau else 0.0
             shifted = InterpolatedAttitude(ins.rotation_nd @ exp_rotation(ins.rate_d * shift_s), ins.rate_d, 0.6)
-            turns.append(log_rotation(CorrectedIns(MODEL, changed).attitude(state.time_ns, shifted)[0] @ rotation.T))
+            turns.append(log_rotation(CorrectedIns(FILTER, changed).attitude(state.time_ns, shifted)[0] @ rotation.T))
         jacobian[:, index] = (turns[0] - turns[1]) / (2.0 * STEP)
     white = np.diag(MODEL.blocks["ins.noise"].sigma ** 2) * 0.6
     expected = jacobian @ parts[0] @ jacobian.T + white

@@ -291,21 +291,20 @@ def as_ned_frd(message: Any) -> None:
     rate.y, rate.z = -rate.y, -rate.z
 
 
-@pytest.mark.parametrize(("heading_deg", "off_deg"), [(1.0, 90), (91.0, 90), (181.0, 90), (136.0, 180), (314.0, 180)])
-def test_heading_given_as_yaw_is_a_conflict_with_a_hint(heading_deg: float, off_deg: int) -> None:
-    """ENU yaw = 90° - heading; a driver that gives the heading itself is off by 90° - 2 heading."""
+@pytest.mark.parametrize("heading_deg", [1.0, 80.0, 91.0, 136.0, 181.0, 200.0, 314.0])
+def test_heading_given_as_yaw_is_a_conflict_with_a_hint(heading_deg: float) -> None:
+    """ENU yaw = 90° - heading; a driver that gives the heading itself is found at any heading."""
     arrivals = changed_where(voyage(4.0, heading_deg), lambda a: a.topic == INS, as_ned_frd)
     run = drive(new_adapter(), arrivals)
     conflicts = run.innovations(Reason.ATTITUDE_CONFLICT)
     assert {m.source for m in conflicts} == {"star.fore", "star.starboard"}
-    assert all(f"about {off_deg}° in heading" in m.reason_text for m in conflicts)
-    assert "ins." in conflicts[0].reason_text
+    assert all("yaw (90° - heading): look at ins.convention" in m.reason_text for m in conflicts)
     assert run.health(FORE).accepted == 0
     # Ten refusals of a sensor at 5 Hz take two seconds.
     raised_ns = stamp_of(conflicts[0]) + 120_000_000
     assert since_start_s(conflicts[0]) == pytest.approx(1.813)
     reports = run.diagnostics("conflict star.fore", raised_ns, raised_ns + 1_100_000_000)
-    assert any(level == 2 and f"{off_deg}°" in text for level, text in reports)
+    assert any(level == 2 and "ins.convention" in text for level, text in reports)
 
 
 def test_the_same_data_with_the_right_convention_are_the_same_attitude() -> None:

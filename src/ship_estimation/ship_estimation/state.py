@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
 
@@ -74,6 +75,10 @@ class StateModel:
         for b in blocks:
             self._source_rows[self.sources.index(b.source), self.slices[b.name]] = 1.0
         self._initial_variance = sigma**2
+
+    def rows(self, name: str) -> NDArray[np.intp]:
+        """Indices of a block in the state."""
+        return np.arange(self.slices[name].start, self.slices[name].stop)
 
     def initial_parts(self) -> FloatArray:
         """Covariance parts before any measurement, shape (n_sources, n, n)."""
