@@ -77,13 +77,7 @@ def _sound_record(data: RecordFile, offset: int) -> WalkedRecord | None:
 
 
 def _restart(data: RecordFile, damaged: int) -> int | None:
-    """Offset of the next sound record after a damaged one."""
-    found = data.record_at(damaged)
-    if found is not None:
-        # Its length may be right: then the next record follows at once.
-        behind = damaged + HEADER.size + len(found[1])
-        if _can_restart(data, behind):
-            return behind
+    """Offset of the next sound record after a damaged one, whose own length may be what is wrong."""
     window_start = damaged + 1
     while window_start < data.size:
         data.stream.seek(window_start)

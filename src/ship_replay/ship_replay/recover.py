@@ -7,7 +7,7 @@ The original is only read. The result gets its name when two other readers — t
 import os
 import zlib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -66,7 +66,7 @@ def recover(source: Path, target: Path) -> Recovery:
     if source.is_dir():
         return _recover_folder(source, target)
     topics: dict[str, TopicInformation] = {}
-    return _recover_file(source, target, topics)[0]
+    return _recover_file(source, target, topics, _Tally())[0]
 
 
 def _recover_folder(source: Path, target: Path) -> Recovery:
@@ -76,10 +76,10 @@ def _recover_folder(source: Path, target: Path) -> Recovery:
     target.mkdir()
     files: list[FileInformation] = []
     topics: dict[str, TopicInformation] = {}
-    whole = Recovery(target, Counter())
+    whole, written = Recovery(target, Counter()), _Tally()
     for part in parts:
         try:
-            recovery, information = _recover_file(part, target / part.name, topics)
+            recovery, information = _recover_file(part, target / part.name, topics, written)
         except BadInput as problem:
             # A file without a single message, as the last one may be, costs nothing.
             whole.problems.append(str(problem))
@@ -91,7 +91,7 @@ def _recover_folder(source: Path, target: Path) -> Recovery:
         target.rmdir()
         raise BadInput("; ".join(whole.problems))
     write_information(target, files, list(topics.values()))
-    _check_count(target / INFORMATION_FILE, "rosbags", _read_by_rosbags(target).counts, whole.counts)
+    _read_back(target, target / INFORMATION_FILE, "rosbags", _read_by_rosbags, written)
     return whole
 
 
@@ -102,8 +102,9 @@ def _number(path: Path) -> tuple[int, str]:
 
 
 def _recover_file(
-    source: Path, target: Path, topics: dict[str, TopicInformation]
+    source: Path, target: Path, topics: dict[str, TopicInformation], whole: _Tally
 ) -> tuple[Recovery, FileInformation]:
+    """Recover one file; its topics and messages are added to those of the whole bag."""
     file = open_mcap(source)
     # rosbags takes a file for MCAP by its suffix only.
     part = target.with_name(f"{target.stem}.part.mcap")
@@ -114,10 +115,11 @@ def _recover_file(
             written, information = _rewrite(file, part, target.name, topics)
             if not written.counts:
                 raise BadInput(f"{source}: no message can be read: {'; '.join(file.problems)}")
-            for reader, found in (("mcap", _read_by_mcap(part)), ("rosbags", _read_by_rosbags(part))):
-                _check_count(target, reader, found.counts, written.counts)
-                _check_count(target, reader, found.digests, written.digests)
+            _read_back(part, target, "mcap", _read_by_mcap, written)
+            _read_back(part, target, "rosbags", _read_by_rosbags, written)
             part.replace(target)
+            whole.counts.update(written.counts)
+            whole.digests.update(written.digests)
         finally:
             part.unlink(missing_ok=True)
     finally:
@@ -219,9 +221,20 @@ def _read_by_rosbags(path: Path) -> _Tally:
     return tally
 
 
-def _check_count(path: Path, reader: str, found: Counter[str], written: Counter[str]) -> None:
-    for topic in sorted(found.keys() | written.keys()):
-        if found[topic] != written[topic]:
+def _read_back(path: Path, name: Path, reader: str, read: Callable[[Path], _Tally], written: _Tally) -> None:
+    """Make sure that a reader finds in a file what was written.
+
+    Raises:
+        BadInput: it does not, or fails.
+    """
+    try:
+        found = read(path)
+    except Exception as problem:
+        # Whatever it stumbles on, the result is not what was meant to be written.
+        raise BadInput(f"{name}: is not written, reading it back by {reader} failed: {problem}") from problem
+    for topic in sorted(found.counts.keys() | written.counts.keys()):
+        if (found.counts[topic], found.digests[topic]) != (written.counts[topic], written.digests[topic]):
             raise BadInput(
-                f"{path}: reading back by {reader}: topic '{topic}': {found[topic]} instead of {written[topic]}"
+                f"{name}: is not written, {reader} reads back {found.counts[topic]} messages of topic '{topic}' "
+                f"instead of {written.counts[topic]}, or with other bytes"
             )
