@@ -14,6 +14,7 @@ from ship_node.adapter import ServiceResult
 from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level, diagnostic_array
 from ship_node.diagnostics import Status as DiagnosticStatus
 from ship_node.errors import BadInput
+from ship_node.files import DISK, Files
 from ship_node.input_health import InputHealthBook
 from ship_node.message_checks import Refused
 from ship_node.message_factory import MessageFactory
@@ -42,6 +43,7 @@ class ShipAttitudeAdapter:
     Args:
         config: the node's parameters.
         factory: makes the messages.
+        files: where the saved alignment is read and written.
 
     Raises:
         BadInput: the alignment file cannot be read.
@@ -52,8 +54,9 @@ class ShipAttitudeAdapter:
     services: ClassVar[tuple[str, ...]] = ("reset", "save_alignment", "load_alignment")
     outputs: tuple[OutputTopic, ...] = _OUTPUTS
 
-    def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory) -> None:
+    def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
         self._config = config
+        self._files = files
         self._factory = factory
         self.core = ShipAttitudeCore(config)
         self._sources = _sources_by_topic(config)
@@ -146,8 +149,9 @@ class ShipAttitudeAdapter:
             self._alignment_messages = self.core.start_from(saved, now_ns)
 
     def _read_alignment_at_start(self) -> Any:
-        path = Path(self._config.alignment_file)
-        return alignment_file.load(path) if self._config.alignment_file and path.exists() else None
+        if not self._config.alignment_file:
+            return None
+        return alignment_file.load_if_there(Path(self._config.alignment_file), self._files)
 
     # -- outputs --------------------------------------------------------------------------------------------
 
@@ -223,12 +227,12 @@ class ShipAttitudeAdapter:
         prior = self.core.alignment_to_save()
         if prior is None:
             raise BadInput("no star attitude was used yet: there is no alignment to save")
-        alignment_file.save(path, prior)
+        alignment_file.save(path, prior, self._files)
         return f"alignment saved to {path}"
 
     def _load_alignment(self, now_ns: int) -> str:
         path = self._alignment_path()
-        self._alignment_messages = self.core.start_from(alignment_file.load(path), now_ns)
+        self._alignment_messages = self.core.start_from(alignment_file.load(path, self._files), now_ns)
         self.health.restart(now_ns)
         self._conflicts.clear()
         return "; ".join([f"alignment loaded from {path}", *self._alignment_messages])

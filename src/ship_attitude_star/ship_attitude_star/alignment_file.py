@@ -1,6 +1,5 @@
 """The saved alignment as a file: YAML that people can read, written atomically, with a version."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,6 +11,7 @@ from ship_attitude_star.alignment import AlignmentPrior
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 from ship_node.errors import BadInput
+from ship_node.files import DISK, Files
 
 FORMAT = "ship_attitude alignment"
 VERSION = 1
@@ -22,34 +22,45 @@ _ROUNDING = 1e-6
 Section = TypeVar("Section")
 
 
-def save(path: Path, prior: AlignmentPrior) -> None:
+def save(path: Path, prior: AlignmentPrior, files: Files = DISK) -> None:
     """Write an alignment; the file is either the old one or the new one, never a part.
 
     Raises:
         BadInput: the file cannot be written.
     """
-    partial = path.with_name(path.name + ".part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("w", encoding="utf-8") as stream:
-            yaml.safe_dump(_document(prior), stream, sort_keys=False, width=110)
-            stream.flush()
-            os.fsync(stream.fileno())
-        partial.replace(path)
+        files.write(path, yaml.safe_dump(_document(prior), sort_keys=False, width=110).encode())
     except OSError as error:
         raise BadInput(f"{path}: the alignment cannot be written: {error.strerror}") from error
 
 
-def load(path: Path) -> AlignmentPrior:
+def load(path: Path, files: Files = DISK) -> AlignmentPrior:
     """Read an alignment.
 
     Raises:
         BadInput: names the file and what is wrong with it.
     """
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = files.read(path)
     except OSError as error:
         raise BadInput(f"{path}: the alignment cannot be read: {error.strerror}") from error
+    return _parsed(path, content)
+
+
+def load_if_there(path: Path, files: Files = DISK) -> AlignmentPrior | None:
+    """As :func:`load`; None where there is no such file."""
+    try:
+        content = files.read(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise BadInput(f"{path}: the alignment cannot be read: {error.strerror}") from error
+    return _parsed(path, content)
+
+
+def _parsed(path: Path, content: bytes) -> AlignmentPrior:
+    try:
+        document = yaml.safe_load(content.decode())
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise BadInput(f"{path}: not a YAML file: {' '.join(str(error).split())}") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:

@@ -7,6 +7,7 @@ sets attributes of messages, so it serves rclpy messages in a live node and deco
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, Protocol
 
+from ship_node.files import DISK, Files
 from ship_node.input_health import InputHealthBook
 from ship_node.message_factory import MessageFactory
 from ship_node.topics import InputTopic, OutputTopic, Published
@@ -25,7 +26,8 @@ class ServiceResult(NamedTuple):
 class Adapter(Protocol):
     """One per node; the first line of its docstring is what ``--help`` says that the node does.
 
-    All times are integer ns. ``health`` is fed by the adapter and, with what only the middleware knows, by the
+    All times are integer ns. Files are read and written through ``files`` alone, so that a black box can hold what was
+    read. ``health`` is fed by the adapter and, with what only the middleware knows, by the
     shell; the adapter publishes it in :meth:`tick`.
     """
 
@@ -36,7 +38,7 @@ class Adapter(Protocol):
     outputs: tuple[OutputTopic, ...]
     health: InputHealthBook
 
-    def __init__(self, config: Any, factory: MessageFactory) -> None: ...
+    def __init__(self, config: Any, factory: MessageFactory, files: Files = DISK) -> None: ...
 
     def handle(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
         """Take one message of an input topic."""

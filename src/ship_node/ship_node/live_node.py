@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.context import Context
@@ -20,21 +19,25 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_policy_name_from_kind
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from ship_estimation.parameters import ParameterError
 from ship_node.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
+from ship_node.adapter_calls import AdapterCalls
+from ship_node.black_box import BlackBox
 from ship_node.clock_queue import queue_clock
 from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level, Status, diagnostic_array
 from ship_node.errors import BadInput
+from ship_node.files import NotedFiles
 from ship_node.guard import Guard
 from ship_node.message_factory import RosidlFactory, message_class
 from ship_node.parameter_file import quoted_parameter, read_whatever_fits
 from ship_node.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.ros_parameters import NodeParameters
 from ship_node.tick_grid import TickGrid
-from ship_node.topics import InputTopic, OutputTopic, Published
+from ship_node.topics import InputTopic, OutputTopic
 
 SPIN_TIMEOUT_S = 0.1
 WATCH_PERIOD_S = 1.0
@@ -70,16 +73,19 @@ class LiveNode:
         self._guard = Guard(self.node.get_logger(), time.monotonic_ns)
         try:
             self._parameters = NodeParameters(self.node, adapter_class.config_type)
-            self.adapter = adapter_class(self._parameters.config, self._factory)
+            files = NotedFiles()
+            self.adapter = adapter_class(self._parameters.config, self._factory, files)
             self._publishers = {o.topic: self._create_publisher(o) for o in _outputs(self.adapter)}
             self._subscriptions = {i.topic: self._create_subscription(i) for i in self.adapter.inputs}
+            self._box = self._open_box()
         except (ParameterError, BadInput) as error:
             self.node.destroy_node()
             raise _with_line(error, parameter_files, adapter_class.node_name) from error
-        self._parameters.on_change(self.adapter.set_parameters)
+        self._calls = AdapterCalls(self.adapter, self._publishers, files, self._box)
+        self._parameters.on_change(lambda changes: self._calls.set_parameters(changes, self._now_ns()))
         self._grid = TickGrid()
         self._last_ns = 0
-        self._before_clock: deque[tuple[str, Any]] = deque(maxlen=sum(i.depth for i in self.adapter.inputs))
+        self._before_clock: deque[tuple[str, bytes]] = deque(maxlen=sum(i.depth for i in self.adapter.inputs))
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
         self._warn_of_unused_overrides()
@@ -93,7 +99,9 @@ class LiveNode:
             self._guard.call("executor", self._executor.spin_once, SPIN_TIMEOUT_S)
 
     def close(self) -> None:
-        """Give everything back to the middleware."""
+        """Finish the black box and give everything back to the middleware."""
+        if self._box is not None:
+            self._box.close()
         self._jump_handle.unregister()
         self._executor.remove_node(self.node)
         self._executor.shutdown()
@@ -118,7 +126,22 @@ class LiveNode:
                 input_qos(input_topic),
                 event_callbacks=events,
                 qos_overriding_options=overridable(),
+                # The bytes as they came are what the black box keeps.
+                raw=True,
             )
+
+    def _open_box(self) -> BlackBox | None:
+        path, config = self._parameters.black_box, self._parameters.config
+        if not path:
+            return None
+        logger = self.node.get_logger()
+        box = BlackBox(path, self.adapter, config, _outputs(self.adapter), self.node.get_namespace(), logger.error)
+        logger.info(f"black box: {box.path}")
+        return box
+
+    def _now_ns(self) -> int:
+        """Time of the node; 0 while it waits for its first /clock."""
+        return int(self.node.get_clock().now().nanoseconds)
 
     def _create_clocks(self) -> None:
         """The tick on the node's clock, the watch on a clock that never stops, and the reset when time goes back."""
@@ -140,46 +163,45 @@ class LiveNode:
             if name.startswith("qos_overrides.") and not self.node.has_parameter(name):
                 self.node.get_logger().warning(f"parameter '{name}' names no topic and policy of this node")
 
-    def _on_message(self, topic: str, message: Any) -> None:
+    def _on_message(self, topic: str, data: bytes) -> None:
         now_ns = self._advance()
         if now_ns:
-            self._publish(self.adapter.handle(topic, message, now_ns))
+            self._handle(topic, data, now_ns)
             return
         if len(self._before_clock) == self._before_clock.maxlen:
             self.adapter.health.lost(self._before_clock[0][0], 1)
-        self._before_clock.append((topic, message))
+        self._before_clock.append((topic, data))
+
+    def _handle(self, topic: str, data: bytes, now_ns: int) -> None:
+        self._calls.handle(topic, data, deserialize_message(data, self._subscriptions[topic].msg_type), now_ns)
 
     def _advance(self) -> int:
         """Tick up to now, which is returned (ns); 0 while the node waits for its first /clock."""
-        now_ns = int(self.node.get_clock().now().nanoseconds)
+        now_ns = self._now_ns()
         if now_ns == 0:
             return 0
         if self._last_ns and now_ns - self._last_ns > LONGEST_CATCH_UP_NS:
             self._grid.restart(now_ns)
         self._last_ns = now_ns
         for tick_ns in self._grid.due(now_ns):
-            self._guard.call("tick", lambda ns: self._publish(self.adapter.tick(ns)), tick_ns)
+            self._guard.call("tick", self._calls.tick, tick_ns)
         while self._before_clock:
-            topic, message = self._before_clock.popleft()
-            self._guard.call(topic, lambda t, m: self._publish(self.adapter.handle(t, m, now_ns)), topic, message)
+            topic, data = self._before_clock.popleft()
+            self._guard.call(topic, self._handle, topic, data, now_ns)
         return now_ns
 
     def _on_jump_back(self, jump: TimeJump) -> None:
-        now_ns = int(self.node.get_clock().now().nanoseconds)
+        now_ns = self._now_ns()
         self.node.get_logger().warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: starting anew")
         self._grid.restart(now_ns)
         self._last_ns = now_ns
-        self._publish(self.adapter.clock_jumped_back(now_ns))
-
-    def _publish(self, published: list[Published]) -> None:
-        for topic, message in published:
-            self._publishers[topic].publish(message)
+        self._calls.clock_jumped_back(now_ns)
 
     def _serve(self, name: str, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        now_ns = int(self.node.get_clock().now().nanoseconds)
+        now_ns = self._now_ns()
         result: ServiceResult | None = ServiceResult(False, "the clock has not started: no /clock came yet")
         if now_ns:
-            result = self._guard.call(f"~/{name}", self.adapter.service, name, now_ns)
+            result = self._guard.call(f"~/{name}", self._calls.service, name, now_ns)
         response.success, response.message = result or (False, "failed with an exception: see the node's log")
         self.node.get_logger().info(f"~/{name}: {'done' if response.success else 'failed'}: {response.message}")
         return response
@@ -197,13 +219,15 @@ class LiveNode:
         """What time does not bring: publishers of the inputs, a clock that never starts, exceptions."""
         for topic, subscription in self._subscriptions.items():
             self.adapter.health.publisher_count(topic, self.node.count_publishers(subscription.topic_name))
-        statuses = [self._guard.status(), self._clock_status()]
-        now_ns = int(self.node.get_clock().now().nanoseconds)
+        statuses = [self._guard.status(), self._clock_status(), self._parameters.status()]
+        if self._box is not None:
+            statuses.append(self._box.status())
+        now_ns = self._now_ns()
         message = diagnostic_array(self._factory, now_ns, self.node.get_name(), statuses)
-        self._publishers[DIAGNOSTICS_TOPIC].publish(message)
+        self._calls.publish([(DIAGNOSTICS_TOPIC, message)], now_ns)
 
     def _clock_status(self) -> Status:
-        if self.node.get_clock().now().nanoseconds:
+        if self._now_ns():
             return Status("clock", Level.OK, "running")
         waited_s = time.monotonic() - self._start_steady_s
         text = f"use_sim_time is set, but no /clock came for {waited_s:.0f} s"

@@ -15,8 +15,11 @@ from ship_node.parameter_yaml import Section, read_plain_section, read_sections
 
 Config = TypeVar("Config")
 
-MIDDLEWARE_PARAMETERS = ("use_sim_time", "qos_overrides", "start_type_description_service")
-"""First part of the names of parameters that belong to rclpy and not to a configuration."""
+BLACK_BOX_PARAMETER = "black_box"
+"""Every node's shell has it: path of the box, empty for none."""
+
+SHELL_PARAMETERS = ("use_sim_time", "qos_overrides", "start_type_description_service", BLACK_BOX_PARAMETER)
+"""First part of the names of parameters that belong to rclpy or the node's shell and not to a configuration."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +28,8 @@ class ParameterFile:
 
     Attributes:
         name: the file, for messages.
-        values: nested mapping, middleware's own parameters left out.
-        lines: line (from 1) of each parameter and group by dotted name, middleware's included.
+        values: nested mapping, those of rclpy and the node's shell left out.
+        lines: line (from 1) of each parameter and group by dotted name, all of them.
     """
 
     name: str
@@ -51,9 +54,9 @@ def quoted_parameter(text: str) -> str:
     return quoted[1] if quoted else ""
 
 
-def is_middleware_parameter(name: str) -> bool:
-    """Whether a dotted name belongs to rclpy."""
-    return name.split(".")[0] in MIDDLEWARE_PARAMETERS
+def is_shell_parameter(name: str) -> bool:
+    """Whether a dotted name belongs to rclpy or the node's shell."""
+    return name.split(".")[0] in SHELL_PARAMETERS
 
 
 def load(source: Path | str, node_name: str) -> dict[str, Any]:
@@ -121,7 +124,7 @@ def _merged(name: str, sections: list[Section]) -> ParameterFile:
     for section in sections:
         for parameter, (value, line) in section.parameters.items():
             _put_line(file.lines, parameter, line)
-            if not is_middleware_parameter(parameter):
+            if not is_shell_parameter(parameter):
                 _put_value(file, parameter, value)
     return file
 

@@ -6,11 +6,14 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe, flatten, nest
-from ship_node.parameter_file import is_middleware_parameter
+from ship_node.diagnostics import Level, Status
+from ship_node.errors import BadInput
+from ship_node.parameter_file import BLACK_BOX_PARAMETER, is_shell_parameter
 
 _LEAST_INTEGER, _GREATEST_INTEGER = -(2**63), 2**63 - 1
 
@@ -20,6 +23,7 @@ class NodeParameters:
 
     Attributes:
         config: the configuration as it is now.
+        black_box: path of the node's black box, empty for none.
 
     Args:
         node: has no parameters of its own yet.
@@ -33,6 +37,9 @@ class NodeParameters:
         self._node = node
         self._config_type = config_type
         self.config: Any = build(config_type, nest(_overrides(node)))
+        self._at_start = flatten(self.config)
+        self._last_refusal = ""
+        self.black_box = _declare_black_box(node)
         self._descriptions = {name: _description(name, config_type) for name in flatten(self.config)}
         for name, value in flatten(self.config).items():
             # The override is in the value already, as a float where the file had an integer.
@@ -43,6 +50,13 @@ class NodeParameters:
         self._apply = apply
         self._node.add_on_set_parameters_callback(self._set)
 
+    def status(self) -> Status:
+        """What of the parameters was changed since the start, and what was refused last."""
+        now = flatten(self.config)
+        changed = {name: f"{now[name]}, {was} at the start" for name, was in self._at_start.items() if now[name] != was}
+        text = f"changed: {', '.join(changed)}" if changed else "as at the start"
+        return Status("parameters", Level.OK, text + self._last_refusal, changed)
+
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         changes = {p.name: _plain(p.value) for p in parameters if p.name in self._descriptions}
         if not changes:
@@ -52,6 +66,7 @@ class NodeParameters:
             config: Any = build(self._config_type, nest(before | changes))
             self._apply({name: flatten(config)[name] for name in changes})
         except ParameterError as error:
+            self._last_refusal = f"; last refusal: {error}"
             self._node.get_logger().warning(f"refused: {error}")
             return SetParametersResult(successful=False, reason=str(error))
         except Exception as error:
@@ -68,7 +83,19 @@ class NodeParameters:
 def _overrides(node: Node) -> dict[str, Any]:
     """What files and command line say, by dotted name; rclpy has no public way to ask before declaring."""
     overrides = node._parameter_overrides
-    return {name: _plain(p.value) for name, p in overrides.items() if not is_middleware_parameter(name)}
+    return {name: _plain(p.value) for name, p in overrides.items() if not is_shell_parameter(name)}
+
+
+def _declare_black_box(node: Node) -> str:
+    """Declare the parameter that every node has; returns its value."""
+    descriptor = ParameterDescriptor(
+        description="file (.mcap) or folder that takes everything the node uses and gives; empty for none",
+        read_only=True,
+    )
+    try:
+        return str(node.declare_parameter(BLACK_BOX_PARAMETER, "", descriptor).value)
+    except InvalidParameterTypeException as error:
+        raise BadInput(f"parameter '{BLACK_BOX_PARAMETER}' must be of type str: {error}") from error
 
 
 def _plain(value: Any) -> Any:

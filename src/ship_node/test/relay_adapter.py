@@ -10,6 +10,7 @@ import numpy as np
 from ship_estimation.parameters import ParameterError, mapping_of, parameter, section
 from ship_node.adapter import ServiceResult
 from ship_node.diagnostics import DIAGNOSTICS_TOPIC, diagnostic_array
+from ship_node.files import DISK, Files
 from ship_node.input_health import InputHealthBook
 from ship_node.message_checks import Refused, frame, stamp_ns, unit_quaternion
 from ship_node.message_factory import MessageFactory
@@ -52,7 +53,7 @@ class RelayAdapter:
     config_type = RelayConfig
     services = ("reset", "explode")
 
-    def __init__(self, config: RelayConfig, factory: MessageFactory) -> None:
+    def __init__(self, config: RelayConfig, factory: MessageFactory, files: Files = DISK) -> None:
         self.config = config
         self.factory = factory
         self.inputs = (InputTopic("ins/imu", "sensor_msgs/msg/Imu", required=True, depth=100),)

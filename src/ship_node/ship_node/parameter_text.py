@@ -1,0 +1,26 @@
+"""A configuration as the text of a ROS 2 parameter file."""
+
+from typing import Any
+
+import yaml
+
+from ship_estimation.parameters import flatten, nest
+from ship_node.parameter_yaml import PARAMETERS_KEY
+
+
+class _Dumper(yaml.SafeDumper):
+    """Texts always in quotes: what looks like a text to YAML may be a number to ROS."""
+
+
+_Dumper.add_representer(str, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", text, style='"'))
+
+
+def parameter_text(node_name: str, config: Any) -> str:
+    """A parameter file that gives a node this very configuration, all defaults written out.
+
+    Args:
+        node_name: name without namespace.
+        config: a dataclass in the style of :mod:`ship_estimation.parameters`.
+    """
+    document = {node_name: {PARAMETERS_KEY: nest(flatten(config))}}
+    return yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1_000_000)

@@ -1,0 +1,39 @@
+"""With what a node runs: versions of packages, Python and message definitions. For its black box."""
+
+import platform
+from collections.abc import Iterable
+from importlib import metadata
+from typing import Any
+
+SUITE_PACKAGES = "ship_msgs", "ship_geometry", "ship_estimation", "ship_node"
+"""Packages of the suite that every node uses."""
+
+LIBRARIES = "numpy", "rclpy", "mcap"
+
+
+def versions(own_package: str, type_hashes: dict[str, str]) -> dict[str, Any]:
+    """Everything that must be the same for the same bits.
+
+    Args:
+        own_package: package of the node.
+        type_hashes: message type → hash of its definition.
+    """
+    return {
+        "suite": package_versions((*SUITE_PACKAGES, own_package)),
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "libraries": package_versions(LIBRARIES),
+        "message_definitions": type_hashes,
+    }
+
+
+def package_versions(names: Iterable[str]) -> dict[str, str]:
+    """Package → version, "unknown" where it was not installed as a package."""
+    return {name: _version(name) for name in names}
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "unknown"
