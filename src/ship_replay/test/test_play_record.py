@@ -137,7 +137,7 @@ def call(live, name):
 
 def test_a_thousand_messages_at_ten_times_100_hz_arrive_unchanged(live, tmp_path):
     source = make_bag(tmp_path / "in.mcap", 1000)
-    recorder = live.start_recorder(tmp_path / "out.mcap", "--use-sim-time")
+    recorder = live.start_recorder(tmp_path / "out.mcap", "--use-sim-time", "--topics", "ins/imu", "truth/imu")
     live.play(source, "--rate", "10", "--wait-for-subscribers", "ins/imu", "truth/imu")
     assert recorder.end(signal.SIGINT) == 0
     sent, _ = contents(source)
