@@ -20,8 +20,8 @@ class SplitLimits(NamedTuple):
 class FolderWriter:
     """A rosbag2 folder being written, with the calls of :class:`ship_replay.bag_writer.BagWriter`.
 
-    The information file names the file being written from its first byte on, so that after a crash every file is
-    found; its counts are those of finished files until :meth:`close`.
+    The information file names the file being written before its first message, so that after a crash every file is
+    found; its counts are those of its last writing until :meth:`close`.
 
     Args:
         folder: folder to make; its files are named after it.
@@ -102,8 +102,10 @@ class FolderWriter:
 
     def _begin_file(self) -> None:
         self.files.append(FileInformation(f"{self.path.name}_{len(self.files)}.mcap"))
-        self._write_information()
         self._bag = BagWriter(self.path / self.files[-1].name, atomic=False)
+        # Named once it is there and begins as an MCAP file does: a crash in between costs neither file nor folder.
+        self._bag.flush()
+        self._write_information()
         self._begun_s = time.monotonic()
         for topic in self._topics.values():
             self._bag.add_topic(topic.name, topic.type_name, topic.name in self._latched, topic.qos_profiles)
