@@ -36,7 +36,7 @@ class InsConfig:
     heading_time_s: float = parameter(
         10800.0, doc="correlation time of the heading error", unit="s", minimum=1.0, maximum=1e7
     )
-    white_sigma_arcsec: float = _arcsec(1.0, doc="noise of each sample, each axis", live=True)
+    white_sigma_arcsec: float = _arcsec(1.0, doc="noise of each sample, each axis, quantisation included", live=True)
     time_offset_s: float = parameter(
         0.0, doc="a sample is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
     )

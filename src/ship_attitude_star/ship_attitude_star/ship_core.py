@@ -46,6 +46,7 @@ class ShipAttitudeCore:
         self._start: tuple[AlignmentPrior, int] | None = None
         self._lag_ns = round(config.lag_s * _SECOND_NS)
         self._max_gap_ns = round(config.ins.max_gap_s * _SECOND_NS)
+        self._longest_shift_ns = round(self.filter.longest_shift_s * _SECOND_NS)
         self._silence_ns = round(config.ins.silence_s * _SECOND_NS)
         self._last_output_ns = 0
         self.reset()
@@ -197,10 +198,10 @@ class ShipAttitudeCore:
             elif previous.accepted != decision.accepted:
                 outcome.decisions.append(replace(decision, revised=True))
         oldest_ns = self._newest_ns - self._lag_ns
-        # An INS sample as late as the lag allows still changes what was compared within a gap of it.
-        self._log.forget_before(oldest_ns - self._max_gap_ns)
-        # Clock offsets move a measurement against the INS; two seconds more cover any of them.
-        self._track.drop_before(oldest_ns - 2 * _SECOND_NS)
+        # The INS's stamps differ from a device's, and an INS sample changes what is compared within a gap of it.
+        reach_ns = oldest_ns - self._max_gap_ns - self._longest_shift_ns
+        self._log.forget_before(reach_ns)
+        self._track.drop_before(reach_ns - self._longest_shift_ns)
 
     def _step(self, state: FilterState, measurement: AttitudeMeasurement) -> tuple[FilterState, Decision] | None:
         awaited = not self._track.covers(self.filter.ins_time_ns(state, measurement))

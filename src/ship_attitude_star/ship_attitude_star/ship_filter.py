@@ -61,6 +61,15 @@ class ShipFilter:
         self.devices: dict[str, Device] = devices(config)
         self._gate: GateConfig = config.gate
 
+    @property
+    def longest_shift_s(self) -> float:
+        """Bound on how far the INS's stamp of an attitude may lie from a device's: configured offsets and 5 sigma."""
+        return max((self._longest_shift_s(device) for device in self.devices.values()), default=0.0)
+
+    def _longest_shift_s(self, device: Device) -> float:
+        sigma_s = [self.model.blocks[name].sigma[0] for name, _ in device.ins_time_states]
+        return abs(device.ins_time_s) + 5.0 * float(np.linalg.norm(sigma_s))
+
     def initial_state(self) -> FilterState:
         """The state before any measurement: no error known, all of them possible."""
         return FilterState(None, np.zeros(self.model.size), self.model.initial_parts())
