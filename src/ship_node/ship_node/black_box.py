@@ -23,6 +23,7 @@ from ship_node.black_box_format import (
     FORMAT,
     METADATA,
     VERSIONS_ATTACHMENT,
+    Closed,
     EntriesLost,
     Event,
     FileUsed,
@@ -95,6 +96,7 @@ class BlackBox:
         self._writer.flush()
         self._queue: deque[_Message | _Attachment] = deque()
         self._before_time: list[_Message] = []
+        self._last_ns = 0
         self._file_count = self._lost = self._lost_unsaid = 0
         self._failure = ""
         self._on_failure = on_failure
@@ -113,6 +115,7 @@ class BlackBox:
         if time_ns == 0:
             self._before_time.append(_Message(topic, data, 0))
             return
+        self._last_ns = time_ns
         if self._before_time:
             for message in self._before_time:
                 self._append(message._replace(time_ns=time_ns))
@@ -145,8 +148,8 @@ class BlackBox:
         """Write what is left and finish the file."""
         self._stopping.set()
         self._thread.join()
-        for message in self._before_time:
-            self._append(message)
+        # Where there never was a time, what waits for one must not wait longer.
+        self.put_event(Closed(), max(self._last_ns, 1))
         self._guarded(self._write_all)
         self._guarded(self._writer.close)
 
@@ -161,7 +164,7 @@ class BlackBox:
         self._queue.append(message)
 
     def _write_on(self) -> None:
-        due_s = time.monotonic()
+        due_s = time.monotonic() + FLUSH_PERIOD_S
         while not self._stopping.wait(max(0.0, due_s - time.monotonic())):
             due_s = time.monotonic() + FLUSH_PERIOD_S
             self._guarded(self._write_all)

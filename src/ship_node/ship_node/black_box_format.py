@@ -78,7 +78,12 @@ class EntriesLost:
     count: int
 
 
-Event = Tick | ClockJumpedBack | ParametersChanged | ServiceCalled | FileUsed | EntriesLost
+@dataclass(frozen=True)
+class Closed:
+    """The node ended in order; a box without it ends suddenly."""
+
+
+Event = Tick | ClockJumpedBack | ParametersChanged | ServiceCalled | FileUsed | EntriesLost | Closed
 
 _KINDS: dict[str, type[Event]] = {
     "tick": Tick,
@@ -87,6 +92,7 @@ _KINDS: dict[str, type[Event]] = {
     "service": ServiceCalled,
     "file": FileUsed,
     "lost": EntriesLost,
+    "closed": Closed,
 }
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 

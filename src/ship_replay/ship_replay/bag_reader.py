@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any
 
 import yaml
+from mcap.records import Message
 from rosbags.typesys.store import Typestore
 
 from ship_replay.bag_file import ChunkPlace, McapFile, open_mcap
@@ -27,13 +28,14 @@ _FOLDER_INFORMATION = "metadata.yaml"
 
 @dataclass(slots=True)
 class BagRecord:
-    """One message as it lies in the bag."""
+    """One message as it lies in the bag; ``sequence`` is what its writer counted."""
 
     topic: str
     type_name: str
     log_time_ns: int
     data: bytes
     store: Typestore
+    sequence: int = 0
 
     def decode(self) -> Any:
         """The message, its fields as attributes, by the definition that the bag holds.
@@ -128,6 +130,16 @@ class Bag:
                 yield record
             del waiting[:ready]
 
+    def records_in_file_order(self) -> Iterator[BagRecord]:
+        """All messages as they lie in the bag, one file after the other, log times as they come."""
+        for file, channels in zip(self._files, self._usable_channels, strict=True):
+            for place in sorted(file.chunks, key=lambda place: place.offset):
+                for message in file.messages(place):
+                    if message.channel_id in channels:
+                        self.message_count += 1
+                        self.last_time_ns = message.log_time
+                        yield self._record(message, channels)
+
     def close(self) -> None:
         """Close the files."""
         for file in self._files:
@@ -152,10 +164,12 @@ class Bag:
     ) -> Iterator[tuple[int, int, BagRecord]]:
         """(log time, order in the bag, record) of the messages of some channels of one place."""
         for order, message in enumerate(self._files[file_number].messages(place), place_order << 32):
-            topic = channels.get(message.channel_id)
-            if topic is not None:
-                record = BagRecord(topic, self.topics[topic], message.log_time, message.data, self._store)
-                yield message.log_time, order, record
+            if message.channel_id in channels:
+                yield message.log_time, order, self._record(message, channels)
+
+    def _record(self, message: Message, channels: dict[int, str]) -> BagRecord:
+        topic = channels[message.channel_id]
+        return BagRecord(topic, self.topics[topic], message.log_time, message.data, self._store, message.sequence)
 
     def _channels_of(self, file: McapFile) -> dict[int, str]:
         """Channel → topic for those that can be read; notes topics, types and what is skipped."""

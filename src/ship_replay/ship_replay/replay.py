@@ -5,54 +5,22 @@ ticked on a fixed grid. The same bag and configuration give the same output, byt
 """
 
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ship_node.adapter import TICK_PERIOD_NS, Adapter
-from ship_node.errors import BadInput as BadNodeInput
+from ship_node.adapter import Adapter
 from ship_node.parameter_file import load_config
-from ship_node.topics import Published
 from ship_replay.bag_reader import Bag, BagRecord, read_bag
 from ship_replay.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_replay.errors import BadInput
 from ship_replay.message_store import RosbagsFactory
+from ship_replay.replay_run import ReplayRun, ReplaySummary
 from ship_replay.times import NS_PER_S
 from ship_replay.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
-from ship_replay.truth_errors import ATTITUDE_TOPIC, ERROR_TOPIC, TRUTH_TOPIC, TruthErrors
-
-_LONGEST_SILENCE_NS = 600 * NS_PER_S
-"""Ticks stop this long after the last message: what a silence has to tell is told by then, and a log time
-decades ahead (a damaged file, a clock set wrongly) must not tick for hours."""
+from ship_replay.truth_errors import TRUTH_TOPIC
 
 Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
-
-
-@dataclass
-class ReplaySummary:
-    """What a replay did.
-
-    Attributes:
-        inputs: relative topic → messages handed to the adapter.
-        outputs: topic → messages written, truth included.
-        refused: relative topic → reason → messages not used, or used only with a note.
-        undecodable: relative topic → messages whose bytes are not of their type.
-        absent: optional input topics that are not in the bag.
-        problems: what is wrong with the bag, one line each.
-        duration_s: length of the bag.
-        elapsed_s: time that the replay took.
-    """
-
-    inputs: Counter[str] = field(default_factory=Counter)
-    outputs: Counter[str] = field(default_factory=Counter)
-    refused: dict[str, dict[str, int]] = field(default_factory=dict)
-    undecodable: Counter[str] = field(default_factory=Counter)
-    absent: list[str] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
-    duration_s: float = 0.0
-    elapsed_s: float = 0.0
 
 
 def replay(
@@ -82,13 +50,13 @@ def replay(
             raise BadInput(f"{out_path}: the output would overwrite the input")
         factory = RosbagsFactory()
         config_text = suite_text(bag, config_path)
-        adapter = adapter_class(_config(bag, adapter_class, config_path, config_text), factory)
+        adapter = adapter_class(suite_config(bag, adapter_class, config_path), factory)
         input_names = match_inputs(bag, adapter, namespace)
         names = input_names | _truth_names(bag, namespace)
         summary = ReplaySummary(absent=[topic.topic for topic in adapter.inputs if topic.topic not in input_names])
         with BagWriter(out_path) as writer:
             _announce(writer, bag, adapter, config_text)
-            run = _Run(adapter, writer, summary, has_truth=TRUTH_TOPIC in names)
+            run = ReplayRun(adapter, writer, summary, has_truth=TRUTH_TOPIC in names)
             relative_names = {name: relative for relative, name in names.items()}
             for record in watch(bag.records(relative_names), bag):
                 run.take(relative_names[record.topic], record)
@@ -120,12 +88,18 @@ def suite_text(bag: Bag, config_path: Path | None) -> str:
     return bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
 
 
-def _config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, config_text: str) -> Any:
+def suite_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None) -> Any:
+    """The node's configuration: of the file, else of the one attached to the bag.
+
+    Raises:
+        BadInput: there is none, or it is not one of this node; names the parameter.
+    """
     if config_path is not None:
         return load_config(adapter_class.config_type, config_path, adapter_class.node_name)
+    text = suite_text(bag, None)
     try:
-        return load_config(adapter_class.config_type, config_text, adapter_class.node_name)
-    except BadNodeInput as problem:
+        return load_config(adapter_class.config_type, text, adapter_class.node_name)
+    except BadInput as problem:
         raise BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}") from problem
 
 
@@ -178,64 +152,3 @@ def _announce(writer: BagWriter, bag: Bag, adapter: Adapter, config_text: str) -
             writer.add_metadata(name, entries)
     for output in adapter.outputs:
         writer.add_topic(output.topic, output.type_name, output.latched)
-
-
-class _Run:
-    """One adapter fed message by message, its outputs written."""
-
-    def __init__(self, adapter: Adapter, writer: BagWriter, summary: ReplaySummary, has_truth: bool) -> None:
-        self._adapter = adapter
-        self._writer = writer
-        self._summary = summary
-        self._errors = TruthErrors() if has_truth else None
-        self._last_time_ns: int | None = None
-
-    def take(self, topic: str, record: BagRecord) -> None:
-        """One message of the bag."""
-        self._tick_until(record.log_time_ns)
-        if topic.startswith(TRUTH_PREFIX):
-            self._writer.write_raw(topic, record.type_name, record.data, record.log_time_ns)
-            self._summary.outputs[topic] += 1
-            if self._errors is not None and topic == TRUTH_TOPIC:
-                self._errors.add_truth(record.decode())
-        else:
-            try:
-                message = record.decode()
-            except BadInput:
-                self._summary.undecodable[topic] += 1
-                return
-            self._summary.inputs[topic] += 1
-            self._publish(self._adapter.handle(topic, message, record.log_time_ns), record.log_time_ns)
-        self._write_errors(record.log_time_ns)
-
-    def finish(self) -> None:
-        """Write what was held back."""
-        self._write_errors(None)
-
-    def _tick_until(self, time_ns: int) -> None:
-        """Tick on every multiple of the period that the time has passed since the last message."""
-        if self._last_time_ns is not None:
-            end_ns = min(time_ns, self._last_time_ns + _LONGEST_SILENCE_NS)
-            first_ns = (self._last_time_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS
-            for now_ns in range(first_ns, end_ns + 1, TICK_PERIOD_NS):
-                self._publish(self._adapter.tick(now_ns), now_ns)
-        self._last_time_ns = time_ns
-
-    def _publish(self, published: list[Published], time_ns: int) -> None:
-        for topic, message in published:
-            if self._errors is not None:
-                if topic == ERROR_TOPIC:
-                    self._errors.add_error(message, time_ns)
-                    continue
-                if topic == ATTITUDE_TOPIC:
-                    self._errors.add_attitude(message)
-            self._write(topic, message, time_ns)
-
-    def _write_errors(self, now_ns: int | None) -> None:
-        if self._errors is not None:
-            for log_time_ns, message in self._errors.filled(now_ns):
-                self._write(ERROR_TOPIC, message, log_time_ns)
-
-    def _write(self, topic: str, message: Any, time_ns: int) -> None:
-        self._writer.write(topic, message, time_ns)
-        self._summary.outputs[topic] += 1

@@ -1,13 +1,23 @@
-"""``replay``: a bag through the ship_attitude node's adapter, offline."""
+"""``replay``: a bag through the ship_attitude node's adapter, offline; or a black box, exactly as it was."""
 
 import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_replay.command_line import EXIT_DONE, CommandParser, run_command
+from ship_replay.bag_reader import read_bag
+from ship_replay.black_box_identity import is_black_box
+from ship_replay.black_box_replay import replay_black_box
+from ship_replay.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_replay.errors import BadInput
 from ship_replay.progress import watched
-from ship_replay.replay import ReplaySummary, replay
+from ship_replay.replay import replay
+from ship_replay.replay_run import ReplaySummary
+from ship_replay.verification import Verification
+from ship_replay.verify_bag import verify_bag
+
+ADAPTERS = (ShipAttitudeAdapter,)
+"""Nodes whose black boxes can be replayed."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -18,36 +28,59 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="replay",
-        epilog="exit code: 0 replayed; 2 bad input or usage, with one line that says which",
+        epilog="exit code: 0 replayed, with --verify: and equal to the last bit; 1 --verify found a difference or "
+        "could not compare all; 2 bad input or usage, with one line that says which",
         description="Replay a bag through the ship_attitude node, in process and as fast as it goes; the same bag "
-        "and configuration give the same output. Topics truth/* are copied.",
+        "and configuration give the same output. Topics truth/* are copied. A node's black box is replayed with its "
+        "ticks, parameter changes, service calls and files, in the order of use.",
     )
-    parser.add_argument("bag", type=Path, metavar="IN.mcap", help=".mcap file or rosbag2 folder")
-    parser.add_argument("--out", type=Path, required=True, metavar="OUT.mcap", help="bag to write")
+    parser.add_argument("bag", type=Path, metavar="IN.mcap", help=".mcap file or rosbag2 folder, or a black box")
+    parser.add_argument("--out", type=Path, metavar="OUT.mcap", help="bag to write; only --verify does without")
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
     )
     parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
     parser.add_argument("--report", type=Path, metavar="DIR", help="folder for figures (errors in arcsec) and JSON")
+    parser.add_argument(
+        "--verify",
+        action="store_true",
+        help="compare with the outputs in IN.mcap, diagnostics and health aside; tells the first difference: topic, "
+        "stamp (UTC and ns), field, both values (SI units, rad)",
+    )
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
-    summary = replay(options.bag, options.out, ShipAttitudeAdapter, options.config, options.namespace, watch=watched)
-    _print(summary)
+    if options.out is None and (not options.verify or options.report is not None):
+        raise BadInput("--out is missing: only --verify does without, and it draws no report")
+    if options.out is not None and options.out.resolve() == options.bag.resolve():
+        raise BadInput(f"{options.out}: the output would overwrite the input")
+    with read_bag(options.bag) as bag:
+        verification = None
+        is_box = is_black_box(bag)
+        if is_box:
+            verification = replay_black_box(bag, ADAPTERS, options.config, options.out, watched)
+        elif options.verify:
+            verification = verify_bag(bag, ShipAttitudeAdapter, options.config, options.namespace, watched)
+    if options.out is not None and not is_box:
+        _print(replay(options.bag, options.out, ShipAttitudeAdapter, options.config, options.namespace, watch=watched))
     if options.report is not None:
-        # Loading the figures' libraries takes longer than many a replay.
-        from ship_replay.evaluate import evaluate
-        from ship_replay.figures import evaluation_figure, save_figure
+        _report(options)
+    return EXIT_DONE if verification is None else _judge(verification, options.verify)
 
-        evaluation = evaluate(options.out, against=options.bag, namespace=options.namespace)
-        options.report.mkdir(parents=True, exist_ok=True)
-        figure_path = options.report / f"{options.out.stem}.png"
-        save_figure(evaluation_figure(evaluation, options.out.name), figure_path)
-        values_path = options.report / f"{options.out.stem}.json"
-        values_path.write_text(evaluation.json_text(), encoding="utf-8")
-        print(f"report: {figure_path}, {values_path}")
-    return EXIT_DONE
+
+def _report(options: argparse.Namespace) -> None:
+    # Loading the figures' libraries takes longer than many a replay.
+    from ship_replay.evaluate import evaluate
+    from ship_replay.figures import evaluation_figure, save_figure
+
+    evaluation = evaluate(options.out, against=options.bag, namespace=options.namespace)
+    options.report.mkdir(parents=True, exist_ok=True)
+    figure_path = options.report / f"{options.out.stem}.png"
+    save_figure(evaluation_figure(evaluation, options.out.name), figure_path)
+    values_path = options.report / f"{options.out.stem}.json"
+    values_path.write_text(evaluation.json_text(), encoding="utf-8")
+    print(f"report: {figure_path}, {values_path}")
 
 
 def _print(summary: ReplaySummary) -> None:
@@ -63,6 +96,21 @@ def _print(summary: ReplaySummary) -> None:
         print(f"warning: {problem}")
     rate = summary.duration_s / summary.elapsed_s
     print(f"{summary.duration_s:.1f} s of data in {summary.elapsed_s:.1f} s ({rate:.0f} x real time)")
+
+
+def _judge(verification: Verification, decides: bool) -> int:
+    """Print what a comparison came to; returns the exit code, on which it decides only where it was asked for."""
+    print(f"used:  {_counts(verification.used)}")
+    print(f"equal: {_counts(verification.equal)}")
+    for note in verification.notes:
+        print(f"note: {note}")
+    if verification.unverified:
+        print(f"verified up to there: {verification.unverified}")
+    if verification.difference is not None:
+        print(f"first difference: {verification.difference.line}")
+    elif verification.holds:
+        print(f"verified: {verification.equal.total()} outputs are equal to the last bit")
+    return EXIT_DONE if verification.holds or not decides else EXIT_BOUND_NOT_MET
 
 
 def _counts(counts: Mapping[str, int]) -> str:

@@ -1,0 +1,114 @@
+"""One adapter fed with the messages of a bag, ticked between them, its outputs given to a sink."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from ship_node.adapter import TICK_PERIOD_NS, Adapter
+from ship_node.topics import Published
+from ship_replay.bag_reader import BagRecord
+from ship_replay.errors import BadInput
+from ship_replay.times import NS_PER_S
+from ship_replay.topic_names import TRUTH_PREFIX
+from ship_replay.truth_errors import ATTITUDE_TOPIC, ERROR_TOPIC, TRUTH_TOPIC, TruthErrors
+
+_LONGEST_SILENCE_NS = 600 * NS_PER_S
+"""Ticks stop this long after the last message: what a silence has to tell is told by then, and a log time
+decades ahead (a damaged file, a clock set wrongly) must not tick for hours."""
+
+@dataclass
+class ReplaySummary:
+    """What a replay did.
+
+    Attributes:
+        inputs: relative topic → messages handed to the adapter.
+        outputs: topic → messages written, truth included.
+        refused: relative topic → reason → messages not used, or used only with a note.
+        undecodable: relative topic → messages whose bytes are not of their type.
+        absent: optional input topics that are not in the bag.
+        problems: what is wrong with the bag, one line each.
+        duration_s: length of the bag.
+        elapsed_s: time that the replay took.
+    """
+
+    inputs: Counter[str] = field(default_factory=Counter)
+    outputs: Counter[str] = field(default_factory=Counter)
+    refused: dict[str, dict[str, int]] = field(default_factory=dict)
+    undecodable: Counter[str] = field(default_factory=Counter)
+    absent: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    duration_s: float = 0.0
+    elapsed_s: float = 0.0
+
+
+class MessageSink(Protocol):
+    """Takes what a replay gives: a bag, or a comparison."""
+
+    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
+        """Take a message."""
+        ...
+
+    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
+        """Take a message given by its bytes: the truth, which is copied."""
+        ...
+
+
+class ReplayRun:
+    """One adapter fed message by message, its outputs given to a sink."""
+
+    def __init__(self, adapter: Adapter, writer: MessageSink, summary: ReplaySummary, has_truth: bool) -> None:
+        self._adapter = adapter
+        self._writer = writer
+        self._summary = summary
+        self._errors = TruthErrors() if has_truth else None
+        self._last_time_ns: int | None = None
+
+    def take(self, topic: str, record: BagRecord) -> None:
+        """One message of the bag."""
+        self._tick_until(record.log_time_ns)
+        if topic.startswith(TRUTH_PREFIX):
+            self._writer.write_raw(topic, record.type_name, record.data, record.log_time_ns)
+            self._summary.outputs[topic] += 1
+            if self._errors is not None and topic == TRUTH_TOPIC:
+                self._errors.add_truth(record.decode())
+        else:
+            try:
+                message = record.decode()
+            except BadInput:
+                self._summary.undecodable[topic] += 1
+                return
+            self._summary.inputs[topic] += 1
+            self._publish(self._adapter.handle(topic, message, record.log_time_ns), record.log_time_ns)
+        self._write_errors(record.log_time_ns)
+
+    def finish(self) -> None:
+        """Write what was held back."""
+        self._write_errors(None)
+
+    def _tick_until(self, time_ns: int) -> None:
+        """Tick on every multiple of the period that the time has passed since the last message."""
+        if self._last_time_ns is not None:
+            end_ns = min(time_ns, self._last_time_ns + _LONGEST_SILENCE_NS)
+            first_ns = (self._last_time_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS
+            for now_ns in range(first_ns, end_ns + 1, TICK_PERIOD_NS):
+                self._publish(self._adapter.tick(now_ns), now_ns)
+        self._last_time_ns = time_ns
+
+    def _publish(self, published: list[Published], time_ns: int) -> None:
+        for topic, message in published:
+            if self._errors is not None:
+                if topic == ERROR_TOPIC:
+                    self._errors.add_error(message, time_ns)
+                    continue
+                if topic == ATTITUDE_TOPIC:
+                    self._errors.add_attitude(message)
+            self._write(topic, message, time_ns)
+
+    def _write_errors(self, now_ns: int | None) -> None:
+        if self._errors is not None:
+            for log_time_ns, message in self._errors.filled(now_ns):
+                self._write(ERROR_TOPIC, message, log_time_ns)
+
+    def _write(self, topic: str, message: Any, time_ns: int) -> None:
+        self._writer.write(topic, message, time_ns)
+        self._summary.outputs[topic] += 1
