@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rclpy.duration import Duration
@@ -100,8 +100,7 @@ class Player:
         while not self._clock.stopped and (endless or laps < self._options.loop_count):
             laps += 1
             with read_bag(self._bag_path) as bag:
-                wanted = (r for r in bag.records(self._publishers) if r.log_time_ns >= self.start_ns)
-                for record in self._due(watched(wanted, bag)):
+                for record in self._due(watched(self._from_start(bag), bag)):
                     self._publish(record)
                     message_count += 1
                     latest_s = max(latest_s, self._clock.behind_s(record.log_time_ns))
@@ -117,6 +116,17 @@ class Player:
         """Say the time again, for consumers that come while the playback is paused."""
         if self.clock_ns:
             self._send_clock(self.clock_ns)
+
+    def _from_start(self, bag: Bag) -> Iterator[BagRecord]:
+        """Messages from the start on; before them what latched topics said last, as who comes late gets it."""
+        earlier: dict[str, BagRecord] = {}
+        for record in bag.records(self._publishers):
+            if record.log_time_ns >= self.start_ns:
+                yield from earlier.values()
+                earlier.clear()
+                yield record
+            elif record.topic in bag.latched_topics:
+                earlier[record.topic] = replace(record, log_time_ns=self.start_ns)
 
     def _due(self, records: Iterable[BagRecord]) -> Iterator[BagRecord]:
         """Each record when its time has come; /clock goes out in between."""
@@ -155,6 +165,7 @@ class Player:
                 raise BadInput(
                     f"{bag.path}: has no topic '{name}' to play; it has {', '.join(sorted(bag.topics))}"
                 )
+        types: dict[str, str] = {}
         for topic, type_name in bag.topics.items():
             if topic not in self._options.topics and (self._options.topics or topic in _OWN_TOPICS):
                 continue
@@ -171,9 +182,13 @@ class Player:
                 DurabilityPolicy.TRANSIENT_LOCAL if topic in bag.latched_topics else DurabilityPolicy.VOLATILE
             )
             qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
-            self._publishers[topic] = self._node.create_publisher(
-                kind, self._options.remaps.get(topic, topic), qos
-            )
+            name = self._options.remaps.get(topic, topic)
+            if types.setdefault(name, type_name) != type_name:
+                raise BadInput(
+                    f"{bag.path}: topic '{topic}' ({type_name}) cannot be played as '{name}', "
+                    f"which carries {types[name]}"
+                )
+            self._publishers[topic] = self._node.create_publisher(kind, name, qos)
         if not self._publishers:
             raise BadInput(f"{bag.path}: none of its topics can be played")
 
