@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
+from rcl_interfaces.srv import GetParameters
+
 from ship_node.adapter import Adapter
 from ship_node.parameter_file import load_config
 from ship_replay.bag_reader import Bag, read_bag
@@ -19,10 +21,12 @@ from ship_replay.replay import match_inputs, suite_text
 from ship_replay.topic_names import TRUTH_PREFIX, relative_topics
 
 _START_S = 30.0
+# A node that could not keep up has this long to work off its queue.
+_ANSWER_S = 120.0
 _POLL_S = 0.1
 _LOG_LINES = 15
-# Wall time without a message of the recorded topics after which the node has said all it had to say on the bag.
-_IDLE_S = 2.0
+# Wall time in which the recording must not grow before it counts as complete.
+_STILL_S = 1.0
 
 
 class LiveFailure(Exception):
@@ -59,6 +63,7 @@ class LiveRun:
     ) -> None:
         self.recorded_path = folder / "recorded.mcap"
         self._bag_path = bag_path
+        self._node_name = adapter_class.node_name
         self._folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         with read_bag(bag_path) as bag:
@@ -95,11 +100,30 @@ class LiveRun:
                 time.sleep(_POLL_S)
             if player.exit_code != 0:
                 raise LiveFailure(_end_of(player, "play"))
-        while self._recorder.exit_code is None:
-            if self.node.exit_code is not None:
-                raise LiveFailure(_end_of(self.node, "the node"))
+        self._wait_for_node()
+        self._wait_for_recorder()
+
+    def _wait_for_node(self) -> None:
+        """Return when the node has handled all that it received: it answers in the order of arrival."""
+        name = f"/{self._node_name}/get_parameters"
+        client = self.observer.node.create_client(GetParameters, name)
+        request = GetParameters.Request(names=["use_sim_time"])
+        if self.observer.spin_until(client.service_is_ready, _START_S):
+            answer = client.call_async(request)
+            if self.observer.spin_until(lambda: answer.done() or self.node.exit_code is not None, _ANSWER_S):
+                self._check_alive()
+                return
+        raise LiveFailure(_end_of(self.node, "the node"))
+
+    def _wait_for_recorder(self) -> None:
+        """Let the recorder take what is still on its way, and end it."""
+        size, still_since_s = -1, time.monotonic()
+        while time.monotonic() - still_since_s < _STILL_S:
+            self._check_alive()
             time.sleep(_POLL_S)
-        if self._recorder.exit_code != 0:
+            if self.recorded_path.stat().st_size != size:
+                size, still_since_s = self.recorded_path.stat().st_size, time.monotonic()
+        if self._recorder.end() != 0:
             raise LiveFailure(_end_of(self._recorder, "record"))
 
     def __enter__(self) -> "LiveRun":
@@ -121,7 +145,7 @@ class LiveRun:
         names = relative_topics(bag.topics)
         self._truth = [name for relative, name in names.items() if relative.startswith(TRUTH_PREFIX)]
         self.played_topics = [*self._inputs, *self._truth]
-        # Diagnostics come by wall time, with or without a bag: a recording of them would never fall idle.
+        # Diagnostics come by wall time, with or without a bag: a recording of them would never be complete.
         self._outputs = [output.topic for output in adapter.outputs if not output.topic.startswith("/")]
 
     def _start(self, command: Sequence[str], name: str) -> LiveProcess:
@@ -135,7 +159,7 @@ class LiveRun:
         self.recorded_path.unlink(missing_ok=True)
         topics = [*self.played_topics, *self._outputs]
         command = [*executable("ship_replay", "record"), "--out", str(self.recorded_path), "--use-sim-time"]
-        recorder = self._start([*command, "--until-idle-s", str(_IDLE_S), "--topics", *topics], "record")
+        recorder = self._start([*command, "--topics", *topics], "record")
         stack.enter_context(recorder)
         if not self.observer.wait_for(
             subscribers=there, timeout_s=_START_S, unless=lambda: recorder.exit_code is not None
