@@ -1,0 +1,70 @@
+"""The live node's black box: equal to the last bit after all that a watch may do, after a restart, after kill -9.
+
+``tools/black_box_run.py`` does the same for ten minutes.
+"""
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_replay.bag_reader import read_bag
+from ship_replay.live_run import LiveFailure, LiveRun
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tools"))
+
+from black_box_run import eventful_runs, verified  # noqa: E402  a script beside the tests, not an installed package
+
+pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.xdist_group("dds")]
+
+DEMO = ROOT / "bags" / "demo.mcap"
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory):
+    """Boxes of a voyage of 45 s with changes, save, reset and load, and of one more from its alignment."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        return eventful_runs(tmp_path_factory.mktemp("black_box"), duration_s=45.0, rate=3.0)
+
+
+def test_a_run_with_changes_and_services_is_equal_to_the_last_bit(boxes):
+    outcome = verified(boxes[0])
+    assert outcome.returncode == 0, outcome.stdout + outcome.stderr
+    for used in ("ins/imu 4501", "parameters 2", "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
+        assert used in outcome.stdout
+    assert "ship/imu 4501" in outcome.stdout
+
+
+def test_so_is_the_run_after_it_that_starts_from_its_alignment(boxes):
+    assert [box.name for box in boxes] == ["ship_attitude.mcap", "ship_attitude_2.mcap"]
+    with read_bag(boxes[1]) as bag:
+        read_at_start = bag.attachments["files/0001/alignment.yaml"]
+    with read_bag(boxes[0]) as bag:
+        # Written by the save, read by the load, and still there for the next start.
+        assert bag.attachments["files/0001/alignment.yaml"] == read_at_start
+        assert bag.attachments["files/0002/alignment.yaml"] == read_at_start
+    outcome = verified(boxes[1])
+    assert outcome.returncode == 0, outcome.stdout + outcome.stderr
+
+
+def test_a_killed_nodes_box_is_verified_up_to_the_cut(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    box = tmp_path / "box.mcap"
+    with LiveRun(DEMO, ShipAttitudeAdapter, "ship_attitude_star", tmp_path / "run", {"black_box": str(box)}) as run:
+
+        def kill_late(elapsed_s):
+            if elapsed_s > 6.0:
+                os.kill(run.node.pid, signal.SIGKILL)
+
+        with pytest.raises(LiveFailure, match="the node ended with exit code -9"):
+            run.play(4.0, kill_late)
+    outcome = verified(box)
+    assert outcome.returncode == 0, outcome.stdout + outcome.stderr
+    assert "the box ends suddenly" in outcome.stdout
+    assert "no footer" in outcome.stdout
+    assert "outputs are equal to the last bit" in outcome.stdout

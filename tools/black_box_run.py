@@ -1,0 +1,177 @@
+"""A long live run with everything that a watch may do, and its black boxes replayed to the last bit.
+
+Two parameter changes and a refused one, a save, a reset and a load; then the node starts anew with its saved alignment.
+Exit code 0 all boxes verified; 1 one was not, or a process failed; 2 bad input or usage.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_replay.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_replay.live_run import LiveFailure, LiveRun, executable
+from ship_replay.simulate_command import main as simulate
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENARIO = ROOT / "bags" / "scenarios" / "demo.yaml"
+SERVICE_TIMEOUT_S = 20.0
+
+Action = tuple[float, Callable[[LiveRun], None]]
+"""Part of the run, what is done then."""
+
+
+def main() -> int:
+    """Run it."""
+    parser = CommandParser(prog="black_box_run", description=__doc__, epilog="times are of the simulated ship")
+    parser.add_argument("--minutes", type=float, default=10.0, metavar="MIN", help="length of the voyage, min (10)")
+    parser.add_argument("--rate", type=float, default=1.0, metavar="R", help="seconds of the voyage per second (1)")
+    parser.add_argument("--folder", type=Path, default=ROOT / "build" / "black_box", help="takes bags and boxes")
+    return run_command(parser, _run, None)
+
+
+def _run(options: argparse.Namespace) -> int:
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    try:
+        boxes = eventful_runs(options.folder, 60.0 * options.minutes, options.rate)
+    except LiveFailure as failure:
+        print(f"black_box_run: {failure}", file=sys.stderr)
+        return EXIT_BOUND_NOT_MET
+    codes = []
+    for box in boxes:
+        finished = verified(box)
+        print(f"{box}\n{finished.stdout}{finished.stderr}")
+        codes.append(finished.returncode)
+    return EXIT_DONE if not any(codes) else EXIT_BOUND_NOT_MET
+
+
+def eventful_runs(folder: Path, duration_s: float, rate: float) -> list[Path]:
+    """Two runs of the node over one voyage, the second with the alignment that the first saved.
+
+    Args:
+        folder: takes everything; boxes of earlier runs stay.
+        duration_s: length of the voyage.
+        rate: seconds of the voyage per second.
+
+    Returns:
+        The boxes of both runs.
+
+    Raises:
+        LiveFailure: a process failed, or the node did not answer as it should.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    alignment_path = folder / "alignment.yaml"
+    alignment_path.unlink(missing_ok=True)
+    bag_path = _voyage(folder, duration_s)
+    parameters = {"black_box": f"{folder}/boxes/", "alignment_file": str(alignment_path)}
+    boxes = []
+    for number in (1, 2):
+        with LiveRun(bag_path, ShipAttitudeAdapter, "ship_attitude_star", folder / f"run_{number}", parameters) as run:
+            plan = _Plan(run, duration_s / rate, _ACTIONS if number == 1 else ())
+            run.play(rate, plan.watch)
+            plan.finish()
+            if run.node.end() != 0:
+                raise LiveFailure(run.node.log())
+            boxes.append(_box_path(run.node.log()))
+    return boxes
+
+
+def verified(box: Path) -> "subprocess.CompletedProcess[str]":
+    """The outcome of ``replay --verify`` in a process of its own."""
+    command = [*executable("ship_replay", "replay"), str(box), "--verify"]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def call(run: LiveRun, kind: Any, name: str, request: Any) -> Any:
+    """The answer of a service of the node."""
+    client = run.observer.node.create_client(kind, f"/ship_attitude/{name}")
+    if not run.observer.spin_until(client.service_is_ready, SERVICE_TIMEOUT_S):
+        raise LiveFailure(f"service {name} is not there")
+    answer = client.call_async(request)
+    if not run.observer.spin_until(answer.done, SERVICE_TIMEOUT_S):
+        raise LiveFailure(f"service {name} does not answer")
+    return answer.result()
+
+
+def set_parameter(run: LiveRun, name: str, value: float) -> Any:
+    """What the node says to a live change."""
+    request = SetParametersAtomically.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    return call(run, SetParametersAtomically, "set_parameters_atomically", request).result
+
+
+def _changed(name: str, value: float, wanted: bool) -> Callable[[LiveRun], None]:
+    def act(run: LiveRun) -> None:
+        result = set_parameter(run, name, value)
+        if result.successful != wanted:
+            raise LiveFailure(f"{name} = {value}: {result.reason or 'taken, which it must not be'}")
+
+    return act
+
+
+def _served(name: str) -> Callable[[LiveRun], None]:
+    def act(run: LiveRun) -> None:
+        answer = call(run, Trigger, name, Trigger.Request())
+        if not answer.success:
+            raise LiveFailure(f"~/{name}: {answer.message}")
+
+    return act
+
+
+_ACTIONS: tuple[Action, ...] = (
+    (0.20, _changed("gate.probability", 0.99, wanted=True)),
+    (0.30, _changed("gate.probability", 0.1, wanted=False)),
+    (0.40, _changed("ins.white_sigma_arcsec", 2.0, wanted=True)),
+    (0.50, _served("save_alignment")),
+    (0.60, _served("reset")),
+    (0.80, _served("load_alignment")),
+)
+
+
+class _Plan:
+    """Actions at their times in a run."""
+
+    def __init__(self, run: LiveRun, length_s: float, actions: Iterable[Action]) -> None:
+        self._run = run
+        self._due = [(part * length_s, act) for part, act in actions]
+
+    def watch(self, elapsed_s: float) -> None:
+        """Do what is due."""
+        while self._due and elapsed_s >= self._due[0][0]:
+            self._due.pop(0)[1](self._run)
+
+    def finish(self) -> None:
+        """All must have been done."""
+        if self._due:
+            raise LiveFailure(f"{len(self._due)} actions were still to come when the voyage was over")
+
+
+def _voyage(folder: Path, duration_s: float) -> Path:
+    """The simulated bag."""
+    scenario = yaml.safe_load(SCENARIO.read_text(encoding="utf-8"))
+    scenario["duration_s"] = duration_s
+    scenario_path, bag_path = folder / "scenario.yaml", folder / "voyage.mcap"
+    scenario_path.write_text(yaml.safe_dump(scenario), encoding="utf-8")
+    if simulate([str(scenario_path), "--out", str(bag_path), "--seed", "1"]) != EXIT_DONE:
+        raise LiveFailure("the voyage could not be simulated")
+    return bag_path
+
+
+def _box_path(log: str) -> Path:
+    """The box that a node says it writes."""
+    lines = [line for line in log.splitlines() if "black box: " in line]
+    if not lines:
+        raise LiveFailure(f"the node says nothing of a black box:\n{log}")
+    return Path(lines[0].partition("black box: ")[2])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
