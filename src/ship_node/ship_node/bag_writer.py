@@ -17,6 +17,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
+from ship_node.disk_sync import DiskSync
 from ship_node.errors import BadInput
 
 SUITE_ATTACHMENT = "suite.yaml"
@@ -89,6 +90,7 @@ class CdrBagWriter:
             self._file = open(self._written_path, "xb" if exclusive else "wb")  # noqa: SIM115 - closed by close()
         except OSError as problem:
             raise BadInput(f"{self.path}: cannot be written: {problem.strerror}") from problem
+        self._sync = DiskSync(self._file.fileno())
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=library)
         self._definitions: dict[str, TypeDefinition] = {}
@@ -139,11 +141,15 @@ class CdrBagWriter:
         self._writer.add_metadata(name, entries)
 
     def flush(self) -> None:
-        """Bring every message written so far onto the disk."""
+        """Hand every message written so far to the system, so that it outlives this process, and begin to sync it.
+
+        Raises:
+            OSError: it cannot be written, or the sync of an earlier flush failed.
+        """
         self._writer.flush()
         self._repeat_definitions()
         self._file.flush()
-        os.fsync(self._file.fileno())
+        self._sync.request()
         self.whole_bytes = self._file.tell()
 
     def close(self) -> None:
@@ -152,6 +158,7 @@ class CdrBagWriter:
             return
         self._writer.finish()
         self._file.flush()
+        self._sync.finish()
         os.fsync(self._file.fileno())
         self._file.close()
         if self._written_path != self.path:
@@ -159,12 +166,14 @@ class CdrBagWriter:
 
     def discard(self) -> None:
         """Give up: an atomic writer leaves nothing behind, another what it wrote so far."""
+        self._sync.finish()
         self._file.close()
         if self._written_path != self.path:
             self._written_path.unlink(missing_ok=True)
 
     def cut(self) -> None:
         """Give up after a failed write: what was written since the last :meth:`flush` is cut off."""
+        self._sync.finish()
         # Closing tries once more to write what is in the buffer, and fails again.
         with contextlib.suppress(OSError):
             self._file.close()
