@@ -1,0 +1,194 @@
+"""Earth orientation: UT1 − UTC and the pole from the IERS's finals2000A, measured and predicted, with their errors.
+
+One second of UT1 is 15″ of azimuth and elevation. The table is that of `astropy-iers-data`: measured up to its issue,
+predicted for a year from there, and silent beyond: then there is a reason in place of a value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import astropy_iers_data
+import numpy as np
+
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.time_scales import DAY_NS, UNIX_EPOCH_MJD, LeapSeconds, TimeNs, leap_seconds, utc_text
+
+# Columns (first, last; counted from 1) of finals2000A, as its ReadMe gives them; B where A is replaced by Bulletin B.
+_MJD = 8, 15
+_POLE_X, _POLE_X_SIGMA, _POLE_Y, _POLE_Y_SIGMA = (19, 27), (28, 36), (38, 46), (47, 55)
+_UT1_FLAG, _UT1, _UT1_SIGMA = (58, 58), (59, 68), (69, 78)
+_POLE_X_B, _POLE_Y_B, _UT1_B = (135, 144), (145, 154), (155, 165)
+_RECORD_LENGTH = 188
+
+# Between the daily values: linear interpolation of UT1 − TAI (18 µs), tides within the day (30 µs), and the difference
+# between Bulletins A and B (30 µs since 2000, six times A's own error). Together 0.7 mas.
+_UT1_FLOOR_S = 50e-6
+# The same for the pole: linear interpolation 0.04 mas, tides within the day 0.5 mas.
+_POLE_FLOOR = 0.5e-3 * ARCSEC
+
+
+class OutsideEarthOrientation(ValueError):
+    """A moment for which the table has no value; the text says which moment, which table and what to do."""
+
+
+@dataclass(frozen=True)
+class EarthOrientation:
+    """Orientation of the Earth at one moment, or at several with arrays of one shape.
+
+    Attributes:
+        ut1_minus_utc_s: UT1 − UTC.
+        ut1_sigma_s: its standard deviation.
+        pole_x: polar motion, rad.
+        pole_y: polar motion, rad.
+        pole_sigma: standard deviation of either, rad.
+        days_predicted: days since the last measurement; 0 where the value is measured.
+    """
+
+    ut1_minus_utc_s: FloatArray
+    ut1_sigma_s: FloatArray
+    pole_x: FloatArray
+    pole_y: FloatArray
+    pole_sigma: FloatArray
+    days_predicted: FloatArray
+
+
+def prediction_sigma_s(days_ahead: FloatArray | float) -> FloatArray:
+    """Error of a predicted UT1 − UTC: 5 ms · (days ahead / 30)^1.2, models.md §2, two to four times the file's own."""
+    return 5e-3 * (np.asarray(days_ahead, dtype=float) / 30.0) ** 1.2
+
+
+@dataclass(frozen=True)
+class EarthOrientationTable:
+    """Daily values at 0h UTC, shape (n,) each.
+
+    Attributes:
+        source: the file, for messages.
+        mjd: days, increasing by one.
+        ut1_minus_tai_s: without the jumps of UT1 − UTC, so that it can be interpolated.
+        ut1_sigma_s: the file's own error.
+        pole_x: rad.
+        pole_y: rad.
+        pole_sigma: the file's own error, rad.
+        measured_until_mjd: last day that is not a prediction.
+        leap_seconds: TAI − UTC.
+    """
+
+    source: str
+    mjd: FloatArray
+    ut1_minus_tai_s: FloatArray
+    ut1_sigma_s: FloatArray
+    pole_x: FloatArray
+    pole_y: FloatArray
+    pole_sigma: FloatArray
+    measured_until_mjd: float
+    leap_seconds: LeapSeconds
+
+    @property
+    def first_ns(self) -> int:
+        """Begin of the table."""
+        return _ns_from_mjd(self.mjd[0])
+
+    @property
+    def measured_until_ns(self) -> int:
+        """End of the measured values."""
+        return _ns_from_mjd(self.measured_until_mjd)
+
+    @property
+    def last_ns(self) -> int:
+        """End of the predictions, or of what is known about leap seconds where that is earlier."""
+        return min(_ns_from_mjd(self.mjd[-1]), self.leap_seconds.known_until_ns)
+
+    def reason_against(self, time_ns: TimeNs) -> str | None:
+        """Why there is no value for a moment (any of several), None where there is one for each."""
+        times = np.asarray(time_ns, dtype=np.int64)
+        outside = times[(times < self.first_ns) | (times > self.last_ns)]
+        if not outside.size:
+            return None
+        moment = utc_text(int(outside.flat[0]))
+        return (
+            f"no Earth orientation for {moment}: {self.source} reaches from {utc_text(self.first_ns)} to "
+            f"{utc_text(self.last_ns)}; install a newer astropy-iers-data, or correct the clock"
+        )
+
+    def at(self, time_ns: TimeNs) -> EarthOrientation:
+        """Values at a moment or moments.
+
+        Raises:
+            OutsideEarthOrientation: a moment lies outside the table.
+        """
+        reason = self.reason_against(time_ns)
+        if reason is not None:
+            raise OutsideEarthOrientation(reason)
+        mjd = UNIX_EPOCH_MJD + np.asarray(time_ns, dtype=np.int64) / DAY_NS
+        days_predicted = np.maximum(mjd - self.measured_until_mjd, 0.0)
+        # The file's own error counts for what is measured; the prediction starts from the last of that.
+        own_sigma_s = np.interp(np.minimum(mjd, self.measured_until_mjd), self.mjd, self.ut1_sigma_s)
+        variance_s2 = own_sigma_s**2 + _UT1_FLOOR_S**2 + prediction_sigma_s(days_predicted) ** 2
+        return EarthOrientation(
+            ut1_minus_utc_s=np.interp(mjd, self.mjd, self.ut1_minus_tai_s) + self.leap_seconds.at(time_ns),
+            ut1_sigma_s=np.sqrt(variance_s2),
+            pole_x=np.interp(mjd, self.mjd, self.pole_x),
+            pole_y=np.interp(mjd, self.mjd, self.pole_y),
+            pole_sigma=np.hypot(np.interp(mjd, self.mjd, self.pole_sigma), _POLE_FLOOR),
+            days_predicted=days_predicted,
+        )
+
+
+@lru_cache(maxsize=1)
+def earth_orientation_table() -> EarthOrientationTable:
+    """The table of the installed `astropy-iers-data`, read once."""
+    return read_finals2000a(Path(astropy_iers_data.IERS_A_FILE), leap_seconds())
+
+
+def read_finals2000a(path: Path, leaps: LeapSeconds) -> EarthOrientationTable:
+    """Read a file in the IERS's form finals2000A.all: Bulletin B where it is given, else A.
+
+    Raises:
+        ValueError: names the file and what does not fit.
+    """
+    raw = path.read_bytes()
+    if not raw or len(raw) % _RECORD_LENGTH or raw[_RECORD_LENGTH - 1 : _RECORD_LENGTH] != b"\n":
+        raise ValueError(f"{path}: not in the form of finals2000A.all: lines of {_RECORD_LENGTH - 1} characters each")
+    characters = np.frombuffer(raw, dtype="S1").reshape(-1, _RECORD_LENGTH)
+    flag = characters[:, _UT1_FLAG[0] - 1]
+    filled = characters[(flag == b"I") | (flag == b"P")]
+    measured = flag[(flag == b"I") | (flag == b"P")] == b"I"
+    try:
+        mjd = _numbers(filled, _MJD)
+        ut1_minus_utc_s = _better(_numbers(filled, _UT1_B), _numbers(filled, _UT1))
+        table = EarthOrientationTable(
+            source=path.name,
+            mjd=mjd,
+            ut1_minus_tai_s=ut1_minus_utc_s - leaps.at((mjd.astype(np.int64) - UNIX_EPOCH_MJD) * DAY_NS),
+            ut1_sigma_s=_numbers(filled, _UT1_SIGMA),
+            pole_x=_better(_numbers(filled, _POLE_X_B), _numbers(filled, _POLE_X)) * ARCSEC,
+            pole_y=_better(_numbers(filled, _POLE_Y_B), _numbers(filled, _POLE_Y)) * ARCSEC,
+            pole_sigma=np.maximum(_numbers(filled, _POLE_X_SIGMA), _numbers(filled, _POLE_Y_SIGMA)) * ARCSEC,
+            measured_until_mjd=float(mjd[measured][-1]),
+            leap_seconds=leaps,
+        )
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"{path}: not in the form of finals2000A.all: {error}") from error
+    values = table.ut1_minus_tai_s, table.ut1_sigma_s, table.pole_x, table.pole_y, table.pole_sigma
+    if not np.all(np.isfinite(values)) or not np.all(np.diff(table.mjd) == 1.0):
+        raise ValueError(f"{path}: days or values are missing: get the file anew")
+    return table
+
+
+def _numbers(characters: np.ndarray, columns: tuple[int, int]) -> FloatArray:
+    """The numbers in some columns; NaN where they are blank."""
+    first, last = columns
+    text = np.ascontiguousarray(characters[:, first - 1 : last]).view(f"S{last - first + 1}")[:, 0]
+    stripped = np.char.strip(text)
+    return np.where(stripped == b"", b"nan", stripped).astype(float)
+
+
+def _better(final: FloatArray, rapid: FloatArray) -> FloatArray:
+    return np.where(np.isnan(final), rapid, final)
+
+
+def _ns_from_mjd(mjd: float) -> int:
+    return (int(mjd) - UNIX_EPOCH_MJD) * DAY_NS
