@@ -1,0 +1,144 @@
+"""Refraction of starlight by the air: how much higher a star is seen than it stands, and what the weather does to it.
+
+Both models take the elevation without air, so no prior attitude is needed ([P15] §3). ``erfa``: A tan z + B tan³ z
+of the observed zenith distance with ERFA's ``refco``. ``almanac``: [P15] (8)-(12) of the true zenith distance. Below
+its lowest elevation a model gives NaN.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import erfa
+import numpy as np
+
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+ModelName = Literal["erfa", "almanac"]
+
+LOWEST_ELEVATION: dict[ModelName, float] = {"erfa": np.deg2rad(5.0), "almanac": np.deg2rad(14.0)}
+"""No refraction is given below (rad, without air): no star there can be used."""
+
+# Steps of the differences by pressure and temperature; refraction is as good as linear over them.
+_STEP_HPA, _STEP_K = 1.0, 1.0
+_TINY = 1e-300
+
+# Error of the models in standard air. erfa: table in refco's description, 0.03″ up to 70° of zenith distance, 0.57″ at
+# 80°, growing as the first term left out, tan⁵ z. almanac: knows no humidity and no colour, 0.7 % from erfa.
+_ERFA_SIGMA, _ERFA_SIGMA_TAN5 = 0.03 * ARCSEC, 1e-4 * ARCSEC
+_ALMANAC_SIGMA_FRACTION = 0.007
+
+
+@dataclass(frozen=True)
+class Weather:
+    """The air at the ship.
+
+    Attributes:
+        pressure_hpa: at the ship's height, not reduced to sea level.
+        temperature_c: degrees Celsius.
+        relative_humidity: 0 to 1.
+
+    Raises:
+        ValueError: a value that no ship meets: most often Pa for hPa, K for °C or percent for a fraction.
+    """
+
+    pressure_hpa: float
+    temperature_c: float
+    relative_humidity: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name, value, low, high in (
+            ("pressure_hpa", self.pressure_hpa, 800.0, 1100.0),
+            ("temperature_c", self.temperature_c, -60.0, 60.0),
+            ("relative_humidity", self.relative_humidity, 0.0, 1.0),
+        ):
+            if not low <= value <= high:
+                raise ValueError(f"{name} is {value:g}: expected {low:g} to {high:g}")
+
+
+@dataclass(frozen=True)
+class Refraction:
+    """Refraction at some elevations; each array has their shape, NaN below the model's lowest.
+
+    The errors of pressure, temperature and model are each common to all stars.
+
+    Attributes:
+        angle: what is added to the elevation, rad.
+        per_hpa: derivative by pressure, rad/hPa.
+        per_kelvin: derivative by temperature, rad/K.
+        model_sigma: standard deviation of the model itself in standard air, rad.
+    """
+
+    angle: FloatArray
+    per_hpa: FloatArray
+    per_kelvin: FloatArray
+    model_sigma: FloatArray
+
+    def sigma(self, pressure_sigma_hpa: float, temperature_sigma_k: float) -> FloatArray:
+        """Standard deviation of the angle with weather known that well, rad."""
+        of_weather = np.hypot(self.per_hpa * pressure_sigma_hpa, self.per_kelvin * temperature_sigma_k)
+        return np.hypot(of_weather, self.model_sigma)
+
+
+def refraction(
+    model: ModelName, elevation: FloatArray | float, weather: Weather, wavelength_um: float = 0.55
+) -> Refraction:
+    """Refraction of stars at elevations without air.
+
+    Args:
+        model: ``"erfa"`` or ``"almanac"``.
+        elevation: rad, shape (...).
+        weather: the air at the ship.
+        wavelength_um: of the light the sensor sees; the almanac's model does not know it.
+    """
+    elevation = np.asarray(elevation, dtype=float)
+    tan_z = 1.0 / np.tan(np.where(elevation >= LOWEST_ELEVATION[model], elevation, np.nan))
+    tan2_z = tan_z * tan_z
+    # Three columns: the angle, and its derivatives by pressure and temperature.
+    linear, cubic = _coefficients(model, weather, wavelength_um)
+    angles = (linear + cubic * tan2_z[..., None]) * tan_z[..., None]
+    if model == "erfa":
+        # A and B are for the observed zenith distance: one step of Newton's method from the true one, as in ERFA's
+        # atioq. In the derivatives the small change of this divisor is left out.
+        angles /= (1.0 + (linear[0] + 3.0 * cubic[0] * tan2_z) * (1.0 + tan2_z))[..., None]
+        model_sigma = _ERFA_SIGMA + _ERFA_SIGMA_TAN5 * tan2_z * tan2_z * tan_z
+    else:
+        model_sigma = _ALMANAC_SIGMA_FRACTION * angles[..., 0]
+    return Refraction(angles[..., 0], angles[..., 1], angles[..., 2], model_sigma)
+
+
+@lru_cache(maxsize=8)
+def _coefficients(model: ModelName, weather: Weather, wavelength_um: float) -> tuple[FloatArray, FloatArray]:
+    """Coefficients of tan z and tan³ z (rad), each with its derivatives by hPa and K: two arrays of shape (3,).
+
+    Kept, because the weather changes far less often than the sky.
+    """
+    # The given weather, then one step more and less of each.
+    pressures_hpa = weather.pressure_hpa + _STEP_HPA * np.array([0.0, 1.0, -1.0, 0.0, 0.0])
+    temperatures_c = weather.temperature_c + _STEP_K * np.array([0.0, 0.0, 0.0, 1.0, -1.0])
+    if model == "erfa":
+        both = np.stack(erfa.refco(pressures_hpa, temperatures_c, weather.relative_humidity, wavelength_um))
+    else:
+        # [P15] (8) for 0 °C and 1013.25 hPa, times 1 + αA + B of (9)-(11) with α = 1.
+        factor = pressures_hpa / 1013.25 - 0.00383 * temperatures_c / (1.0 + 0.00367 * temperatures_c)
+        both = np.array([[60.0978], [-0.0669]]) * ARCSEC * factor
+    per_hpa = (both[:, 1] - both[:, 2]) / (2.0 * _STEP_HPA)
+    per_kelvin = (both[:, 3] - both[:, 4]) / (2.0 * _STEP_K)
+    linear, cubic = np.stack([both[:, 0], per_hpa, per_kelvin], axis=1)
+    return linear, cubic
+
+
+def lifted(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
+    """Directions (N, U, E), shape (..., 3), turned up by angles (rad, shape (...)): with air from without."""
+    up, horizontal = direction_n[..., 1], np.hypot(direction_n[..., 0], direction_n[..., 2])
+    cosine, sine = np.cos(angle), np.sin(angle)
+    result = np.empty(np.broadcast_shapes(direction_n.shape, (*cosine.shape, 3)))
+    # At the zenith itself there is no azimuth to turn in, and no refraction.
+    result[..., ::2] = direction_n[..., ::2] * (cosine - sine * up / np.maximum(horizontal, _TINY))[..., None]
+    result[..., 1] = up * cosine + horizontal * sine
+    return result
+
+
+def elevation_of(direction_n: FloatArray) -> FloatArray:
+    """Elevation (rad) of directions (N, U, E), shape (..., 3)."""
+    return np.arctan2(direction_n[..., 1], np.hypot(direction_n[..., 0], direction_n[..., 2]))
