@@ -1,0 +1,223 @@
+"""Where a catalogue star stands in the horizon of a moving ship: ICRS → (North, Up, East), without refraction.
+
+The chain of models.md §2, all of it ERFA's: proper motion and parallax, light deflection by the Sun, annual
+aberration, bias-precession-nutation (IAU 2006/2000A), Earth rotation with UT1, polar motion, diurnal aberration. The
+ship's own velocity comes last (10 mas at 15 m/s). :mod:`ship_geometry.refraction` adds the air.
+
+Two ways: :func:`directions` does all at each moment; :class:`RefreshedSky` does the slow part once for ten seconds
+and is several times faster, within 0.1 mas as long as the Sun is more than 5° away.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import erfa
+import numpy as np
+
+from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable
+from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS, JulianDate, TimeNs, julian_date, tt_julian_date
+
+SPEED_OF_LIGHT_M_PER_S = 299_792_458.0
+REFRESH_PERIOD_NS = 10 * SECOND_NS
+"""The annual aberration changes by 0.04 mas in this time."""
+
+_J2000 = 2_451_545.0
+_JULIAN_YEAR_D = 365.25
+_EPOCHS_KEPT = 4
+
+
+@dataclass(frozen=True)
+class StarPositions:
+    """Stars in the ICRS at epoch J2000.0, as ERFA wants them; arrays of one shape.
+
+    Attributes:
+        right_ascension: rad.
+        declination: rad.
+        pm_right_ascension: dα/dt, rad/year: **not** multiplied by cos δ.
+        pm_declination: dδ/dt, rad/year.
+        parallax_arcsec: not negative.
+    """
+
+    right_ascension: FloatArray
+    declination: FloatArray
+    pm_right_ascension: FloatArray
+    pm_declination: FloatArray
+    parallax_arcsec: FloatArray
+
+    def __getitem__(self, index: Any) -> StarPositions:
+        """Some of the stars."""
+        return StarPositions(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+
+
+def fixed_stars(right_ascension: FloatArray, declination: FloatArray) -> StarPositions:
+    """Stars of which only the place is known (ICRS, J2000.0, rad)."""
+    alpha, delta = np.broadcast_arrays(np.asarray(right_ascension, float), np.asarray(declination, float))
+    none = np.zeros(alpha.shape)
+    return StarPositions(alpha, delta, none, none, none)
+
+
+def stars_from_epoch(stars: StarPositions, epoch_year: float) -> StarPositions:
+    """Stars at J2000.0 from the same at another Julian epoch (Hipparcos: 1991.25); radial velocity taken as zero.
+
+    Args:
+        stars: places and motions at ``epoch_year``; parallaxes may be negative, as measured ones are.
+        epoch_year: Julian year.
+    """
+    parallax_arcsec = np.maximum(stars.parallax_arcsec, 0.0)
+    epoch_d = (epoch_year - 2000.0) * _JULIAN_YEAR_D
+    with warnings.catch_warnings():
+        # "distance overridden": a star without parallax is put far away, which is what is meant.
+        warnings.simplefilter("ignore", erfa.ErfaWarning)
+        alpha, delta, pm_alpha, pm_delta, _, _ = erfa.pmsafe(
+            stars.right_ascension,
+            stars.declination,
+            stars.pm_right_ascension,
+            stars.pm_declination,
+            parallax_arcsec,
+            0.0,
+            _J2000,
+            epoch_d,
+            _J2000,
+            0.0,
+        )
+    return StarPositions(alpha, delta, pm_alpha, pm_delta, parallax_arcsec)
+
+
+@dataclass(frozen=True)
+class Observer:
+    """Where the sensor is and how it moves over the Earth.
+
+    Attributes:
+        position: on WGS 84; the horizon is the ellipsoid's.
+        velocity_n_m_per_s: over ground in (North, Up, East), shape (..., 3).
+    """
+
+    position: GeodeticPosition
+    velocity_n_m_per_s: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+
+def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orientation: EarthOrientation) -> FloatArray:
+    """Unit vectors (N, U, E) without refraction, all steps at each moment.
+
+    Args:
+        stars: shape (...).
+        time_ns: one moment or several; it and all that follows broadcast against the stars.
+        observer: where.
+        orientation: of the Earth at these moments.
+
+    Returns:
+        Shape (..., 3).
+    """
+    tt, position = tt_julian_date(time_ns), observer.position
+    heliocentric, barycentric = erfa.epv00(*tt)
+    astrom = erfa.apco(
+        *tt,
+        barycentric,
+        heliocentric["p"],
+        *erfa.xys06a(*tt),
+        erfa.era00(*_ut1(time_ns, orientation)),
+        position.longitude,
+        position.latitude,
+        position.height_m,
+        orientation.pole_x,
+        orientation.pole_y,
+        erfa.sp00(*tt),
+        0.0,
+        0.0,
+    )
+    return _horizon_directions(stars, astrom, astrom, observer)
+
+
+@dataclass(frozen=True)
+class _Epoch:
+    """What changes slowly: the sky seen from the Earth's centre, and the Earth's orientation."""
+
+    to_cirs: Any
+    orientation: EarthOrientation
+    tio_locator: FloatArray
+
+
+class RefreshedSky:
+    """Directions moment by moment: the slow part once per 10 s, Earth rotation and the ship's place each time.
+
+    An old ``apco13`` refreshed by ``aper13`` would forget that the ship moves (150 m: 6″).
+    The slow part belongs to the middle of fixed intervals of time, so that the result does not depend on what was asked
+    before. Leap seconds fall between intervals.
+
+    Args:
+        table: Earth orientation.
+    """
+
+    def __init__(self, table: EarthOrientationTable) -> None:
+        self._table = table
+        self._epochs: dict[int, _Epoch] = {}
+
+    def directions(self, stars: StarPositions, time_ns: int, observer: Observer) -> FloatArray:
+        """Unit vectors (N, U, E) without refraction, shape (..., 3).
+
+        Raises:
+            OutsideEarthOrientation: the table has no value for this moment.
+        """
+        epoch = self._epoch(time_ns)
+        orientation, position = epoch.orientation, observer.position
+        to_horizon = erfa.apio(
+            epoch.tio_locator,
+            erfa.era00(*_ut1(time_ns, orientation)),
+            position.longitude,
+            position.latitude,
+            position.height_m,
+            orientation.pole_x,
+            orientation.pole_y,
+            0.0,
+            0.0,
+        )
+        return _horizon_directions(stars, epoch.to_cirs, to_horizon, observer)
+
+    def orientation(self, time_ns: int) -> EarthOrientation:
+        """Earth orientation used at a moment, with its error."""
+        return self._epoch(time_ns).orientation
+
+    def _epoch(self, time_ns: int) -> _Epoch:
+        index = time_ns // REFRESH_PERIOD_NS
+        epoch = self._epochs.get(index)
+        if epoch is None:
+            middle_ns = index * REFRESH_PERIOD_NS + REFRESH_PERIOD_NS // 2
+            tt = tt_julian_date(middle_ns)
+            epoch = _Epoch(erfa.apci13(*tt)[0], self._table.at(middle_ns), erfa.sp00(*tt))
+            self._epochs[index] = epoch
+            if len(self._epochs) > _EPOCHS_KEPT:
+                del self._epochs[next(iter(self._epochs))]
+        return epoch
+
+
+def _ut1(time_ns: TimeNs, orientation: EarthOrientation) -> JulianDate:
+    return julian_date(time_ns, orientation.ut1_minus_utc_s)
+
+
+def _horizon_directions(stars: StarPositions, to_cirs: Any, to_horizon: Any, observer: Observer) -> FloatArray:
+    """ICRS → CIRS → (N, U, E) → aberration by the ship's own velocity."""
+    # atciq, not atciqz: only the former knows proper motion and parallax.
+    cirs_alpha, cirs_delta = erfa.atciq(
+        stars.right_ascension,
+        stars.declination,
+        stars.pm_right_ascension,
+        stars.pm_declination,
+        stars.parallax_arcsec,
+        0.0,
+        to_cirs,
+    )
+    azimuth, zenith_distance, *_ = erfa.atioq(cirs_alpha, cirs_delta, to_horizon)
+    beta = observer.velocity_n_m_per_s / SPEED_OF_LIGHT_M_PER_S
+    horizontal = np.sin(zenith_distance)
+    direction = np.empty((*horizontal.shape, 3))
+    direction[..., 0] = np.cos(azimuth) * horizontal
+    direction[..., 1] = np.cos(zenith_distance)
+    direction[..., 2] = np.sin(azimuth) * horizontal
+    # First order: the square is 1e-15, and the product with the Earth's velocity 1 µas.
+    direction += beta
+    return direction / np.sqrt(np.einsum("...i,...i->...", direction, direction))[..., None]
