@@ -1,0 +1,91 @@
+"""Wahba's problem: the rotation between two frames from directions known in both, with its covariance.
+
+Minimises  ½ Σ σᵢ⁻² |vᵢ − R uᵢ|²  over rotations R, where vᵢ are reference directions (n) and uᵢ measured ones (d), by
+the singular value decomposition of B = Σ σᵢ⁻² vᵢ uᵢᵀ (Markley 1988). For directions of equal error across the line of
+sight the minimum is the maximum-likelihood attitude, and its covariance is (Σ σᵢ⁻² (I − vᵢ vᵢᵀ))⁻¹.
+
+All functions take leading dimensions: many attitudes at once, with the same number of directions each.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_geometry.rotations import FloatArray
+
+WORST_SIGMA = np.deg2rad(1.0)
+"""An attitude whose worst axis is known no better than this (rad) is refused: nothing here holds for large errors."""
+
+_IDENTITY = np.eye(3)
+
+TOO_FEW = "too_few_stars"
+NEARLY_PARALLEL = "nearly_parallel"
+
+
+@dataclass(frozen=True)
+class WahbaSolution:
+    """Rotations with their covariance; shapes with the leading dimensions of the input.
+
+    Attributes:
+        rotation_nd: "n from d", shape (..., 3, 3); NaN where refused.
+        covariance_n: of the rotation vector δ in n, ``R_true = exp(δ) R``, rad², shape (..., 3, 3); NaN where refused.
+        information_n: Σ σ⁻² (I − v vᵀ), rad⁻², shape (..., 3, 3): what the directions do tell, refused or not.
+        solved: False where refused, shape (...).
+        reason: why something is refused: TOO_FEW or NEARLY_PARALLEL; None if all are solved.
+    """
+
+    rotation_nd: FloatArray
+    covariance_n: FloatArray
+    information_n: FloatArray
+    solved: NDArray[np.bool_] | np.bool_
+    reason: str | None
+
+
+def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | float) -> WahbaSolution:
+    """The rotation that turns the measured directions best into the reference ones.
+
+    Args:
+        reference_n: unit vectors, shape (..., k, 3).
+        measured_d: unit vectors, shape (..., k, 3).
+        sigma: error across the line of sight, rad per axis, shape (..., k) or one for all; infinite leaves one out.
+    """
+    weight = np.asarray(sigma, dtype=float) ** -2.0
+    weighted = np.swapaxes(weight[..., None] * reference_n, -1, -2)
+    outer = weighted @ reference_n
+    # The trace of Σ w v vᵀ is Σ w.
+    information_n = np.einsum("...ii", outer)[..., None, None] * _IDENTITY - outer
+
+    left, singular, right = np.linalg.svd(weighted @ measured_d)
+    rotation_nd = left @ right
+    # -1 where only a reflection fits best: that is no attitude, the best rotation turns its weakest axis round.
+    handedness = np.copysign(1.0, np.linalg.det(rotation_nd))
+    if np.any(handedness < 0.0):
+        left[..., :, 2] *= handedness[..., None]
+        rotation_nd = left @ right
+    # The information about the worst axis. From the data and not from the model: it vanishes with parallel directions,
+    # and also where inconsistent ones leave two rotations that fit alike.
+    worst_information = singular[..., 1] + handedness * singular[..., 2]
+    solved = worst_information > WORST_SIGMA**-2.0
+    if np.all(solved):
+        return WahbaSolution(rotation_nd, np.linalg.inv(information_n), information_n, solved, None)
+    counts = np.count_nonzero(np.broadcast_to(weight, reference_n.shape[:-1]), axis=-1)
+    reason = TOO_FEW if np.any((counts < 2) & ~solved) else NEARLY_PARALLEL
+    refused = ~solved[..., None, None]
+    covariance_n = np.linalg.inv(np.where(refused, _IDENTITY, information_n))
+    return WahbaSolution(
+        rotation_nd=np.where(refused, np.nan, rotation_nd),
+        covariance_n=np.where(refused, np.nan, covariance_n),
+        information_n=information_n,
+        solved=solved,
+        reason=reason,
+    )
+
+
+def residual_angles(solution: WahbaSolution, reference_n: FloatArray, measured_d: FloatArray) -> FloatArray:
+    """Residuals as small rotations R u × v that would bring each measured direction to its reference, rad, (..., k, 3).
+
+    Each has two components, across its line of sight; the third, along v, is zero.
+    """
+    turned_n = measured_d @ np.swapaxes(solution.rotation_nd, -1, -2)
+    return np.cross(turned_n, reference_n)
