@@ -10,7 +10,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 RUN := source tools/env.sh &&
 PYTEST_ARGS ?=
 
-.PHONY: help setup test lint demo bags bench campaign clean
+.PHONY: help setup test lint demo bags bench campaign kills clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -35,6 +35,9 @@ bench: setup ## speed, as ratios within one run
 
 campaign: setup ## many seeds, consistency of the estimates
 	@$(RUN) python tools/campaign.py
+
+kills: setup ## kill -9 of recorder and node at random moments: what is lost
+	@$(RUN) python tools/kill_campaign.py
 
 clean: ## remove what was built; the wheels stay (rm -r .venv removes them)
 	@rm -rf build install log out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

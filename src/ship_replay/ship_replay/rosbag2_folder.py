@@ -48,11 +48,14 @@ def write_information(folder: Path, files: Sequence[FileInformation], topics: Se
     """
     path = folder / INFORMATION_FILE
     part = path.with_name(path.name + ".part")
-    with open(part, "w", encoding="utf-8") as file:
-        yaml.safe_dump(_information(files, topics), file, sort_keys=False)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
+    try:
+        with open(part, "w", encoding="utf-8") as file:
+            yaml.safe_dump(_information(files, topics), file, sort_keys=False)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
     _sync_folder(folder)
 
 

@@ -181,7 +181,7 @@ class Recording:
 
     def connect(self):
         assert self.graph.spin_until(
-            lambda: self.publisher.get_subscription_count() > 0 or self.process.exit_code is not None
+            lambda: self.publisher.get_subscription_count() > 0 or self.process.exit_code is not None, 60
         ), self.process.log()
 
     def send(self, count):
@@ -289,6 +289,7 @@ class TestLive:
                 last = recording.process.log().splitlines()[-1]
             assert last.startswith(f"record: {path}: recording ended: No space left on device; ")
             assert "record --recover finishes it" in last
+            assert list(path.parent.rglob("*.part")) == []
             kept = sample_numbers(path)
             assert len(kept) > 100
             assert kept == list(range(len(kept)))

@@ -102,6 +102,16 @@ def test_an_unfinished_file_is_read_by_both_readers_after_recovery(unfinished, t
         assert all("durability: volatile" in channel.metadata["offered_qos_profiles"] for channel in channels)
 
 
+def test_a_finished_recording_needs_no_recovery(unfinished, tmp_path):
+    """Definitions that stand twice disturb neither reader, nor the one of this package."""
+    path = tmp_path / "whole.mcap"
+    path.write_bytes(finished_bytes(unfinished, tmp_path))
+    assert by_mcap(path) == by_rosbags(path) == sorted(original(unfinished, tmp_path))
+    with read_bag(path) as bag:
+        assert sum(1 for _ in bag.records()) == CHUNKS * PER_CHUNK
+        assert bag.problems == []
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_cut_anywhere_gives_every_chunk_before_the_cut(unfinished, tmp_path, seed):
     cut = random.Random(seed).randrange(places(unfinished)[3][0], len(unfinished))
