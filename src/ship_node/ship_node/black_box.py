@@ -145,7 +145,9 @@ class BlackBox:
         return Status("black box", Level.OK, f"writing {self.path}", values)
 
     def close(self) -> None:
-        """Write what is left and finish the file."""
+        """Write what is left and finish the file; a second time does nothing."""
+        if self._stopping.is_set():
+            return
         self._stopping.set()
         self._thread.join()
         # Where there never was a time, what waits for one must not wait longer.

@@ -54,7 +54,8 @@ class NodeParameters:
         """What of the parameters was changed since the start, and what was refused last."""
         now = flatten(self.config)
         changed = {name: f"{now[name]}, {was} at the start" for name, was in self._at_start.items() if now[name] != was}
-        text = f"changed: {', '.join(changed)}" if changed else "as at the start"
+        lines = [f"{name} = {change}" for name, change in changed.items()]
+        text = f"changed: {'; '.join(lines)}" if lines else "as at the start"
         return Status("parameters", Level.OK, text + self._last_refusal, changed)
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:

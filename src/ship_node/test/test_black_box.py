@@ -1,0 +1,232 @@
+"""The black box without a live node: order, names, a slow disk, a full disk, what is attached."""
+
+import json
+import resource
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from mcap.reader import NonSeekingReader
+from relay_adapter import RelayAdapter, RelayConfig
+from std_msgs.msg import String
+
+from ship_estimation.parameters import build
+from ship_node import black_box
+from ship_node.adapter_calls import AdapterCalls
+from ship_node.bag_writer import SUITE_ATTACHMENT
+from ship_node.black_box import BlackBox, free_path
+from ship_node.black_box_format import (
+    EVENTS_TOPIC,
+    FORMAT,
+    METADATA,
+    VERSIONS_ATTACHMENT,
+    ClockJumpedBack,
+    Closed,
+    EntriesLost,
+    Event,
+    FileUsed,
+    ParametersChanged,
+    ServiceCalled,
+    Tick,
+    event_from_text,
+    event_text,
+)
+from ship_node.diagnostics import Level
+from ship_node.errors import BadInput
+from ship_node.files import NotedFiles
+from ship_node.message_factory import RosidlFactory
+from ship_node.parameter_file import load_config
+from ship_node.parameter_text import parameter_text
+
+CONFIG = build(RelayConfig, {"sensors": {"fore": {"elevation_deg": 45}}})
+SECOND_NS = 1_000_000_000
+EVENTS: list[Event] = [
+    Tick(),
+    ClockJumpedBack(),
+    ParametersChanged({"gate.probability": 0.1 + 0.2, "offsets_s": [1e-300, 2.0]}, None),
+    ParametersChanged({"gate.count": 13}, "not wanted"),
+    ServiceCalled("reset", True, "done"),
+    ServiceCalled("explode", None, None),
+    FileUsed("/a/b.yaml", True, "files/0001/b.yaml", None),
+    FileUsed("/a/b.yaml", False, None, 2),
+    EntriesLost(7),
+    Closed(),
+]
+
+
+def new_box(path: Path | str, failures: list[str] | None = None) -> BlackBox:
+    adapter = RelayAdapter(CONFIG, RosidlFactory())
+    told = [] if failures is None else failures
+    return BlackBox(str(path), adapter, CONFIG, adapter.outputs, "/ship", told.append)
+
+
+def entries(path: Path) -> list[tuple[str, Any, int]]:
+    """(topic, event or bytes, log time) in the order of the file."""
+    with path.open("rb") as stream:
+        found = NonSeekingReader(stream).iter_messages(log_time_order=False)
+        rows = [(channel.topic, message.data, message.log_time) for _, channel, message in found]
+    # CDR of a String: head of 4 bytes, length of 4, text, one zero.
+    return [(topic, event_from_text(d[8:-1].decode()) if topic == EVENTS_TOPIC else d, ns) for topic, d, ns in rows]
+
+
+@pytest.mark.parametrize("event", EVENTS, ids=lambda event: type(event).__name__)
+def test_events_come_back_as_they_were(event: Event) -> None:
+    assert event_from_text(event_text(event)) == event
+
+
+@pytest.mark.parametrize("text", ["", "7", "[]", "{}", '{"event": "dance"}', '{"event": "tick", "x": 1}', "{no json"])
+def test_what_is_no_event_is_bad_input(text: str) -> None:
+    with pytest.raises(BadInput, match="is no event of a black box"):
+        event_from_text(text)
+
+
+def test_the_file_keeps_the_order_of_use_when_the_clock_goes_back(tmp_path: Path) -> None:
+    box = new_box(tmp_path / "box.mcap")
+    box.put("ins/imu", b"first", 20 * SECOND_NS)
+    box.put("ship/attitude", b"its result", 20 * SECOND_NS)
+    box.put_event(ClockJumpedBack(), 5 * SECOND_NS)
+    box.put("ins/imu", b"second", 5 * SECOND_NS)
+    box.close()
+    assert entries(tmp_path / "box.mcap") == [
+        ("ins/imu", b"first", 20 * SECOND_NS),
+        ("ship/attitude", b"its result", 20 * SECOND_NS),
+        (EVENTS_TOPIC, ClockJumpedBack(), 5 * SECOND_NS),
+        ("ins/imu", b"second", 5 * SECOND_NS),
+        (EVENTS_TOPIC, Closed(), 5 * SECOND_NS),
+    ]
+
+
+def test_what_comes_before_the_first_time_gets_the_first_time(tmp_path: Path) -> None:
+    box = new_box(tmp_path / "box.mcap")
+    box.put_event(ParametersChanged({"gate.count": 4}, None), 0)
+    box.put_event(Tick(), 7 * SECOND_NS)
+    box.close()
+    assert [ns for _, _, ns in entries(tmp_path / "box.mcap")] == [7 * SECOND_NS] * 3
+
+
+def test_parameters_versions_and_identity_are_attached(tmp_path: Path) -> None:
+    new_box(tmp_path / "box.mcap").close()
+    with (tmp_path / "box.mcap").open("rb") as stream:
+        attachments = {a.name: a.data.decode() for a in NonSeekingReader(stream).iter_attachments()}
+    with (tmp_path / "box.mcap").open("rb") as stream:
+        metadata = {m.name: m.metadata for m in NonSeekingReader(stream).iter_metadata()}
+    assert metadata[METADATA] == {"format": FORMAT, "node": "relay", "namespace": "/ship"}
+    assert load_config(RelayConfig, attachments[SUITE_ATTACHMENT], "relay") == CONFIG
+    found = json.loads(attachments[VERSIONS_ATTACHMENT])
+    assert found["suite"].keys() == {"ship_msgs", "ship_geometry", "ship_estimation", "ship_node", "relay_adapter"}
+    assert found["message_definitions"]["ship_msgs/msg/ShipAttitude"].startswith("RIHS01_")
+
+
+@pytest.mark.parametrize("frame_id", ["", "1e3", "yes", "~", "a: b # c", "Bö 'x' \"y\"", "two\nlines", "0x10"])
+def test_parameters_as_a_file_give_the_same_parameters(frame_id: str) -> None:
+    config = build(
+        RelayConfig,
+        {
+            "frame_id": frame_id,
+            "offsets_s": [0.1 + 0.2, -1e-300, 5e-324],
+            "gate": {"bias_deg": 1e16},
+            "sensors": {"1": {"elevation_deg": -0.0}, "fore": {"elevation_deg": 1 / 3}},
+        },
+    )
+    assert load_config(RelayConfig, parameter_text("relay", config), "relay") == config
+
+
+def test_an_earlier_box_is_never_written_over(tmp_path: Path) -> None:
+    for expected in ("box.mcap", "box_2.mcap", "box_3.mcap"):
+        box = new_box(tmp_path / "box.mcap")
+        assert box.path.name == expected
+        box.close()
+    (tmp_path / "box.mcap").unlink()
+    (tmp_path / "box_2.mcap").unlink()
+    assert free_path(tmp_path / "box.mcap").name == "box_4.mcap"
+
+
+def test_in_a_folder_the_box_has_the_nodes_name(tmp_path: Path) -> None:
+    for folder in (f"{tmp_path}", f"{tmp_path}/new/"):
+        box = new_box(folder)
+        assert box.path == Path(folder) / "relay.mcap"
+        box.close()
+
+
+@pytest.mark.parametrize("name", ["box.bag", "file/box.mcap", "box"])
+def test_a_path_that_cannot_be_used_is_bad_input(tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(BadInput, match=r"parameter 'black_box' = '.*'"):
+        new_box(tmp_path / name)
+
+
+def test_a_disk_that_is_too_slow_costs_entries_and_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(black_box, "LONGEST_QUEUE", 3)
+    monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
+    box = new_box(tmp_path / "box.mcap")
+    for number in range(10):
+        box.put("ins/imu", bytes([number]), SECOND_NS + number)
+    assert box.status().level == Level.ERROR
+    assert box.status().values["lost"] == "7"
+    box._write_all()
+    box.put("ins/imu", b"late", 2 * SECOND_NS)
+    box.close()
+    kept = [(topic, what) for topic, what, _ in entries(box.path)]
+    assert kept == [
+        *(("ins/imu", bytes([number])) for number in range(3)),
+        (EVENTS_TOPIC, EntriesLost(7)),
+        ("ins/imu", b"late"),
+        (EVENTS_TOPIC, Closed()),
+    ]
+
+
+def test_a_full_disk_ends_the_box_and_not_the_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
+    failures: list[str] = []
+    box = new_box(tmp_path / "box.mcap", failures)
+    box.put("ins/imu", b"before", SECOND_NS)
+    box._write_all()
+    whole_bytes = box.path.stat().st_size
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (whole_bytes + 10, hard))
+    try:
+        for number in range(1000):
+            box.put("ins/imu", number.to_bytes(4, "little") * 8, SECOND_NS + number)
+        box._guarded(box._write_all)
+        box.put("ins/imu", b"after", 2 * SECOND_NS)
+        box.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert box.status().level == Level.ERROR
+    assert "File too large" in box.status().message
+    assert len(failures) == 1
+    assert box.path.stat().st_size == whole_bytes
+
+
+class RaisingRelay(RelayAdapter):
+    def handle(self, topic, message, receive_ns):
+        raise RuntimeError("a defect")
+
+
+def test_a_use_that_raises_is_noted_nevertheless(tmp_path: Path) -> None:
+    box = new_box(tmp_path / "box.mcap")
+    calls = AdapterCalls(RaisingRelay(CONFIG, RosidlFactory()), {}, NotedFiles(), box)
+    with pytest.raises(RuntimeError, match="a defect"):
+        calls.handle("ins/imu", b"bytes", String(), SECOND_NS)
+    with pytest.raises(RuntimeError, match="a defect of a service"):
+        calls.service("explode", SECOND_NS)
+    box.close()
+    assert [what for _, what, _ in entries(box.path)] == [b"bytes", ServiceCalled("explode", None, None), Closed()]
+
+
+def test_files_are_noted_with_content_or_error(tmp_path: Path) -> None:
+    files = NotedFiles()
+    files.write(tmp_path / "new" / "a.yaml", b"content")
+    assert files.read(tmp_path / "new" / "a.yaml") == b"content"
+    with pytest.raises(FileNotFoundError):
+        files.read(tmp_path / "none")
+    with pytest.raises(NotADirectoryError):
+        files.read(tmp_path / "new" / "a.yaml" / "b")
+    assert [(Path(use.path).name, use.written, use.content, use.error) for use in files.uses] == [
+        ("a.yaml", True, b"content", None),
+        ("a.yaml", False, b"content", None),
+        ("none", False, None, 2),
+        ("b", False, None, 20),
+    ]
+    assert yaml.safe_load((tmp_path / "new" / "a.yaml").read_bytes()) == "content"
