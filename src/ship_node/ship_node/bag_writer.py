@@ -113,15 +113,22 @@ class CdrBagWriter:
         self._channel_id(topic, type_name, latched, qos_profiles)
 
     def write_raw(
-        self, topic: str, type_name: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None
+        self,
+        topic: str,
+        type_name: str,
+        data: bytes,
+        log_time_ns: int,
+        publish_time_ns: int | None = None,
+        sequence: int | None = None,
     ) -> None:
-        """Add a message given by its CDR bytes, as they are.
+        """Add a message given by its CDR bytes, as they are; without a sequence number its topic's are counted.
 
         Raises:
             BadInput: the topic already carries another type, or the type is unknown.
         """
         channel_id = self._channel_id(topic, type_name)
-        sequence = self._sequences[channel_id] = self._sequences.get(channel_id, 0) + 1
+        if sequence is None:
+            sequence = self._sequences[channel_id] = self._sequences.get(channel_id, 0) + 1
         self._writer.add_message(
             channel_id=channel_id,
             log_time=log_time_ns,

@@ -1,8 +1,8 @@
 """What stands in a black box besides the messages: the events of a node, and the names of everything.
 
 A box is an MCAP bag. Inputs lie in it under their own topics, outputs under theirs, events as JSON text on
-:data:`EVENTS_TOPIC`; the order in the file is the order of use, and what a use led to follows it. The log time is the
-node's time of the use, which may go back.
+:data:`EVENTS_TOPIC`; the order in the file is the order of use, and what a use led to follows it. The sequence numbers
+count all of them from 1. The log time is the node's time of the use, which may go back.
 """
 
 import json

@@ -1,0 +1,136 @@
+"""Black boxes made without DDS, by what a live node uses to make them; and copies of them with one thing changed."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from rclpy.serialization import deserialize_message
+
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_attitude_star.config import ShipAttitudeConfig
+from ship_estimation.parameters import ParameterError
+from ship_node.adapter_calls import AdapterCalls
+from ship_node.black_box import BlackBox
+from ship_node.files import NotedFiles
+from ship_node.message_factory import RosidlFactory, message_class
+from ship_node.parameter_file import load_config
+from ship_node.tick_grid import TickGrid
+from ship_replay.bag_reader import read_bag
+from ship_replay.bag_writer import SUITE_ATTACHMENT
+
+DEMO = Path(__file__).parents[3] / "bags" / "demo.mcap"
+LENGTH_NS = 8_000_000_000
+BOX_FORMAT = "1"
+Record = Schema | Channel | Message | Attachment | Metadata
+
+
+class Nobody:
+    """A publisher without subscribers."""
+
+    def publish(self, message: Any) -> None:
+        """Tell nobody."""
+
+
+def make_box(path: Path, alignment_path: Path, close: bool = True) -> BlackBox:
+    """Eight seconds of the demo bag, with all that can happen to a node; the clock goes back after five."""
+    with read_bag(DEMO) as bag:
+        text = bag.attachments[SUITE_ATTACHMENT].decode().rstrip() + f"\n    alignment_file: {alignment_path}\n"
+        config = load_config(ShipAttitudeConfig, text, "ship_attitude")
+        files = NotedFiles()
+        adapter = ShipAttitudeAdapter(config, RosidlFactory(), files)
+        kinds = {topic.topic: message_class(topic.type_name) for topic in adapter.inputs}
+        start_ns = bag.start_ns or 0
+        records = [r for r in bag.records(kinds) if r.log_time_ns < start_ns + LENGTH_NS]
+    box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print)
+    calls = AdapterCalls(adapter, {output.topic: Nobody() for output in adapter.outputs}, files, box)
+    plan = _plan(calls)
+    grid = TickGrid()
+    for record in [*records, *records[:300]]:
+        now_ns = record.log_time_ns
+        if record is records[0] and len(plan) < 6:
+            grid.restart(now_ns)
+            calls.clock_jumped_back(now_ns)
+        for tick_ns in grid.due(now_ns):
+            calls.tick(tick_ns)
+        while plan and now_ns >= start_ns + plan[0][0]:
+            plan.pop(0)[1](now_ns)
+        message = deserialize_message(record.data, kinds[record.topic])
+        calls.handle(record.topic, record.data, message, now_ns)
+    if close:
+        box.close()
+    return box
+
+
+def _plan(calls: AdapterCalls) -> list[tuple[int, Callable[[int], Any]]]:
+    second = 1_000_000_000
+
+    def refused(now_ns: int) -> None:
+        try:
+            calls.set_parameters({"gate.probability": 0.1}, now_ns)
+        except ParameterError:
+            return
+        raise AssertionError("taken")
+
+    return [
+        (1 * second, lambda ns: calls.set_parameters({"gate.probability": 0.99}, ns)),
+        (2 * second, refused),
+        (3 * second, lambda ns: calls.set_parameters({"ins.white_sigma_arcsec": 2.0}, ns)),
+        (4 * second, lambda ns: calls.service("save_alignment", ns)),
+        (5 * second, lambda ns: calls.service("reset", ns)),
+        (6 * second, lambda ns: calls.service("load_alignment", ns)),
+    ]
+
+
+def changed_copy(
+    box: Path,
+    path: Path,
+    change: Callable[[Record, Mapping[int, str]], Record | list[Record] | None],
+    renumber: bool = False,
+) -> Path:
+    """A copy of a box in which each record is what ``change(record, topics by channel)`` makes of it.
+
+    None leaves it out; ``renumber`` makes the writer's count fit again.
+    """
+    count = 0
+    topics: dict[int, str] = {}
+    kept: set[tuple[type, int]] = set()
+    with box.open("rb") as stream, path.open("wb") as out:
+        writer = Writer(out)
+        writer.start("ros2", "test")
+        for record in StreamReader(stream).records:
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            if not isinstance(record, Record):
+                continue
+            if isinstance(record, Schema | Channel):
+                if (type(record), record.id) in kept:
+                    continue
+                kept.add((type(record), record.id))
+            changed = change(record, topics)
+            for one in changed if isinstance(changed, list) else [changed]:
+                if renumber and isinstance(one, Message):
+                    count += 1
+                    one = replace(one, sequence=count)
+                _write(writer, one)
+        writer.finish()
+    return path
+
+
+def _write(writer: Writer, record: Record | None) -> None:
+    if isinstance(record, Schema):
+        assert writer.register_schema(record.name, record.encoding, record.data) == record.id
+    elif isinstance(record, Channel):
+        channel_id = writer.register_channel(record.topic, record.message_encoding, record.schema_id, record.metadata)
+        assert channel_id == record.id
+    elif isinstance(record, Message):
+        writer.add_message(
+            record.channel_id, record.log_time, record.data, record.publish_time, sequence=record.sequence
+        )
+    elif isinstance(record, Attachment):
+        writer.add_attachment(0, 0, record.name, record.media_type, record.data)
+    elif isinstance(record, Metadata):
+        writer.add_metadata(record.name, record.metadata)

@@ -1,0 +1,289 @@
+"""replay --verify on black boxes: whole, changed in one bit, cut, damaged, of others."""
+
+import json
+import struct
+from dataclasses import replace
+
+import pytest
+from black_boxes import BOX_FORMAT, changed_copy, make_box
+from mcap.records import Attachment, Message, Metadata, Schema
+
+from ship_replay.bag_file import open_mcap
+from ship_replay.bag_reader import read_bag
+from ship_replay.bag_writer import SUITE_ATTACHMENT
+from ship_replay.message_store import message_store
+from ship_replay.replay_command import main
+
+ATTITUDE = "ship_msgs/msg/ShipAttitude"
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("box")
+    return make_box(folder / "box.mcap", folder / "alignment.yaml").path
+
+
+def verify(capsys, *arguments):
+    """(exit code, stdout, stderr) of ``replay --verify``."""
+    code = main([*map(str, arguments), "--verify"])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def refused(capsys, *arguments):
+    """The one line of an exit with 2."""
+    code, _, err = verify(capsys, *arguments)
+    assert code == 2
+    assert err.count("\n") == 1
+    return err
+
+
+def test_a_whole_box_is_equal_to_the_last_bit(box, capsys):
+    code, out, _ = verify(capsys, box)
+    assert code == 0, out
+    # 8 s at 100 Hz and 300 messages more after the clock went back; 2 parameter changes and a refused one.
+    for used in ("clock jump back 1", "parameters 3", "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
+        assert used in out
+    assert "outputs are equal to the last bit" in out
+    assert "verified up to there" not in out
+    assert "note" not in out
+
+
+def test_the_saved_file_is_not_written_again(box, capsys):
+    path = box.with_name("alignment.yaml")
+    before = path.stat().st_mtime_ns
+    path.rename(path.with_suffix(".moved"))
+    try:
+        assert verify(capsys, box)[0] == 0
+        assert not path.exists()
+    finally:
+        path.with_suffix(".moved").rename(path)
+    assert path.stat().st_mtime_ns == before
+
+
+def nth(topic, number, change):
+    """A change of the message of that number (from 1) on a topic."""
+    seen = 0
+
+    def apply(record, topics):
+        nonlocal seen
+        if isinstance(record, Message) and topics[record.channel_id] == topic:
+            seen += 1
+            return change(record) if seen == number else record
+        return record
+
+    return apply
+
+
+def with_last_bit_flipped(field, type_name=ATTITUDE):
+    def change(message):
+        store = message_store()
+        decoded = store.deserialize_cdr(message.data, type_name)
+        value = getattr(decoded, field)
+        bits = struct.unpack("<Q", struct.pack("<d", value))[0] ^ 1
+        setattr(decoded, field, struct.unpack("<d", struct.pack("<Q", bits))[0])
+        return replace(message, data=bytes(store.serialize_cdr(decoded, type_name)))
+
+    return change
+
+
+def test_one_bit_of_one_field_is_found_and_named(box, tmp_path, capsys):
+    with read_bag(box) as bag:
+        attitude = [r for r in bag.records_in_file_order() if r.topic == "ship/attitude"][99].decode()
+    stamp = attitude.header.stamp.sec * 10**9 + attitude.header.stamp.nanosec
+    other = changed_copy(box, tmp_path / "b.mcap", nth("ship/attitude", 100, with_last_bit_flipped("pitch")))
+    code, out, _ = verify(capsys, other)
+    assert code == 1
+    line = next(line for line in out.splitlines() if line.startswith("first difference: "))
+    assert "ship/attitude, stamp 2014-07-09T11:50:" in line
+    assert f"({stamp} ns), field pitch: recorded " in line
+    assert line.endswith(f", replayed {attitude.pitch!r}")
+
+
+def test_an_input_changed_by_one_bit_shows_in_the_output_that_follows(box, tmp_path, capsys):
+    def change(message):
+        store = message_store()
+        imu = store.deserialize_cdr(message.data, "sensor_msgs/msg/Imu")
+        imu.orientation.x += 1e-9
+        return replace(message, data=bytes(store.serialize_cdr(imu, "sensor_msgs/msg/Imu")))
+
+    code, out, _ = verify(capsys, changed_copy(box, tmp_path / "b.mcap", nth("ins/imu", 50, change)))
+    assert code == 1
+    assert "first difference: ship/attitude, stamp" in out
+
+
+def test_an_output_too_many_is_a_difference(box, tmp_path, capsys):
+    copy = changed_copy(box, tmp_path / "b.mcap", nth("ship/attitude", 30, lambda m: [m, m]), renumber=True)
+    code, out, _ = verify(capsys, copy)
+    assert code == 1
+    assert "recorded a message, replayed a message on ship/imu" in out
+
+
+def test_an_output_too_few_is_a_difference(box, tmp_path, capsys):
+    copy = changed_copy(box, tmp_path / "b.mcap", nth("ship/imu", 30, lambda message: None), renumber=True)
+    code, out, _ = verify(capsys, copy)
+    assert code == 1
+    assert "first difference: ship/imu" in out
+    assert "recorded nothing, replayed a message" in out
+
+
+def test_another_saved_file_is_a_difference(box, tmp_path, capsys):
+    def change(record, topics):
+        if isinstance(record, Attachment) and record.name == "files/0001/alignment.yaml":
+            return replace(record, data=record.data.replace(b"version: 1", b"version: 9"))
+        return record
+
+    code, out, _ = verify(capsys, changed_copy(box, tmp_path / "b.mcap", change))
+    assert code == 1
+    assert "alignment.yaml, stamp" in out
+    assert "field line 2: recorded 'version: 9', replayed 'version: 1'" in out
+
+
+def test_missing_entries_end_the_verification_and_are_said(box, tmp_path, capsys):
+    code, out, _ = verify(capsys, changed_copy(box, tmp_path / "b.mcap", nth("ins/imu", 400, lambda message: None)))
+    assert code == 1
+    assert "verified up to there: entries are missing before 2014-07-09T11:50:11.79" in out
+    assert "first difference" not in out
+
+
+def test_a_damaged_chunk_ends_the_verification_and_is_said(box, tmp_path, capsys):
+    chunks = open_mcap(box).chunks
+    place = chunks[len(chunks) // 2]
+    data = bytearray(box.read_bytes())
+    data[place.offset + place.length // 2] ^= 1
+    damaged = tmp_path / "b.mcap"
+    damaged.write_bytes(data)
+    code, out, _ = verify(capsys, damaged)
+    assert code == 1
+    assert "entries are missing before" in out
+    assert "is damaged" in out
+
+
+@pytest.mark.parametrize("part", [0.3, 0.6, 0.9])
+def test_a_cut_box_is_verified_up_to_the_cut(box, tmp_path, capsys, part):
+    cut = tmp_path / "b.mcap"
+    data = box.read_bytes()
+    cut.write_bytes(data[: round(part * len(data))])
+    code, out, _ = verify(capsys, cut)
+    assert code == 0, out
+    assert "the box ends suddenly, at 2014-07-09T11:50:" in out
+    assert "no footer" in out
+
+
+class TestRefused:
+    def test_of_another_version_of_the_format(self, box, tmp_path, capsys):
+        def change(record, topics):
+            if isinstance(record, Metadata):
+                assert record.metadata["format"] == BOX_FORMAT
+                return replace(record, metadata=record.metadata | {"format": "0"})
+            return record
+
+        line = refused(capsys, changed_copy(box, tmp_path / "b.mcap", change))
+        assert "b.mcap: version 0 of the black box: expected 1" in line
+
+    def test_of_another_node(self, box, tmp_path, capsys):
+        def change(record, topics):
+            if isinstance(record, Metadata):
+                return replace(record, metadata=record.metadata | {"node": "gyro"})
+            return record
+
+        line = refused(capsys, changed_copy(box, tmp_path / "b.mcap", change))
+        assert "black box of node 'gyro': expected one of ship_attitude" in line
+
+    def test_without_its_head(self, box, tmp_path, capsys):
+        copy = changed_copy(box, tmp_path / "b.mcap", lambda r, topics: None if isinstance(r, Metadata) else r)
+        assert "metadata record 'black_box' is missing" in refused(capsys, copy)
+
+    def test_with_a_message_definition_that_has_changed(self, box, tmp_path, capsys):
+        def change(record, topics):
+            if isinstance(record, Schema) and record.name == ATTITUDE:
+                return replace(record, data=record.data.replace(b"float64 pitch", b"float64 trim"))
+            return record
+
+        line = refused(capsys, changed_copy(box, tmp_path / "b.mcap", change))
+        assert "topic 'ship/attitude': the message definition has changed" in line
+        assert "ship_msgs/msg/ShipAttitude.pitch is missing in the bag" in line
+
+    def test_with_the_content_of_a_file_missing(self, box, tmp_path, capsys):
+        name = "files/0002/alignment.yaml"
+        copy = changed_copy(box, tmp_path / "b.mcap", without(name))
+        line = refused(capsys, copy)
+        assert f"attachment {name} is missing: the content of {box.with_name('alignment.yaml')}" in line
+
+    def test_with_parameters_that_this_node_does_not_know(self, box, tmp_path, capsys):
+        copy = changed_copy(box, tmp_path / "b.mcap", with_suite(lambda text: text.replace("lag_s", "delay_s")))
+        assert "attachment suite.yaml" in (line := refused(capsys, copy))
+        assert "'delay_s' is unknown" in line
+
+    def test_with_the_parameters_of_other_devices(self, box, tmp_path, capsys):
+        copy = changed_copy(box, tmp_path / "b.mcap", with_suite(lambda text: text.replace('"starboard"', '"aft"')))
+        line = refused(capsys, copy)
+        assert "'star/starboard/horizon_attitude' (ship_msgs/msg/StarHorizonAttitude) is no topic of" in line
+
+
+def without(name):
+    return lambda r, topics: None if isinstance(r, Attachment) and r.name == name else r
+
+
+def with_suite(change):
+    def apply(record, topics):
+        if isinstance(record, Attachment) and record.name == SUITE_ATTACHMENT:
+            changed = change(record.data.decode())
+            assert changed != record.data.decode()
+            return replace(record, data=changed.encode())
+        return record
+
+    return apply
+
+
+@pytest.fixture
+def suite(box, tmp_path):
+    """The box's own parameters as a file."""
+    with read_bag(box) as bag:
+        text = bag.attachments[SUITE_ATTACHMENT]
+    path = tmp_path / "suite.yaml"
+    path.write_bytes(text)
+    return path
+
+
+@pytest.mark.parametrize("name", ["suite.yaml", "versions.json"])
+def test_a_missing_attachment_is_refused_or_replaced_by_config(box, suite, tmp_path, capsys, name):
+    copy = changed_copy(box, tmp_path / "b.mcap", without(name))
+    line = refused(capsys, copy)
+    assert name in line
+    assert "--config" in line
+    code, out, _ = verify(capsys, copy, "--config", suite)
+    assert code == 0
+    assert f"note: replayed with {suite} instead of the box's own parameters" in out
+
+
+def test_another_version_of_the_suite_is_refused_or_replayed_with_config(box, suite, tmp_path, capsys):
+    def change(record, topics):
+        if isinstance(record, Attachment) and record.name == "versions.json":
+            found = json.loads(record.data)
+            found["suite"]["ship_attitude_star"] = "0.0.1"
+            return replace(record, data=json.dumps(found).encode())
+        return record
+
+    copy = changed_copy(box, tmp_path / "b.mcap", change)
+    assert "another version of the suite (ship_attitude_star 0.0.1 there, 0.1.0 here)" in refused(capsys, copy)
+    code, out, _ = verify(capsys, copy, "--config", suite)
+    assert code == 0
+    assert "note: written by another version of the suite" in out
+
+
+def test_other_parameters_by_config_are_said_and_give_a_difference(box, suite, tmp_path, capsys):
+    suite.write_text(suite.read_text().replace('"tilt_sigma_arcsec": 10.0', '"tilt_sigma_arcsec": 11.0'))
+    out_path = tmp_path / "out.mcap"
+    code, out, _ = verify(capsys, box, "--config", suite, "--out", out_path)
+    assert code == 1
+    assert "instead of the box's own parameters: ins.tilt_sigma_arcsec = 11.0, was 10.0" in out
+    with read_bag(box) as recorded, read_bag(out_path) as replayed:
+        counts = [sum(1 for r in bag.records(["ship/attitude"])) for bag in (recorded, replayed)]
+    assert counts[0] == counts[1]
+
+
+def test_verify_draws_no_report_and_without_it_there_must_be_an_out(box, tmp_path, capsys):
+    assert main([str(box)]) == 2
+    assert main([str(box), "--verify", "--report", str(tmp_path)]) == 2
+    assert "--out is missing" in capsys.readouterr().err
