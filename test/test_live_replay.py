@@ -28,8 +28,8 @@ from ship_replay.topic_names import relative_topic
 pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.xdist_group("dds")]
 
 BAGS = sorted((Path(__file__).parents[1] / "bags").glob("*.mcap"))
-RATE = 3.0
-"""Seconds of the bag per second: INS samples come at 300 Hz."""
+RATE = 2.0
+"""Seconds of the bag per second: INS samples come at 200 Hz."""
 SAME_RAD = 1e-9
 INVALID = 3
 

@@ -33,7 +33,7 @@ RESULT_TOPIC = "ship/imu"
 def main() -> int:
     """Run the demonstration."""
     parser = CommandParser(prog="demo", description="A simulated voyage through the live node: play, record, evaluate.")
-    parser.add_argument("--rate", type=float, default=3.0, metavar="R", help="seconds of the bag per second (3)")
+    parser.add_argument("--rate", type=float, default=2.0, metavar="R", help="seconds of the bag per second (2)")
     parser.add_argument("--figure", type=Path, default=FOLDER / "errors.png", metavar="FILE.png", help="figure to draw")
     return run_command(parser, _demo, None)
 

@@ -6,6 +6,7 @@ ship_msgs/Innovation in lower case.
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -110,7 +111,13 @@ def covariance_3x3(values: Sequence[float], what: str = "covariance") -> npt.NDA
         Refused: ``non_finite``, or ``bad_covariance`` where a variance is negative or the matrix is, beyond
             rounding, not symmetric or not positive semidefinite. Rounding itself is taken out.
     """
-    matrix = np.array(values, dtype=np.float64).reshape(3, 3)
+    return _covariance_of_bytes(np.array(values, dtype=np.float64).tobytes(), what)
+
+
+@lru_cache(maxsize=64)
+def _covariance_of_bytes(content: bytes, what: str) -> npt.NDArray[np.float64] | None:
+    """The same of nine doubles; remembered, because an INS says the same covariance a hundred times a second."""
+    matrix = np.frombuffer(content).reshape(3, 3)
     if matrix[0, 0] == -1.0 or not matrix.any():
         return None
     if not np.isfinite(matrix).all():
@@ -136,4 +143,5 @@ def covariance_3x3(values: Sequence[float], what: str = "covariance") -> npt.NDA
         # Rounded numbers are let in, but no filter may meet a negative variance.
         correlation = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
         symmetric = 0.5 * limit * (correlation + correlation.T)
+    symmetric.flags.writeable = False
     return symmetric
