@@ -11,8 +11,12 @@ PAGE = Path(__file__).parents[1] / "docs" / "parameters.md"
 HEAD = """# Parameters
 
 Units are in the names. `<id>` stands for the id of a star sensor or the name of a reference: naming it declares it. A
-parameter marked *live* may be changed while the node runs (`ros2 param set`); the others are read at the start. An unknown
-parameter, or one out of its range, stops the node at the start and is refused later, each time with the reason.
+parameter marked *live* may be changed while the node runs (`ros2 param set`); the others are read at the start. An
+unknown parameter, or one out of its range, stops the node at the start and is refused later, each time with the reason.
+
+Every node has `black_box` besides: a file (`.mcap`) or folder that takes everything the node uses and gives, in that
+order; `replay BOX.mcap --verify` runs it again to the last bit. A file that is there is kept: the next box is
+`BOX_2.mcap`.
 
 This page is written by `python tools/parameter_table.py`; a test compares it with the code.
 """
@@ -28,7 +32,8 @@ def page() -> str:
 
 
 def _row(parameter: ParameterDescription) -> str:
-    default = "must be given" if parameter.default is None else f"`{parameter.default}`" if parameter.default != "" else ""
+    given = "" if parameter.default == "" else f"`{parameter.default}`"
+    default = "must be given" if parameter.default is None else given
     live = " *live*" if parameter.live else ""
     return f"| `{parameter.name}` | {default} | {parameter.unit} | {_allowed(parameter)} | {parameter.doc}{live} |\n"
 

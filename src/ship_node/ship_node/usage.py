@@ -6,7 +6,15 @@ from typing import Any
 from ship_estimation.parameters import ParameterDescription, build, describe, nest
 from ship_node.adapter import Adapter
 from ship_node.message_factory import MessageFactory
+from ship_node.parameter_file import BLACK_BOX_PARAMETER
 
+_BLACK_BOX_ROW = (
+    BLACK_BOX_PARAMETER,
+    "-",
+    "''",
+    "",
+    "file (.mcap) or folder that takes everything the node uses and gives, for replay --verify; empty for none",
+)
 _PLACEHOLDERS: dict[type, Any] = {float: 0.0, int: 0, bool: False, str: ""}
 
 
@@ -34,7 +42,7 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
             "services (std_srvs/srv/Trigger):",
             *_rows([(f"~/{service}",) for service in adapter_class.services]),
             "parameters (* may be changed while the node runs):",
-            *_rows([_parameter_row(description) for description in descriptions]),
+            *_rows([*(_parameter_row(description) for description in descriptions), _BLACK_BOX_ROW]),
             "",
             "exit code: 0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (one line says which)",
         ]

@@ -1,0 +1,93 @@
+"""replay --verify on an ordinary bag that holds inputs and outputs of one run."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_replay.bag_reader import read_bag
+from ship_replay.bag_writer import SUITE_ATTACHMENT, BagWriter
+from ship_replay.message_store import message_store
+from ship_replay.replay import replay as replay_bag
+from ship_replay.replay_command import main
+
+DEMO = Path(__file__).parents[3] / "bags" / "demo.mcap"
+LENGTH_NS = 5_000_000_000
+ATTITUDE = "ship/attitude"
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory):
+    """Five seconds of inputs, and what a replay gives for them; suite configuration."""
+    folder = tmp_path_factory.mktemp("parts")
+    with read_bag(DEMO) as bag, BagWriter(folder / "in.mcap") as writer:
+        suite = bag.attachments[SUITE_ATTACHMENT]
+        writer.add_attachment(SUITE_ATTACHMENT, suite)
+        inputs = [r for r in bag.records() if r.log_time_ns < bag.start_ns + LENGTH_NS and "truth" not in r.topic]
+        for r in inputs:
+            writer.write_raw(r.topic, r.type_name, r.data, r.log_time_ns)
+    replay_bag(folder / "in.mcap", folder / "out.mcap", ShipAttitudeAdapter)
+    with read_bag(folder / "out.mcap") as bag:
+        return inputs, list(bag.records()), suite
+
+
+def joined(path, parts, namespace="", change=lambda records: records):
+    """The bag that a recorder of all topics would have written."""
+    inputs, outputs, suite = parts
+    with BagWriter(path) as writer:
+        writer.add_attachment(SUITE_ATTACHMENT, suite)
+        for r in [*inputs, *change(list(outputs))]:
+            writer.write_raw(f"{namespace}{r.topic}", r.type_name, r.data, r.log_time_ns)
+    return path
+
+
+def verify(capsys, path, *options):
+    code = main([str(path), "--verify", *options])
+    return code, *capsys.readouterr()
+
+
+@pytest.mark.parametrize(("namespace", "options"), [("", ()), ("/", ()), ("/ship_1/", ("--namespace", "ship_1"))])
+def test_outputs_that_are_the_same_are_equal(parts, tmp_path, capsys, namespace, options):
+    code, out, _ = verify(capsys, joined(tmp_path / "b.mcap", parts, namespace), *options)
+    assert code == 0, out
+    count = sum(1 for r in parts[1] if r.topic == ATTITUDE)
+    assert count > 400
+    assert f"{ATTITUDE} {count}" in out
+
+
+def test_the_first_changed_field_is_named_with_both_values(parts, tmp_path, capsys):
+    def change(outputs):
+        numbers = [i for i, r in enumerate(outputs) if r.topic == ATTITUDE]
+        for number in numbers[100:102]:
+            message = outputs[number].decode()
+            message.rotation_covariance = np.where(np.arange(9) == 4, 7.0, message.rotation_covariance)
+            data = bytes(message_store().serialize_cdr(message, message.__msgtype__))
+            outputs[number] = replace(outputs[number], data=data)
+        return outputs
+
+    originals = [r.decode() for r in parts[1] if r.topic == ATTITUDE]
+    stamp = originals[100].header.stamp
+    code, out, _ = verify(capsys, joined(tmp_path / "b.mcap", parts, change=change))
+    assert code == 1
+    value = float(originals[100].rotation_covariance[4])
+    expected = f"({stamp.sec}{stamp.nanosec:09d} ns), field rotation_covariance[4]: recorded 7.0, replayed {value!r}"
+    assert expected in out
+
+
+def test_what_is_missing_at_the_end_is_a_difference(parts, tmp_path, capsys):
+    def change(outputs):
+        del outputs[max(i for i, r in enumerate(outputs) if r.topic == ATTITUDE)]
+        return outputs
+
+    code, out, _ = verify(capsys, joined(tmp_path / "b.mcap", parts, change=change))
+    assert code == 1
+    assert f"first difference: {ATTITUDE}, stamp" in out
+    assert "recorded nothing, replayed a message" in out
+
+
+def test_a_bag_without_outputs_is_refused(parts, tmp_path, capsys):
+    code, _, err = verify(capsys, joined(tmp_path / "b.mcap", parts, change=lambda outputs: []))
+    assert code == 2
+    assert "it holds no outputs of ship_attitude: there is nothing to verify" in err
