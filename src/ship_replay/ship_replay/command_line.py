@@ -1,43 +1,7 @@
-"""What every command of the package does alike: one line on stderr and exit code 2 for bad input."""
+"""What every command of the package does alike: as the commands of the nodes' packages do."""
 
-import argparse
-import sys
-from collections.abc import Callable, Sequence
-from typing import NoReturn
-
-from ship_estimation.parameters import ParameterError
-from ship_node.errors import BadInput as BadNodeInput
-from ship_replay.errors import BadInput
-
-EXIT_DONE = 0
-EXIT_BOUND_NOT_MET = 1
-EXIT_BAD_INPUT = 2
-
-
-class CommandParser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line."""
-
-    def error(self, message: str) -> NoReturn:
-        """Say what is wrong with the arguments, in one line, and leave."""
-        self.exit(EXIT_BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
-def run_command(
-    parser: CommandParser, command: Callable[[argparse.Namespace], int], arguments: Sequence[str] | None
-) -> int:
-    """Exit code of a command whose bad input becomes one line on stderr.
-
-    Args:
-        parser: parser of the command's arguments.
-        command: does the work with the parsed arguments and returns the exit code.
-        arguments: the command line without the program's name; None takes the process's own.
-    """
-    parsed = parser.parse_args(arguments)
-    try:
-        return command(parsed)
-    except (BadInput, BadNodeInput, ParameterError) as problem:
-        reason = str(problem)
-    except OSError as problem:
-        reason = f"{problem.filename}: {problem.strerror}" if problem.filename else str(problem)
-    print(f"{parser.prog}: {' '.join(reason.split())}", file=sys.stderr)
-    return EXIT_BAD_INPUT
+from ship_node.command_line import EXIT_BAD_INPUT as EXIT_BAD_INPUT
+from ship_node.command_line import EXIT_BOUND_NOT_MET as EXIT_BOUND_NOT_MET
+from ship_node.command_line import EXIT_DONE as EXIT_DONE
+from ship_node.command_line import CommandParser as CommandParser
+from ship_node.command_line import run_command as run_command
