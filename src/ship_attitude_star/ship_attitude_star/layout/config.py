@@ -1,0 +1,148 @@
+"""What a layout study is asked: sensors on the deck with their errors, and the operating point of the six figures.
+
+The keys of a sensor are those of ``star_sensors.<id>`` of the node ``ship_attitude``: a layout found good here is
+copied there as it is.
+"""
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.installation_model import Reading
+from ship_estimation.parameters import ParameterError, build, mapping_of, parameter, section
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+LEAST_ELEVATION_DEG = 5.0
+"""Below this elevation over the horizon no refraction model holds."""
+
+DEFAULT_SENSORS = {
+    "fore": {"azimuth_deg": 0.0, "elevation_deg": 35.0},
+    "starboard": {"azimuth_deg": 90.0, "elevation_deg": 35.0},
+}
+"""Studied where a file names no sensors: elevation and errors of [Z14], two sensors at right angles."""
+
+# Names become file names and headings.
+_SENSOR_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+# So small that it changes no digit shown, and large enough that no covariance is singular.
+_LEAST_SIGMA_ARCSEC = 0.001
+
+
+def _angle(default: Any = dataclasses.MISSING, *, doc: str, limit_deg: float = 360.0) -> Any:
+    return parameter(default, doc=doc, unit="deg", minimum=-limit_deg, maximum=limit_deg)
+
+
+def _sigma(default: float, *, doc: str, minimum: float = 0.0) -> Any:
+    return parameter(default, doc=doc, unit="arcsec", minimum=minimum, maximum=36_000.0)
+
+
+def _error(default: float, *, doc: str) -> Any:
+    """An error with its sign."""
+    return parameter(default, doc=doc, unit="arcsec", minimum=-36_000.0, maximum=36_000.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayoutSensor:
+    """One star sensor: where it is bolted, and its errors about its own axes (forward is the boresight)."""
+
+    azimuth_deg: float = _angle(doc="boresight from the bow, clockwise seen from above")
+    elevation_deg: float = parameter(
+        doc="boresight over the deck", unit="deg", minimum=LEAST_ELEVATION_DEG, maximum=90.0
+    )
+    roll_deg: float = _angle(0.0, doc="roll about the boresight, right side down")
+    sigma_forward_arcsec: float = _sigma(100.0, doc="noise about the boresight", minimum=_LEAST_SIGMA_ARCSEC)
+    sigma_up_arcsec: float = _sigma(3.0, doc="noise about the up axis", minimum=_LEAST_SIGMA_ARCSEC)
+    sigma_right_arcsec: float = _sigma(3.0, doc="noise about the right axis", minimum=_LEAST_SIGMA_ARCSEC)
+    installation_sigma_forward_arcsec: float = _sigma(20.0, doc="installation error about the boresight")
+    installation_sigma_up_arcsec: float = _sigma(1.0, doc="installation error about the up axis")
+    installation_sigma_right_arcsec: float = _sigma(1.0, doc="installation error about the right axis")
+
+    def angles(self) -> FloatArray:
+        """Azimuth, elevation, roll in the deck, shape (3,), rad."""
+        return np.deg2rad([self.azimuth_deg, self.elevation_deg, self.roll_deg])
+
+    def noise_sigmas(self) -> FloatArray:
+        """Noise about (forward, up, right), shape (3,), rad."""
+        return ARCSEC * np.array([self.sigma_forward_arcsec, self.sigma_up_arcsec, self.sigma_right_arcsec])
+
+    def installation_sigmas(self) -> FloatArray:
+        """Installation error about (forward, up, right), shape (3,), rad."""
+        return ARCSEC * np.array(
+            [
+                self.installation_sigma_forward_arcsec,
+                self.installation_sigma_up_arcsec,
+                self.installation_sigma_right_arcsec,
+            ]
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonErrors:
+    """Errors that all sensors share, and that more sensors therefore do not average away."""
+
+    heading_sigma_arcsec: float = _sigma(0.0, doc="about the vertical: Earth rotation angle, clock")
+    tilt_sigma_arcsec: float = _sigma(0.0, doc="of the horizon about North and about East: 31 m of position is 1")
+    refraction_sigma_arcsec: float = _sigma(0.0, doc="of the refraction at 45 deg elevation: 1 K is 0.2, 1 hPa 0.06")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OperatingPoint:
+    """Where the six figures of [Z14] are drawn, and with which errors; the angle that a figure sweeps is its own."""
+
+    star_azimuth_deg: float = _angle(235.0, doc="As, azimuth of the sensor in the horizon")
+    star_elevation_deg: float = _angle(45.0, doc="Es, elevation of the sensor in the horizon", limit_deg=90.0)
+    star_roll_deg: float = _angle(90.0, doc="roll_s, roll of the sensor in the horizon")
+    elevation_deg: float = _angle(35.0, doc="E0, installation elevation", limit_deg=90.0)
+    roll_deg: float = _angle(0.0, doc="roll_0, installation roll")
+    error_star_azimuth_arcsec: float = _error(3.0, doc="dAs, with its sign")
+    error_star_elevation_arcsec: float = _error(3.0, doc="dEs, with its sign")
+    error_star_roll_arcsec: float = _error(100.0, doc="droll_s, with its sign; alone in figures 1 to 3")
+    error_azimuth_arcsec: float = _error(1.0, doc="dA0, with its sign")
+    error_elevation_arcsec: float = _error(1.0, doc="dE0, with its sign")
+    error_roll_arcsec: float = _error(20.0, doc="droll_0, with its sign")
+
+    def star_errors_arcsec(self) -> FloatArray:
+        """Errors of the sensor's horizon attitude: azimuth, elevation, roll, shape (3,)."""
+        return np.array([self.error_star_azimuth_arcsec, self.error_star_elevation_arcsec, self.error_star_roll_arcsec])
+
+    def installation_errors_arcsec(self) -> FloatArray:
+        """Errors of the installation angles: azimuth, elevation, roll, shape (3,)."""
+        return np.array([self.error_azimuth_arcsec, self.error_elevation_arcsec, self.error_roll_arcsec])
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayoutStudyConfig:
+    """A layout study."""
+
+    ship_pitch_deg: float = _angle(0.0, doc="pitch of the ship, bow up", limit_deg=45.0)
+    ship_roll_deg: float = _angle(0.0, doc="roll of the ship, starboard down", limit_deg=60.0)
+    sensors: dict[str, LayoutSensor] = mapping_of("the star sensors of the layout, by name")
+    common: CommonErrors = section(CommonErrors)
+    figures: OperatingPoint = section(OperatingPoint)
+
+
+READING_NAMES = {
+    Reading.PHYSICAL: "physical: R(A0, E0, γ0) turns the sensor's axes into the deck's",
+    Reading.PAPER: "as computed in [Z14]: R(A0, E0, γ0) turns the deck's axes into the sensor's",
+}
+"""How tables and figures call the two readings."""
+
+
+def study_config(values: Mapping[str, Any]) -> LayoutStudyConfig:
+    """A checked study; where no sensor is named they are :data:`DEFAULT_SENSORS`.
+
+    Raises:
+        ParameterError: names the parameter and what is allowed.
+    """
+    values = {**values, "sensors": values.get("sensors") or DEFAULT_SENSORS}
+    config = build(LayoutStudyConfig, values)
+    for name in config.sensors:
+        if not _SENSOR_NAME.fullmatch(name):
+            raise ParameterError(
+                f"parameter 'sensors.{name}': the name of a sensor is letters, digits and _, a letter first"
+            )
+    # In the order of the file: the first sensor is the one that keeps its azimuth.
+    return dataclasses.replace(config, sensors={name: config.sensors[name] for name in values["sensors"]})

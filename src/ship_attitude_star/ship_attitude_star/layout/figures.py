@@ -1,0 +1,204 @@
+"""The figures of a layout study. Loading matplotlib takes longer than the study: only the command imports this."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, MultipleLocator, NullFormatter, ScalarFormatter
+
+from ship_attitude_star.layout.azimuths import AzimuthScan
+from ship_attitude_star.layout.joint_error import ErrorMap, Layout, total_arcsec
+from ship_attitude_star.layout.study import LayoutStudy
+from ship_attitude_star.layout.sweep_figure import sweep_figure
+from ship_attitude_star.layout.sweeps import SWEEPS
+from ship_geometry.rotations import FloatArray
+
+_STYLE = {
+    "font.size": 11,
+    "axes.titlesize": 11.5,
+    "axes.grid": True,
+    "grid.color": "0.88",
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.framealpha": 0.95,
+    "savefig.facecolor": "white",
+}
+_ANGLES = ("heading", "pitch", "roll")
+# Readable in print and for the colour-blind (Okabe and Ito).
+_PART_STYLES = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."))
+_GIVEN, _BEST = "#0b3c6f", "#c1440e"
+_ARCSEC_TICKS = (1, 2, 3, 4, 5, 7, 10, 20, 30, 50, 100, 200, 300, 500, 1000)
+_FEW_LINES = (1, 3, 10, 30, 100, 300, 1000)
+_MORE_LINES = (1, 2, 3, 4, 5, 6, 8, 10, 30, 100, 300, 1000)
+# Panels whose values span more than this factor are steep: few lines do.
+_STEEP = 25.0
+
+
+def draw_figures(study: LayoutStudy, folder: Path) -> dict[str, Path]:
+    """Draw every figure as PNG into a folder that exists; returns the files by the figures' names."""
+    files = {}
+    with plt.rc_context(_STYLE):
+        for name, figure in _figures(study):
+            files[name] = folder / f"{name}.png"
+            # Without the version of matplotlib the same study gives the same file.
+            figure.savefig(files[name], dpi=110, metadata={"Software": None})
+            plt.close(figure)
+    return files
+
+
+def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
+    yield "layout", _plan(study.layout, study.best)
+    yield "azimuth", _scan_figure(study)
+    for number, moved in enumerate(study.maps):
+        yield f"map_{moved.sensor}", _map_figure(moved, study.layout, number)
+    for sweep in SWEEPS:
+        curves = [curve for curve in study.curves if curve.sweep is sweep]
+        yield f"figure_{sweep.number}", sweep_figure(sweep, curves)
+
+
+def _plan(given: Layout, best: Layout) -> Figure:
+    """Boresights seen from above; an arrow is the shorter the higher its sensor looks."""
+    figure, axes = plt.subplots(figsize=(6.2, 6.5), layout="constrained")
+    _draw_hull(axes)
+    circle = np.linspace(0.0, 2.0 * np.pi, 181)
+    axes.plot(np.sin(circle), np.cos(circle), color="0.6", lw=1)
+    for azimuth_deg in range(0, 360, 30):
+        azimuth = np.deg2rad(azimuth_deg)
+        axes.plot(*np.outer([np.sin(azimuth), np.cos(azimuth)], [0.97, 1.0]), color="0.6", lw=1)
+        axes.text(1.09 * np.sin(azimuth), 1.09 * np.cos(azimuth), f"{azimuth_deg}°", ha="center", va="center")
+    for number, name in enumerate(given.names):
+        tip = _draw_boresight(axes, given.angles[number], _GIVEN, "-")
+        if not np.array_equal(given.angles[number], best.angles[number]):
+            tip_best = _draw_boresight(axes, best.angles[number], _BEST, "--")
+            _name_boresight(axes, tip_best, name, _BEST, below=True)
+        words = f"{name}, {np.rad2deg(given.angles[number, 1]):.0f}° up"
+        _name_boresight(axes, tip, words, _GIVEN, below=False)
+    axes.plot([], [], color=_GIVEN, lw=2.2, label="as given")
+    if not np.array_equal(given.angles, best.angles):
+        axes.plot([], [], color=_BEST, ls="--", lw=2.2, label="recommended")
+    axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal", title="Boresights seen from above, bow up")
+    axes.set_axis_off()
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def _draw_boresight(axes: Axes, angles: FloatArray, colour: str, line: str) -> tuple[float, float]:
+    """An arrow in the plan; returns its tip."""
+    tip = (float(np.cos(angles[1]) * np.sin(angles[0])), float(np.cos(angles[1]) * np.cos(angles[0])))
+    look = {"arrowstyle": "-|>,head_width=0.35,head_length=0.7", "color": colour, "lw": 2.2, "ls": line}
+    axes.annotate("", tip, (0.0, 0.0), arrowprops={**look, "shrinkA": 0, "shrinkB": 0})
+    return tip
+
+
+def _name_boresight(axes: Axes, tip: tuple[float, float], words: str, colour: str, below: bool) -> None:
+    """Its name at the tip: beside an arrow along the keel, else above or below it, towards the middle."""
+    along_keel = abs(tip[0]) < 0.3
+    axes.annotate(
+        words,
+        tip,
+        textcoords="offset points",
+        xytext=(9, -9) if along_keel else (0, -18 if below else 9),
+        ha="right" if tip[0] >= 0.3 else "left",
+        color=colour,
+        weight="bold",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
+    )
+
+
+def _draw_hull(axes: Axes) -> None:
+    side = np.array([[0.0, 0.62], [0.07, 0.45], [0.12, 0.25], [0.13, -0.1], [0.12, -0.5], [0.09, -0.58]])
+    outline = np.concatenate([side, side[::-1] * [-1.0, 1.0]])
+    axes.fill(outline[:, 0], outline[:, 1], facecolor="0.93", edgecolor="0.5")
+
+
+def _scan_figure(study: LayoutStudy) -> Figure:
+    count = len(study.scans)
+    figure, grid = plt.subplots(count, 1, figsize=(8.5, 3.8 * count + 0.5), squeeze=False, layout="constrained")
+    for turned, axes in zip(study.scans, grid[:, 0], strict=True):
+        _draw_scan(axes, turned, study)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+def _draw_scan(axes: Axes, turned: AzimuthScan, study: LayoutStudy) -> None:
+    number = study.layout.names.index(turned.sensor)
+    own_deg, best_deg = (np.rad2deg(layout.angles[number, 0]) % 360.0 for layout in (study.layout, study.best))
+    for column, (colour, line) in enumerate(_PART_STYLES):
+        axes.plot(
+            turned.azimuths_deg, turned.sigmas_arcsec[:, column], color=colour, ls=line, lw=1.8, label=_ANGLES[column]
+        )
+    axes.plot(turned.azimuths_deg, total_arcsec(turned.sigmas_arcsec), color="black", lw=2.6, label="total")
+    axes.axvline(own_deg, color=_GIVEN, lw=1.3, label="as given")
+    if len(study.layout.names) > 1:
+        axes.axvline(best_deg, color=_BEST, lw=1.3, ls="--", label="recommended")
+    axes.set_yscale("log")
+    _arcsec_ticks(axes)
+    axes.xaxis.set_major_locator(MultipleLocator(30.0))
+    others = "" if len(study.layout.names) == 1 else ", the others at their recommended azimuths"
+    axes.set(
+        xlim=(0.0, 360.0),
+        xlabel=f"azimuth of sensor “{turned.sensor}” from the bow [°]",
+        ylabel="error of the ship, 1σ [″]",
+        title=f"Turning sensor “{turned.sensor}” in azimuth{others}",
+    )
+
+
+def _arcsec_ticks(axes: Axes) -> None:
+    axes.yaxis.set_major_locator(FixedLocator(_ARCSEC_TICKS))
+    axes.yaxis.set_major_formatter(ScalarFormatter())
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _map_figure(moved: ErrorMap, layout: Layout, number: int) -> Figure:
+    panels = [*np.moveaxis(moved.sigmas_arcsec, -1, 0), moved.total_arcsec()]
+    low, high = np.nanmin(panels), np.nanmax(panels)
+    levels = np.geomspace(low * 0.999, max(high, low * 1.05) * 1.001, 25)
+    figure, grid = plt.subplots(2, 2, figsize=(11, 6.6), sharex=True, sharey=True, layout="constrained")
+    for axes, values, title in zip(grid.flat, panels, (*_ANGLES, "total"), strict=True):
+        filled = axes.contourf(
+            moved.azimuths_deg, moved.elevations_deg, values, levels, norm=LogNorm(levels[0], levels[-1]), cmap="YlOrBr"
+        )
+        least, most = np.nanmin(values), np.nanmax(values)
+        # A line so near to the least value that it would break up is left out.
+        lines = [line for line in (_FEW_LINES if most > _STEEP * least else _MORE_LINES) if 1.02 * least < line < most]
+        drawn = axes.contour(moved.azimuths_deg, moved.elevations_deg, values, lines, colors="black", linewidths=0.7)
+        axes.clabel(drawn, fmt="%g″", fontsize=9)
+        _mark_sensors(axes, layout, number)
+        axes.set_title(f"{title} [″]")
+        axes.xaxis.set_major_locator(MultipleLocator(60.0))
+    for axes in grid[-1]:
+        axes.set_xlabel("azimuth from the bow [°]")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("elevation over the deck [°]")
+    colours = figure.colorbar(filled, ax=grid, shrink=0.8, label="error of the ship, 1σ [″]")
+    colours.set_ticks([tick for tick in _ARCSEC_TICKS if levels[0] <= tick <= levels[-1]])
+    colours.ax.yaxis.set_major_formatter(ScalarFormatter())
+    colours.ax.minorticks_off()
+    figure.suptitle(
+        f"Bolting sensor “{moved.sensor}” anywhere" + (", the others as given" if len(layout.names) > 1 else "")
+    )
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+def _mark_sensors(axes: Axes, layout: Layout, moved: int) -> None:
+    directions_deg = np.rad2deg(layout.angles[:, :2]) % 360.0
+    others = np.delete(directions_deg, moved, axis=0)
+    look: dict[str, Any] = {"ls": "", "markeredgecolor": "white", "clip_on": False, "zorder": 5}
+    axes.plot(
+        *directions_deg[moved], "*", ms=17, color=_GIVEN, label=f"sensor “{layout.names[moved]}” as given", **look
+    )
+    if others.size:
+        axes.plot(others[:, 0], others[:, 1], "o", ms=10, color=_BEST, label="other sensors", **look)

@@ -1,0 +1,179 @@
+"""Errors of a whole layout: all sensors joined, by source of error, over the directions one sensor can be bolted in."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_attitude_star.installation_model import Combination, combine
+from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
+from ship_geometry.frames import (
+    angle_covariance,
+    angle_errors_from_rotation_vector,
+    angles_from_rotation,
+    rotation_from_angles,
+    rotation_vector_from_angle_errors,
+)
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+_AXES = ("forward", "up", "right")
+# The horizon seen from deck: heading does not matter to any error, so the bow looks North.
+_HEADING = 0.0
+
+
+@dataclass(frozen=True)
+class SourceError:
+    """What one source of error, one sigma of it, does to the joint attitude.
+
+    Attributes:
+        sensor: its sensor, "all" for what the sensors share.
+        source: in words.
+        sigma_arcsec: of the source.
+        errors_arcsec: of heading, pitch, roll, shape (3,); their squares over all sources add up to the variance.
+    """
+
+    sensor: str
+    source: str
+    sigma_arcsec: float
+    errors_arcsec: FloatArray
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The sensors of a study as arrays, ready to be moved about.
+
+    Attributes:
+        names: of the sensors.
+        angles: installation azimuth, elevation, roll, shape (N, 3), rad.
+        noise_sigmas: about (forward, up, right), shape (N, 3), rad.
+        installation_sigmas: about (forward, up, right), shape (N, 3), rad.
+        common_sigmas: about North, Up, East, and of the refraction at 45°, shape (4,), rad.
+        ship_angles: heading, pitch, roll, shape (3,), rad.
+    """
+
+    names: tuple[str, ...]
+    angles: FloatArray
+    noise_sigmas: FloatArray
+    installation_sigmas: FloatArray
+    common_sigmas: FloatArray
+    ship_angles: FloatArray
+
+    @classmethod
+    def from_config(cls, config: LayoutStudyConfig) -> "Layout":
+        """The layout of a study."""
+        sensors, common = list(config.sensors.values()), config.common
+        tilt = common.tilt_sigma_arcsec
+        return cls(
+            names=tuple(config.sensors),
+            angles=np.array([sensor.angles() for sensor in sensors]),
+            noise_sigmas=np.array([sensor.noise_sigmas() for sensor in sensors]),
+            installation_sigmas=np.array([sensor.installation_sigmas() for sensor in sensors]),
+            common_sigmas=ARCSEC * np.array([tilt, common.heading_sigma_arcsec, tilt, common.refraction_sigma_arcsec]),
+            ship_angles=np.array([_HEADING, *np.deg2rad([config.ship_pitch_deg, config.ship_roll_deg])]),
+        )
+
+    def of_sensor(self, number: int) -> "Layout":
+        """The layout of one of the sensors alone."""
+        only = slice(number, number + 1)
+        return Layout(
+            self.names[only],
+            self.angles[only],
+            self.noise_sigmas[only],
+            self.installation_sigmas[only],
+            self.common_sigmas,
+            self.ship_angles,
+        )
+
+    def sigmas_arcsec(self, angles: FloatArray | None = None) -> FloatArray:
+        """Sigma of heading, pitch, roll of the joint attitude, shape (..., 3).
+
+        Args:
+            angles: installation angles to use in place of the layout's own, shape (..., N, 3), rad.
+        """
+        own_angles = self.angles if angles is None else angles
+        joint, _, _ = self._joined(own_angles)
+        covariance = angle_covariance(joint.covariance, self.ship_angles[0], self.ship_angles[1])
+        return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)) / ARCSEC
+
+    def horizon_elevations_deg(self) -> FloatArray:
+        """Elevation of each boresight over the horizon, with the ship's pitch and roll, shape (N,)."""
+        return np.rad2deg(angles_from_rotation(self._rotations_ns(self.angles))[..., 1])
+
+    def budget(self) -> list[SourceError]:
+        """The joint error by sensor and source; sources of no size are left out."""
+        joint, rotations_ns, common_effects = self._joined(self.angles)
+        to_angles = angle_errors_from_rotation_vector(self.ship_angles[0], self.ship_angles[1])
+        sources = []
+        for number, name in enumerate(self.names):
+            per_axis = to_angles @ joint.gains[number] @ rotations_ns[number]
+            for words, sigmas in (("noise", self.noise_sigmas), ("installation", self.installation_sigmas)):
+                for axis, axis_name in enumerate(_AXES):
+                    sigma = sigmas[number, axis]
+                    errors = per_axis[:, axis] * sigma / ARCSEC
+                    where = "boresight" if axis == 0 else f"{axis_name} axis"
+                    sources.append(SourceError(name, f"{words} about the {where}", sigma / ARCSEC, errors))
+        per_common = to_angles @ np.einsum("nij,njk->ik", joint.gains, common_effects)
+        words_of_common = ("horizon about North", "horizon about the vertical", "horizon about East", "refraction")
+        for number, words in enumerate(words_of_common):
+            sigma = self.common_sigmas[number]
+            sources.append(SourceError("all", words, sigma / ARCSEC, per_common[:, number] * sigma / ARCSEC))
+        return [source for source in sources if source.sigma_arcsec > 0.0]
+
+    def _rotations_ns(self, angles: FloatArray) -> FloatArray:
+        rotation_nd = rotation_from_angles(*self.ship_angles)
+        return rotation_nd @ rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
+
+    def _joined(self, angles: FloatArray) -> tuple[Combination, FloatArray, FloatArray]:
+        """Joint attitude, "horizon from sensor" (..., N, 3, 3), effects of the common errors (..., N, 3, 4)."""
+        rotations_ns = self._rotations_ns(angles)
+        # Noise and installation error turn about the same axes: R_star = R_ship R_0 exp(m) exp(n), models.md §4.
+        variances = self.noise_sigmas**2 + self.installation_sigmas**2
+        own = (rotations_ns * variances[..., None, :]) @ np.swapaxes(rotations_ns, -1, -2)
+        effects = _common_effects(rotations_ns)
+        return combine(own, effects, np.diag(self.common_sigmas**2)), rotations_ns, effects
+
+
+def _common_effects(rotations_ns: FloatArray) -> FloatArray:
+    """Rotation vectors that a turn of the horizon about N, U, E and refraction (per 45° value) add, (..., N, 3, 4)."""
+    star = angles_from_rotation(rotations_ns)
+    azimuth, elevation = star[..., 0], star[..., 1]
+    seen = np.rad2deg(elevation) >= LEAST_ELEVATION_DEG - 1e-9
+    cotangent = np.where(seen, 1.0 / np.tan(np.where(seen, elevation, 1.0)), np.nan)
+    raising = rotation_vector_from_angle_errors(azimuth, elevation)[..., 1] * cotangent[..., None]
+    horizon = np.broadcast_to(np.eye(3), (*azimuth.shape, 3, 3))
+    return np.concatenate([horizon, raising[..., None]], axis=-1)
+
+
+@dataclass(frozen=True)
+class ErrorMap:
+    """The joint error while one sensor is bolted anywhere and the others stay.
+
+    Attributes:
+        sensor: the one that is moved.
+        azimuths_deg: shape (a,).
+        elevations_deg: shape (e,).
+        sigmas_arcsec: heading, pitch, roll, shape (e, a, 3); NaN where the boresight is below the least elevation.
+    """
+
+    sensor: str
+    azimuths_deg: FloatArray
+    elevations_deg: FloatArray
+    sigmas_arcsec: FloatArray
+
+    def total_arcsec(self) -> FloatArray:
+        """Root sum of squares of the three, shape (e, a)."""
+        return total_arcsec(self.sigmas_arcsec)
+
+
+def error_map(layout: Layout, number: int, step_deg: float = 2.5) -> ErrorMap:
+    """The map of one sensor of a layout."""
+    azimuths_deg = np.arange(0.0, 360.0 + step_deg / 2.0, step_deg)
+    elevations_deg = np.arange(LEAST_ELEVATION_DEG, 85.0 + step_deg / 2.0, step_deg)
+    angles = np.tile(layout.angles, (elevations_deg.size, azimuths_deg.size, 1, 1))
+    angles[:, :, number, 0] = np.deg2rad(azimuths_deg)
+    angles[:, :, number, 1] = np.deg2rad(elevations_deg)[:, None]
+    return ErrorMap(layout.names[number], azimuths_deg, elevations_deg, layout.sigmas_arcsec(angles))
+
+
+def total_arcsec(sigmas_arcsec: FloatArray) -> FloatArray:
+    """The one number a layout is judged by: root sum of squares of heading, pitch and roll."""
+    return np.sqrt(np.sum(sigmas_arcsec**2, axis=-1))
