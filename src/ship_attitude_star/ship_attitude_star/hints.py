@@ -22,7 +22,8 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray) -> str:
     difference = abs(float(wrap_pi(measured - by_ins)))
     if _near(difference, _QUARTER_TURN):
         return (
-            " by about 90° in heading: look at ins.convention and at the azimuth of the sensor's or the INS's installation"
+            " by about 90° in heading: look at ins.convention and at the azimuth of the sensor's or the INS's "
+            "installation"
         )
     if _near(difference, np.pi):
         return (
