@@ -13,7 +13,10 @@ from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import Imu
 
+from ship_msgs.msg import ShipAttitude
+from ship_node.stamps import ns_from_stamp
 from ship_replay.bag_reader import read_bag
+from ship_replay.dds_profile import use_quick_repeats
 from ship_replay.errors import BadInput
 from ship_replay.live_graph import GraphObserver
 from ship_replay.live_process import LiveProcess, free_domain_id, live_environment
@@ -23,10 +26,11 @@ from ship_replay.times import NS_PER_S
 
 RATE_HZ = 200.0
 _TOPIC = "ins/imu"
+_ATTITUDE_TOPIC = "ship/attitude"
 _EARLIEST_S = 0.3
 _LATEST_S = 2.5
 _START_S = 30.0
-_WARM_UP_PERIOD_S = 0.05
+_WARM_UP_S = 0.1
 _SUITE = "ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n"
 
 
@@ -34,11 +38,14 @@ _SUITE = "ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n"
 class KillTrial:
     """What one kill cost.
 
+    A recorder must keep the samples sent to it; a node the attitudes that came out of it, and so what they were made
+    from: samples that still wait in its queue were not used.
+
     Attributes:
         killed_after_s: from the first message sent to the kill.
-        sent: messages sent before the kill.
+        sent: messages before the kill that must be kept.
         kept: of these, the ones on the disk.
-        lost_s: from the sending of the first message that is not on the disk to the kill; 0 where all are.
+        lost_s: from the first message that is not on the disk to the kill; 0 where all are.
         has_gap: whether a message is missing before one that is there.
         recovered: messages of all topics in the recovered file, by ``rosbags``.
         readable: messages of all topics in the killed file, and in the recovered one by the seeking ``mcap`` reader.
@@ -69,7 +76,7 @@ def kill_recorder(folder: Path, seed: int, flush_period_s: float) -> KillTrial:
     path = folder / f"record_{seed}.mcap"
     options = ["--topics", _TOPIC, "--flush-period-s", str(flush_period_s)]
     command = [*executable("ship_replay", "record"), "--out", str(path), *options]
-    return _trial(command, folder, path, seed)
+    return _trial(command, folder, path, seed, None)
 
 
 def kill_node(folder: Path, seed: int) -> KillTrial:
@@ -80,78 +87,91 @@ def kill_node(folder: Path, seed: int) -> KillTrial:
     # Nothing may be lost on the way: what is missing on the disk must be the box's doing.
     reliable = ["-p", f"qos_overrides./{_TOPIC}.subscription.reliability:=reliable"]
     arguments = ["--ros-args", "--params-file", str(suite), "-p", f"black_box:={path}", *reliable]
-    return _trial([*executable("ship_attitude_star", "ship_attitude"), *arguments], folder, path, seed)
+    return _trial([*executable("ship_attitude_star", "ship_attitude"), *arguments], folder, path, seed, _ATTITUDE_TOPIC)
 
 
-def _trial(command: Sequence[str], folder: Path, path: Path, seed: int) -> KillTrial:
+def _trial(command: Sequence[str], folder: Path, path: Path, seed: int, output_topic: str | None) -> KillTrial:
     killed_after_s = random.Random(seed).uniform(_EARLIEST_S, _LATEST_S)
+    # A packet that is lost on the way would hold back those after it for seconds: that is not the disk's doing.
+    use_quick_repeats()
     domain_id = free_domain_id()
     environment = live_environment(domain_id, folder / "ros")
     with (
         GraphObserver(domain_id) as graph,
         LiveProcess(command, path.with_suffix(".log"), environment) as process,
     ):
-        sender = _Sender(graph)
+        sender = _Sender(graph, output_topic)
         _wait_for_disk(sender, path, process)
-        sent_s = sender.send(killed_after_s)
+        sender.send(killed_after_s)
         os.kill(process.pid, signal.SIGKILL)
         killed_s = time.monotonic()
         if process.wait(_START_S) != -signal.SIGKILL:
             raise LiveFailure(f"{command[1]} ended by itself: {process.log()}")
     with read_bag(path) as bag:
         records = list(bag.records())
-    kept = {
-        round(record.decode().linear_acceleration.x) for record in records if record.topic.lstrip("/") == _TOPIC
+    topic = output_topic or _TOPIC
+    stamps = {
+        ns_from_stamp(record.decode().header.stamp) for record in records if record.topic.lstrip("/") == topic
     }
-    kept.discard(-1)
-    missing = [number for number in range(len(sent_s)) if number not in kept]
+    due = sender.given_out if output_topic else sender.sent
+    missing = [number for number, (stamp_ns, _) in enumerate(due) if stamp_ns not in stamps]
     recovered = recover(path, recovered_path(path)).path
     return KillTrial(
         killed_after_s=killed_after_s,
-        sent=len(sent_s),
-        kept=len(kept),
-        lost_s=killed_s - sent_s[missing[0]] if missing else 0.0,
-        has_gap=bool(missing) and missing[0] < max(kept, default=0),
+        sent=len(due),
+        kept=len(due) - len(missing),
+        lost_s=killed_s - due[missing[0]][1] if missing else 0.0,
+        has_gap=bool(missing) and len(due) - missing[0] > len(missing),
         recovered=_count_by_rosbags(recovered),
         readable=(len(records), _count_by_mcap(recovered)),
     )
 
 
 class _Sender:
-    """Sends INS samples that are numbered in a field which the node does not use."""
+    """Sends INS samples, and listens to what a node makes of them.
 
-    def __init__(self, graph: GraphObserver) -> None:
+    Attributes:
+        sent: stamp in ns and steady time in s of each sample, in order.
+        given_out: the same of each attitude received.
+    """
+
+    def __init__(self, graph: GraphObserver, output_topic: str | None) -> None:
+        self.sent: list[tuple[int, float]] = []
+        self.given_out: list[tuple[int, float]] = []
+        self._graph = graph
         self._publisher = graph.node.create_publisher(Imu, _TOPIC, QoSProfile(depth=1000))
+        if output_topic is not None:
+            graph.node.create_subscription(ShipAttitude, output_topic, self._receive, QoSProfile(depth=1000))
         self._message = Imu()
         self._message.header.frame_id = "ins"
         self._message.orientation.w = 1.0
 
-    def send_one(self, number: int) -> None:
-        """Send a sample of now."""
-        stamp = self._message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(time.time_ns(), NS_PER_S)
-        self._message.linear_acceleration.x = float(number)
-        self._publisher.publish(self._message)
-
-    def send(self, duration_s: float) -> list[float]:
-        """Send samples numbered from zero; returns the steady time of each."""
+    def send(self, duration_s: float) -> None:
+        """Send samples at their rate."""
         start_s = time.monotonic()
-        sent_s: list[float] = []
+        due_s = start_s
         while (now_s := time.monotonic()) - start_s < duration_s:
-            sent_s.append(now_s)
-            self.send_one(len(sent_s) - 1)
-            time.sleep(max(0.0, start_s + len(sent_s) / RATE_HZ - time.monotonic()))
-        return sent_s
+            time_ns = time.time_ns()
+            self._message.header.stamp.sec, self._message.header.stamp.nanosec = divmod(time_ns, NS_PER_S)
+            self.sent.append((time_ns, now_s))
+            self._publisher.publish(self._message)
+            due_s += 1.0 / RATE_HZ
+            while (left_s := due_s - time.monotonic()) > 0.0:
+                self._graph.executor.spin_once(timeout_sec=left_s)
+
+    def _receive(self, message: ShipAttitude) -> None:
+        self.given_out.append((ns_from_stamp(message.header.stamp), time.monotonic()))
 
 
 def _wait_for_disk(sender: _Sender, path: Path, process: LiveProcess) -> None:
-    """Send samples numbered -1 until one is on the disk: then both ends of the connection are up."""
+    """Send samples until one is on the disk: then both ends of the connection are up."""
     deadline_s = time.monotonic() + _START_S
     while not _has_samples(path):
         if process.exit_code is not None or time.monotonic() > deadline_s:
             raise LiveFailure(f"{path}: nothing is written: {process.log()}")
-        sender.send_one(-1)
-        time.sleep(_WARM_UP_PERIOD_S)
+        sender.send(_WARM_UP_S)
+    sender.sent.clear()
+    sender.given_out.clear()
 
 
 def _has_samples(path: Path) -> bool:

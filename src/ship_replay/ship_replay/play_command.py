@@ -2,7 +2,6 @@
 
 import argparse
 import math
-import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 
 from ship_replay.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_replay.dds_profile import use_quick_repeats
 from ship_replay.play import Player, PlayOptions
 from ship_replay.play_controls import add_services, keyboard, served
 from ship_replay.playback_clock import PlaybackClock
@@ -24,7 +24,6 @@ every reliable subscriber has acknowledged the last message. On a terminal: spac
 message. Services of the node: ~/pause, ~/resume, ~/toggle_paused, ~/play_next (std_srvs/Trigger).
 ROS arguments may follow after --ros-args (namespace, remaps).
 """
-_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _EPILOG = "exit code: 0 played; 1 a subscriber did not acknowledge messages; 2 bad input or usage"
 
 
@@ -91,9 +90,7 @@ def _play(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         wait_for=dict(parsed.wait_for_subscribers),
         wait_timeout_s=parsed.wait_timeout,
     )
-    if _PROFILE_VARIABLE not in os.environ:
-        os.environ[_PROFILE_VARIABLE] = str(Path(__file__).with_name("play_profile.xml"))
-        os.environ["RMW_FASTRTPS_USE_QOS_FROM_XML"] = "1"
+    use_quick_repeats()
     clock = PlaybackClock(parsed.rate, parsed.paused)
     rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:

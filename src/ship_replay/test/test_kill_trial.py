@@ -10,6 +10,10 @@ SEEDS = (1, 2, 3)
 @pytest.fixture(autouse=True)
 def this_machine_only(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    # The trial sets these; noted here, they are taken back after the test.
+    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML"):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
 
 
 @pytest.mark.live
