@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Callable
 
 import pytest
 import yaml
@@ -253,16 +254,16 @@ class TestLive:
             recording.connect()
             clock = recording.graph.node.create_publisher(Clock, "/clock", 10)
             assert recording.graph.spin_until(lambda: clock.get_subscription_count() > 0)
-            for second in (1000, 400):
+            def at_clock(second: int, seen: Callable[[], bool]) -> None:
+                """Publish a clock and samples until its effect is seen: they come on two connections."""
                 message = Clock()
                 message.clock.sec = second
-                size = path.stat().st_size
-                # Until it is on the disk: /clock and samples come on two connections.
-                assert recording.graph.spin_until(
-                    lambda message=message, size=size: (
-                        clock.publish(message) or recording.send(1) or path.stat().st_size > size + 500
-                    )
-                )
+                assert recording.graph.spin_until(lambda: clock.publish(message) or recording.send(1) or seen())
+
+            # The first sample on the disk has waited for the first clock.
+            size = path.stat().st_size
+            at_clock(1000, lambda: path.stat().st_size > size + 500)
+            at_clock(400, lambda: "stepped by" in recording.process.log())
             recording.send(20)
             assert recording.process.end() == 0
             said = recording.process.log()
