@@ -73,6 +73,9 @@ class LiveRun:
         with contextlib.ExitStack() as stack:
             self.observer = stack.enter_context(GraphObserver(domain_id))
             own = [item for name, value in (parameters or {}).items() for item in ("-p", f"{name}:={value}")]
+            # Every message is to arrive however busy the machine is: the runs are held against one another.
+            for topic in self._inputs:
+                own += ["-p", f"qos_overrides./{topic.lstrip('/')}.subscription.reliability:=reliable"]
             arguments = ["--ros-args", "--params-file", str(self._suite_path), "-p", "use_sim_time:=true", *own]
             node_command = [*executable(package, adapter_class.node_name), *arguments]
             self.node = stack.enter_context(self._start(node_command, adapter_class.node_name))
