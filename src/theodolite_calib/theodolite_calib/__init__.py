@@ -1,0 +1,1 @@
+"""Theodolite pointing: axis errors, lines of sight, image, optical axis, calibration."""
