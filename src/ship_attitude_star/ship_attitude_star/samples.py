@@ -49,6 +49,12 @@ class Reason(enum.IntEnum):
     GATE = 19
     REVISED = 20
     GAP = 21
+    NO_FIX = 22
+    NO_EARTH_ORIENTATION = 23
+    UNKNOWN_STAR = 24
+    BELOW_HORIZON = 25
+    UNIDENTIFIED = 26
+    UNKNOWN_SENSOR = 27
 
 
 @dataclass(frozen=True)

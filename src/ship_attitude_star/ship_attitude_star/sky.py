@@ -1,0 +1,127 @@
+"""Where stars are seen from the ship, in the horizon frame and with air, and what all of them have wrong together.
+
+The errors that stars share do not average: refraction, Earth rotation (UT1) and the ship's position. Each star's
+direction is given with its displacement by one standard deviation of each of them (models.md §2).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.samples import Reason, Refusal
+from ship_attitude_star.star_config import SkyConfig
+from ship_attitude_star.surroundings import Air, Place
+from ship_geometry.earth_orientation import EarthOrientationTable
+from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, elevation_of, lifted, refraction
+from ship_geometry.rotations import ARCSEC, FloatArray, skew
+from ship_geometry.star_directions import RefreshedSky, StarPositions
+
+SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position")
+"""Error source of each column of :attr:`ApparentStars.shared_n`; the position has two, not north and east by name."""
+
+EARTH_ROTATION_RATE = 15.041 * ARCSEC
+"""Angle by which the sky turns in a second of UT1, rad."""
+
+_WGS84_A_M, _WGS84_E2 = 6_378_137.0, 6.694379990141e-3
+
+
+@dataclass(frozen=True)
+class ApparentStars:
+    """Stars as seen from the ship at one moment.
+
+    Attributes:
+        direction_n: unit vectors with refraction, shape (k, 3); NaN below the lowest elevation.
+        shared_n: displacement of each direction by one sigma of each shared error, rad, shape (k, 3, 4).
+        elevation: without air, rad, shape (k,).
+        visible: False where the star is lower than the refraction model holds, shape (k,).
+    """
+
+    direction_n: FloatArray
+    shared_n: FloatArray
+    elevation: FloatArray
+    visible: NDArray[np.bool_]
+
+
+class Sky:
+    """The sky over the ship.
+
+    Args:
+        config: refraction model and wavelength.
+        table: Earth orientation.
+    """
+
+    def __init__(self, config: SkyConfig, table: EarthOrientationTable) -> None:
+        self._model: ModelName = "almanac" if config.refraction_model == "almanac" else "erfa"
+        self._wavelength_um = config.wavelength_um
+        self._table = table
+        self._refreshed = RefreshedSky(table)
+
+    def reason_against(self, time_ns: int) -> Refusal | None:
+        """Why no star can be placed at a moment; None where it can."""
+        reason = self._table.reason_against(time_ns)
+        return None if reason is None else Refusal(Reason.NO_EARTH_ORIENTATION, reason)
+
+    def too_low(self, elevation: float) -> Refusal:
+        """The refusal of a star at an elevation (rad, without air) that is not ``visible``."""
+        lowest_deg = np.rad2deg(LOWEST_ELEVATION[self._model])
+        text = f"elevation {np.rad2deg(elevation):.1f}°: refraction model '{self._model}' holds from {lowest_deg:.0f}°"
+        return Refusal(Reason.BELOW_HORIZON, text)
+
+    def apparent(self, stars: StarPositions, time_ns: int, place: Place, air: Air) -> ApparentStars:
+        """Directions of stars, with refraction.
+
+        Args:
+            stars: shape (k,).
+            time_ns: a moment that :meth:`reason_against` has nothing against.
+            place: of the ship.
+            air: there.
+        """
+        without_air = self._refreshed.directions(stars, time_ns, place.observer)
+        elevation = elevation_of(without_air)
+        bent = refraction(self._model, elevation, air.weather, self._wavelength_um)
+        direction_n = lifted(without_air, bent.angle)
+        shared_n = np.empty((*direction_n.shape, len(SHARED_TERMS)))
+        bent_sigma = bent.sigma(air.pressure_sigma_hpa, air.temperature_sigma_k)
+        shared_n[..., 0] = _upward(direction_n) * bent_sigma[..., None]
+        shared_n[..., 1:] = self.turned(direction_n, time_ns, place)
+        return ApparentStars(direction_n, shared_n, elevation, np.isfinite(bent_sigma))
+
+    def turned(self, direction_n: FloatArray, time_ns: int, place: Place) -> FloatArray:
+        """Displacement of directions by one sigma of Earth rotation and of position, rad, shape (..., 3, 3)."""
+        turns_n = np.empty((3, 3))
+        latitude = float(place.observer.position.latitude)
+        pole_n = np.array([np.cos(latitude), np.sin(latitude), 0.0])
+        turns_n[0] = EARTH_ROTATION_RATE * self._refreshed.orientation(time_ns).ut1_sigma_s * pole_n
+        turns_n[1:] = position_turns(place)
+        # turn × direction for all three turns in one product.
+        across = skew(turns_n).transpose(2, 1, 0).reshape(3, 9)
+        return (direction_n @ across).reshape(*direction_n.shape, 3)
+
+
+def position_turns(place: Place) -> FloatArray:
+    """Turn of the sky in the horizon frame (rotation vectors, rad) by each of two independent errors of one sigma.
+
+    Shape (2, 3). A ship that is farther north than it thinks sees the sky turned about East, one farther east about
+    the Earth's axis: 31 m are 1″.
+    """
+    latitude, height_m = float(place.observer.position.latitude), float(place.observer.position.height_m)
+    sine, cosine = np.sin(latitude), np.cos(latitude)
+    root = 1.0 - _WGS84_E2 * sine * sine
+    radius_east_m = _WGS84_A_M / np.sqrt(root) + height_m
+    radius_north_m = _WGS84_A_M * (1.0 - _WGS84_E2) / root**1.5 + height_m
+    # The horizon turns by +latitude about -East and by +longitude about the pole, the sky in it the other way.
+    per_north = np.array([0.0, 0.0, 1.0]) / radius_north_m
+    per_east = -np.array([1.0, sine / cosine, 0.0]) / radius_east_m
+    horizontal = place.covariance_m2[::2, ::2]
+    values, vectors = np.linalg.eigh(horizontal)
+    errors_m = vectors * np.sqrt(np.maximum(values, 0.0))
+    return errors_m.T @ np.array([per_north, per_east])
+
+
+def _upward(direction_n: FloatArray) -> FloatArray:
+    """Unit vectors across directions in which elevation grows, shape (..., 3)."""
+    horizontal = np.hypot(direction_n[..., 0], direction_n[..., 2])
+    upward = direction_n * (-direction_n[..., 1] / horizontal)[..., None]
+    upward[..., 1] = horizontal
+    return upward

@@ -1,0 +1,71 @@
+"""What one exposure of a star sensor shows: directions in the sensor frame, and which stars they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_geometry.rotations import FloatArray
+from ship_geometry.star_directions import StarPositions
+
+
+@dataclass(frozen=True)
+class StarExposure:
+    """The stars of one exposure of one sensor; arrays have one entry a star.
+
+    Attributes:
+        source: ``star.<id>``.
+        time_ns: middle of the exposure, stamp of the sensor.
+        hip: HIP numbers; 0 where the direction was given, or nothing was.
+        directions_s: unit vectors in the sensor frame (forward, up, right), shape (k, 3).
+        sigma: error of a direction, rad per axis across it, shape (k,).
+        positions: of the stars, J2000.0; NaN where nobody has said yet which star it is.
+        position_sigma: error of the catalogue's position, rad per axis, shape (k,).
+        magnitude: as measured, shape (k,); NaN unknown.
+    """
+
+    source: str
+    time_ns: int
+    hip: NDArray[np.int64]
+    directions_s: FloatArray
+    sigma: FloatArray
+    positions: StarPositions
+    position_sigma: FloatArray
+    magnitude: FloatArray
+
+    @property
+    def identified(self) -> NDArray[np.bool_]:
+        """Whether it is known which star it is, shape (k,)."""
+        return np.isfinite(self.positions.right_ascension)
+
+    def __len__(self) -> int:
+        return len(self.hip)
+
+    def __getitem__(self, rows: Any) -> StarExposure:
+        """The same exposure with some of its stars."""
+        return StarExposure(
+            self.source,
+            self.time_ns,
+            self.hip[rows],
+            self.directions_s[rows],
+            self.sigma[rows],
+            self.positions[rows],
+            self.position_sigma[rows],
+            self.magnitude[rows],
+        )
+
+    def content(self) -> bytes:
+        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        positions = self.positions
+        arrays = (
+            self.hip,
+            self.directions_s,
+            self.sigma,
+            positions.right_ascension,
+            positions.declination,
+            self.magnitude,
+        )
+        return b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
