@@ -1,0 +1,197 @@
+"""The axes of a theodolite: encoder angles and axis errors to the main frame in the deck, exact, and back.
+
+models.md §5, the exact form of [W18] (1)(2). Main frame m is (optical axis, up, right), deck d is (bow, up, starboard):
+
+    rotation_dm = T · Ry(A - g) · Rx(I) · Rz(-(E - h + f cos E)) · Ry(-c),   T = Ry(Am) · Rz(βm) · Ry(-Am)
+
+T turns about the horizontal rotation vector (βy, 0, -βx) with βx = βm cos Am, βy = βm sin Am: regular at βm = 0.
+
+Encoder angles and errors are floats or arrays (rad) that broadcast with each other; results get their shape in front.
+"""
+
+import math
+from dataclasses import astuple, dataclass, fields
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, skew, wrap_two_pi
+
+Angle = float | FloatArray
+
+# Each step squares the error of the elevation, which begins at the flexure: 0.1 rad become 1e-17 rad.
+_FLEXURE_STEPS = 3
+
+
+@dataclass(frozen=True)
+class AxisErrors:
+    """What is wrong with the axes (rad), zero where nothing is.
+
+    Attributes:
+        g: zero point of the azimuth encoder; the axis points at A - g.
+        h: zero point of the elevation encoder; the axis points at E - h.
+        c: collimation: the optical axis looks so far to the left of the normal to the horizontal axis.
+        I: tilt of the horizontal axis against the normal to the vertical axis, its right end up.
+        beta_x: tilt of the vertical axis towards the bow, βm cos Am; it lowers what is pointed at over the bow.
+        beta_y: tilt of the vertical axis towards starboard, βm sin Am.
+        flexure: bending of the tube; it raises the axis by flexure · cos E.
+    """
+
+    g: Angle = 0.0
+    h: Angle = 0.0
+    c: Angle = 0.0
+    I: Angle = 0.0  # noqa: E741  its name in [W18]
+    beta_x: Angle = 0.0
+    beta_y: Angle = 0.0
+    flexure: Angle = 0.0
+
+    @classmethod
+    def from_vector(cls, vector: FloatArray) -> "AxisErrors":
+        """Errors of a vector in the order of :data:`NAMES`, shape (..., 7)."""
+        vector = np.asarray(vector, dtype=float)
+        return cls(*(vector.tolist() if vector.ndim == 1 else np.moveaxis(vector, -1, 0)))
+
+    def vector(self) -> FloatArray:
+        """The errors in the order of :data:`NAMES`, shape (..., 7)."""
+        return np.stack(np.broadcast_arrays(*astuple(self)), axis=-1)
+
+
+NAMES = tuple(field.name for field in fields(AxisErrors))
+"""Names of the axis errors, in the order of the vector form and of the Jacobian's columns."""
+
+
+@dataclass(frozen=True)
+class MainAxis:
+    """The main frame in the deck and how it turns, to first order: rotation vector in the deck frame (rad) per rad.
+
+    Attributes:
+        rotation_dm: shape (..., 3, 3); its first column is the optical axis.
+        by_error: per axis error in the order of :data:`NAMES`, shape (..., 3, 7).
+        by_encoder: per encoder angle (azimuth, elevation), shape (..., 3, 2).
+    """
+
+    rotation_dm: FloatArray
+    by_error: FloatArray
+    by_encoder: FloatArray
+
+
+def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
+    """Main frame with its Jacobians. An encoder error counts like a change of the encoder's angle."""
+    tilt = _tilt_vector(errors)
+    tilted = exp_rotation(tilt)
+    rotation_dx = tilted @ _about_vertical_and_horizontal(errors, azimuth)
+    rotation_dm = rotation_dx @ _about_elevation_and_collimation(errors, elevation)
+    by_tilt = left_jacobian(tilt)
+    cosine, sine = _cos_sin(elevation)
+
+    vertical = tilted[..., :, 1]
+    horizontal = rotation_dx[..., :, 2]
+    by_error = np.empty((*rotation_dm.shape[:-1], len(NAMES)))
+    by_error[..., 0] = vertical
+    by_error[..., 1] = -horizontal
+    by_error[..., 2] = rotation_dm[..., :, 1]
+    by_error[..., 3] = -rotation_dx[..., :, 0]
+    by_error[..., 4] = -by_tilt[..., :, 2]
+    by_error[..., 5] = by_tilt[..., :, 0]
+    by_error[..., 6] = _column(cosine) * horizontal
+    by_encoder = np.empty((*rotation_dm.shape[:-1], 2))
+    by_encoder[..., 0] = -vertical
+    by_encoder[..., 1] = _column(1.0 - errors.flexure * sine) * horizontal
+    return MainAxis(rotation_dm, by_error, by_encoder)
+
+
+def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> FloatArray:
+    """Rotation "deck from main frame", shape (..., 3, 3), without the Jacobians."""
+    rotation_dx = exp_rotation(_tilt_vector(errors)) @ _about_vertical_and_horizontal(errors, azimuth)
+    return rotation_dx @ _about_elevation_and_collimation(errors, elevation)
+
+
+def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArray:
+    """Change of a direction (..., 3) that turns with a frame, shape (..., 3, n), from the frame's rotation vectors."""
+    return -skew(direction) @ by_rotation
+
+
+def encoder_angles(
+    errors: AxisErrors, direction_d: FloatArray, *, plunged: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Encoder angles at which the optical axis looks along a direction.
+
+    Two pairs do: the ordinary one, and the plunged one with the telescope tipped over the zenith and the azimuth about
+    half a turn away. No pair does closer to the vertical axis than c + I, where the axes do not reach.
+
+    Args:
+        errors: axis errors.
+        direction_d: wanted direction in the deck frame, of any length, shape (..., 3).
+        plunged: give the plunged pair.
+
+    Returns:
+        Azimuth in [0, 2 pi) and elevation, in [-pi/2, pi/2] or plunged in [pi/2, 3 pi/2] but for the errors (rad); NaN
+        where the axes do not reach.
+    """
+    unit_d = direction_d / np.linalg.norm(direction_d, axis=-1, keepdims=True)
+    # Seen from the vertical axis: x, y (up), z.
+    x, y, z = np.moveaxis((unit_d[..., None, :] @ exp_rotation(_tilt_vector(errors)))[..., 0, :], -1, 0)
+    sin_c, cos_i, sin_i = np.sin(errors.c), np.cos(errors.I), np.sin(errors.I)
+    # The azimuth turned what was `left` and `forward`; up it left as it is.
+    left = (y * sin_i + sin_c) / cos_i
+    horizontal = np.hypot(x, z)
+    square = (horizontal - left) * (horizontal + left)
+    forward = np.sqrt(np.where(square >= 0.0, square, np.nan)) * (-1.0 if plunged else 1.0)
+
+    turned = np.arctan2(forward * z + left * x, forward * x - left * z)
+    raised = np.arctan2((y + sin_c * sin_i) / cos_i, forward)
+    if plunged:
+        raised = wrap_two_pi(raised)
+    return wrap_two_pi(turned + errors.g), _elevation_before_flexure(errors, raised)
+
+
+def _elevation_before_flexure(errors: AxisErrors, raised: FloatArray) -> FloatArray:
+    """Encoder elevation E with E - h + f cos E = ``raised``, by Newton's method."""
+    elevation = raised + errors.h
+    for _ in range(_FLEXURE_STEPS):
+        excess = elevation - errors.h + errors.flexure * np.cos(elevation) - raised
+        elevation = elevation - excess / (1.0 - errors.flexure * np.sin(elevation))
+    return elevation
+
+
+def _tilt_vector(errors: AxisErrors) -> FloatArray:
+    """Rotation vector of the vertical axis, shape (..., 3)."""
+    beta_x, beta_y = errors.beta_x, errors.beta_y
+    if isinstance(beta_x, float) and isinstance(beta_y, float):
+        return np.array([beta_y, 0.0, -beta_x])
+    beta_x, beta_y = np.broadcast_arrays(beta_x, beta_y)
+    return np.stack([beta_y, np.zeros(beta_x.shape), -beta_x], axis=-1)
+
+
+def _about_vertical_and_horizontal(errors: AxisErrors, azimuth: Angle) -> FloatArray:
+    """Ry(A - g) · Rx(I), multiplied out."""
+    ca, sa = _cos_sin(azimuth - errors.g)
+    ci, si = _cos_sin(errors.I)
+    return _matrix([ca, sa * si, -sa * ci, 0.0, ci, si, sa, -ca * si, ca * ci])
+
+
+def _about_elevation_and_collimation(errors: AxisErrors, elevation: Angle) -> FloatArray:
+    """Rz(-(E - h + f cos E)) · Ry(-c), multiplied out."""
+    cosine, _ = _cos_sin(elevation)
+    ce, se = _cos_sin(elevation - errors.h + errors.flexure * cosine)
+    cc, sc = _cos_sin(errors.c)
+    return _matrix([ce * cc, -se, ce * sc, se * cc, ce, se * sc, -sc, 0.0, cc])
+
+
+def _cos_sin(angle: Angle) -> tuple[Angle, Angle]:
+    """For a single angle several times faster than by arrays: a live node has single ones."""
+    if isinstance(angle, float):
+        return math.cos(angle), math.sin(angle)
+    return np.cos(angle), np.sin(angle)
+
+
+def _matrix(elements: list[Angle]) -> FloatArray:
+    """Matrix of nine elements, row by row, shape (..., 3, 3)."""
+    if all(isinstance(element, float) for element in elements):
+        return np.array(elements).reshape(3, 3)
+    stacked = np.stack(np.broadcast_arrays(*elements), axis=-1)
+    return stacked.reshape(*stacked.shape[:-1], 3, 3)
+
+
+def _column(factor: Angle) -> FloatArray:
+    """A factor per rotation as one per vector, shape (..., 1)."""
+    return np.asarray(factor)[..., None]
