@@ -155,9 +155,9 @@ def test_both_solutions_look_in_the_wanted_direction(errors: AxisErrors) -> None
         found = main_axis_rotation(errors, azimuth, elevation)[reached, :, 0]
         assert np.max(angle_between(found, wanted[reached])) <= 1e-12
         azimuths.append(azimuth)
-    # Near the edge of what the axes reach the two come together.
+    # Near the edge of what the axes reach the two come together; 25° off it they are 2 asin(4° / 25°) from half a turn.
     low = np.abs(wanted[:, 1]) < 0.9 * np.linalg.norm(wanted, axis=1)
-    assert np.min(np.abs(wrap_pi(azimuths[0] - azimuths[1]))[low]) > 0.9 * np.pi
+    assert np.min(np.abs(wrap_pi(azimuths[0] - azimuths[1]))[low]) > 0.85 * np.pi
 
 
 def test_one_direction_is_as_many() -> None:
