@@ -13,6 +13,7 @@ from ship_attitude_star.samples import Reason, Refusal
 from ship_attitude_star.star_config import SkyConfig
 from ship_attitude_star.surroundings import Air, Place
 from ship_geometry.earth_orientation import EarthOrientationTable
+from ship_geometry.geodetic import horizon_radii_m
 from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, elevation_of, lifted, refraction
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.star_directions import RefreshedSky, StarPositions
@@ -22,8 +23,6 @@ SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position"
 
 EARTH_ROTATION_RATE = 15.041 * ARCSEC
 """Angle by which the sky turns in a second of UT1, rad."""
-
-_WGS84_A_M, _WGS84_E2 = 6_378_137.0, 6.694379990141e-3
 
 
 @dataclass(frozen=True)
@@ -105,14 +104,11 @@ def position_turns(place: Place) -> FloatArray:
     Shape (2, 3). A ship that is farther north than it thinks sees the sky turned about East, one farther east about
     the Earth's axis: 31 m are 1″.
     """
-    latitude, height_m = float(place.observer.position.latitude), float(place.observer.position.height_m)
-    sine, cosine = np.sin(latitude), np.cos(latitude)
-    root = 1.0 - _WGS84_E2 * sine * sine
-    radius_east_m = _WGS84_A_M / np.sqrt(root) + height_m
-    radius_north_m = _WGS84_A_M * (1.0 - _WGS84_E2) / root**1.5 + height_m
+    position = place.observer.position
+    radius_north_m, radius_east_m = horizon_radii_m(position)
     # The horizon turns by +latitude about -East and by +longitude about the pole, the sky in it the other way.
     per_north = np.array([0.0, 0.0, 1.0]) / radius_north_m
-    per_east = -np.array([1.0, sine / cosine, 0.0]) / radius_east_m
+    per_east = -np.array([1.0, np.tan(position.latitude), 0.0]) / radius_east_m
     horizontal = place.covariance_m2[::2, ::2]
     values, vectors = np.linalg.eigh(horizontal)
     errors_m = vectors * np.sqrt(np.maximum(values, 0.0))

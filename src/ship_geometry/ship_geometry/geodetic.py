@@ -12,6 +12,9 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 
+_WGS84_A_M, _WGS84_E2 = 6_378_137.0, 6.694379990141e-3
+"""Semi-major axis and squared first eccentricity of WGS 84 (NIMA TR8350.2)."""
+
 
 @dataclass(frozen=True)
 class GeodeticPosition:
@@ -61,3 +64,14 @@ def vector_between(start: GeodeticPosition, end: GeodeticPosition) -> FloatArray
     line_ecef_m = ecef_from_geodetic(end) - ecef_from_geodetic(start)
     rotation = rotation_horizon_from_ecef(start.latitude, start.longitude)
     return (rotation @ line_ecef_m[..., None])[..., 0]
+
+
+def horizon_radii_m(position: GeodeticPosition) -> tuple[FloatArray, FloatArray]:
+    """Metres per radian of the horizon's turn for a way to the north and for one to the east at some positions.
+
+    The radii of curvature in the meridian and in the prime vertical, each plus the height.
+    """
+    sine = np.sin(position.latitude)
+    root = 1.0 - _WGS84_E2 * sine * sine
+    north_m = _WGS84_A_M * (1.0 - _WGS84_E2) / (root * np.sqrt(root)) + position.height_m
+    return north_m, _WGS84_A_M / np.sqrt(root) + position.height_m

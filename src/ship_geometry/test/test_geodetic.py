@@ -7,6 +7,7 @@ from ship_geometry.geodetic import (
     GeodeticPosition,
     ecef_from_geodetic,
     geodetic_from_ecef,
+    horizon_radii_m,
     rotation_horizon_from_ecef,
     vector_between,
 )
@@ -98,3 +99,14 @@ def test_ship_at_the_date_line_sees_a_neighbour_east() -> None:
     assert east_m == pytest.approx(np.deg2rad(0.0002) * WGS84_SEMI_MAJOR_M, rel=1e-9)
     assert north_m == pytest.approx(0.0, abs=1e-8)
     assert up_m == pytest.approx(-(east_m**2) / (2 * WGS84_SEMI_MAJOR_M), abs=1e-8)
+
+
+@pytest.mark.parametrize("latitude_deg", [-60.0, 0.0, 31.9, 89.0])
+def test_radii_of_the_horizon_are_metres_per_radian_on_the_ellipsoid(latitude_deg: float) -> None:
+    position = GeodeticPosition(np.deg2rad(latitude_deg), 0.3, 500.0)
+    step = 1e-5
+    north_m = vector_between(position, GeodeticPosition(position.latitude + step, 0.3, 500.0))[0] / step
+    # A turn by the step about the axis of the meridian is a longitude of step / cos φ.
+    east = GeodeticPosition(position.latitude, 0.3 + step / np.cos(position.latitude), 500.0)
+    east_m = vector_between(position, east)[2] / step
+    np.testing.assert_allclose(horizon_radii_m(position), [north_m, east_m], rtol=1e-7)
