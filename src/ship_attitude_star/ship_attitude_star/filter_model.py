@@ -91,7 +91,7 @@ def _star_device(id_: str, star: StarSensorConfig, ins: InsConfig) -> Device:
         time_states.append((f"{name}.time_offset", 1.0))
     return Device(
         name=name,
-        rotation_dv0=rotation_from_angles(*np.deg2rad([star.azimuth_deg, star.elevation_deg, star.roll_deg])),
+        rotation_dv0=star.rotation_ds,
         ins_time_s=star.time_offset_s - ins.time_offset_s,
         ins_time_states=tuple(time_states),
         noise_source=SOURCE_STAR_NOISE,
@@ -124,11 +124,6 @@ def _ins_blocks(ins: InsConfig) -> list[StateBlock]:
 
 
 def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
-    sigma = [
-        star.installation_sigma_forward_arcsec,
-        star.installation_sigma_up_arcsec,
-        star.installation_sigma_right_arcsec,
-    ]
     walk = [
         star.installation_walk_forward_arcsec_per_sqrt_h,
         star.installation_walk_up_arcsec_per_sqrt_h,
@@ -136,7 +131,7 @@ def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
     ]
     walk_per_sqrt_s = np.array(walk) * ARCSEC / _SQRT_HOUR
     blocks = [
-        block(f"{name}.installation", np.array(sigma) * ARCSEC, SOURCE_INSTALLATION, walk=walk_per_sqrt_s),
+        block(f"{name}.installation", star.installation_sigma_s, SOURCE_INSTALLATION, walk=walk_per_sqrt_s),
         # Its size comes with the messages (ship_filter), so it starts without any.
         block(f"{name}.common", [0.0] * 3, SOURCE_STAR_COMMON, time_s=star.common_time_s),
     ]

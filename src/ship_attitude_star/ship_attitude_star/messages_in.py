@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.config import InsConfig, ReferenceConfig, StarSensorConfig
+from ship_attitude_star.config import ReferenceConfig, StarSensorConfig
+from ship_attitude_star.device_config import InsInputConfig
 from ship_attitude_star.samples import AttitudeMeasurement
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
@@ -41,7 +42,7 @@ class Converted:
     covariance_known: bool
 
 
-def ins_sample(message: Any, config: InsConfig, receive_ns: int) -> Converted:
+def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> Converted:
     """``ins/imu`` → attitude and rate of the deck.
 
     Its covariance is the INS's total error, not white noise: it is checked and otherwise left alone.
