@@ -46,10 +46,29 @@ class DeviceTruth:
     time_offset_s: float
 
 
-def simulate_star_sensor(
+@dataclass(frozen=True)
+class MountedMotion:
+    """A star sensor's exposures, and how it really stands at each.
+
+    Attributes:
+        time_ns: stamps, shape (n,).
+        since_start_s: the same in seconds after the start, shape (n,).
+        valid_ns: the moments that they belong to: the stamps plus the sensor's time offset, shape (n,).
+        rotation_nv: horizon from sensor, shape (n, 3, 3).
+        truth: mounting and time offset.
+    """
+
+    time_ns: np.ndarray
+    since_start_s: FloatArray
+    valid_ns: np.ndarray
+    rotation_nv: FloatArray
+    truth: DeviceTruth
+
+
+def motion_of_star_sensor(
     sensor_id: str, scenario: Scenario, carrier: Carrier, start_ns: int, seed: int
-) -> tuple[DeviceSamples, DeviceTruth]:
-    """Samples by R_star(t) = exp(c) R_true(t + offset) exp(f) R0 exp(m) exp(n)."""
+) -> MountedMotion:
+    """Where a star sensor looks: R_star(t) = exp(c) R_true(t + offset) exp(f) R0 exp(m)."""
     config, name = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
     nominal_dv = rotation_from_angles(*np.deg2rad([config.azimuth_deg, config.elevation_deg, config.roll_deg]))
     sigma_installation = [
@@ -58,7 +77,6 @@ def simulate_star_sensor(
         config.installation_sigma_right_arcsec,
     ]
     truth = _draw_truth(name, seed, nominal_dv, sigma_installation, config)
-    sigma_v = ARCSEC * np.array([config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec])
     time_ns = stamps(start_ns, config.rate_hz, config.phase_s, scenario.duration_s)
     since_start_s = (time_ns - start_ns) / SECOND_NS
     flexure_d = _slow_error(
@@ -68,9 +86,28 @@ def simulate_star_sensor(
         name + ".common", seed, time_ns.size, config.rate_hz, config.common_sigma_arcsec, config.common_time_s
     )
     true_nd = carrier.attitude(since_start_s + truth.time_offset_s)
-    clean_nv = exp_rotation(common_n) @ true_nd @ exp_rotation(flexure_d) @ truth.rotation_dv
-    samples = _samples(name, seed, time_ns, clean_nv, sigma_v, config.common_sigma_arcsec * ARCSEC, config)
-    return _kept(samples, _outside(since_start_s, config.outages)), truth
+    return MountedMotion(
+        time_ns=time_ns,
+        since_start_s=since_start_s,
+        valid_ns=time_ns + round(truth.time_offset_s * SECOND_NS),
+        rotation_nv=exp_rotation(common_n) @ true_nd @ exp_rotation(flexure_d) @ truth.rotation_dv,
+        truth=truth,
+    )
+
+
+def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: MountedMotion, seed: int) -> DeviceSamples:
+    """Horizon attitudes by R_star(t) exp(n)."""
+    config = scenario.star_sensors[sensor_id]
+    common_sigma = config.common_sigma_arcsec * ARCSEC
+    samples = _samples(
+        f"star.{sensor_id}", seed, motion.time_ns, motion.rotation_nv, sigma_of_attitudes(config), common_sigma, config
+    )
+    return _kept(samples, outside(motion.since_start_s, config.outages))
+
+
+def sigma_of_attitudes(config: StarSensor) -> FloatArray:
+    """White noise of a sensor that gives attitudes, about its axes (forward, up, right), rad, shape (3,)."""
+    return ARCSEC * np.array([config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec])
 
 
 def simulate_reference(
@@ -126,7 +163,7 @@ def _samples(
     )
 
 
-def _outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray:
+def outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray:
     """True where a moment lies in no outage, shape (n,)."""
     keep = np.ones(since_start_s.size, dtype=bool)
     for outage in outages.values():

@@ -2,36 +2,29 @@
 
 import numpy as np
 
+from ship_geometry.ros_axes import enu_covariance
 from ship_node.message_factory import MessageFactory
 from ship_node.stamps import make_header
 from ship_replay.simulation.device_messages import Maker
-from ship_replay.simulation.noise import random_stream
-from ship_replay.simulation.scenario import Position, Weather
-
-_EARTH_RADIUS_M = 6_371_000.0
-"""Mean radius, good enough to turn the noise of a fix into degrees."""
+from ship_replay.simulation.scenario import Weather
+from ship_replay.simulation.ship_track import FixSamples
 
 _FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
 """NavSatStatus.STATUS_FIX, NavSatStatus.SERVICE_GPS, NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN."""
 
 
-def fix_maker(time_ns: np.ndarray, position: Position, seed: int, factory: MessageFactory) -> Maker:
-    """Maker of gnss/fix: the ship's place, which stays, with white noise."""
-    noise_m = position.sigma_m * random_stream(seed, "gnss.white").standard_normal((time_ns.size, 3))
-    north_deg, east_deg = np.rad2deg(noise_m[:, :2] / _EARTH_RADIUS_M).T
-    latitude_deg = np.clip(position.latitude_deg + north_deg, -90.0, 90.0)
-    # At the poles a longitude has no error that matters.
-    longitude_deg = position.longitude_deg + east_deg / max(np.cos(np.deg2rad(position.latitude_deg)), 1e-3)
-    covariance = np.diag(np.full(3, position.sigma_m**2)).ravel()
+def fix_maker(fixes: FixSamples, factory: MessageFactory) -> Maker:
+    """Maker of gnss/fix."""
+    covariance = enu_covariance(fixes.covariance_m2).ravel()
 
     def make(stamp: int, value: int) -> object:
         return factory.make(
             "sensor_msgs/msg/NavSatFix",
-            header=make_header(factory, int(time_ns[stamp]), "gnss"),
+            header=make_header(factory, int(fixes.time_ns[stamp]), "gnss"),
             status=factory.make("sensor_msgs/msg/NavSatStatus", status=_FIX, service=_GPS),
-            latitude=float(latitude_deg[value]),
-            longitude=float(longitude_deg[value]),
-            altitude=float(position.height_m + noise_m[value, 2]),
+            latitude=float(fixes.latitude_deg[value]),
+            longitude=float(fixes.longitude_deg[value]),
+            altitude=float(fixes.height_m[value]),
             position_covariance=covariance,
             position_covariance_type=_DIAGONAL_KNOWN,
         )

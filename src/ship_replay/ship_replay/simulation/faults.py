@@ -5,7 +5,7 @@ delay                arrives later by ``delay_s``
 duplicate            arrives again, the same bytes, 1 ms later
 conflict             another message with the same stamp and the next one's values arrives 1 ms later
 freeze               new stamps, the values of the first message of the time
-nan                  NaN in the first value
+nan                  NaN in the first value (of the first star, where there is one)
 stamp_zero           stamp zero
 frame                another frame_id
 covariance_unknown   covariances all zero
@@ -24,6 +24,10 @@ from ship_replay.simulation.scenario import Fault, Scenario
 
 IMU = "sensor_msgs/msg/Imu"
 STAR = "ship_msgs/msg/StarHorizonAttitude"
+OBSERVATIONS = "ship_msgs/msg/StarObservationArray"
+INERTIAL = "ship_msgs/msg/StarInertialAttitude"
+
+_STAR_TYPES = {"horizon_attitude": STAR, "observations": OBSERVATIONS, "inertial_attitude": INERTIAL}
 
 _REPETITION_AFTER_NS = 1_000_000
 
@@ -37,6 +41,7 @@ _FIRST_VALUE = {
 _COVARIANCES = {
     IMU: ("orientation_covariance",),
     STAR: ("covariance", "rotation_covariance", "noise_covariance"),
+    INERTIAL: ("covariance",),
 }
 
 
@@ -44,7 +49,7 @@ def simulated_topics(scenario: Scenario) -> dict[str, str]:
     """Topic → type of what the devices of a scenario send (the truth aside)."""
     return {
         "ins/imu": IMU,
-        **{f"star/{key}/horizon_attitude": STAR for key in scenario.star_sensors},
+        **{f"star/{key}/{star.output}": _STAR_TYPES[star.output] for key, star in scenario.star_sensors.items()},
         **{f"reference/{key}/imu": IMU for key in scenario.references},
         "gnss/fix": "sensor_msgs/msg/NavSatFix",
         "met/pressure": "sensor_msgs/msg/FluidPressure",
@@ -105,8 +110,7 @@ def spoil(message: Any, type_name: str, faults: Iterable[Fault]) -> None:
     """Put faults into a message. Its arrays may be shared with others, so they are replaced, not changed."""
     for fault in faults:
         if fault.kind == "nan":
-            target = message.orientation if type_name == IMU else message
-            setattr(target, "x" if type_name == IMU else _FIRST_VALUE[type_name], float("nan"))
+            _spoil_first_value(message, type_name)
         elif fault.kind == "stamp_zero":
             message.header.stamp.sec, message.header.stamp.nanosec = 0, 0
         elif fault.kind == "frame":
@@ -117,6 +121,16 @@ def spoil(message: Any, type_name: str, faults: Iterable[Fault]) -> None:
         else:
             for name in _COVARIANCES[type_name]:
                 setattr(message, name, _spoilt_covariance(getattr(message, name), fault.kind))
+
+
+def _spoil_first_value(message: Any, type_name: str) -> None:
+    if type_name in (IMU, INERTIAL):
+        message.orientation.x = float("nan")
+    elif type_name == OBSERVATIONS:
+        for star in message.stars[:1]:
+            star.u = float("nan")
+    else:
+        setattr(message, _FIRST_VALUE[type_name], float("nan"))
 
 
 def _spoilt_covariance(covariance: Any, kind: str) -> np.ndarray:

@@ -5,14 +5,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_geometry.rotations import FloatArray
-from ship_replay.simulation.attitude_device import DeviceSamples, DeviceTruth, simulate_reference, simulate_star_sensor
+from ship_replay.simulation.attitude_device import (
+    DeviceSamples,
+    DeviceTruth,
+    motion_of_star_sensor,
+    simulate_reference,
+    simulate_star_sensor,
+)
 from ship_replay.simulation.carriers import carrier_of
+from ship_replay.simulation.inertial_device import InertialSamples, simulate_inertial_sensor
 from ship_replay.simulation.ins import InsSamples, InsTruth, simulate_ins
+from ship_replay.simulation.motion import Carrier
 from ship_replay.simulation.noise import SECOND_NS
 from ship_replay.simulation.scenario import Scenario
+from ship_replay.simulation.ship_track import FixSamples, ShipTrack, simulate_fixes
+from ship_replay.simulation.sky import TrueSky, draw_sky
+from ship_replay.simulation.star_sightings import SightingsTruth, StarSightings, simulate_sightings
 from ship_replay.simulation.start_time import start_of
 
 TRUTH_RATE_HZ = 10.0
+
+StarSamples = DeviceSamples | StarSightings | InertialSamples
+"""Horizon attitudes, single stars, or attitudes among the stars."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +40,10 @@ class Truth:
         rate_d: true angular velocity there, rad/s, shape (m, 3).
         ins: errors of the INS.
         stars: mounting and timing of each star sensor.
-        references: the same of each other attitude system.
+        sightings: what the stars are, of each sensor that gives single stars.
+        references: mounting and timing of each other attitude system.
+        track: where the ship is.
+        sky: the sky over it; None where no sensor looks at it.
     """
 
     ins_index: np.ndarray
@@ -34,7 +51,10 @@ class Truth:
     rate_d: FloatArray
     ins: InsTruth
     stars: dict[str, DeviceTruth]
+    sightings: dict[str, SightingsTruth]
     references: dict[str, DeviceTruth]
+    track: ShipTrack
+    sky: TrueSky | None
 
 
 @dataclass(frozen=True)
@@ -45,8 +65,9 @@ class SimulatedRun:
     seed: int
     start_ns: int
     ins: InsSamples
-    stars: dict[str, DeviceSamples]
+    stars: dict[str, StarSamples]
     references: dict[str, DeviceSamples]
+    fixes: FixSamples
     truth: Truth
 
     def arrivals(self) -> list[tuple[int, str, int]]:
@@ -77,7 +98,9 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
     start_ns = start_of(scenario.start_utc)
     carrier = carrier_of(scenario.carrier, seed)
     ins, ins_truth = simulate_ins(scenario, carrier, start_ns, seed)
-    stars = {key: simulate_star_sensor(key, scenario, carrier, start_ns, seed) for key in scenario.star_sensors}
+    track = ShipTrack(scenario.position, start_ns)
+    sky = draw_sky(scenario, track, seed) if scenario.needs_sky else None
+    stars, star_truth, sightings_truth = _simulate_stars(scenario, carrier, sky, start_ns, seed)
     references = {
         key: simulate_reference(key, scenario, carrier, ins_truth.time_offset_s, start_ns, seed)
         for key in scenario.references
@@ -89,18 +112,41 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
         rotation_nd=carrier.attitude(since_start_s),
         rate_d=carrier.body_rate(since_start_s),
         ins=ins_truth,
-        stars={key: device_truth for key, (_, device_truth) in stars.items()},
+        stars=star_truth,
+        sightings=sightings_truth,
         references={key: device_truth for key, (_, device_truth) in references.items()},
+        track=track,
+        sky=sky,
     )
     return SimulatedRun(
         scenario=scenario,
         seed=seed,
         start_ns=start_ns,
         ins=ins,
-        stars={key: samples for key, (samples, _) in stars.items()},
+        stars=stars,
         references={key: samples for key, (samples, _) in references.items()},
+        fixes=simulate_fixes(scenario, track, seed),
         truth=truth,
     )
+
+
+def _simulate_stars(
+    scenario: Scenario, carrier: Carrier, sky: TrueSky | None, start_ns: int, seed: int
+) -> tuple[dict[str, StarSamples], dict[str, DeviceTruth], dict[str, SightingsTruth]]:
+    """Samples of each star sensor, their mounting, and what the single stars are."""
+    samples: dict[str, StarSamples] = {}
+    mounted: dict[str, DeviceTruth] = {}
+    sightings: dict[str, SightingsTruth] = {}
+    for key, config in scenario.star_sensors.items():
+        motion = motion_of_star_sensor(key, scenario, carrier, start_ns, seed)
+        mounted[key] = motion.truth
+        if sky is None or config.output == "horizon_attitude":
+            samples[key] = simulate_star_sensor(key, scenario, motion, seed)
+        elif config.output == "observations":
+            samples[key], sightings[key] = simulate_sightings(key, scenario, motion, sky, seed)
+        else:
+            samples[key] = simulate_inertial_sensor(key, scenario, motion, sky, seed)
+    return samples, mounted, sightings
 
 
 def _truth_index(ins_time_ns: np.ndarray, start_ns: int) -> np.ndarray:

@@ -7,7 +7,11 @@ suite configuration in the bag tells the estimator (:mod:`ship_replay.simulation
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from ship_attitude_star.star_config import CameraConfig
 from ship_estimation.parameters import mapping_of, parameter, section
+from ship_geometry.rotations import FloatArray
 from ship_replay.simulation.motion_scenario import CarrierMotion
 
 _ANGLE: dict[str, Any] = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
@@ -48,15 +52,42 @@ class Outage:
     end_s: float = parameter(doc="to, after the start", **_MOMENT)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Detector(CameraConfig):
+    """The camera of a star sensor that gives single stars, with the size of its detector."""
+
+    width_px: int = parameter(0, doc="columns; 0: not given", unit="px", minimum=0, maximum=100_000)
+    height_px: int = parameter(0, doc="rows; 0: not given", unit="px", minimum=0, maximum=100_000)
+
+    @property
+    def edges_px(self) -> FloatArray:
+        """Least and greatest (u, v) on the detector, shape (2, 2): whole numbers are the pixels' centres."""
+        return np.array([[0.0, 0.0], [self.width_px, self.height_px]]) - 0.5
+
+    def holds(self, pixels: FloatArray) -> np.ndarray:
+        """Whether pixels (u, v), shape (..., 2), lie on the detector; NaN does not."""
+        least, greatest = self.edges_px
+        return np.all((pixels >= least) & (pixels < greatest), axis=-1)
+
+
+STAR_OUTPUTS = ("horizon_attitude", "observations", "inertial_attitude")
+"""What a star sensor may send: the topic's name under ``star/<id>/``."""
+
+
 @dataclass(frozen=True)
 class StarSensor:
-    """A star sensor that gives its horizon attitude."""
+    """A star sensor: where it is bolted, what it sends and how good that is.
+
+    A horizon attitude is the true one with errors; observations and inertial attitudes come from the real sky over the
+    ship. Which fields belong to which output: :data:`ship_replay.simulation.scenario_file.FIELDS_OF_OUTPUTS`.
+    """
 
     azimuth_deg: float = parameter(doc="installation azimuth of the boresight in the deck", **_ANGLE)
     elevation_deg: float = parameter(
         doc="installation elevation of the boresight over the deck", unit="deg", minimum=-90.0, maximum=90.0
     )
     roll_deg: float = parameter(0.0, doc="installation roll about the boresight, right side down", **_ANGLE)
+    output: str = parameter("horizon_attitude", doc="what it sends", choices=STAR_OUTPUTS)
     rate_hz: float = parameter(5.0, doc="exposures per second", **_RATE)
     phase_s: float = parameter(0.0, doc="first exposure after the start", **_MOMENT)
     latency_s: float = parameter(0.1, doc="from stamp to arrival", **_DELAY)
@@ -77,6 +108,21 @@ class StarSensor:
     time_offset_sigma_s: float = parameter(0.0, doc="spread of the time offset", **_OFFSET_SIGMA)
     star_count: int = parameter(8, doc="stars in each solution", minimum=1, maximum=1000)
     outages: dict[str, Outage] = mapping_of("times without stars, by name")
+    sun_limit_deg: float = parameter(
+        -6.0, doc="no stars while the Sun stands higher than this", unit="deg", minimum=-90.0, maximum=90.0
+    )
+    camera: Detector = section(Detector)
+    magnitude_limit: float = parameter(6.0, doc="faintest star that it sees, Hp", minimum=-2.0, maximum=14.0)
+    most_stars: int = parameter(20, doc="stars in an exposure at most, the brightest", minimum=1, maximum=1000)
+    exposure_s: float = parameter(0.05, doc="length of an exposure", unit="s", minimum=1e-6, maximum=60.0)
+    identified: bool = parameter(True, doc="whether the sensor says which stars they are")
+    direction_given: bool = parameter(False, doc="it says so by their directions, not by their HIP numbers")
+    false_stars: float = parameter(
+        0.0, doc="mean number of spots in an exposure that are no stars", minimum=0.0, maximum=1000.0
+    )
+    swapped_probability: float = parameter(
+        0.0, doc="share of the exposures in which two stars bear each other's identity", minimum=0.0, maximum=1.0
+    )
 
 
 @dataclass(frozen=True)
@@ -102,22 +148,33 @@ class Reference:
 
 @dataclass(frozen=True)
 class Position:
-    """Where the ship lies, and its satellite receiver."""
+    """Where the ship is at the start, how it moves on, and its satellite receiver."""
 
     latitude_deg: float = parameter(0.0, doc="geodetic latitude", unit="deg", minimum=-90.0, maximum=90.0)
     longitude_deg: float = parameter(0.0, doc="longitude, East positive", unit="deg", minimum=-180.0, maximum=360.0)
     height_m: float = parameter(20.0, doc="height over the ellipsoid", unit="m", minimum=-500.0, maximum=9000.0)
+    speed_m_per_s: float = parameter(0.0, doc="speed over ground", unit="m/s", minimum=0.0, maximum=50.0)
+    course_deg: float = parameter(0.0, doc="course over ground, from North clockwise", **_ANGLE)
     sigma_m: float = parameter(2.0, doc="noise of a fix, each axis", unit="m", minimum=0.0, maximum=1000.0)
+    slow_sigma_m: float = parameter(0.0, doc="slow error of the fixes, each axis", unit="m", minimum=0.0, maximum=1e4)
+    slow_time_s: float = parameter(600.0, doc="correlation time of that error", **_CORRELATION)
     rate_hz: float = parameter(1.0, doc="fixes per second", **_RATE)
 
 
 @dataclass(frozen=True)
 class Weather:
-    """What the weather station says."""
+    """What the weather station says, how wrong it is, and how the air bends light."""
 
     pressure_hpa: float = parameter(1013.25, doc="air pressure", unit="hPa", minimum=800.0, maximum=1100.0)
     temperature_c: float = parameter(15.0, doc="air temperature", unit="°C", minimum=-60.0, maximum=60.0)
     humidity_percent: float = parameter(70.0, doc="relative humidity", unit="%", minimum=0.0, maximum=100.0)
+    pressure_sigma_hpa: float = parameter(
+        0.5, doc="error of the pressure told: the true one is this far off", unit="hPa", minimum=0.0, maximum=50.0
+    )
+    temperature_sigma_k: float = parameter(
+        1.0, doc="error of the temperature told", unit="K", minimum=0.0, maximum=50.0
+    )
+    refraction_model: str = parameter("erfa", doc="model of refraction", choices=("erfa", "almanac"))
     rate_hz: float = parameter(0.5, doc="messages per second", **_RATE)
 
 
@@ -161,4 +218,12 @@ class Scenario:
     references: dict[str, Reference] = mapping_of("other attitude systems by name")
     position: Position = section(Position)
     weather: Weather = section(Weather)
+    earth_rotation_sigma_s: float = parameter(
+        0.0, doc="error of UT1 - UTC; 0: that of the table of Earth orientation", unit="s", minimum=0.0, maximum=1.0
+    )
     faults: dict[str, Fault] = mapping_of("faults by name")
+
+    @property
+    def needs_sky(self) -> bool:
+        """Whether a star sensor looks at the real sky."""
+        return any(sensor.output != "horizon_attitude" for sensor in self.star_sensors.values())

@@ -1,17 +1,40 @@
 """Reads scenario files; what is wrong with one is said with file, line, key and what was expected."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from ship_estimation.parameters import ParameterError, build
+from ship_geometry.earth_orientation import earth_orientation_table
+from ship_geometry.time_scales import DAY_NS
 from ship_node.errors import BadInput as BadParameterFile
 from ship_node.parameter_file import ParameterFile, read_plain
 from ship_replay.errors import BadInput
 from ship_replay.simulation.faults import can_happen, simulated_topics
 from ship_replay.simulation.motion_scenario import SECTIONS_OF_KIND, CarrierMotion
-from ship_replay.simulation.scenario import Scenario
+from ship_replay.simulation.noise import SECOND_NS
+from ship_replay.simulation.scenario import Scenario, StarSensor
 from ship_replay.simulation.start_time import start_of
+
+FIELDS_OF_OUTPUTS = {
+    ("horizon_attitude",): ("common_sigma_arcsec", "common_time_s", "star_count"),
+    ("observations",): (
+        "camera",
+        "magnitude_limit",
+        "most_stars",
+        "exposure_s",
+        "identified",
+        "direction_given",
+        "false_stars",
+        "swapped_probability",
+    ),
+    ("horizon_attitude", "inertial_attitude"): ("sigma_forward_arcsec", "sigma_up_arcsec", "sigma_right_arcsec"),
+    ("observations", "inertial_attitude"): ("sun_limit_deg",),
+}
+"""Outputs of a star sensor, and the fields that belong to these only."""
 
 
 def load_scenario(path: Path | str, recording: Path | None = None) -> Scenario:
@@ -63,7 +86,10 @@ def _problems(scenario: Scenario, file: ParameterFile) -> Iterator[str]:
     for sensor_id, sensor in scenario.star_sensors.items():
         for name, outage in sensor.outages.items():
             yield from _window_problems(f"star_sensors.{sensor_id}.outages.{name}", outage.start_s, outage.end_s)
+        yield from _output_problems(f"star_sensors.{sensor_id}", sensor, file.values["star_sensors"][sensor_id])
     yield from _fault_problems(scenario)
+    if scenario.needs_sky:
+        yield from _sky_problems(scenario)
 
 
 def _carrier_problems(carrier: CarrierMotion, file: ParameterFile) -> Iterator[str]:
@@ -74,6 +100,32 @@ def _carrier_problems(carrier: CarrierMotion, file: ParameterFile) -> Iterator[s
     if carrier.kind == "recorded" and not Path(carrier.recording.bag).exists():
         named = carrier.recording.bag or "not given"
         yield f"'carrier.recording.bag' = {named} is not there: expected a bag with {carrier.recording.topic}"
+
+
+def _output_problems(key: str, sensor: StarSensor, given: Mapping[str, Any]) -> Iterator[str]:
+    for outputs, fields in FIELDS_OF_OUTPUTS.items():
+        for field in fields:
+            if field in given and sensor.output not in outputs:
+                yield f"'{key}.{field}' is not used with output {sensor.output}: it belongs to {' or '.join(outputs)}"
+    if sensor.output != "observations":
+        return
+    try:
+        sensor.camera.camera(f"{key}.camera")
+    except ParameterError as problem:
+        yield str(problem)
+    if not (sensor.camera.width_px and sensor.camera.height_px):
+        yield f"'{key}.camera.width_px' and '{key}.camera.height_px' must be given: they are the field of view"
+    if sensor.direction_given and not sensor.identified:
+        yield f"'{key}.direction_given' needs identified stars: leave one of the two out"
+
+
+def _sky_problems(scenario: Scenario) -> Iterator[str]:
+    start_ns = start_of(scenario.start_utc)
+    ends_ns = np.array([start_ns, start_ns + round(scenario.duration_s * SECOND_NS)])
+    # A day more, so that no time offset leaves the table.
+    reason = earth_orientation_table().reason_against(ends_ns + np.array([-DAY_NS, DAY_NS]))
+    if reason is not None:
+        yield f"'start_utc' = {scenario.start_utc} cannot be given a sky: {reason}"
 
 
 def _fault_problems(scenario: Scenario) -> Iterator[str]:

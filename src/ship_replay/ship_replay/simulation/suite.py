@@ -32,7 +32,7 @@ def suite_yaml(scenario: Scenario) -> str:
 
 
 def _shared(device: Any, parameters: type) -> dict[str, Any]:
-    """The values of a simulated device that the estimator has a parameter of the same name for."""
+    """The values of a simulated device that the estimator has a parameter of the same name for, without groups."""
     known = {field.name for field in dataclasses.fields(parameters)}
-    names = [field.name for field in dataclasses.fields(device) if field.name in known]
-    return {name: getattr(device, name) for name in names}
+    values = {field.name: getattr(device, field.name) for field in dataclasses.fields(device) if field.name in known}
+    return {name: value for name, value in values.items() if not dataclasses.is_dataclass(value)}

@@ -10,8 +10,11 @@ from ship_node.message_factory import MessageFactory
 from ship_replay.simulation.device_messages import Maker, ins_maker, reference_maker, star_maker
 from ship_replay.simulation.environment_messages import fix_maker, weather_makers
 from ship_replay.simulation.faults import deliver, simulated_topics, spoil
+from ship_replay.simulation.inertial_device import InertialSamples
 from ship_replay.simulation.noise import stamps
 from ship_replay.simulation.run import SimulatedRun
+from ship_replay.simulation.star_messages import inertial_maker, observations_maker
+from ship_replay.simulation.star_sightings import StarSightings
 from ship_replay.simulation.truth_messages import truth_alignments, truth_attitudes
 
 TRUTH_ATTITUDE, TRUTH_ALIGNMENT = "truth/attitude", "truth/alignment"
@@ -37,13 +40,18 @@ def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.n
     scenario = run.scenario
     sources = {"ins/imu": (run.ins.time_ns, run.ins.log_time_ns, ins_maker(run.ins, scenario.ins, factory))}
     for key, stars in run.stars.items():
-        maker = star_maker(key, stars, scenario.star_sensors[key], factory)
-        sources[f"star/{key}/horizon_attitude"] = stars.time_ns, stars.log_time_ns, maker
+        config = scenario.star_sensors[key]
+        if isinstance(stars, StarSightings):
+            maker = observations_maker(key, stars, config, factory)
+        elif isinstance(stars, InertialSamples):
+            maker = inertial_maker(key, stars, factory)
+        else:
+            maker = star_maker(key, stars, config, factory)
+        sources[f"star/{key}/{config.output}"] = stars.time_ns, stars.log_time_ns, maker
     for key, samples in run.references.items():
         maker = reference_maker(key, samples, factory)
         sources[f"reference/{key}/imu"] = samples.time_ns, samples.log_time_ns, maker
-    fix_ns = stamps(run.start_ns, scenario.position.rate_hz, 0.0, scenario.duration_s)
-    sources["gnss/fix"] = fix_ns, fix_ns, fix_maker(fix_ns, scenario.position, run.seed, factory)
+    sources["gnss/fix"] = run.fixes.time_ns, run.fixes.log_time_ns, fix_maker(run.fixes, factory)
     weather_ns = stamps(run.start_ns, scenario.weather.rate_hz, 0.0, scenario.duration_s)
     for topic, maker in weather_makers(weather_ns, scenario.weather, factory).items():
         sources[topic] = weather_ns, weather_ns, maker
