@@ -7,8 +7,10 @@ import pytest
 
 WITHOUT_ROS = [
     "adapter",
+    "csv_table",
     "diagnostics",
     "errors",
+    "figure_files",
     "guard",
     "input_health",
     "message_checks",

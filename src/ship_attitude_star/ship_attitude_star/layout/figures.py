@@ -4,10 +4,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,18 +17,8 @@ from ship_attitude_star.layout.study import LayoutStudy
 from ship_attitude_star.layout.sweep_figure import sweep_figure
 from ship_attitude_star.layout.sweeps import SWEEPS
 from ship_geometry.rotations import FloatArray
+from ship_node.figure_files import write_figures
 
-_STYLE = {
-    "font.size": 11,
-    "axes.titlesize": 11.5,
-    "axes.grid": True,
-    "grid.color": "0.88",
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.framealpha": 0.95,
-    "savefig.facecolor": "white",
-}
 _ANGLES = ("heading", "pitch", "roll")
 # Readable in print and for the colour-blind (Okabe and Ito).
 _PART_STYLES = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."))
@@ -46,14 +32,7 @@ _STEEP = 25.0
 
 def draw_figures(study: LayoutStudy, folder: Path) -> dict[str, Path]:
     """Draw every figure as PNG into a folder that exists; returns the files by the figures' names."""
-    files = {}
-    with plt.rc_context(_STYLE):
-        for name, figure in _figures(study):
-            files[name] = folder / f"{name}.png"
-            # Without the version of matplotlib the same study gives the same file.
-            figure.savefig(files[name], dpi=110, metadata={"Software": None})
-            plt.close(figure)
-    return files
+    return write_figures(_figures(study), folder)
 
 
 def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:

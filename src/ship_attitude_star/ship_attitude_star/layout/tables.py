@@ -1,7 +1,6 @@
 """The numbers of a layout study as CSV files: one table a file, units in the column names."""
 
-import csv
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from ship_attitude_star.installation_model import Reading
 from ship_attitude_star.layout.joint_error import total_arcsec
 from ship_attitude_star.layout.study import LayoutStudy
 from ship_attitude_star.layout.sweeps import CURVE_AZIMUTHS_DEG, SOURCES, source_errors_arcsec
+from ship_node.csv_table import write_csv
 
 _ERRORS = ("heading_arcsec", "pitch_arcsec", "roll_arcsec")
 _SIGMAS = ("heading_sigma_arcsec", "pitch_sigma_arcsec", "roll_sigma_arcsec")
@@ -33,23 +33,7 @@ def write_tables(study: LayoutStudy, folder: Path) -> list[Path]:
             _curves(study),
         ),
     }
-    return [_write(folder / name, header, rows) for name, (header, rows) in tables.items()]
-
-
-def _write(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> Path:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows([_text(value) for value in row] for row in rows)
-    return path
-
-
-def _text(value: Any) -> Any:
-    """Five decimals hide no digit that counts, and make the same study the same file on every machine."""
-    if not isinstance(value, (float, np.floating)):
-        return value
-    # A rounding to zero keeps no sign.
-    return "" if np.isnan(value) else f"{round(float(value), 5) + 0.0:.5f}"
+    return [write_csv(folder / name, header, rows) for name, (header, rows) in tables.items()]
 
 
 def _layouts(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
