@@ -17,5 +17,9 @@ setup(
     maintainer_email="maintainers@example.org",
     description="Theodolite pointing: axis errors, lines of sight, image, optical axis, calibration.",
     license="Apache-2.0",
-    entry_points={"console_scripts": []},
+    entry_points={
+        "console_scripts": [
+            "fit_axes = theodolite_calib.fit_axes_command:main",
+        ],
+    },
 )

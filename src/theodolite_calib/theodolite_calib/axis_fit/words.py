@@ -1,0 +1,105 @@
+"""What a fit found, in plain words, for the terminal."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ship_geometry.rotations import ARCSEC, FloatArray
+from theodolite_calib.axes import NAMES
+from theodolite_calib.axis_fit.coverage import coverage
+from theodolite_calib.axis_fit.robust_fit import OUTLIER_AT, AxisFit, rms, sizes
+from theodolite_calib.axis_fit.sightings import Sightings
+from theodolite_calib.axis_fit.told_apart import condition_number, correlated_pairs, poorly_told_apart, unobservable
+
+MEANINGS = {
+    "g": "zero point of the azimuth encoder",
+    "h": "zero point of the elevation encoder",
+    "c": "collimation",
+    "I": "tilt of the horizontal axis",
+    "beta_x": "tilt of the vertical axis, towards azimuth 0",
+    "beta_y": "tilt of the vertical axis, towards azimuth 90",
+    "flexure": "bending of the tube, times cos E",
+}
+
+# A wider gap than this leaves the tilt of the vertical axis to half of the sky.
+_WIDE_GAP = np.pi / 2.0
+
+
+def summary(fit: AxisFit, sightings: Sightings) -> str:
+    """Lines of the result, the last without a line break."""
+    lines = [
+        *_coverage(sightings),
+        "",
+        *_terms(fit),
+        "",
+        *_residuals(fit),
+        *_outliers(fit, sightings),
+        *_told_apart(fit),
+    ]
+    return "\n".join(lines)
+
+
+def _coverage(sightings: Sightings) -> Iterator[str]:
+    found = coverage(sightings)
+    low_deg, high_deg = np.rad2deg(found.elevations)
+    start_deg, end_deg = np.rad2deg(found.azimuth_gap)
+    width_deg = np.rad2deg(found.azimuth_gap_width)
+    yield (
+        f"{found.count} sightings, {found.plunged} of them plunged; elevations {low_deg:.1f} to {high_deg:.1f} deg; "
+        f"widest gap in azimuth {width_deg:.0f} deg ({start_deg:.0f} to {end_deg:.0f})"
+        + (": sightings there would help" if found.azimuth_gap_width > _WIDE_GAP else "")
+    )
+
+
+def _terms(fit: AxisFit) -> Iterator[str]:
+    yield f"{'term':8}  {'value':>9} {'sigma':>9}   [arcsec]"
+    sigmas = dict(zip(fit.fitted, fit.sigmas / ARCSEC, strict=True))
+    for name, value in zip(NAMES, fit.errors.vector() / ARCSEC, strict=True):
+        sigma = f"{sigmas[name]:9.2f}" if name in sigmas else f"{'fixed':>9}"
+        # Adding zero takes the sign from a rounded zero.
+        yield f"{name:8}  {round(float(value), 2) + 0.0:9.2f} {sigma}   {MEANINGS[name]}"
+
+
+def _residuals(fit: AxisFit) -> Iterator[str]:
+    yield f"{'residuals':26}{'RMS':>8} {'median':>8}   [arcsec, angle on the sky]"
+    for words, residuals in (
+        ("without a model", fit.before),
+        ("with the fitted terms", fit.residuals),
+        ("each left out of its fit", fit.left_out),
+    ):
+        yield f"{words:26}{rms(residuals) / ARCSEC:8.2f} {float(np.median(sizes(residuals))) / ARCSEC:8.2f}"
+    if not np.all(fit.outliers):
+        yield f"{'without the outliers':26}{rms(fit.residuals[~fit.outliers]) / ARCSEC:8.2f}"
+
+
+def _outliers(fit: AxisFit, sightings: Sightings) -> Iterator[str]:
+    yield f"sigma of one component of a sighting (robust): {fit.scale / ARCSEC:.2f} arcsec"
+    numbers = np.flatnonzero(fit.outliers)
+    off = sizes(fit.residuals)
+    for number in numbers[np.argsort(-off[numbers])]:
+        yield (
+            f"outlier: observation {sightings.labels[number]}, off by {off[number] / ARCSEC:.1f} arcsec "
+            f"({off[number] / fit.scale:.1f} sigma, bound {OUTLIER_AT:g}); weight {fit.weights[number]:.2f}"
+        )
+
+
+def _told_apart(fit: AxisFit) -> Iterator[str]:
+    yield f"condition number: {condition_number(fit):.3g}"
+    for first, second, correlation in correlated_pairs(fit):
+        yield f"correlated: {first} and {second}, {correlation:+.3f}"
+    for combination in poorly_told_apart(fit):
+        runs = together(combination.names, np.array(combination.run))
+        yield (
+            f"poorly told apart: {', '.join(combination.names)}: {runs} arcsec together (1 sigma) change these "
+            f"sightings by only {combination.effect / ARCSEC:.2g} arcsec"
+        )
+    found = unobservable(fit)
+    if found is not None:
+        several = f"{found.count} combinations" if found.count > 1 else "one combination"
+        what = f"{several} of {', '.join(found.names)}" if len(found.names) > 1 else found.names[0]
+        yield f"not observable: {what}; left near 0. Fix terms, or sight where they differ"
+
+
+def together(names: tuple[str, ...], run: FloatArray) -> str:
+    """Errors that run together with their sizes: ``c +14.9, I -12.2``."""
+    return ", ".join(f"{name} {value / ARCSEC:+.3g}" for name, value in zip(names, run, strict=True))
