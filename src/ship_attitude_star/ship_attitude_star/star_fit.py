@@ -1,0 +1,149 @@
+"""How well stars agree with one attitude once all that they share is allowed for.
+
+At an attitude R_nb the displacement of star i is linear in small unknowns (models.md §2, §3):
+
+    d_i = v_i - R u_i = δ × v_i + (R m_s) × v_i - G_i z + noise
+
+with δ the error of the attitude, m_s the mounting error of the star's sensor, z the errors that all stars share
+(refraction, Earth rotation, position) and G_i what one sigma of each does. m and z are written as numbers of standard
+deviation 1, so their prior information is the identity.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from ship_geometry.rotations import FloatArray, skew
+
+
+@dataclass(frozen=True)
+class SightedStars:
+    """Identified stars of one moment, of one sensor or of several, in one frame b: the deck, or the sensor's own.
+
+    Attributes:
+        measured_b: unit vectors, shape (k, 3).
+        reference_n: where the stars are seen, refraction included, unit vectors in the horizon frame, shape (k, 3).
+        sigma: error of a measured direction, rad per axis, shape (k,).
+        position_sigma: error of the catalogue's position, rad per axis, shape (k,).
+        shared_n: displacement of the reference by one sigma of each shared error, rad, shape (k, 3, n_shared).
+        sensor: which sensor saw it, shape (k,).
+        installation_b: covariance of each sensor's mounting, rotation vector in b, rad², shape (n_sensors, 3, 3);
+            (0, 3, 3) where b is the frame of the one sensor itself.
+    """
+
+    measured_b: FloatArray
+    reference_n: FloatArray
+    sigma: FloatArray
+    position_sigma: FloatArray
+    shared_n: FloatArray
+    sensor: NDArray[np.intp]
+    installation_b: FloatArray
+
+    @property
+    def white_sigma(self) -> FloatArray:
+        """What differs from star to star: centroid and catalogue, rad per axis, shape (k,)."""
+        return np.hypot(self.sigma, self.position_sigma)
+
+    def __len__(self) -> int:
+        return len(self.sigma)
+
+
+@dataclass(frozen=True)
+class StarFit:
+    """All stars linearised at one attitude.
+
+    Attributes:
+        jacobian: of the displacements, each divided by its sigma, shape (k, 3, q); the first three columns are δ.
+        displacement: v - R u, divided by the sigma, shape (k, 3).
+    """
+
+    jacobian: FloatArray
+    displacement: FloatArray
+
+    def normal_equations(self, members: NDArray[np.bool_] | None = None) -> tuple[FloatArray, FloatArray]:
+        """Information of the members without priors, (q, q), and its right side, (q,)."""
+        jacobian, displacement = self.jacobian, self.displacement
+        if members is not None:
+            jacobian, displacement = jacobian[members], displacement[members]
+        rows = jacobian.reshape(-1, jacobian.shape[-1])
+        return rows.T @ rows, displacement.ravel() @ rows
+
+    def judge(
+        self, members: NDArray[np.bool_] | None = None, prior_information: FloatArray | None = None
+    ) -> "Judgement":
+        """Could these stars be seen like this?
+
+        Args:
+            members: which stars; None for all.
+            prior_information: of δ, (3, 3), where the attitude is one predicted without these stars.
+        """
+        information, right_side = self.normal_equations(members)
+        displacement = self.displacement if members is None else self.displacement[members]
+        nuisance = np.arange(3, len(right_side))
+        constrained = information.copy()
+        constrained[nuisance, nuisance] += 1.0
+        degrees = 2 * len(displacement)
+        if prior_information is None:
+            degrees -= 3
+        else:
+            constrained[:3, :3] += prior_information
+        solution = np.linalg.solve(constrained, right_side)
+        chi_square = float(displacement.ravel() @ displacement.ravel() - right_side @ solution)
+        return Judgement(information, constrained, solution, chi_square, degrees)
+
+    def gain_by_leaving_out(self, judgement: "Judgement", members: NDArray[np.bool_]) -> FloatArray:
+        """By how much chi² falls without each of the members (chi² with two degrees of freedom), shape (n_members,)."""
+        jacobian = self.jacobian[members]
+        left = self.displacement[members] - jacobian @ judgement.solution
+        leverage = jacobian @ np.linalg.inv(judgement.constrained) @ np.swapaxes(jacobian, -1, -2)
+        # Along the line of sight there is no displacement: there the matrix is the identity and adds nothing.
+        return np.einsum("ki,ki->k", left, np.linalg.solve(np.eye(3) - leverage, left[..., None])[..., 0])
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the best values of all unknowns leave over.
+
+    Attributes:
+        information: of all unknowns by the stars alone, shape (q, q).
+        constrained: the same with the priors.
+        solution: most likely values of the unknowns, shape (q,).
+        chi_square: what is left.
+        degrees: of freedom of it.
+    """
+
+    information: FloatArray
+    constrained: FloatArray
+    solution: FloatArray
+    chi_square: float
+    degrees: int
+
+    @property
+    def probability(self) -> float:
+        """Of a chi² as large by chance; 1 where nothing is left to disagree."""
+        return float(chdtrc(self.degrees, max(self.chi_square, 0.0))) if self.degrees > 0 else 1.0
+
+
+def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
+    """The stars at an attitude, shape (3, 3), no farther from the truth than a degree."""
+    count, sensors, shared = len(stars), len(stars.installation_b), stars.shared_n.shape[-1]
+    about_star = -skew(stars.reference_n)
+    jacobian = np.zeros((count, 3, 3 + 3 * sensors + shared))
+    jacobian[:, :, :3] = about_star
+    if sensors:
+        roots_n = rotation_nb @ square_roots(stars.installation_b)
+        turned = about_star @ roots_n[stars.sensor]
+        columns = 3 + 3 * stars.sensor[:, None] + np.arange(3)
+        jacobian[np.arange(count)[:, None, None], np.arange(3)[None, :, None], columns[:, None, :]] = turned
+    jacobian[:, :, 3 + 3 * sensors :] = -stars.shared_n
+    displacement = stars.reference_n - stars.measured_b @ rotation_nb.T
+    per_sigma = 1.0 / stars.white_sigma[:, None]
+    return StarFit(jacobian * per_sigma[..., None], displacement * per_sigma)
+
+
+def square_roots(covariance: FloatArray) -> FloatArray:
+    """Matrices L with L Lᵀ the covariances, shape (..., 3, 3), which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]

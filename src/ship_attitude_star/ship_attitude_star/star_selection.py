@@ -1,0 +1,235 @@
+"""Which stars are what they are taken for: consensus of many, without or with an attitude known beforehand.
+
+The rule of models.md §2. Trial attitudes, from pairs of stars whose angle fits or from single stars that turn the
+prior; members of a trial by Mahalanobis² < 16; the worst one dropped while p < 1e-3; accepted with p > 1e-6 and more
+members than any rival. Without a prior three stars are the least that can be verified: two with swapped identities are
+always consistent with themselves.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.star_fit import Judgement, SightedStars, StarFit, linearized
+from ship_geometry import wahba
+from ship_geometry.rotations import FloatArray, angle_between, skew
+
+MEMBER_DISTANCE = 16.0
+"""Mahalanobis² (two degrees of freedom) up to which a star belongs to a trial."""
+DROP_PROBABILITY, ACCEPT_PROBABILITY = 1e-3, 1e-6
+FEWEST_VERIFIED = 3
+CLEARLY_BETTER = 13.8
+"""By so much less chi² (two degrees of freedom, 1 in 1000) one of two explanations is clearly better than the other."""
+_TRIALS_REFINED = 3
+
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class AttitudePrior:
+    """An attitude known without these stars.
+
+    Attributes:
+        rotation_nb: horizon from b, shape (3, 3).
+        covariance_n: of its rotation vector in the horizon frame, rad², shape (3, 3).
+    """
+
+    rotation_nb: FloatArray
+    covariance_n: FloatArray
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A possible choice.
+
+    Attributes:
+        members: which stars, shape (k,).
+        count: how many.
+    """
+
+    members: BoolArray
+    count: int
+
+
+def select(stars: SightedStars, prior: AttitudePrior | None = None) -> BoolArray:
+    """The stars that belong together, shape (k,); none where no set is larger than its rivals.
+
+    Args:
+        stars: all that were seen and have a place in the sky.
+        prior: chooses among sets and lets one star do; it has no part in what becomes of the stars.
+    """
+    if prior is None:
+        return _select_alone(stars)
+    return _select_by_prior(stars, prior)
+
+
+def _select_alone(stars: SightedStars) -> BoolArray:
+    everything = np.ones(len(stars), dtype=bool)
+    if len(stars) < 2:
+        return ~everything
+    if _consistent_alone(stars, everything) >= DROP_PROBABILITY:
+        return everything
+    trials = _pair_trials(stars)
+    for trial in trials[:_TRIALS_REFINED]:
+        members = _refined_alone(stars, trial.members)
+        if members.any() and not _has_rival(trials, members, shared=2):
+            fit = _fit_alone(stars, members)
+            return members if fit is None else _unambiguous(fit, members)
+    return ~everything
+
+
+def _consistent_alone(stars: SightedStars, members: BoolArray) -> float:
+    """Probability of what is left of the members' displacements; 0 where they give no attitude."""
+    fit = _fit_alone(stars, members)
+    return 0.0 if fit is None else fit.judge(members).probability
+
+
+def _fit_alone(stars: SightedStars, members: BoolArray) -> StarFit | None:
+    sigma = np.where(members, stars.white_sigma, np.inf)
+    solution = wahba.solve(stars.reference_n, stars.measured_b, sigma)
+    return linearized(stars, solution.rotation_nd) if solution.solved else None
+
+
+def _refined_alone(stars: SightedStars, members: BoolArray) -> BoolArray:
+    """Members without those that do not fit the rest; none where even the rest does not."""
+    while np.count_nonzero(members) >= 2:
+        fit = _fit_alone(stars, members)
+        if fit is None:
+            break
+        judgement = fit.judge(members)
+        if judgement.probability >= DROP_PROBABILITY:
+            return members
+        if np.count_nonzero(members) <= FEWEST_VERIFIED:
+            return members if judgement.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
+        members = _without_worst(fit, judgement, members)
+    return np.zeros_like(members)
+
+
+def _unambiguous(fit: StarFit, members: BoolArray, prior_information: FloatArray | None = None) -> BoolArray:
+    """Members without those that a star left out could stand in for: which of the two is right nobody can say."""
+    limit = fit.judge(members, prior_information).chi_square + CLEARLY_BETTER
+    kept = members.copy()
+    for outsider in np.flatnonzero(~members):
+        both = members.copy()
+        both[outsider] = True
+        judgement = fit.judge(both, prior_information)
+        without_one = judgement.chi_square - fit.gain_by_leaving_out(judgement, both)
+        kept[np.flatnonzero(both)[without_one < limit]] = False
+    return kept
+
+
+def _has_rival(trials: list[Trial], members: BoolArray, shared: int) -> bool:
+    """Whether another set is as large. One with ``shared`` stars in common is no other: it has the same attitude."""
+    count = np.count_nonzero(members)
+    return any(trial.count >= count and np.count_nonzero(trial.members & members) < shared for trial in trials)
+
+
+def _pair_trials(stars: SightedStars) -> list[Trial]:
+    """Trial attitudes from all pairs of stars whose angle fits, the largest sets first."""
+    first, second = np.triu_indices(len(stars), 1)
+    seen = angle_between(stars.measured_b[first], stars.measured_b[second])
+    expected = angle_between(stars.reference_n[first], stars.reference_n[second])
+    sigma = np.sqrt(stars.white_sigma**2 + _common_variance(stars))
+    fitting = np.abs(seen - expected) < np.sqrt(MEMBER_DISTANCE) * np.hypot(sigma[first], sigma[second])
+    pairs = np.stack([first[fitting], second[fitting]], axis=-1)
+    solution = wahba.solve(stars.reference_n[pairs], stars.measured_b[pairs], sigma[pairs])
+    pairs, solved = pairs[solution.solved], np.atleast_1d(solution.solved)
+    rotation_nb, covariance_n = solution.rotation_nd[solved], solution.covariance_n[solved]
+    basis = _across(stars.reference_n)
+    displacement = stars.reference_n - stars.measured_b @ np.swapaxes(rotation_nb, -1, -2)
+    left = np.einsum("kij,tkj->tki", basis, displacement)
+    turned = basis @ skew(stars.reference_n)
+    covariance = np.einsum("kia,tab,kjb->tkij", turned, covariance_n, turned)
+    covariance += (sigma**2)[:, None, None] * np.eye(2)
+    members = _distance(left, covariance) < MEMBER_DISTANCE
+    # The two stars of the trial belong to it, and only one side of the sphere does.
+    members &= np.einsum("tkj,kj->tk", displacement, stars.reference_n) < 0.5
+    members[np.arange(len(pairs))[:, None], pairs] = True
+    return _by_size(members, np.trace(covariance_n, axis1=-2, axis2=-1))
+
+
+def _common_variance(stars: SightedStars) -> FloatArray:
+    """What mounting and shared errors add to a star's direction, mean of both axes, rad², shape (k,)."""
+    variance = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
+    if len(stars.installation_b):
+        about_star = skew(stars.measured_b)
+        mounted = about_star @ stars.installation_b[stars.sensor] @ np.swapaxes(about_star, -1, -2)
+        variance = variance + 0.5 * np.trace(mounted, axis1=-2, axis2=-1)
+    return variance
+
+
+def _select_by_prior(stars: SightedStars, prior: AttitudePrior) -> BoolArray:
+    everything = np.ones(len(stars), dtype=bool)
+    if not everything.any():
+        return everything
+    fit = linearized(stars, prior.rotation_nb)
+    prior_information = np.asarray(np.linalg.inv(prior.covariance_n), dtype=float)
+    if fit.judge(everything, prior_information).probability >= DROP_PROBABILITY:
+        return everything
+    trials = _single_trials(stars, fit, prior)
+    for trial in trials[:_TRIALS_REFINED]:
+        members = _refined_by_prior(fit, trial.members, prior_information)
+        if members.any() and not _has_rival(trials, members, shared=1):
+            return _unambiguous(fit, members, prior_information)
+    return ~everything
+
+
+def _refined_by_prior(fit: StarFit, members: BoolArray, prior_information: FloatArray) -> BoolArray:
+    while members.any():
+        judgement = fit.judge(members, prior_information)
+        if judgement.probability >= DROP_PROBABILITY:
+            return members
+        if np.count_nonzero(members) == 1:
+            return members if judgement.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
+        members = _without_worst(fit, judgement, members)
+    return members
+
+
+def _without_worst(fit: StarFit, judgement: Judgement, members: BoolArray) -> BoolArray:
+    """Members without the one whose absence explains most of the misfit."""
+    kept = members.copy()
+    kept[np.flatnonzero(members)[np.argmax(fit.gain_by_leaving_out(judgement, members))]] = False
+    return kept
+
+
+def _single_trials(stars: SightedStars, fit: StarFit, prior: AttitudePrior) -> list[Trial]:
+    """What the other stars say once the prior was turned to one of them, the largest sets first."""
+    basis = _across(stars.reference_n)
+    left = np.einsum("kij,kj->ki", basis, fit.displacement)
+    rows = basis @ fit.jacobian
+    known = np.eye(rows.shape[-1])
+    known[:3, :3] = prior.covariance_n
+    covariance = np.einsum("kia,ab,ljb->klij", rows, known, rows)
+    own = np.arange(len(stars))
+    covariance[own, own] += np.eye(2)
+    possible = np.flatnonzero(_distance(left, covariance[own, own]) < MEMBER_DISTANCE)
+    # Each possible star t updates the prior; the others k are compared with what is then predicted.
+    cross = covariance[:, possible].swapaxes(0, 1)
+    gain = cross @ np.linalg.inv(covariance[possible, possible])[:, None]
+    rest = left - np.einsum("tkij,tj->tki", gain, left[possible])
+    rest_covariance = covariance[own, own] - gain @ np.swapaxes(cross, -1, -2)
+    rest_covariance[np.arange(len(possible)), possible] = np.eye(2)
+    rest[np.arange(len(possible)), possible] = 0.0
+    members = _distance(rest, rest_covariance) < MEMBER_DISTANCE
+    return _by_size(members, np.zeros(len(possible)))
+
+
+def _by_size(members: BoolArray, spread: FloatArray) -> list[Trial]:
+    """Trials with most members first; of as many, those whose attitude is better known."""
+    counts = np.count_nonzero(members, axis=-1)
+    return [Trial(members[row], int(counts[row])) for row in np.lexsort((spread, -counts)).tolist()]
+
+
+def _distance(left: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Mahalanobis² of (..., 2) under (..., 2, 2)."""
+    return np.einsum("...i,...i->...", left, np.linalg.solve(covariance, left[..., None])[..., 0])
+
+
+def _across(direction: FloatArray) -> FloatArray:
+    """Two unit vectors across each direction, shape (k, 2, 3)."""
+    # Beside the axis that the direction is farthest from, so that no direction is special.
+    axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
+    first = np.cross(direction, axis)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, np.cross(direction, first)], axis=-2)

@@ -1,0 +1,162 @@
+"""Attitude from all stars of all sensors: Wahba's problem, with a covariance in which every error is accounted for.
+
+[P15] (13)-(16) gives the attitude. Its error is linear in the errors of :mod:`ship_attitude_star.star_fit`, and one set
+of normal equations holds the sensitivity to each: star noise averages, the others are common and do not.
+"""
+
+import enum
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.samples import Reason, Refusal
+from ship_attitude_star.sky import SHARED_TERMS
+from ship_attitude_star.star_fit import Judgement, SightedStars, StarFit, linearized
+from ship_attitude_star.star_selection import FEWEST_VERIFIED, AttitudePrior, select
+from ship_geometry import wahba
+from ship_geometry.frames import SINGULAR_ELEVATION
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+SOLUTION_TERMS = ("star_noise", "installation", "refraction", "earth_rotation", "ship_position", "catalogue")
+"""Error sources of :attr:`StarSolution.parts_n`, in order; only the first is independent from epoch to epoch."""
+
+
+class SolutionStatus(enum.IntEnum):
+    """What a solution is worth; the values are those of ship_msgs/StarHorizonAttitude."""
+
+    VALID = 0
+    UNVERIFIED = 1
+    ANGLES_SINGULAR = 2
+    INVALID = 3
+
+
+@dataclass(frozen=True)
+class StarSolution:
+    """An attitude from stars.
+
+    Attributes:
+        status: INVALID where there is none.
+        refusal: why it is INVALID.
+        rotation_nb: horizon from b, shape (3, 3); NaN where INVALID.
+        parts_n: covariance by SOLUTION_TERMS, rotation vector in the horizon frame, rad², shape (6, 3, 3).
+        members: stars used, shape (k,).
+        residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN where INVALID.
+        rejected: by row, stars that were not used because they are not what they were taken for.
+    """
+
+    status: SolutionStatus
+    refusal: Refusal | None
+    rotation_nb: FloatArray
+    parts_n: FloatArray
+    members: NDArray[np.bool_]
+    residual_n: FloatArray
+    rejected: dict[int, Refusal] = field(default_factory=dict)
+
+    @property
+    def covariance_n(self) -> FloatArray:
+        """Of the total error, rad², shape (3, 3)."""
+        total: FloatArray = self.parts_n.sum(axis=0)
+        return total
+
+    @property
+    def noise_n(self) -> FloatArray:
+        """Of the part that is independent from epoch to epoch, rad², shape (3, 3)."""
+        noise: FloatArray = self.parts_n[0]
+        return noise
+
+    @property
+    def residual_rms(self) -> float:
+        """Root mean square of the angle between used stars and their places, rad; NaN where INVALID."""
+        squares = np.sum(self.residual_n[self.members] ** 2, axis=-1)
+        return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")
+
+
+def solve_stars(stars: SightedStars, prior: AttitudePrior | None = None) -> StarSolution:
+    """The attitude of frame b, its covariance by source, and the stars that do not belong.
+
+    Args:
+        stars: all that were seen and have a place in the sky.
+        prior: helps to choose the stars and lets two of them count as verified; it does not enter the attitude.
+    """
+    members = select(stars, prior)
+    count = int(np.count_nonzero(members))
+    chosen = members if count else np.ones_like(members)
+    attitude = wahba.solve(stars.reference_n, stars.measured_b, np.where(chosen, stars.white_sigma, np.inf))
+    if not attitude.solved:
+        return _refused(stars, members, Refusal(Reason.TOO_FEW_STARS, _open_turn(int(np.count_nonzero(chosen)))))
+    if not count:
+        text = f"{len(stars)} stars, no set of them belongs together more than another"
+        reason = Reason.TOO_FEW_STARS if len(stars) < FEWEST_VERIFIED else Reason.MISIDENTIFIED
+        return _refused(stars, members, Refusal(reason, text))
+    fit = linearized(stars, attitude.rotation_nd)
+    judgement = fit.judge(members)
+    residual_n = fit.displacement * stars.white_sigma[:, None]
+    return StarSolution(
+        status=_status(count, prior, attitude.rotation_nd),
+        refusal=None,
+        rotation_nb=attitude.rotation_nd,
+        parts_n=_parts(stars, fit, judgement, members),
+        members=members,
+        residual_n=residual_n,
+        rejected=_rejected(residual_n, stars.white_sigma, members),
+    )
+
+
+def _open_turn(count: int) -> str:
+    if count < 2:
+        return f"{count} stars: " + ("no attitude" if count == 0 else "the turn about it stays open")
+    return f"{count} stars, all in one direction: the turn about it stays open"
+
+
+def _status(count: int, prior: AttitudePrior | None, rotation_nb: FloatArray) -> SolutionStatus:
+    if prior is None and count < FEWEST_VERIFIED:
+        return SolutionStatus.UNVERIFIED
+    singular = abs(rotation_nb[1, 0]) > np.sin(SINGULAR_ELEVATION)
+    return SolutionStatus.ANGLES_SINGULAR if singular else SolutionStatus.VALID
+
+
+def _parts(stars: SightedStars, fit: StarFit, judgement: Judgement, members: NDArray[np.bool_]) -> FloatArray:
+    """Covariance of the attitude by SOLUTION_TERMS, shape (6, 3, 3)."""
+    information = judgement.information
+    inverse = np.linalg.inv(information[:3, :3])
+    # The attitude is weighted by the white errors alone: this is what one sigma of each other error does to it.
+    by_sigma = inverse @ information[:3, 3:]
+    mounting = by_sigma[:, : -len(SHARED_TERMS)]
+    parts = np.zeros((len(SOLUTION_TERMS), 3, 3))
+    parts[1] = mounting @ mounting.T
+    for term, column in zip(SHARED_TERMS, by_sigma[:, -len(SHARED_TERMS) :].T, strict=True):
+        parts[SOLUTION_TERMS.index(term)] += np.outer(column, column)
+    share = (stars.position_sigma[members] / stars.white_sigma[members]) ** 2
+    attitude_rows = fit.jacobian[members, :, :3]
+    catalogue = np.einsum("k,kia,kib->ab", share, attitude_rows, attitude_rows)
+    parts[5] = inverse @ catalogue @ inverse
+    parts[0] = inverse - parts[5]
+    return parts
+
+
+def _rejected(residual_n: FloatArray, sigma: FloatArray, members: NDArray[np.bool_]) -> dict[int, Refusal]:
+    angles = np.linalg.norm(residual_n, axis=-1)
+    return {
+        row: Refusal(
+            Reason.MISIDENTIFIED,
+            f"{_angle_text(float(angles[row]))} from its place, sigma {sigma[row] / ARCSEC:.1f}\"",
+        )
+        for row in np.flatnonzero(~members).tolist()
+    }
+
+
+def _angle_text(angle: float) -> str:
+    return f'{angle / ARCSEC:.1f}"' if angle < 600.0 * ARCSEC else f"{np.rad2deg(angle):.2f}°"
+
+
+def _refused(stars: SightedStars, members: NDArray[np.bool_], refusal: Refusal) -> StarSolution:
+    unknown = np.full((3, 3), np.nan)
+    return StarSolution(
+        status=SolutionStatus.INVALID,
+        refusal=refusal,
+        rotation_nb=unknown,
+        parts_n=np.full((len(SOLUTION_TERMS), 3, 3), np.nan),
+        members=members,
+        residual_n=np.full((len(stars), 3), np.nan),
+    )
