@@ -65,6 +65,13 @@ class Refusal:
     text: str
 
 
+def same_stamp(known: bytes, new: bytes) -> Refusal:
+    """The refusal of a second input with the same stamp; ``known`` and ``new`` are their contents."""
+    if known == new:
+        return Refusal(Reason.DUPLICATE, "the same stamp and the same content again")
+    return Refusal(Reason.CONFLICT, "the same stamp with other content: the one whose bytes sort first is kept")
+
+
 @dataclass(frozen=True)
 class AttitudeMeasurement:
     """The attitude of a device fixed to the ship: a star sensor, or another attitude system.

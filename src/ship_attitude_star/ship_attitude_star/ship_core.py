@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from ship_attitude_star.alignment import Alignment, AlignmentPrior, alignment_of, prior_of, state_from_prior
 from ship_attitude_star.attitude_output import CorrectedIns, estimate_from_star, no_estimate
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, Decision, Reason, Refusal
+from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, Decision, Reason, Refusal, same_stamp
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
 from ship_attitude_star.stream_guards import StreamGuards
 from ship_estimation.time_ordered_log import TimeOrderedLog
@@ -93,7 +93,7 @@ class ShipAttitudeCore:
             return Outcome(refusal)
         known = self._track.get(sample.time_ns)
         if known is not None:
-            outcome = Outcome(_same_stamp(_ins_content(known), _ins_content(sample)))
+            outcome = Outcome(same_stamp(_ins_content(known), _ins_content(sample)))
             if _ins_content(known) <= _ins_content(sample):
                 return outcome
         else:
@@ -114,7 +114,7 @@ class ShipAttitudeCore:
         key = (measurement.time_ns, measurement.source)
         known = self._log.get(key)
         if known is not None:
-            outcome = Outcome(_same_stamp(known.content(), measurement.content()))
+            outcome = Outcome(same_stamp(known.content(), measurement.content()))
             if known.content() <= measurement.content():
                 return outcome
         else:
@@ -229,12 +229,6 @@ class ShipAttitudeCore:
         """Star sensors may carry the attitude alone, unless they were in conflict with the INS to the last."""
         in_conflict = self.state.refusals.get(source, 0) >= self.config.gate.conflict_after
         return self.filter.devices[source].is_star and not in_conflict
-
-
-def _same_stamp(known: bytes, new: bytes) -> Refusal:
-    if known == new:
-        return Refusal(Reason.DUPLICATE, "the same stamp and the same content again")
-    return Refusal(Reason.CONFLICT, "the same stamp with other content: the one whose bytes sort first is kept")
 
 
 def _ins_content(sample: AttitudeSample) -> bytes:

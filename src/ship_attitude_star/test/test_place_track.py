@@ -1,0 +1,176 @@
+"""The ship's place between and beyond position fixes: anywhere on Earth, with an error that grows, in any order."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.place_track import ACCELERATION_SIGMA_M_PER_S2, SPEED_SIGMA_M_PER_S, PlaceTrack
+from ship_attitude_star.samples import Reason
+from ship_attitude_star.star_config import SkyConfig
+from ship_geometry.geodetic import GeodeticPosition, vector_between
+
+SECOND_NS = 1_000_000_000
+START_NS = 1_700_000_000 * SECOND_NS
+SIGMA_M = np.diag([4.0, 9.0, 1.0])
+M_PER_DEG_OF_LATITUDE = 110_574.0
+"""At the equator, WGS 84."""
+M_PER_DEG_OF_LONGITUDE = 111_320.0
+"""At the equator: 40 075 017 m / 360."""
+
+
+def at(latitude_deg: float, longitude_deg: float, height_m: float = 20.0) -> GeodeticPosition:
+    return GeodeticPosition(np.deg2rad(latitude_deg), np.deg2rad(longitude_deg), height_m)
+
+
+def track(*fixes: tuple[float, GeodeticPosition], covariance_m2=SIGMA_M, **config) -> PlaceTrack:
+    result = PlaceTrack(SkyConfig(**config))
+    for since_s, position in fixes:
+        result.insert(ns(since_s), position, covariance_m2)
+    return result
+
+
+def ns(since_s: float) -> int:
+    return START_NS + round(since_s * SECOND_NS)
+
+
+def away_m(place, position: GeodeticPosition) -> float:
+    return float(np.linalg.norm(vector_between(position, place.observer.position)))
+
+
+def test_between_fixes_the_place_is_on_the_line() -> None:
+    place = track((0, at(0.0, 10.0)), (10, at(0.001, 10.0))).at(ns(2.5))
+    # The chord is lower than the arc by s (L - s) / 2R, below a millimetre here.
+    assert away_m(place, at(0.00025, 10.0)) < 1e-3
+    np.testing.assert_allclose(place.observer.velocity_n_m_per_s, [0.001 * M_PER_DEG_OF_LATITUDE / 10, 0, 0], atol=1e-3)
+    assert place.age_s == 2.5
+
+
+def test_beyond_the_last_fix_it_goes_on_as_between_the_last_two() -> None:
+    place = track((0, at(0.0, 9.0)), (5, at(0.0, 10.0)), (6, at(0.0, 10.0001))).at(ns(8))
+    assert away_m(place, at(0.0, 10.0003)) < 1e-3
+    np.testing.assert_allclose(place.observer.velocity_n_m_per_s, [0, 0, 1e-4 * M_PER_DEG_OF_LONGITUDE], atol=1e-3)
+    assert place.age_s == 2.0
+
+
+def test_before_the_first_fix_it_comes_from_where_it_will_go() -> None:
+    place = track((0, at(0.0, 10.0)), (1, at(0.0, 10.0001))).at(ns(-2))
+    assert away_m(place, at(0.0, 9.9998)) < 1e-3
+
+
+def test_across_the_date_line_the_way_is_the_short_one() -> None:
+    place = track((0, at(0.0, 179.9999)), (1, at(0.0, -179.9999))).at(ns(0.75))
+    assert away_m(place, at(0.0, -179.99995)) < 1e-3
+    assert place.observer.velocity_n_m_per_s[2] == pytest.approx(2e-4 * M_PER_DEG_OF_LONGITUDE, abs=1e-3)
+
+
+def test_over_the_pole_the_way_is_straight() -> None:
+    # 11 m on either side of the pole: north first, then south on the meridian opposite.
+    fixes = (0, at(89.9999, 30.0)), (2, at(89.9999, -150.0))
+    speed_m_per_s = 2e-4 * 111_694.0 / 2  # per degree of latitude at the pole
+    before, after = (track(*fixes).at(ns(t)) for t in (0.5, 1.5))
+    assert away_m(before, at(89.99995, 30.0)) < 1e-3
+    assert away_m(after, at(89.99995, -150.0)) < 1e-3
+    np.testing.assert_allclose(before.observer.velocity_n_m_per_s, [speed_m_per_s, 0, 0], atol=1e-3)
+    np.testing.assert_allclose(after.observer.velocity_n_m_per_s, [-speed_m_per_s, 0, 0], atol=1e-3)
+
+
+def test_beside_the_pole_the_error_keeps_its_direction_on_earth_not_its_name() -> None:
+    # A quarter of the way round the pole: what was north-south at the fix is east-west now.
+    place = track((0, at(89.9999, 0.0)), (1, at(89.9999, 90.0)), covariance_m2=np.diag([100.0, 0.0, 1.0])).at(ns(0))
+    assert place.covariance_m2[0, 0] == pytest.approx(100.0)
+    turned = track((0, at(89.9999, 0.0)), covariance_m2=np.diag([100.0, 0.0, 1.0]))
+    turned.insert(ns(1), at(89.9999, 90.0), np.diag([1.0, 0.0, 100.0]))
+    # On the way, at longitude 45°, half way in time: both fixes say the same ellipse, seen from 45° off.
+    north, _, east = np.diagonal(turned.at(ns(0.5)).covariance_m2)
+    drift_m2 = (0.5 * ACCELERATION_SIGMA_M_PER_S2 * 0.25) ** 2
+    assert (north, east) == pytest.approx((50.5 + drift_m2, 50.5 + drift_m2))
+
+
+@pytest.mark.parametrize(
+    ("since_s", "drift_m"),
+    [
+        (0.0, 0.0),
+        (1.0, 0.0),
+        (0.5, 0.5 * 0.1 * 0.25),  # half the acceleration times 0.5 s of each fix
+        (11.0, 0.5 * 0.1 * 11.0 * 10.0),
+        (61.0, 0.5 * 0.1 * 61.0 * 60.0),
+    ],
+)
+def test_the_error_grows_with_the_time_to_the_fixes(since_s: float, drift_m: float) -> None:
+    covariance_m2 = track((0, at(50.0, 10.0)), (1, at(50.0, 10.0))).at(ns(since_s)).covariance_m2
+    np.testing.assert_allclose(covariance_m2, SIGMA_M + np.diag([drift_m**2, 0.0, drift_m**2]), rtol=1e-9, atol=1e-9)
+
+
+def test_with_one_fix_the_ship_may_sail_anywhere() -> None:
+    place = track((0, at(50.0, 10.0))).at(ns(3))
+    drift_m2 = (3 * SPEED_SIGMA_M_PER_S) ** 2
+    np.testing.assert_allclose(place.covariance_m2, SIGMA_M + np.diag([drift_m2, 0.0, drift_m2]), atol=1e-9)
+    np.testing.assert_array_equal(place.observer.velocity_n_m_per_s, 0.0)
+
+
+def test_fixes_far_apart_say_nothing_of_the_velocity() -> None:
+    apart = track((0, at(0.0, 10.0)), (121, at(0.0, 10.1)), fix_max_age_s=60.0)
+    assert away_m(apart.at(ns(3)), at(0.0, 10.0)) < 1e-6
+    joined = track((0, at(0.0, 10.0)), (120, at(0.0, 10.1)), fix_max_age_s=60.0)
+    # The chord of 11 km passes below the sea by s (L - s) / 2R: 2.3 m in its middle.
+    assert away_m(joined.at(ns(60)), at(0.0, 10.05)) == pytest.approx(5566.0**2 / 2 / 6_378_137.0, rel=1e-3)
+
+
+def test_without_a_young_fix_there_is_no_place_and_it_says_why() -> None:
+    assert track().at(ns(0)) is None
+    assert track().reason_against(ns(0)).reason is Reason.NO_FIX
+    fixes = track((0, at(50.0, 10.0)), fix_max_age_s=60.0)
+    assert fixes.reason_against(ns(60)) is None
+    assert fixes.at(ns(60)) is not None
+    refusal = fixes.reason_against(ns(60.1))
+    assert (refusal.reason, refusal.text) == (
+        Reason.NO_FIX,
+        "the nearest position fix is 60.1 s older: more than fix_max_age_s = 60",
+    )
+    assert fixes.at(ns(60.1)) is None
+    assert "younger" in fixes.reason_against(ns(-61)).text
+
+
+def test_any_order_of_arrival_gives_the_same_places_to_the_last_bit() -> None:
+    rng = np.random.default_rng(11)
+    fixes = [(float(t), at(50.0 + 1e-4 * rng.normal(), 10.0 + 1e-4 * rng.normal())) for t in (0, 1, 2, 4, 9)]
+    fixes.append((4.0, at(50.0, 10.00005)))  # another with the same stamp
+    moments = [ns(t) for t in (-3.0, 0.0, 0.5, 2.0, 3.3, 4.0, 7.0, 9.0, 12.0)]
+
+    def answers(order) -> list[bytes]:
+        places = [track(*order).at(moment) for moment in moments]
+        return [p.observer.velocity_n_m_per_s.tobytes() + p.covariance_m2.tobytes() for p in places]
+
+    expected = answers(fixes)
+    assert all(answers(order) == expected for order in itertools.islice(itertools.permutations(fixes), 0, 720, 7))
+
+
+def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
+    times = [0, 1, 2, 4, 9]
+    places = {t: at(50.0 + 1e-4 * t * t, 10.0) for t in times}
+    moments = np.arange(-5.0, 15.0, 0.25)
+    for late in times:
+        others = track(*((t, places[t]) for t in times if t != late))
+        before = [others.at(ns(m)).covariance_m2.tobytes() for m in moments]
+        changed_after_ns = others.insert(ns(late), places[late], SIGMA_M)
+        for moment, old in zip(moments, before, strict=True):
+            if others.at(ns(moment)).covariance_m2.tobytes() != old:
+                assert ns(moment) > changed_after_ns
+    assert others.insert(ns(9), places[9], SIGMA_M) is None
+
+
+def test_the_same_stamp_again_is_told() -> None:
+    fixes = track((0, at(50.0, 10.0)))
+    assert fixes.refusal(ns(0), at(50.0, 10.0), SIGMA_M).reason is Reason.DUPLICATE
+    assert fixes.refusal(ns(0), at(50.0, 10.1), SIGMA_M).reason is Reason.CONFLICT
+    assert fixes.refusal(ns(1), at(50.0, 10.1), SIGMA_M) is None
+
+
+def test_what_is_dropped_is_needed_no_more() -> None:
+    fixes = [(t, at(50.0 + 1e-4 * t * t, 10.0)) for t in range(10)]
+    kept, whole = track(*fixes), track(*fixes)
+    kept.drop_before(ns(5.5))
+    for since_s in (5.5, 6.0, 8.3, 12.0):
+        assert away_m(kept.at(ns(since_s)), whole.at(ns(since_s)).observer.position) == 0.0
+    assert away_m(kept.at(ns(2.0)), whole.at(ns(2.0)).observer.position) > 1.0
