@@ -142,11 +142,12 @@ def _weights(residuals: FloatArray, scale: float) -> FloatArray:
 
 def _normal(design: FloatArray, stiffness: FloatArray) -> FloatArray:
     """Sum of Jᵀ D J, shape (k, k), for a stiffness D per sighting, shape (n, 2, 2)."""
-    return np.einsum("nia,nij,njb->ab", design, stiffness, design, optimize=True)
+    terms = design.shape[-1]
+    return design.reshape(-1, terms).T @ (stiffness @ design).reshape(-1, terms)
 
 
 def _gradient(design: FloatArray, weights: FloatArray, residuals: FloatArray) -> FloatArray:
-    return np.einsum("nia,n,ni->a", design, weights, residuals, optimize=True)
+    return design.reshape(-1, design.shape[-1]).T @ (weights[:, None] * residuals).ravel()
 
 
 def _result(sightings: Sightings, vector: FloatArray, free: NDArray[np.bool_], scale: float) -> AxisFit:

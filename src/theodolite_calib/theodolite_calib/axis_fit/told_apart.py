@@ -21,6 +21,8 @@ CORRELATED = 0.9
 
 # Share of an error's variance from which on it takes part in a combination.
 _TAKES_PART = 0.25
+# Share of the longest run of an open combination from which on an error takes part in it.
+_TAKES_PART_OPEN = 0.02
 # What is known of a small error without sightings: a combination that may run further has no information.
 _KNOWN_BEFORE = float(PRIOR_SIGMAS[-1])
 _ROUNDING = 1e-15
@@ -65,9 +67,12 @@ def condition_number(fit: AxisFit) -> float:
 def unobservable(fit: AxisFit) -> Unobservable | None:
     """What the sightings say nothing about; None where they say something about everything."""
     _, runs = _combinations(fit)
-    open_runs = np.abs(runs) > _KNOWN_BEFORE
-    names = tuple(name for name, taking_part in zip(fit.fitted, np.any(open_runs, axis=0), strict=True) if taking_part)
-    return Unobservable(names, int(np.sum(np.any(open_runs, axis=1)))) if names else None
+    sizes = np.abs(runs)
+    is_open = np.max(sizes, axis=1) > _KNOWN_BEFORE
+    # Others run along by second-order effects of the errors themselves.
+    takes_part = np.any(sizes[is_open] > _TAKES_PART_OPEN * np.max(sizes[is_open], axis=1, keepdims=True), axis=0)
+    names = tuple(name for name, taking_part in zip(fit.fitted, takes_part, strict=True) if taking_part)
+    return Unobservable(names, int(np.sum(is_open))) if names else None
 
 
 def poorly_told_apart(fit: AxisFit) -> list[Combination]:

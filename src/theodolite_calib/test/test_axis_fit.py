@@ -1,0 +1,184 @@
+"""The robust fit of axis errors: what it finds, how well it says it knows it, what it names."""
+
+import numpy as np
+import pytest
+from axis_sightings import ERRORS, STRAIGHT, sight, spread
+
+from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_geometry.rotations import ARCSEC, exp_rotation
+from theodolite_calib.axes import NAMES, AxisErrors
+from theodolite_calib.axis_fit.coverage import coverage
+from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, fit, rms, sizes
+from theodolite_calib.axis_fit.sightings import Sightings, directions
+from theodolite_calib.axis_fit.told_apart import condition_number, correlated_pairs, poorly_told_apart, unobservable
+
+SEEDS = 200
+
+
+@pytest.mark.parametrize("g", [0.0, 1.5, 3.1, -2.5])
+def test_exact_sightings_give_the_errors_back(g: float) -> None:
+    """Zero points anywhere, the rest of degrees, both faces: the chain is exact."""
+    rng = np.random.default_rng(1)
+    errors = AxisErrors(g=g, h=-0.3, c=0.01, I=-0.012, beta_x=0.02, beta_y=-0.015, flexure=0.005)
+    azimuth, elevation = spread(rng, 80, (-5.0, 85.0))
+    elevation[::2] = np.pi - elevation[::2]
+    result = fit(sight(rng, errors, (azimuth, elevation), 0.0), {})
+    assert result.fitted == NAMES
+    np.testing.assert_allclose(result.errors.vector(), errors.vector(), rtol=0.0, atol=1e-9)
+    assert rms(result.residuals) < 1e-9
+    assert not np.any(result.outliers)
+
+
+@pytest.mark.parametrize("outlier_share", [0.0, 0.05])
+def test_covariance_is_honest(outlier_share: float) -> None:
+    """99.9 % bands over 200 seeds, one error a seed; with outliers seven times the noise as well."""
+    rng = np.random.default_rng(2)
+    angles = spread(rng, 60, (10.0, 85.0))
+    ratios, nees = [], []
+    for _ in range(SEEDS):
+        sigma = np.where(rng.random(60) < outlier_share, 40.0, 6.0)
+        result = fit(sight(rng, ERRORS, angles, sigma), STRAIGHT)
+        error = (result.errors.vector() - ERRORS.vector())[:6]
+        ratios.append(error / result.sigmas)
+        nees.append(normalized_error_squared(error, result.covariance))
+    low, high = sigma_ratio_band(SEEDS)
+    ratio = np.sqrt(np.mean(np.square(ratios), axis=0))
+    assert np.all((low <= ratio) & (ratio <= high)), ratio
+    low, high = mean_nees_band(SEEDS, degrees=6)
+    assert low <= np.mean(nees) <= high
+
+
+def test_outliers_are_named_and_hardly_count() -> None:
+    rng = np.random.default_rng(3)
+    angles = spread(rng, 100, (10.0, 85.0))
+    clean = sight(rng, ERRORS, angles, 6.0)
+    moved = clean.direction_d.copy()
+    planted = [5, 17, 60]
+    # A wrong star, a wrong row, a knock: all to one side, so that plain least squares would follow.
+    moved[planted] = moved[planted] @ exp_rotation(np.array([0.0, 2.0e-3, 0.0])).T
+    result = fit(Sightings(clean.labels, *angles, direction_d=moved), STRAIGHT)
+    assert np.flatnonzero(result.outliers).tolist() == planted
+    assert np.all(result.weights[planted] < 0.1)
+    undisturbed = fit(clean, STRAIGHT)
+    assert np.all(np.abs(result.errors.vector() - undisturbed.errors.vector())[:6] < 0.5 * undisturbed.sigmas)
+
+
+def test_left_out_residuals_are_those_of_fits_without_the_sighting() -> None:
+    rng = np.random.default_rng(4)
+    sightings = sight(rng, ERRORS, spread(rng, 40, (15.0, 80.0)), np.where(np.arange(40) < 2, 60.0, 6.0))
+    result = fit(sightings, STRAIGHT)
+    refitted = []
+    for left_out in range(40):
+        kept = np.arange(40) != left_out
+        labels = tuple(np.array(sightings.labels)[kept])
+        others = Sightings(labels, sightings.azimuth[kept], sightings.elevation[kept], sightings.direction_d[kept])
+        refitted.append(sightings.residuals(fit(others, STRAIGHT).errors)[left_out])
+    assert np.max(sizes(np.array(refitted) - result.left_out)) < 1.0 * ARCSEC
+    assert rms(np.array(refitted)) == pytest.approx(rms(result.left_out), rel=0.01)
+    # Of the ordinary ones by 1 / (1 - 6 terms / 80 components) on the average.
+    assert rms(result.left_out[2:]) == pytest.approx(rms(result.residuals[2:]) / (1.0 - 6.0 / 80.0), rel=0.03)
+
+
+def test_fixed_terms_stay() -> None:
+    rng = np.random.default_rng(5)
+    sightings = sight(rng, ERRORS, spread(rng, 60, (10.0, 85.0)), 1.0)
+    result = fit(sightings, {"flexure": 0.0, "c": ERRORS.c})
+    assert result.fitted == ("g", "h", "I", "beta_x", "beta_y")
+    assert result.errors.c == ERRORS.c
+    assert result.covariance.shape == (5, 5)
+    assert abs(result.errors.I - ERRORS.I) < 3.0 * result.sigmas[2]
+    assert result.sigmas[2] < 0.5 * fit(sightings, STRAIGHT).sigmas[3]
+
+
+def test_valley_of_a_narrow_range_of_elevation() -> None:
+    """models.md §5: with E of 20-30° only, c, I and g form a valley, hundreds of times longer than wide."""
+    rng = np.random.default_rng(6)
+    azimuth, elevation = spread(rng, 300, (20.0, 30.0))
+    narrow = fit(sight(rng, ERRORS, (azimuth, elevation), 2.5), STRAIGHT)
+    (valley,) = poorly_told_apart(narrow)
+    assert valley.names == ("g", "c", "I")
+    across, along = np.sqrt(np.linalg.eigvalsh(narrow.covariance)[[0, -1]])
+    assert along > 500.0 * across
+    assert np.linalg.norm(valley.run) == pytest.approx(along, rel=0.1)
+    assert valley.effect == pytest.approx(2.5 * ARCSEC / np.sqrt(300), rel=0.2)
+    # So far along the valley the pointing hardly changes, as it says.
+    run = AxisErrors(**dict(zip(valley.names, valley.run, strict=True)))
+    sightings = sight(rng, AxisErrors(), (azimuth, elevation), 0.0)
+    assert rms(sightings.residuals(run)) == pytest.approx(valley.effect, rel=0.1)
+    pairs = correlated_pairs(narrow)
+    assert {pair[:2] for pair in pairs} == {("g", "c"), ("g", "I"), ("c", "I")}
+    assert abs(pairs[0][2]) >= abs(pairs[1][2]) >= abs(pairs[2][2]) > 0.99
+
+    # The other face of the same targets turns the sign of c and I, not of g: the valley is gone.
+    plunged = np.where(np.arange(300) < 150, np.pi - elevation, elevation)
+    both = fit(sight(rng, ERRORS, (azimuth, plunged), 2.5), STRAIGHT)
+    assert np.max(both.sigmas) < 0.1 * np.max(narrow.sigmas)
+
+
+def test_good_coverage_is_told_apart() -> None:
+    rng = np.random.default_rng(7)
+    azimuth, elevation = spread(rng, 100, (0.0, 85.0))
+    elevation[::2] = np.pi - elevation[::2]
+    result = fit(sight(rng, ERRORS, (azimuth, elevation), 5.0), STRAIGHT)
+    assert poorly_told_apart(result) == []
+    assert unobservable(result) is None
+    assert condition_number(result) < 10.0
+
+
+@pytest.mark.parametrize(
+    ("elevations_deg", "azimuths_deg", "names", "count"),
+    [
+        # At one elevation g, c, I all turn the azimuth by one amount; on the horizon I does nothing.
+        ((30.0, 30.0), (0.0, 360.0), ("g", "c", "I"), 2),
+        ((0.0, 0.0), (0.0, 360.0), ("g", "c", "I"), 2),
+        # One spot: two angles for six errors.
+        ((30.0, 30.0), (77.0, 77.0), ("g", "h", "c", "I", "beta_x", "beta_y"), 4),
+    ],
+)
+def test_what_sightings_say_nothing_about_is_named_and_stays_at_zero(
+    elevations_deg: tuple[float, float], azimuths_deg: tuple[float, float], names: tuple[str, ...], count: int
+) -> None:
+    rng = np.random.default_rng(8)
+    angles = (np.deg2rad(rng.uniform(*azimuths_deg, 50)), np.deg2rad(rng.uniform(*elevations_deg, 50)))
+    result = fit(sight(rng, ERRORS, angles, 5.0), STRAIGHT)
+    found = unobservable(result)
+    assert found is not None
+    assert (found.names, found.count) == (names, count)
+    assert rms(result.residuals) < 10.0 * ARCSEC
+    sigmas = dict(zip(result.fitted, result.sigmas, strict=True))
+    assert sigmas["I"] == pytest.approx(PRIOR_SIGMAS[3], rel=0.6)
+    assert abs(result.errors.I) < 10.0 * ARCSEC
+
+
+def test_as_many_sightings_as_terms() -> None:
+    rng = np.random.default_rng(9)
+    result = fit(sight(rng, ERRORS, spread(rng, 6, (10.0, 80.0)), 5.0), STRAIGHT)
+    assert np.all(np.isfinite(result.covariance))
+    assert np.all(np.isfinite(result.left_out))
+
+
+def test_residuals_are_angles_to_the_right_and_up() -> None:
+    azimuth, elevation = np.array([0.3, 2.0]), np.array([0.2, 1.2])
+    right, up = np.array([0.0, 30.0]) * ARCSEC, np.array([20.0, 0.0]) * ARCSEC
+    sightings = Sightings(
+        ("a", "b"), azimuth, elevation, directions(azimuth + right / np.cos(elevation), elevation + up)
+    )
+    np.testing.assert_allclose(
+        sightings.residuals(AxisErrors()), np.stack([right, up], axis=-1), rtol=0.0, atol=0.01 * ARCSEC
+    )
+    # A quarter of a turn is a quarter of a turn, not its sine.
+    far = Sightings(("a",), np.array([0.0]), np.array([0.0]), directions(np.array([0.0]), np.array([0.5 * np.pi])))
+    np.testing.assert_allclose(sizes(far.residuals(AxisErrors())), 0.5 * np.pi)
+
+
+def test_coverage() -> None:
+    azimuth, elevation = np.deg2rad([350.0, 10.0, 100.0, 280.0]), np.deg2rad([20.0, 40.0, 60.0, 30.0])
+    plunged = np.array([False, True, False, False])
+    encoder = np.where(plunged, azimuth + np.pi, azimuth), np.where(plunged, np.pi - elevation, elevation)
+    found = coverage(Sightings(("a", "b", "c", "d"), *encoder, direction_d=directions(azimuth, elevation)))
+    assert (found.count, found.plunged) == (4, 1)
+    assert np.rad2deg(found.elevations) == pytest.approx([20.0, 60.0])
+    assert np.rad2deg(found.azimuth_gap) == pytest.approx([100.0, 280.0])
+    assert found.azimuth_gap_width == pytest.approx(np.pi)
+    one = coverage(Sightings(("a",), azimuth[:1], elevation[:1], directions(azimuth[:1], elevation[:1])))
+    assert one.azimuth_gap_width == pytest.approx(2.0 * np.pi)
