@@ -1,0 +1,285 @@
+"""Messages about stars, place and air: what is used, what is left out, and what is said of it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.catalogue import hipparcos
+from ship_attitude_star.samples import Reason
+from ship_attitude_star.star_camera import StarCamera
+from ship_attitude_star.star_config import CameraConfig, SkyConfig
+from ship_attitude_star.star_messages_in import MOST_STARS, sigmas_given, star_exposure
+from ship_attitude_star.surroundings_messages_in import humidity, position_fix, pressure_hpa, temperature_c
+from ship_geometry.rotations import ARCSEC
+from ship_node.message_checks import Refused
+from ship_node.message_factory import RosidlFactory
+from ship_node.stamps import make_header
+
+FACTORY = RosidlFactory()
+STAMP_NS = 1_404_906_607_800_000_000
+NOW_NS = STAMP_NS + 100_000_000
+# 10 µm of 50 mm: a pixel is 41.25″.
+CAMERA = StarCamera(0.05, 10e-6, 511.5, 511.5)
+CAMERA_CONFIG = CameraConfig(
+    focal_length_m=0.05, pixel_pitch_m=10e-6, principal_u_px=511.5, principal_v_px=511.5, centroid_sigma_px=0.08
+)
+VEGA, DENEB, ALTAIR = 91262, 102098, 97649
+
+
+def star(catalogue_id: int = VEGA, u: float = 511.5, v: float = 511.5, **fields: float) -> Any:
+    given = {"right_ascension": np.nan, "declination": np.nan, "sigma_px": 0.1, "magnitude": np.nan, **fields}
+    return FACTORY.make("ship_msgs/msg/StarObservation", catalogue_id=catalogue_id, u=u, v=v, **given)
+
+
+def observations(*stars: Any, sensor_id: str = "fore", frame_id: str = "star_fore", stamp_ns: int = STAMP_NS) -> Any:
+    return FACTORY.make(
+        "ship_msgs/msg/StarObservationArray",
+        header=make_header(FACTORY, stamp_ns, frame_id),
+        sensor_id=sensor_id,
+        exposure_s=0.1,
+        stars=list(stars),
+    )
+
+
+def converted(message: Any) -> Any:
+    return star_exposure(message, "fore", "star_fore", CAMERA, CAMERA_CONFIG, hipparcos(), NOW_NS)
+
+
+def test_pixels_become_directions_and_numbers_become_places() -> None:
+    # One degree to the right and half a degree up of the boresight.
+    right_px, up_px = np.tan(np.deg2rad([1.0, 0.5])) * 0.05 / 10e-6
+    exposure, refused = converted(observations(star(), star(DENEB, 511.5 + right_px, 511.5 - up_px, magnitude=1.3)))
+    assert refused == []
+    assert (exposure.source, exposure.time_ns, exposure.hip.tolist()) == ("star.fore", STAMP_NS, [VEGA, DENEB])
+    off = np.array([1.0, np.tan(np.deg2rad(0.5)), np.tan(np.deg2rad(1.0))])
+    np.testing.assert_allclose(exposure.directions_s, [[1, 0, 0], off / np.linalg.norm(off)], atol=1e-12)
+    # On the boresight 0.1 px are 4.1253″; one degree off it a little less, by the cosine.
+    np.testing.assert_allclose(exposure.sigma / ARCSEC, 4.12530, rtol=4e-4)
+    assert exposure.sigma[1] < exposure.sigma[0]
+    # Vega in the Hipparcos catalogue, J2000.0: 18 36 56.336, +38 47 01.28 (SIMBAD).
+    assert np.rad2deg(exposure.positions.right_ascension[0]) / 15 == pytest.approx(18.6156489, abs=1e-6)
+    assert np.rad2deg(exposure.positions.declination[0]) == pytest.approx(38.783689, abs=1e-5)
+    assert exposure.positions.pm_declination[0] / ARCSEC == pytest.approx(0.286, abs=0.001)
+    # Position good to a milliarcsecond at 1991.25, motion to 0.6 mas a year at most, 23 years later.
+    assert 0 < exposure.position_sigma[0] < 0.02 * ARCSEC
+    assert exposure.identified.all()
+    assert np.isnan(exposure.magnitude[0])
+    assert exposure.magnitude[1] == pytest.approx(1.3)
+
+
+def test_a_star_without_number_has_the_place_given_or_none_yet() -> None:
+    exposure, refused = converted(
+        observations(star(0, right_ascension=1.0, declination=-0.5), star(0, 600.0, 600.0), star(ALTAIR, 100.0))
+    )
+    assert refused == []
+    assert exposure.identified.tolist() == [True, False, True]
+    given = exposure.positions[0]
+    assert (given.right_ascension, given.declination, given.pm_declination) == (1.0, -0.5, 0.0)
+    assert exposure.position_sigma[0] == pytest.approx(0.05 * ARCSEC)
+
+
+def test_a_catalogue_star_is_placed_by_the_catalogue_whatever_else_is_given() -> None:
+    by_number, _ = converted(observations(star()))
+    with_place, refused = converted(observations(star(right_ascension=4.9, declination=0.7)))
+    assert refused == []
+    assert with_place.content() == by_number.content()
+
+
+@pytest.mark.parametrize("sigma_px", [0.0, np.nan])
+def test_a_centroid_without_sigma_has_the_configured_one(sigma_px: float) -> None:
+    message = observations(star(sigma_px=sigma_px))
+    exposure, refused = converted(message)
+    assert refused == []
+    assert exposure.sigma[0] / ARCSEC == pytest.approx(0.08 * 41.2530, rel=1e-5)
+    assert not sigmas_given(message)
+    assert sigmas_given(observations(star(), star(DENEB)))
+
+
+def test_no_star_is_an_exposure_too() -> None:
+    exposure, refused = converted(observations())
+    assert (len(exposure), refused) == (0, [])
+
+
+STARS = [
+    ("pixel NaN", star(u=np.nan), Reason.NON_FINITE, "pixel (nan, 511.5)"),
+    ("pixel infinite", star(v=-np.inf), Reason.NON_FINITE, "-inf"),
+    ("pixel far outside", star(u=1e5), Reason.UNITS, "pixel (100000, 511.5) is nowhere in this camera's field"),
+    ("pixel nonsense", star(v=-1e300), Reason.UNITS, "-1e+300"),
+    ("sigma negative", star(sigma_px=-0.1), Reason.BAD_COVARIANCE, "sigma_px -0.1"),
+    ("sigma infinite", star(sigma_px=np.inf), Reason.BAD_COVARIANCE, "sigma_px inf"),
+    ("sigma too good to be true", star(sigma_px=1e-30), Reason.BAD_COVARIANCE, "expected 0.0001 to 100 px"),
+    ("number unknown", star(120_405), Reason.UNKNOWN_STAR, "HIP 120405 is not in Hipparcos-2"),
+    ("number absurd", star(2**32 - 1), Reason.UNKNOWN_STAR, "HIP 4294967295"),
+    ("right ascension in degrees", star(0, right_ascension=279.2, declination=0.6), Reason.UNITS, "degrees?"),
+    ("declination in degrees", star(0, right_ascension=4.8, declination=38.8), Reason.UNITS, "declination 38.8"),
+    ("half a place", star(0, right_ascension=4.8), Reason.NON_FINITE, "expected both"),
+    ("infinite place", star(0, right_ascension=4.8, declination=np.inf), Reason.NON_FINITE, "inf"),
+    ("the same star again", star(DENEB, 300.0, 300.0), Reason.DUPLICATE, "first at pixel (300, 300)"),
+    ("the same star elsewhere", star(DENEB, 301.0, 300.0), Reason.CONFLICT, "first at pixel (300, 300)"),
+]
+
+
+@pytest.mark.parametrize(("bad", "reason", "text"), [s[1:] for s in STARS], ids=[s[0] for s in STARS])
+def test_a_bad_star_is_left_out_and_the_others_are_as_without_it(bad: Any, reason: Reason, text: str) -> None:
+    good = star(DENEB, 300.0, 300.0), star(ALTAIR, 700.0, 200.0)
+    exposure, refused = converted(observations(*good, bad))
+    assert exposure.content() == converted(observations(*good))[0].content()
+    ((row, refusal),) = refused
+    assert (row, refusal.reason) == (2, reason)
+    assert text in refusal.text
+
+
+def test_the_same_given_place_twice_counts_once() -> None:
+    place = {"right_ascension": 1.0, "declination": 0.5}
+    exposure, refused = converted(observations(star(0, **place), star(0, 520.0, **place), star(0), star(0, 530.0)))
+    assert (len(exposure), [row for row, _ in refused]) == (3, [1])
+
+
+def test_a_flood_of_stars_is_cut() -> None:
+    exposure, refused = converted(observations(*(star(0, float(u), 10.0) for u in range(MOST_STARS + 20))))
+    assert len(exposure) == MOST_STARS
+    assert {(row >= MOST_STARS, refusal.reason) for row, refusal in refused} == {(True, Reason.OVERFLOW)}
+    assert len(refused) == 20
+
+
+WHOLE = [
+    ("stamp zero", observations(star(), stamp_ns=0), "bad_stamp", "0 ns"),
+    ("from the future", observations(star(), stamp_ns=NOW_NS + 60_000_000), "future", "0.060 s ahead"),
+    ("of another sensor", observations(star(), sensor_id="aft"), "unknown_sensor", "'aft': expected 'fore'"),
+    ("frame", observations(star(), frame_id="star_aft"), "frame", "'star_aft': expected 'star_fore'"),
+]
+
+
+@pytest.mark.parametrize(("message", "reason", "text"), [w[1:] for w in WHOLE], ids=[w[0] for w in WHOLE])
+def test_a_bad_exposure_is_refused(message: Any, reason: str, text: str) -> None:
+    with pytest.raises(Refused) as caught:
+        converted(message)
+    assert caught.value.reason == reason
+    assert text in caught.value.text
+
+
+def fix(**changes: Any) -> Any:
+    fields = {
+        "header": make_header(FACTORY, STAMP_NS, "gnss"),
+        "status": FACTORY.make("sensor_msgs/msg/NavSatStatus", status=0, service=1),
+        "latitude": 31.945213,
+        "longitude": 120.293086,
+        "altitude": 25.0,
+        "position_covariance": np.array([4.0, 1.0, 0.0, 1.0, 9.0, 0.0, 0.0, 0.0, 25.0]),
+        "position_covariance_type": 3,
+    }
+    return FACTORY.make("sensor_msgs/msg/NavSatFix", **fields | changes)
+
+
+def test_a_fix_is_a_place_with_the_error_of_each_axis() -> None:
+    taken = position_fix(fix(), SkyConfig(), NOW_NS)
+    assert (taken.time_ns, taken.covariance_known) == (STAMP_NS, True)
+    assert np.rad2deg([taken.position.latitude, taken.position.longitude]) == pytest.approx([31.945213, 120.293086])
+    assert taken.position.height_m == 25.0
+    # East 2 m, North 3 m, Up 5 m in the message; North, Up, East here.
+    np.testing.assert_array_equal(taken.covariance_m2, [[9, 0, 1], [0, 25, 0], [1, 0, 4]])
+
+
+@pytest.mark.parametrize(
+    "changes", [{"position_covariance_type": 0}, {"position_covariance": np.zeros(9)}], ids=["type", "all zero"]
+)
+def test_a_fix_without_error_has_the_configured_one(changes: dict[str, Any]) -> None:
+    taken = position_fix(fix(**changes), SkyConfig(fix_sigma_m=7.0), NOW_NS)
+    assert not taken.covariance_known
+    np.testing.assert_array_equal(taken.covariance_m2, 49.0 * np.eye(3))
+
+
+def test_a_receiver_without_height_is_at_sea_level() -> None:
+    assert position_fix(fix(altitude=np.nan), SkyConfig(), NOW_NS).position.height_m == 0.0
+
+
+def test_longitudes_count_either_way() -> None:
+    taken = position_fix(fix(longitude=190.0), SkyConfig(), NOW_NS)
+    assert np.rad2deg(taken.position.longitude) == pytest.approx(190.0)
+
+
+NO_FIX = FACTORY.make("sensor_msgs/msg/NavSatStatus", status=-1, service=1)
+FIXES = [
+    ("no fix", {"status": NO_FIX}, "no_fix", "STATUS_NO_FIX"),
+    ("latitude NaN", {"latitude": np.nan}, "non_finite", "latitude"),
+    ("longitude infinite", {"longitude": np.inf}, "non_finite", "longitude"),
+    ("latitude beyond the pole", {"latitude": 90.5}, "units", "90.5"),
+    ("longitude in minutes", {"longitude": 7217.6}, "units", "7217.6"),
+    ("altitude nonsense", {"altitude": 1e300}, "units", "altitude"),
+    ("negative variance", {"position_covariance": -np.eye(3).ravel() * 4.0}, "bad_covariance", "negative"),
+    ("covariance NaN", {"position_covariance": np.full(9, np.nan)}, "non_finite", "position_covariance"),
+    ("sigma of half the Earth", {"position_covariance": np.eye(3).ravel() * 1e13}, "bad_covariance", "is no fix"),
+    ("stamp zero", {"header": make_header(FACTORY, 0)}, "bad_stamp", "0 ns"),
+]
+
+
+@pytest.mark.parametrize(("changes", "reason", "text"), [f[1:] for f in FIXES], ids=[f[0] for f in FIXES])
+def test_a_bad_fix_is_refused(changes: dict[str, Any], reason: str, text: str) -> None:
+    with pytest.raises(Refused) as caught:
+        position_fix(fix(**changes), SkyConfig(), NOW_NS)
+    assert caught.value.reason == reason
+    assert text in caught.value.text
+
+
+AIR: dict[Callable[..., Any], tuple[str, str]] = {
+    pressure_hpa: ("FluidPressure", "fluid_pressure"),
+    temperature_c: ("Temperature", "temperature"),
+    humidity: ("RelativeHumidity", "relative_humidity"),
+}
+
+
+def air(converter: Callable[..., Any], value: float, variance: float = 0.0, stamp_ns: int = STAMP_NS) -> Any:
+    type_name, field = AIR[converter]
+    header = make_header(FACTORY, stamp_ns)
+    return FACTORY.make(f"sensor_msgs/msg/{type_name}", header=header, **{field: value}, variance=variance)
+
+
+@pytest.mark.parametrize(
+    ("converter", "value", "variance", "expected"),
+    [
+        (pressure_hpa, 100_830.0, 2500.0, (1008.3, 0.5)),
+        (pressure_hpa, 100_830.0, 0.0, (1008.3, None)),
+        (temperature_c, 28.2, 0.09, (28.2, 0.3)),
+        (temperature_c, -40.0, 0.0, (-40.0, None)),
+        (humidity, 0.82, 0.0, (0.82, None)),
+        (humidity, 1.0, 0.0, (1.0, None)),
+    ],
+)
+def test_weather_is_taken_in_its_units(
+    converter: Callable[..., Any], value: float, variance: float, expected: tuple[float, float | None]
+) -> None:
+    reading = converter(air(converter, value, variance), NOW_NS)
+    assert reading.time_ns == STAMP_NS
+    assert reading.value == pytest.approx(expected[0])
+    assert reading.sigma == (None if expected[1] is None else pytest.approx(expected[1]))
+
+
+@pytest.mark.parametrize(
+    ("converter", "value", "variance", "reason", "text"),
+    [
+        (pressure_hpa, 1008.3, 0.0, "units", "hPa, not Pa?"),
+        (pressure_hpa, 0.0, 0.0, "units", "expected 80000 to 110000 Pa"),
+        (pressure_hpa, np.nan, 0.0, "non_finite", "fluid_pressure"),
+        (temperature_c, 301.35, 0.0, "units", "kelvin, not °C?"),
+        (temperature_c, 82.8, 0.0, "units", "-60 to 60 °C"),
+        (humidity, 82.0, 0.0, "units", "percent?"),
+        (humidity, -0.1, 0.0, "units", "0 to 1"),
+        (humidity, np.inf, 0.0, "non_finite", "relative_humidity"),
+        (temperature_c, 20.0, -1.0, "bad_covariance", "negative"),
+        (temperature_c, 20.0, np.nan, "non_finite", "variance"),
+    ],
+)
+def test_bad_weather_is_refused(
+    converter: Callable[..., Any], value: float, variance: float, reason: str, text: str
+) -> None:
+    with pytest.raises(Refused) as caught:
+        converter(air(converter, value, variance), NOW_NS)
+    assert caught.value.reason == reason
+    assert text in caught.value.text
+
+
+def test_weather_without_a_stamp_is_refused() -> None:
+    with pytest.raises(Refused, match="bad_stamp"):
+        humidity(air(humidity, 0.5, stamp_ns=0), NOW_NS)
