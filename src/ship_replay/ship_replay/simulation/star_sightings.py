@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ship_attitude_star.catalogue import UNKNOWN
 from ship_attitude_star.star_camera import equivalent_sigma
 from ship_attitude_star.star_exposure import StarExposure
-from ship_geometry.rotations import FloatArray
+from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
 from ship_replay.simulation.attitude_device import MountedMotion, outside
 from ship_replay.simulation.noise import arrival_times, random_stream
@@ -21,6 +21,9 @@ from ship_replay.simulation.star_identities import swapped_identities
 
 MAGNITUDE_SIGMA = 0.2
 """Error of the magnitudes that a sensor measures."""
+
+# What the estimator takes for the error of a position that is not its catalogue's (star_messages_in).
+_GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
 
 
 @dataclass(frozen=True)
@@ -171,9 +174,11 @@ def _identities(
     config: StarSensor, sky: TrueSky, claimed: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], StarPositions, FloatArray]:
     """What the sensor says of each star: HIP number, position, and the error of that."""
-    catalogue, none = sky.catalogue, np.zeros(claimed.size)
-    if not config.identified:
-        return none.astype(np.int64), fixed_stars(none + np.nan, none + np.nan), none
-    if config.direction_given:
-        return none.astype(np.int64), place_of_date(catalogue.at_j2000[claimed], sky.track.start_ns), none
-    return catalogue.hip[claimed], catalogue.at_j2000[claimed], catalogue.sigma(claimed, year_of(sky.track.start_ns))
+    catalogue, start_ns = sky.catalogue, sky.track.start_ns
+    if config.identified and not config.direction_given:
+        return catalogue.hip[claimed], catalogue.at_j2000[claimed], catalogue.sigma(claimed, year_of(start_ns))
+    if config.identified:
+        positions = place_of_date(catalogue.at_j2000[claimed], start_ns)
+    else:
+        positions = fixed_stars(*np.full((2, claimed.size), np.nan))
+    return np.zeros_like(claimed), positions, np.full(claimed.size, _GIVEN_DIRECTION_SIGMA)
