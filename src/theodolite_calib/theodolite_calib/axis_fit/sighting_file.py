@@ -67,7 +67,7 @@ def _csv_rows(path: Path, text: str) -> Iterator[_Row]:
                 raise BadInput(f"{place}: expected {len(reader.fieldnames or [])} values as in the first line")
             yield place, values
     except csv.Error as error:
-        raise BadInput(f"{path}:{reader.line_num}: {error}") from error
+        raise BadInput(f"{path}:{reader.reader.line_num}: {error}") from error
 
 
 def _yaml_rows(path: Path, text: str) -> Iterator[_Row]:
@@ -89,7 +89,8 @@ def _yaml_rows(path: Path, text: str) -> Iterator[_Row]:
 def _refuse_missing(place: str, found: Any) -> None:
     missing = [column for column in COLUMNS if column not in found]
     if missing:
-        raise BadInput(f"{place}: columns missing: {', '.join(missing)} (degrees); found: {', '.join(map(str, found))}")
+        listed = ", ".join(map(str, found)) or "nothing"
+        raise BadInput(f"{place}: columns missing: {', '.join(missing)} (degrees); found: {listed}")
 
 
 def _number(place: str, values: Mapping[str, Any], column: str) -> float:

@@ -1,0 +1,235 @@
+"""The executable ``fit_axes``: what it writes, and what it says to bad input."""
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from axis_sightings import ERRORS, sight, spread
+
+from ship_geometry.rotations import ARCSEC, wrap_pi
+from theodolite_calib.axes import NAMES
+from theodolite_calib.axis_fit.coverage import azimuth_and_elevation
+from theodolite_calib.axis_fit.sighting_file import COLUMNS, read_sightings
+from theodolite_calib.fit_axes_command import main
+
+HEADER = "observation,encoder_azimuth_deg,encoder_elevation_deg,azimuth_offset_deg,elevation_offset_deg"
+COUNT = 40
+KNOCKED = 11
+
+
+def table_rows() -> list[list[float]]:
+    """Forty sightings with 5″ per component, one of them knocked by 2′."""
+    rng = np.random.default_rng(1)
+    sightings = sight(rng, ERRORS, spread(rng, COUNT, (10.0, 85.0)), 5.0)
+    azimuth, elevation = azimuth_and_elevation(sightings.direction_d)
+    elevation[KNOCKED] += 120.0 * ARCSEC
+    offsets = wrap_pi(azimuth - sightings.azimuth), elevation - sightings.elevation
+    return np.rad2deg([sightings.azimuth, sightings.elevation, *offsets]).T.tolist()
+
+
+def write_table(path: Path, rows: list[list[float]] | None = None, header: str = HEADER) -> Path:
+    lines = [f"S{number}," + ",".join(map(repr, row)) for number, row in enumerate(rows or table_rows())]
+    path.write_text("\n".join([header, *lines]) + "\n")
+    return path
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fit")
+    assert main([str(write_table(folder / "sightings.csv")), "--out", str(folder / "new" / "out")]) == 0
+    return folder / "new" / "out"
+
+
+def test_everything_is_written(folder: Path) -> None:
+    names = {path.name for path in folder.iterdir()}
+    assert names == {
+        "axes.yaml", "axes.csv", "correlation.csv", "residuals.csv", "residuals.png", "over_angles.png", "sky.png",
+        "terms.png",
+    }  # fmt: skip
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in folder.glob("*.png"))
+
+
+def test_tables_say_the_same(folder: Path) -> None:
+    document = yaml.safe_load((folder / "axes.yaml").read_text(encoding="utf-8"))
+    terms = {row["term"]: row for row in rows_of(folder / "axes.csv")}
+    assert tuple(terms) == NAMES
+    assert document["covariance_of"] == [name for name in NAMES if terms[name]["fitted"] == "yes"] == list(NAMES[:-1])
+    sigmas = np.sqrt(np.diagonal(document["covariance_rad2"])) / ARCSEC
+    for name, sigma in zip(NAMES[:-1], sigmas, strict=True):
+        assert float(terms[name]["value_arcsec"]) == pytest.approx(document["values_arcsec"][name], abs=1e-5)
+        assert float(terms[name]["sigma_arcsec"]) == pytest.approx(document["sigma_arcsec"][name], abs=1e-5)
+        assert document["sigma_arcsec"][name] == pytest.approx(sigma)
+        assert abs(document["values_arcsec"][name] - getattr(ERRORS, name) / ARCSEC) < 4.0 * sigma
+    assert terms["flexure"]["sigma_arcsec"] == ""
+    assert [float(row[row["term"]]) for row in rows_of(folder / "correlation.csv")] == pytest.approx([1.0] * 6)
+
+    residuals = rows_of(folder / "residuals.csv")
+    assert [row["observation"] for row in residuals if row["outlier"] == "yes"] == document["outliers"]
+    assert f"S{KNOCKED}" in document["outliers"]
+    sizes = np.array([float(row["after_arcsec"]) for row in residuals])
+    assert np.sqrt(np.mean(sizes**2)) == pytest.approx(document["rms_after_arcsec"], abs=1e-4)
+    left_out = np.array([[float(row[f"left_out_{side}_arcsec"]) for side in ("right", "up")] for row in residuals])
+    assert np.sqrt(np.mean(np.sum(left_out**2, axis=1))) == pytest.approx(document["rms_left_out_arcsec"], abs=1e-4)
+    assert document["sighting_count"] == COUNT
+
+
+def test_the_same_sightings_give_the_same_files(folder: Path, tmp_path: Path) -> None:
+    assert main([str(write_table(tmp_path / "again.csv")), "--out", str(tmp_path)]) == 0
+    for path in folder.iterdir():
+        assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
+
+
+def test_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [row for row in table_rows() if row[1] < 40.0]
+    table = write_table(tmp_path / "low.csv", rows)
+    assert main([str(table), "--out", str(tmp_path / "out"), "--fix", "beta_x=-2.5"]) == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"^beta_x +-2\.50 +fixed   tilt of the vertical axis", shown, re.MULTILINE)
+    assert re.search(r"^without a model +\d", shown, re.MULTILINE)
+    assert "poorly told apart: g, c, I: g +" in shown
+    assert f"{len(rows)} sightings, 0 of them plunged; elevations " in shown
+    assert main([str(write_table(tmp_path / "one.csv", [[10.0, 40.0, 0.01, 0.01]] * 6)), "--out", str(tmp_path)]) == 0
+    assert "not observable: 4 combinations of g, h, c, I, beta_x, beta_y" in capsys.readouterr().out
+
+
+def test_flexure_is_fitted_when_asked_for(tmp_path: Path) -> None:
+    table = write_table(tmp_path / "s.csv")
+    assert main([str(table), "--out", str(tmp_path), "--flexure", "--fix", "c", "--fix", "I=-25"]) == 0
+    document = yaml.safe_load((tmp_path / "axes.yaml").read_text(encoding="utf-8"))
+    assert document["covariance_of"] == ["g", "h", "beta_x", "beta_y", "flexure"]
+    assert document["values_arcsec"]["c"] == 0.0
+    assert document["values_arcsec"]["I"] == pytest.approx(-25.0)
+
+
+def test_yaml_and_csv_are_read_alike(tmp_path: Path) -> None:
+    rows = table_rows()
+    rows[0][0] += 360.0
+    entries = [{"observation": f"S{number}", **dict(zip(COLUMNS, row, strict=True))} for number, row in enumerate(rows)]
+    listed = tmp_path / "sightings.yaml"
+    listed.write_text(yaml.safe_dump({"sightings": entries}))
+    first, second = read_sightings(listed), read_sightings(write_table(tmp_path / "sightings.csv", rows))
+    assert first.labels == second.labels == tuple(f"S{number}" for number in range(COUNT))
+    np.testing.assert_array_equal(first.azimuth, second.azimuth)
+    np.testing.assert_array_equal(first.direction_d, second.direction_d)
+
+
+def test_rows_without_numbers_are_counted_and_other_columns_ignored(tmp_path: Path) -> None:
+    table = tmp_path / "s.csv"
+    names = ["elevation_offset_deg", "jd_utc", *list(COLUMNS)[:3]]
+    table.write_text("\ufeff" + ", ".join(names) + "\n" + "0.1, 2457652.5, 350.0, 40.0, -0.2\n\n" * 2)
+    read = read_sightings(table)
+    assert read.labels == ("1", "2")
+    assert np.rad2deg(np.stack(azimuth_and_elevation(read.direction_d))[:, 0]) == pytest.approx([349.8, 40.1])
+
+
+ROW = "S{},{},{},0.01,0.01\n"
+GOOD = "".join(ROW.format(number, 10.0 * number, 2.0 * number) for number in range(1, 11))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("s.csv", "", "columns missing: encoder_azimuth_deg, .*found: nothing"),
+        ("s.csv", HEADER + "\n", "no sightings"),
+        ("s.csv", HEADER.replace("_deg", "_rad") + "\n" + GOOD, "columns missing: .*degrees.*found: .*azimuth_rad"),
+        ("s.csv", HEADER + "\n" + GOOD + "S11,20.0,nan,0.01,0.01\n", ":12: encoder_elevation_deg is 'nan'"),
+        ("s.csv", HEADER + "\n" + GOOD + "S11,20.0,30.0,,0.01\n", ":12: azimuth_offset_deg is ''"),
+        ("s.csv", HEADER + "\n" + GOOD + "S11,20.0,30.0,fast,0.01\n", ":12: azimuth_offset_deg is 'fast'"),
+        (
+            "s.csv",
+            HEADER + "\n" + GOOD + "S11,20.0,300.0,0.01,0.01\n",
+            r":12: .* = 300 is out of its range \[-90, 270\]",
+        ),
+        ("s.csv", HEADER + "\n" + GOOD + "S11,20.0,30.0\n", ":12: expected 5 values"),
+        ("s.csv", HEADER + "\n" + GOOD + "S11,20.0,30.0,1,2,3\n", ":12: expected 5 values"),
+        ("s.csv", HEADER + "\n" + GOOD + 'S11,"20.0,30.0\n', ":12: unexpected end of data"),
+        ("s.csv", HEADER + "\n" + GOOD[: GOOD.index("S6")], "5 sightings for 6 terms: expected at least 6"),
+        ("s.csv", HEADER + "\n" + "".join(ROW.format(k, 0.6 * k, 0.1 * k) for k in range(9)), "look like radians"),
+        (
+            "s.csv",
+            HEADER
+            + "\n"
+            + "".join(f"{k},{9 * k},{8 * k},{30 + (-1) ** k * 9},{(-1) ** k * 7}\n" for k in range(1, 11)),
+            "scatter by [0-9.]+ deg about any axis errors: expected offsets",
+        ),
+        ("s.yaml", "sightings: [\n", "not a YAML file"),
+        ("s.yaml", "rows: []\n", "expected 'sightings:' with a list"),
+        ("s.yaml", "sightings: [3]\n", "sighting 1: expected encoder_azimuth_deg, .* got 3"),
+        ("s.yml", "sightings: [{encoder_azimuth_deg: 3.0}]\n", "sighting 1: columns missing: encoder_elevation_deg"),
+        ("s.mcap", "", "sightings are read from .csv, .yaml or .yml"),
+    ],
+)
+def test_bad_table_is_one_line(
+    name: str, text: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / name
+    table.write_text(text)
+    assert main([str(table), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.startswith(f"fit_axes: {table}")
+    assert re.search(reason, error.strip()), error
+    assert not (tmp_path / "out").exists()
+
+
+def test_yaml_numbers_must_be_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = tmp_path / "s.yaml"
+    for wrong in (True, None, [1.0], float("inf")):
+        table.write_text(yaml.safe_dump({"sightings": [dict.fromkeys(COLUMNS, wrong)]}))
+        assert main([str(table), "--out", str(tmp_path)]) == 2
+        assert "sighting 1: encoder_azimuth_deg is " in capsys.readouterr().err
+
+
+def test_files_that_cannot_be_used_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path / "absent.csv"), "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == f"fit_axes: {tmp_path / 'absent.csv'}: No such file or directory\n"
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
+    assert main([str(tmp_path / "binary.csv"), "--out", str(tmp_path)]) == 2
+    assert "binary.csv: not a text in UTF-8" in capsys.readouterr().err
+    (tmp_path / "taken").touch()
+    assert main([str(write_table(tmp_path / "s.csv")), "--out", str(tmp_path / "taken")]) == 2
+    assert capsys.readouterr().err == f"fit_axes: {tmp_path / 'taken'}: File exists\n"
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--fix", "K"], "'K' is no term: expected one of g, h, c, I, beta_x, beta_y, flexure"),
+        (["--fix", "c=wide"], "'wide' is no value of 'c'"),
+        (["--fix", "c="], "'' is no value of 'c'"),
+        (["--fix", "c=nan"], "expected a finite number of arcsec"),
+    ],
+)
+def test_bad_options_are_one_line(options: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["s.csv", "--out", "out", *options])
+    assert left.value.code == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert reason in error
+
+
+def test_options_that_contradict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = str(write_table(tmp_path / "s.csv"))
+    assert main([table, "--out", str(tmp_path), "--flexure", "--fix", "flexure=3"]) == 2
+    assert "contradict each other" in capsys.readouterr().err
+    every = [argument for name in NAMES for argument in ("--fix", name)]
+    assert main([table, "--out", str(tmp_path), *every]) == 2
+    assert "nothing is left to fit" in capsys.readouterr().err
+
+
+def test_help(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["--help"])
+    assert left.value.code == 0
+    shown = capsys.readouterr().out
+    for word in (*COLUMNS, *NAMES, "[arcsec", "[deg]", "exit code: 0"):
+        assert word in shown

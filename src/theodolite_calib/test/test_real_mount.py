@@ -1,0 +1,69 @@
+"""A real alt-azimuth mount: 118 sightings of stars on two nights, and an observatory package's own fit of them.
+
+Expected values: the README beside the sightings, and models.md §5.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_geometry.rotations import ARCSEC
+from theodolite_calib.axis_fit.robust_fit import AxisFit, fit, rms, sizes
+from theodolite_calib.axis_fit.sighting_file import read_sightings
+from theodolite_calib.axis_fit.sightings import Sightings
+from theodolite_calib.axis_fit.told_apart import correlated_pairs, poorly_told_apart
+
+TABLE = Path(__file__).parents[3].parent / "shared" / "data" / "altaz_mount" / "pointing.csv"
+
+pytestmark = pytest.mark.skipif(not TABLE.is_file(), reason=f"the mount's sightings are not here: {TABLE}")
+
+
+@pytest.fixture(scope="module")
+def sightings() -> Sightings:
+    return read_sightings(TABLE)
+
+
+@pytest.fixture(scope="module")
+def six_terms(sightings: Sightings) -> AxisFit:
+    return fit(sightings, {"flexure": 0.0})
+
+
+def test_six_terms(six_terms: AxisFit) -> None:
+    assert rms(six_terms.before) / ARCSEC == pytest.approx(39.56, abs=0.01)
+    assert rms(six_terms.residuals) / ARCSEC <= 12.05
+    assert np.median(sizes(six_terms.residuals)) / ARCSEC <= 7.7
+    assert rms(six_terms.left_out) / ARCSEC <= 12.5
+
+
+def test_outliers(sightings: Sightings, six_terms: AxisFit) -> None:
+    assert [sightings.labels[number] for number in np.flatnonzero(six_terms.outliers)] == ["7", "50", "153"]
+    assert np.all(six_terms.weights[six_terms.outliers] < 0.5)
+
+
+def test_collimation_and_tilt_are_hardly_told_apart(six_terms: AxisFit) -> None:
+    pairs = {pair[:2]: pair[2] for pair in correlated_pairs(six_terms)}
+    assert pairs["c", "I"] < -0.98
+    assert [combination.names for combination in poorly_told_apart(six_terms)] == [("g", "c", "I")]
+
+
+def test_left_out_is_what_refits_give(sightings: Sightings, six_terms: AxisFit) -> None:
+    """On the sightings that pull the most and on some that do not."""
+    for number in [*np.argsort(-sizes(six_terms.residuals))[:4], 0, 1]:
+        kept = np.arange(len(sightings.labels)) != number
+        others = Sightings(
+            tuple(np.array(sightings.labels)[kept]),
+            sightings.azimuth[kept],
+            sightings.elevation[kept],
+            sightings.direction_d[kept],
+        )
+        refitted = sightings.residuals(fit(others, {"flexure": 0.0}).errors)[number]
+        assert np.linalg.norm(refitted - six_terms.left_out[number]) <= 0.3 * ARCSEC
+
+
+def test_agrees_with_the_observatory(sightings: Sightings) -> None:
+    """Its model: c fixed at 0, flexure added."""
+    errors = fit(sightings, {"c": 0.0}).errors
+    assert abs(errors.g / ARCSEC + 28.7) <= 1.5
+    assert abs(errors.I / ARCSEC + 17.2) <= 1.5
+    assert np.hypot(errors.beta_x / ARCSEC, errors.beta_y / ARCSEC + 4.6) <= 2.0
