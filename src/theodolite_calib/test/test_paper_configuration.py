@@ -15,9 +15,9 @@ from theodolite_calib.pointing import Pointing, solve
 EPOCHS = 10_000
 AZIMUTH_DEG = 77.0
 ELEVATIONS_DEG = (10.0, 30.0, 60.0, 80.0)
-IMAGE_ROTATIONS_DEG = (0.0, 40.0, 180.0, -180.0)
 DIRECTIONS = pytest.mark.parametrize(
-    ("elevation_deg", "rotation_deg"), [(e, w) for e in ELEVATIONS_DEG for w in IMAGE_ROTATIONS_DEG]
+    ("elevation_deg", "rotation_deg"),
+    [*((e, 0.0) for e in ELEVATIONS_DEG), *((30.0, w) for w in (40.0, 180.0, -180.0)), (80.0, 40.0)],
 )
 
 

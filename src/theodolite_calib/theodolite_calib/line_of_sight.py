@@ -82,9 +82,9 @@ class Survey:
         light_lever: from the drone's antenna to its light, in b.
         rtk_base_sigma_m: error of the baselines (N, U, E) that is common to all: the ship's antenna, shape (3,).
         rtk_bias_sigma_m: error of a baseline (N, U, E) of its own that lasts, shape (3,).
-        refraction_coefficient: k of the air near the sea, about 0.13.
+        refraction_coefficient: k of the air near the sea, about 0.13; one, or one for each light, shape (..., N).
         refraction_sigma: of k, common to all lights.
-        refraction_light_sigma: of what k differs on the way to each light, shape (...), (..., N) for each its own.
+        refraction_light_sigma: of what k differs by on the way to each light, in the same shapes.
     """
 
     theodolite_lever: LeverArm
@@ -92,7 +92,7 @@ class Survey:
     light_lever: LeverArm
     rtk_base_sigma_m: FloatArray
     rtk_bias_sigma_m: FloatArray
-    refraction_coefficient: float
+    refraction_coefficient: FloatArray | float
     refraction_sigma: float
     refraction_light_sigma: FloatArray | float
 
@@ -151,7 +151,7 @@ def lines_of_sight(lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
     distance_m = np.linalg.norm(path_n, axis=-1)
     # What a coefficient of one raises the light by, in metres.
     raised_n = (distance_m**2 / (2.0 * EARTH_RADIUS_M))[..., None] * _UP
-    seen_n = path_n + survey.refraction_coefficient * raised_n
+    seen_n = path_n + np.asarray(survey.refraction_coefficient, dtype=float)[..., None] * raised_n
 
     per_metre = unit_vector_jacobian(seen_n)
     by_deck = per_metre @ ship.rotation_nd[..., None, :, :]
