@@ -48,7 +48,7 @@ class StuckGuard:
         """True where the source is stuck.
 
         Args:
-            value: its attitude now, shape (3, 3).
+            value: what it says now: its attitude, shape (3, 3), or the directions of its stars.
             witnesses: by name, the attitude now as others have it.
         """
         if self._value is not None and np.array_equal(value, self._value):

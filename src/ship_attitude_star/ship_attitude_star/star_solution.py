@@ -84,11 +84,11 @@ def solve_stars(stars: SightedStars, prior: AttitudePrior | None = None) -> Star
     chosen = members if count else np.ones_like(members)
     attitude = wahba.solve(stars.reference_n, stars.measured_b, np.where(chosen, stars.white_sigma, np.inf))
     if not attitude.solved:
-        return _refused(stars, members, Refusal(Reason.TOO_FEW_STARS, _open_turn(int(np.count_nonzero(chosen)))))
+        return no_attitude(members, Refusal(Reason.TOO_FEW_STARS, _open_turn(int(np.count_nonzero(chosen)))))
     if not count:
         text = f"{len(stars)} stars, no set of them belongs together more than another"
         reason = Reason.TOO_FEW_STARS if len(stars) < FEWEST_VERIFIED else Reason.MISIDENTIFIED
-        return _refused(stars, members, Refusal(reason, text))
+        return no_attitude(members, Refusal(reason, text))
     fit = linearized(stars, attitude.rotation_nd)
     judgement = fit.judge(members)
     residual_n = fit.displacement * stars.white_sigma[:, None]
@@ -150,7 +150,13 @@ def _angle_text(angle: float) -> str:
     return f'{angle / ARCSEC:.1f}"' if angle < 600.0 * ARCSEC else f"{np.rad2deg(angle):.2f}°"
 
 
-def _refused(stars: SightedStars, members: NDArray[np.bool_], refusal: Refusal) -> StarSolution:
+def no_attitude(members: NDArray[np.bool_], refusal: Refusal) -> StarSolution:
+    """An INVALID solution.
+
+    Args:
+        members: stars that belong together all the same, shape (k,).
+        refusal: why it is none.
+    """
     unknown = np.full((3, 3), np.nan)
     return StarSolution(
         status=SolutionStatus.INVALID,
@@ -158,5 +164,5 @@ def _refused(stars: SightedStars, members: NDArray[np.bool_], refusal: Refusal) 
         rotation_nb=unknown,
         parts_n=np.full((len(SOLUTION_TERMS), 3, 3), np.nan),
         members=members,
-        residual_n=np.full((len(stars), 3), np.nan),
+        residual_n=np.full((len(members), 3), np.nan),
     )

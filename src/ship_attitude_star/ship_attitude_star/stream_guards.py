@@ -4,8 +4,9 @@ import numpy as np
 
 from ship_attitude_star.input_guards import RateIntegrator, RateUnitsGuard, StuckGuard, Witness
 from ship_attitude_star.samples import AttitudeMeasurement, Reason, Refusal
+from ship_attitude_star.star_exposure import StarExposure
 from ship_geometry.attitude_track import AttitudeSample
-from ship_geometry.rotations import ARCSEC
+from ship_geometry.rotations import ARCSEC, FloatArray
 
 
 class StreamGuards:
@@ -48,15 +49,29 @@ class StreamGuards:
         self, measurement: AttitudeMeasurement, newest_ins: AttitudeSample | None
     ) -> Refusal | None:
         """The refusal of a device's measurement later than all before of it; None where nothing is wrong with it."""
-        source = measurement.source
+        sigma_rad = _worst_sigma_rad(measurement)
+        if self._stands_still(measurement.source, measurement.rotation_nv, sigma_rad, newest_ins):
+            return Refusal(Reason.STUCK, "attitude stands still while other sources move")
+        return None
+
+    def check_exposure(self, exposure: StarExposure, newest_ins: AttitudeSample | None) -> Refusal | None:
+        """The same of an exposure. No star in it, again and again, is no sign of anything."""
+        if len(exposure) == 0:
+            return None
+        sigma_rad = float(np.max(exposure.sigma))
+        if self._stands_still(exposure.source, exposure.directions_s, sigma_rad, newest_ins):
+            return Refusal(Reason.STUCK, "stars stand still on the detector while other sources move")
+        return None
+
+    def _stands_still(
+        self, source: str, value: FloatArray, sigma_rad: float, newest_ins: AttitudeSample | None
+    ) -> bool:
         if source not in self._stuck:
-            self._stuck[source] = StuckGuard(_worst_sigma_rad(measurement))
+            self._stuck[source] = StuckGuard(sigma_rad)
         witnesses = {name: witness for name, witness in self._witnesses.items() if name != source}
         if newest_ins is not None:
             witnesses["ins"] = Witness(newest_ins.rotation_nd, self._ins_sigma_rad)
-        if self._stuck[source].observe(measurement.rotation_nv, witnesses):
-            return Refusal(Reason.STUCK, "attitude stands still while other sources move")
-        return None
+        return self._stuck[source].observe(value, witnesses)
 
     def used(self, measurement: AttitudeMeasurement) -> None:
         """A measurement was not refused: from now on it tells how the ship moves."""

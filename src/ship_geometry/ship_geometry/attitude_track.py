@@ -29,6 +29,10 @@ class AttitudeSample:
     rotation_nd: FloatArray
     rate_d: FloatArray | None = None
 
+    def content(self) -> bytes:
+        """All values as bytes: equal for a repeated sample, and an order for conflicting ones."""
+        return self.rotation_nd.tobytes() + (b"" if self.rate_d is None else self.rate_d.tobytes())
+
 
 @dataclass(frozen=True)
 class InterpolatedAttitude:
