@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from ship_attitude_star.device_config import InsInputConfig, MountingConfig, arcsec, degrees
+from ship_attitude_star.star_config import CameraConfig, SkyConfig
 from ship_estimation.parameters import mapping_of, parameter, section
 
 
@@ -28,8 +29,9 @@ class StarSensorConfig(MountingConfig):
     input: str = parameter(
         "horizon_attitude",
         doc="topic under star/<id>/ that feeds the filter",
-        choices=("horizon_attitude", "solution"),
+        choices=("horizon_attitude", "solution", "observations", "inertial_attitude"),
     )
+    camera: CameraConfig = section(CameraConfig)
     serial: str = parameter("", doc="serial number; a saved alignment of another one becomes a wider prior")
     installation_walk_forward_arcsec_per_sqrt_h: float = parameter(
         0.0, doc="random walk of the installation about the boresight", unit="arcsec/sqrt(h)", minimum=0.0
@@ -68,6 +70,11 @@ class StarSensorConfig(MountingConfig):
     flexure_time_s: float = parameter(
         10.0, doc="correlation time of the flexure", unit="s", minimum=0.1, maximum=1e7
     )
+
+    @property
+    def looks_at_sky(self) -> bool:
+        """Whether its messages are about the stars, and the horizon must be found here."""
+        return self.input in ("observations", "inertial_attitude")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,6 +147,7 @@ class ShipAttitudeConfig:
     star_sensors: dict[str, StarSensorConfig] = mapping_of("star sensors by id")
     references: dict[str, ReferenceConfig] = mapping_of("other attitude systems by name")
     gate: GateConfig = section(GateConfig)
+    sky: SkyConfig = section(SkyConfig)
     lag_s: float = parameter(
         2.0, doc="measurements up to this late are applied at their own time", unit="s", minimum=0.0, maximum=600.0
     )

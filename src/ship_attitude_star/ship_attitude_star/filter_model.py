@@ -10,6 +10,10 @@ star.<id>.installation (3)      sensor   m: R(sensor -> deck) = R(A0, E0, roll0)
 star.<id>.common (3)            horizon  error shared by successive solutions: R_measured = exp(c) R_true ...
 star.<id>.time_offset (1)                a message is valid at its stamp + this; only where it has a sigma
 star.<id>.flexure (3)           deck     hull between INS and sensor; only where it has a sigma
+sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two only where a
+                                         sensor gives single stars or an attitude against the ICRS
+sky.earth_rotation (1)                   error of UT1, in its own sigmas
+sky.position (2)                         error of the ship's position, in its own sigmas
 reference.<name>.installation   device   as for a star sensor, from the INS's deck axes
 reference.<name>.slow           device   its own slow error; only where it has a sigma
 reference.<name>.time_offset             stamp of the reference - stamp of the INS for the same attitude
@@ -21,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_attitude_star.config import InsConfig, ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.star_config import SkyConfig
 from ship_estimation.state import StateBlock, StateModel, block
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -33,6 +38,9 @@ SOURCE_STAR_NOISE = "star_noise"
 SOURCE_STAR_COMMON = "star_common"
 SOURCE_STAR_TIME = "star_time_offset"
 SOURCE_FLEXURE = "flexure"
+SOURCE_REFRACTION = "refraction"
+SOURCE_EARTH_ROTATION = "earth_rotation"
+SOURCE_POSITION = "ship_position"
 SOURCE_REFERENCE = "reference_installation"
 SOURCE_REFERENCE_NOISE = "reference_noise"
 SOURCE_REFERENCE_SLOW = "reference_slow_error"
@@ -75,6 +83,8 @@ def state_model(config: ShipAttitudeConfig) -> StateModel:
     blocks = _ins_blocks(config.ins)
     for id_, star in config.star_sensors.items():
         blocks += _star_blocks(f"star.{id_}", star)
+    if any(star.looks_at_sky for star in config.star_sensors.values()):
+        blocks += _sky_blocks(config.sky)
     for name, reference in config.references.items():
         blocks += _reference_blocks(f"reference.{name}", reference)
     noise_sources = [SOURCE_STAR_NOISE] if config.star_sensors else []
@@ -141,6 +151,23 @@ def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
         sigma_flexure = [star.flexure_sigma_arcsec * ARCSEC] * 3
         blocks.append(block(f"{name}.flexure", sigma_flexure, SOURCE_FLEXURE, time_s=star.flexure_time_s))
     return blocks
+
+
+def _sky_blocks(sky: SkyConfig) -> list[StateBlock]:
+    """What all stars share, in the order of SHARED_TERMS.
+
+    Each exposure says how large its sigma is, so the states count in sigmas. UT1 errs the same for days.
+    """
+    return [
+        block("sky.refraction", [1.0], SOURCE_REFRACTION, time_s=sky.refraction_time_s),
+        block("sky.earth_rotation", [1.0], SOURCE_EARTH_ROTATION),
+        block("sky.position", [1.0, 1.0], SOURCE_POSITION, time_s=sky.position_time_s),
+    ]
+
+
+def sky_rows(model: StateModel) -> slice:
+    """Where the states are that all stars share, in the order of SHARED_TERMS."""
+    return slice(model.slices["sky.refraction"].start, model.slices["sky.position"].stop)
 
 
 def _reference_blocks(name: str, reference: ReferenceConfig) -> list[StateBlock]:

@@ -2,9 +2,10 @@
 
 With R_i the INS attitude at the device's moment, all errors explained in :mod:`ship_attitude_star.filter_model`:
 
-    R_measured = exp(c) exp(a) exp(w) R_i exp(f) R0 exp(m) exp(s) exp(noise)        horizon from device
+    R_measured = exp(-z) exp(c) exp(a) exp(w) R_i exp(f) R0 exp(m) exp(s) exp(noise)        horizon from device
 
-with c a star sensor's common error, f flexure, m installation error, s the slow error of a reference.
+with c a star sensor's common error, f flexure, m installation error, s the slow error of a reference; z is the turn of
+the sky that all sensors share, a sum over its causes.
 
 The residual is log(R_predicted^T R_measured), a rotation vector in the device frame.
 """
@@ -13,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.filter_model import Device
+from ship_attitude_star.filter_model import Device, sky_rows
+from ship_attitude_star.samples import AttitudeMeasurement
 from ship_estimation.state import StateModel
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
@@ -71,6 +73,15 @@ def predict_attitude(
     return PredictedAttitude(rotation_nv, jacobian)
 
 
-def attitude_residual(predicted: PredictedAttitude, rotation_nv: FloatArray) -> FloatArray:
-    """Measured minus predicted attitude, rotation vector in the device frame, rad, shape (3,)."""
-    return log_rotation(predicted.rotation_nv.T @ rotation_nv)
+def attitude_measurement(
+    predicted: PredictedAttitude, measurement: AttitudeMeasurement, model: StateModel, mean: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Measured minus predicted attitude, rotation vector in the device frame, rad, (3,), and its Jacobian, (3, n)."""
+    rotation_nv, jacobian_v = predicted.rotation_nv, predicted.jacobian_v
+    if measurement.shared_n is not None:
+        rows = sky_rows(model)
+        turn = -measurement.shared_n @ mean[rows]
+        rotation_nv = exp_rotation(turn) @ rotation_nv
+        jacobian_v = jacobian_v.copy()
+        jacobian_v[:, rows] = -rotation_nv.T @ left_jacobian(turn) @ measurement.shared_n
+    return log_rotation(rotation_nv.T @ measurement.rotation_nv), jacobian_v

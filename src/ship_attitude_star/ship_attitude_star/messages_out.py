@@ -95,7 +95,6 @@ def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int) 
 
 def innovation(factory: MessageFactory, decision: Decision) -> Any:
     """ship_msgs/Innovation of a measurement that was judged."""
-    compared = bool(np.isfinite(decision.nis))
     reason, text = decision.reason, decision.text
     if decision.accepted and not decision.measurement.covariance_known:
         reason, text = Reason.COVARIANCE_UNKNOWN, "the message gives no covariance: used with the configured sigma"
@@ -106,9 +105,9 @@ def innovation(factory: MessageFactory, decision: Decision) -> Any:
         "ship_msgs/msg/Innovation",
         header=make_header(factory, decision.measurement.time_ns, decision.measurement.source),
         source=decision.measurement.source,
-        components=["forward", "up", "right"] if compared else [],
-        residual=decision.residual_v if compared else np.empty(0),
-        sigma=decision.sigma_v if compared else np.empty(0),
+        components=list(decision.components),
+        residual=decision.residual,
+        sigma=decision.sigma,
         nis=float(decision.nis),
         gate=float(decision.gate),
         accepted=decision.accepted,

@@ -2,6 +2,7 @@
 
 import enum
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -83,6 +84,8 @@ class AttitudeMeasurement:
         noise_v: covariance, independent from epoch to epoch, in the device frame, rad², shape (3, 3).
         common_n: covariance of what epochs share, rotation vector in the horizon frame, rad², shape (3, 3).
         covariance_known: False where the message gave none and the configured sigma stands in.
+        shared_n: turn of the sky, as the horizon has it, by one sigma of each error that all star sensors share
+            (:data:`ship_attitude_star.sky.SHARED_TERMS`), rad, shape (3, 4); None where the message knows of none.
     """
 
     source: str
@@ -91,10 +94,38 @@ class AttitudeMeasurement:
     noise_v: FloatArray
     common_n: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     covariance_known: bool = True
+    shared_n: FloatArray | None = None
 
     def content(self) -> bytes:
         """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
         return self.rotation_nv.tobytes() + self.noise_v.tobytes() + self.common_n.tobytes()
+
+
+class Measurement(Protocol):
+    """What every kind of measurement has: its source, its stamp, and bytes to tell it from another of its stamp."""
+
+    @property
+    def source(self) -> str:
+        """``star.<id>`` or ``reference.<name>``."""
+        ...
+
+    @property
+    def time_ns(self) -> int:
+        """Stamp of the device."""
+        ...
+
+    @property
+    def covariance_known(self) -> bool:
+        """False where the message gave none and the configured sigma stands in."""
+        ...
+
+    def content(self) -> bytes:
+        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        ...
+
+
+ATTITUDE_COMPONENTS = ("forward", "up", "right")
+"""Of the residual of an attitude: rotation vector in the device frame."""
 
 
 @dataclass(frozen=True)
@@ -104,25 +135,28 @@ class Decision:
     Attributes:
         measurement: the measurement itself.
         ins_time_ns: the stamp of the INS to which it was compared.
-        residual_v: measured minus predicted attitude, rotation vector in the device frame, rad; NaN where it
-            was not compared at all.
-        sigma_v: predicted standard deviation of the residual, rad.
-        nis: normalised innovation squared, chi² with three degrees of freedom.
+        residual: measured minus predicted, rad; empty where it was not compared at all.
+        sigma: predicted standard deviation of each component of the residual, rad.
+        components: names of them: ATTITUDE_COMPONENTS, or "HIP 92420 up" and "HIP 92420 right" for each star used.
+        nis: normalised innovation squared, chi² with as many degrees of freedom.
         gate: the value that ``nis`` must not exceed.
         reason: why it was not used; NONE where it was.
         revised: True where a measurement that arrived late changed an earlier decision.
         text: explanation for people.
+        stars_refused: of an exposure, the stars that had no part in it, by name.
     """
 
-    measurement: AttitudeMeasurement
+    measurement: Measurement
     reason: Reason
     ins_time_ns: int = 0
-    residual_v: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    sigma_v: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    residual: FloatArray = field(default_factory=lambda: np.empty(0))
+    sigma: FloatArray = field(default_factory=lambda: np.empty(0))
+    components: tuple[str, ...] = ()
     nis: float = float("nan")
     gate: float = float("nan")
     text: str = ""
     revised: bool = False
+    stars_refused: tuple[tuple[str, Refusal], ...] = ()
 
     @property
     def accepted(self) -> bool:

@@ -3,13 +3,24 @@
 Knows no ROS, no files, no clock. Measurements enter in any order; within ``lag_s`` each is applied at its own time.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from ship_attitude_star.alignment import Alignment, AlignmentPrior, alignment_of, prior_of, state_from_prior
 from ship_attitude_star.attitude_output import CorrectedIns, estimate_from_star, no_estimate
+from ship_attitude_star.comparison import attitude_alone
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, Decision, Reason, Refusal, same_stamp
+from ship_attitude_star.samples import (
+    AttitudeEstimate,
+    AttitudeMeasurement,
+    Decision,
+    Measurement,
+    Reason,
+    Refusal,
+    same_stamp,
+)
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
+from ship_attitude_star.sky_watch import SkyWatch
 from ship_attitude_star.stream_guards import StreamGuards
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
@@ -38,10 +49,12 @@ class ShipAttitudeCore:
 
     Args:
         config: the node's parameters.
+        watch: the sky; None where no sensor looks at it itself.
     """
 
-    def __init__(self, config: ShipAttitudeConfig) -> None:
+    def __init__(self, config: ShipAttitudeConfig, watch: SkyWatch | None = None) -> None:
         self.config = config
+        self._watch = watch
         self.filter = ShipFilter(config)
         self._start: tuple[AlignmentPrior, int] | None = None
         self._lag_ns = round(config.lag_s * _SECOND_NS)
@@ -63,7 +76,9 @@ class ShipAttitudeCore:
         self._track = AttitudeTrack(self._max_gap_ns)
         self._newest_ns = 0
         self._guards = StreamGuards(self.config.ins.white_sigma_arcsec * ARCSEC)
-        self._latest: dict[str, AttitudeMeasurement] = {}
+        self._latest: dict[str, Measurement] = {}
+        if self._watch is not None:
+            self._watch.reset()
         if clock_jumped:
             self._last_output_ns = 0
 
@@ -72,7 +87,7 @@ class ShipAttitudeCore:
         initial = self.filter.initial_state()
         if self._start is not None:
             initial, _ = state_from_prior(self.filter, self.config, *self._start)
-        self._log: TimeOrderedLog[FilterState, AttitudeMeasurement, Decision] = TimeOrderedLog(initial)
+        self._log: TimeOrderedLog[FilterState, Measurement, Decision] = TimeOrderedLog(initial)
         self._corrected = CorrectedIns(self.filter, initial)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
@@ -106,8 +121,28 @@ class ShipAttitudeCore:
             self._publish(outcome, self._estimate_from_ins(sample.time_ns))
         return outcome
 
-    def add_measurement(self, measurement: AttitudeMeasurement) -> Outcome:
-        """The attitude of a star sensor or of another attitude system."""
+    def add_surroundings(self, inserted: Callable[[SkyWatch], Refusal | int | None]) -> Outcome:
+        """Where the ship is, or the air around it.
+
+        Args:
+            inserted: puts it into the sky; returns the moment (ns) after which the sky has changed, None where it has
+                not, or why it is not used.
+        """
+        assert self._watch is not None
+        changed_after_ns = inserted(self._watch)
+        if isinstance(changed_after_ns, Refusal):
+            return Outcome(changed_after_ns)
+        outcome = Outcome()
+        if changed_after_ns is not None:
+            self._log.rewind_where(
+                lambda decision: decision.measurement.time_ns > changed_after_ns
+                and not isinstance(decision.measurement, AttitudeMeasurement)
+            )
+            self._apply(outcome)
+        return outcome
+
+    def add_measurement(self, measurement: Measurement) -> Outcome:
+        """What a star sensor or another attitude system has measured."""
         refusal = self._measurement_refusal(measurement)
         if refusal is not None:
             return Outcome(refusal)
@@ -122,11 +157,14 @@ class ShipAttitudeCore:
         self._log.insert(key, measurement)
         if self._is_latest(measurement):
             self._latest[measurement.source] = measurement
-            self._guards.used(measurement)
+            if isinstance(measurement, AttitudeMeasurement):
+                self._guards.used(measurement)
         self._advance(measurement.time_ns, outcome)
         carries = self._ins_silent(measurement.time_ns) and self._may_carry(measurement.source)
         if carries and measurement.time_ns > self._last_output_ns:
-            self._publish(outcome, estimate_from_star(self.filter, self.state, measurement))
+            attitude = attitude_alone(measurement, self._watch)
+            if attitude is not None:
+                self._publish(outcome, estimate_from_star(self.filter, self.state, attitude))
         return outcome
 
     def tick(self, now_ns: int) -> Outcome:
@@ -169,14 +207,15 @@ class ShipAttitudeCore:
             self._forget_estimate()
         return refusal
 
-    def _measurement_refusal(self, measurement: AttitudeMeasurement) -> Refusal | None:
+    def _measurement_refusal(self, measurement: Measurement) -> Refusal | None:
         if self._too_late(measurement.time_ns):
             return self._late(measurement.time_ns)
-        if not self._is_latest(measurement):
+        # Single stars that stand still while the ship moves leave the gate by themselves.
+        if not self._is_latest(measurement) or not isinstance(measurement, AttitudeMeasurement):
             return None
         return self._guards.check_measurement(measurement, self._track.newest)
 
-    def _is_latest(self, measurement: AttitudeMeasurement) -> bool:
+    def _is_latest(self, measurement: Measurement) -> bool:
         latest = self._latest.get(measurement.source)
         return latest is None or measurement.time_ns > latest.time_ns
 
@@ -192,22 +231,27 @@ class ShipAttitudeCore:
     def _advance(self, time_ns: int, outcome: Outcome) -> None:
         """Apply what can be applied now, then close the window behind ``lag_s``."""
         self._newest_ns = max(self._newest_ns, time_ns)
-        for decision, previous in self._log.apply(self._step):
-            if previous is None:
-                outcome.decisions.append(decision)
-            elif previous.accepted != decision.accepted:
-                outcome.decisions.append(replace(decision, revised=True))
+        self._apply(outcome)
         oldest_ns = self._newest_ns - self._lag_ns
         # The INS's stamps differ from a device's, and an INS sample changes what is compared within a gap of it.
         reach_ns = oldest_ns - self._max_gap_ns - self._longest_shift_ns
         self._log.forget_before(reach_ns)
         self._track.drop_before(reach_ns - self._longest_shift_ns)
+        if self._watch is not None:
+            self._watch.drop_before(reach_ns)
 
-    def _step(self, state: FilterState, measurement: AttitudeMeasurement) -> tuple[FilterState, Decision] | None:
+    def _apply(self, outcome: Outcome) -> None:
+        for decision, previous in self._log.apply(self._step):
+            if previous is None:
+                outcome.decisions.append(decision)
+            elif previous.accepted != decision.accepted:
+                outcome.decisions.append(replace(decision, revised=True))
+
+    def _step(self, state: FilterState, measurement: Measurement) -> tuple[FilterState, Decision] | None:
         awaited = not self._track.covers(self.filter.ins_time_ns(state, measurement))
         if awaited and measurement.time_ns >= self._newest_ns - self._lag_ns:
             return None
-        return self.filter.step(state, measurement, self._track)
+        return self.filter.step(state, measurement, self._track, self._watch)
 
     # -- outputs --------------------------------------------------------------------------------------------
 

@@ -9,11 +9,13 @@ from typing import TypeVar
 
 import numpy as np
 
+from ship_attitude_star.comparison import compare
 from ship_attitude_star.config import GateConfig, ShipAttitudeConfig
 from ship_attitude_star.filter_model import SOURCE_STAR_COMMON, Device, devices, state_model
 from ship_attitude_star.hints import heading_hint
-from ship_attitude_star.measurement_models import attitude_residual, ins_time_of, predict_attitude
-from ship_attitude_star.samples import AttitudeMeasurement, Decision, Reason
+from ship_attitude_star.measurement_models import ins_time_of, predict_attitude
+from ship_attitude_star.samples import AttitudeMeasurement, Decision, Measurement, Reason, Refusal
+from ship_attitude_star.sky_watch import SkyWatch
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
 from ship_geometry.attitude_track import AttitudeTrack
@@ -74,7 +76,7 @@ class ShipFilter:
         """The state before any measurement: no error known, all of them possible."""
         return FilterState(None, np.zeros(self.model.size), self.model.initial_parts())
 
-    def ins_time_ns(self, state: FilterState, measurement: AttitudeMeasurement) -> int:
+    def ins_time_ns(self, state: FilterState, measurement: Measurement) -> int:
         """Stamp (ns) of the INS for the attitude that was measured."""
         device = self.devices[measurement.source]
         return ins_time_of(device, self.model, state.mean, measurement.time_ns)
@@ -93,11 +95,17 @@ class ShipFilter:
         return replace(state, time_ns=max(time_ns, state.time_ns), mean=decay * state.mean, parts=parts)
 
     def step(
-        self, state: FilterState, measurement: AttitudeMeasurement, track: AttitudeTrack
+        self, state: FilterState, measurement: Measurement, track: AttitudeTrack, watch: SkyWatch | None
     ) -> tuple[FilterState, Decision]:
         """Predict to the measurement, judge it, and use it where the gate lets it pass.
 
         The track must span the moment of the measurement; in a gap of it the measurement is refused.
+
+        Args:
+            state: after the measurement before.
+            measurement: to be used.
+            track: attitudes of the INS.
+            watch: the sky; None where no sensor needs it.
         """
         ins_time_ns = self.ins_time_ns(state, measurement)
         ins = track.at(ins_time_ns)
@@ -107,9 +115,11 @@ class ShipFilter:
         device = self.devices[measurement.source]
         before, state = state, self._with_common(self.predicted(state, measurement.time_ns), measurement)
         predicted = predict_attitude(device, self.model, state.mean, ins)
-        residual = attitude_residual(predicted, measurement.rotation_nv)
+        compared = compare(measurement, predicted, self.model, state.mean, state.covariance, watch)
+        if isinstance(compared, Refusal):
+            return before, Decision(measurement, compared.reason, ins_time_ns, text=compared.text)
         source_index = self.model.sources.index(device.noise_source)
-        linear = LinearMeasurement(residual, predicted.jacobian_v, measurement.noise_v, source_index)
+        linear = LinearMeasurement(compared.residual, compared.jacobian, compared.noise, source_index)
         try:
             covariance, nis = innovation(state.parts, linear)
         except np.linalg.LinAlgError as error:
@@ -118,14 +128,18 @@ class ShipFilter:
             measurement=measurement,
             reason=Reason.NONE,
             ins_time_ns=ins_time_ns,
-            residual_v=residual,
-            sigma_v=np.sqrt(np.diagonal(covariance)),
+            residual=linear.residual,
+            sigma=np.sqrt(np.diagonal(covariance)),
+            components=compared.components,
             nis=nis,
-            gate=chi_square_gate(self._gate.probability, 3),
+            gate=chi_square_gate(self._gate.probability, len(linear.residual)),
+            stars_refused=compared.stars_refused,
         )
         if nis > decision.gate:
             # Not even the prediction is kept: the state stays, to the last bit, as without this measurement.
-            return self._refused(before, decision, ins.rotation_nd, predicted.rotation_nv)
+            # The deck as the measurement has it: the predicted deck turned as the predicted device must be.
+            measured_nd = compared.rotation_nv @ predicted.rotation_nv.T @ ins.rotation_nd
+            return self._refused(before, decision, ins.rotation_nd, measured_nd)
         correction, parts = update(state.parts, linear, covariance)
         state = replace(
             state,
@@ -140,9 +154,9 @@ class ShipFilter:
     def _common_index(self) -> int:
         return self.model.sources.index(SOURCE_STAR_COMMON)
 
-    def _with_common(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
+    def _with_common(self, state: FilterState, measurement: Measurement) -> FilterState:
         """The common error of this sensor's messages, as large as the message says."""
-        if not measurement.common_n.any():
+        if not isinstance(measurement, AttitudeMeasurement) or not measurement.common_n.any():
             return state
         parts = state.parts
         if measurement.source not in state.common_n:
@@ -154,7 +168,7 @@ class ShipFilter:
         )
 
     def _refused(
-        self, state: FilterState, decision: Decision, ins_nd: FloatArray, predicted_nv: FloatArray
+        self, state: FilterState, decision: Decision, ins_nd: FloatArray, measured_nd: FloatArray
     ) -> tuple[FilterState, Decision]:
         """Hold the estimate; after a run of refusals say so and, where configured, re-open the gate."""
         source = decision.measurement.source
@@ -162,8 +176,6 @@ class ShipFilter:
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
         if run >= self._gate.conflict_after:
             reason = Reason.ATTITUDE_CONFLICT
-            # The deck as the measurement has it: the predicted deck turned as the predicted device must be.
-            measured_nd = decision.measurement.rotation_nv @ predicted_nv.T @ ins_nd
             text = f"{run} refusals in a row: {source} and the INS disagree{heading_hint(ins_nd, measured_nd)}"
         state = replace(state, refusals=_with(state.refusals, source, run))
         if self._gate.reopen_after and run % self._gate.reopen_after == 0:

@@ -19,7 +19,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.star_directions import RefreshedSky, StarPositions
 
 SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position")
-"""Error source of each column of :attr:`ApparentStars.shared_n`; the position has two, not north and east by name."""
+"""Error source of each column of :attr:`ApparentStars.shared_n`: of two for the position, one is north."""
 
 EARTH_ROTATION_RATE = 15.041 * ARCSEC
 """Angle by which the sky turns in a second of UT1, rad."""
@@ -83,36 +83,46 @@ class Sky:
         shared_n = np.empty((*direction_n.shape, len(SHARED_TERMS)))
         bent_sigma = bent.sigma(air.pressure_sigma_hpa, air.temperature_sigma_k)
         shared_n[..., 0] = _upward(direction_n) * bent_sigma[..., None]
-        shared_n[..., 1:] = self.turned(direction_n, time_ns, place)
+        # turn × direction for all three turns in one product.
+        across = skew(self.turns(time_ns, place)).transpose(2, 1, 0).reshape(3, 9)
+        shared_n[..., 1:] = (direction_n @ across).reshape(*direction_n.shape, 3)
         return ApparentStars(direction_n, shared_n, elevation, np.isfinite(bent_sigma))
 
-    def turned(self, direction_n: FloatArray, time_ns: int, place: Place) -> FloatArray:
-        """Displacement of directions by one sigma of Earth rotation and of position, rad, shape (..., 3, 3)."""
+    def without_air(self, stars: StarPositions, time_ns: int, place: Place) -> FloatArray:
+        """Directions of stars as they would be seen without air, shape (k, 3)."""
+        return self._refreshed.directions(stars, time_ns, place.observer)
+
+    def refraction_at(self, elevation: float, air: Air) -> tuple[float, float]:
+        """Refraction at an elevation without air and its standard deviation, rad; NaN where the model does not hold."""
+        bent = refraction(self._model, elevation, air.weather, self._wavelength_um)
+        return float(bent.angle), float(bent.sigma(air.pressure_sigma_hpa, air.temperature_sigma_k))
+
+    def turns(self, time_ns: int, place: Place) -> FloatArray:
+        """Turn of the whole sky by one sigma of Earth rotation and of position, rotation vectors, rad, shape (3, 3)."""
         turns_n = np.empty((3, 3))
-        latitude = float(place.observer.position.latitude)
-        pole_n = np.array([np.cos(latitude), np.sin(latitude), 0.0])
-        turns_n[0] = EARTH_ROTATION_RATE * self._refreshed.orientation(time_ns).ut1_sigma_s * pole_n
+        latitude = place.observer.position.latitude
+        turn = EARTH_ROTATION_RATE * self._refreshed.orientation(time_ns).ut1_sigma_s
+        turns_n[0] = turn * np.cos(latitude), turn * np.sin(latitude), 0.0
         turns_n[1:] = position_turns(place)
-        # turn × direction for all three turns in one product.
-        across = skew(turns_n).transpose(2, 1, 0).reshape(3, 9)
-        return (direction_n @ across).reshape(*direction_n.shape, 3)
+        return turns_n
 
 
 def position_turns(place: Place) -> FloatArray:
-    """Turn of the sky in the horizon frame (rotation vectors, rad) by each of two independent errors of one sigma.
+    """Turn of the sky in the horizon frame by each of two independent errors of one sigma, rad, shape (2, 3).
 
-    Shape (2, 3). A ship that is farther north than it thinks sees the sky turned about East, one farther east about
-    the Earth's axis: 31 m are 1″.
+    A ship that is farther north than it thinks sees the sky turned about East, one farther east about the Earth's
+    axis: 31 m are 1″. The first error is north and what goes with it east, the second the rest of east: a filter may
+    keep them as states.
     """
-    position = place.observer.position
+    position, covariance_m2 = place.observer.position, place.covariance_m2
     radius_north_m, radius_east_m = horizon_radii_m(position)
     # The horizon turns by +latitude about -East and by +longitude about the pole, the sky in it the other way.
     per_north = np.array([0.0, 0.0, 1.0]) / radius_north_m
     per_east = -np.array([1.0, np.tan(position.latitude), 0.0]) / radius_east_m
-    horizontal = place.covariance_m2[::2, ::2]
-    values, vectors = np.linalg.eigh(horizontal)
-    errors_m = vectors * np.sqrt(np.maximum(values, 0.0))
-    return errors_m.T @ np.array([per_north, per_east])
+    north_m = np.sqrt(max(covariance_m2[0, 0], 0.0))
+    east_with_north_m = covariance_m2[0, 2] / north_m if north_m > 0.0 else 0.0
+    east_m = np.sqrt(max(covariance_m2[2, 2] - east_with_north_m**2, 0.0))
+    return np.stack([north_m * per_north + east_with_north_m * per_east, east_m * per_east])
 
 
 def _upward(direction_n: FloatArray) -> FloatArray:

@@ -97,6 +97,9 @@ class SkyConfig:
     refraction_time_s: float = parameter(
         3600.0, doc="correlation time of the error of refraction", unit="s", minimum=1.0, maximum=1e7
     )
+    magnitude_limit: float = parameter(
+        7.0, doc="faintest star (Hp) that a detection without an identity may be", minimum=-2.0, maximum=15.0
+    )
     fix_max_age_s: float = parameter(
         60.0, doc="without a fix as young as this no star is used", unit="s", minimum=0.1, maximum=3600.0
     )

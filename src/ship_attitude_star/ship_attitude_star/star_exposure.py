@@ -37,6 +37,11 @@ class StarExposure:
     magnitude: FloatArray
 
     @property
+    def covariance_known(self) -> bool:
+        """A centroid's error is the sensor's own business: stars without one carry the configured sigma."""
+        return True
+
+    @property
     def identified(self) -> NDArray[np.bool_]:
         """Whether it is known which star it is, shape (k,)."""
         return np.isfinite(self.positions.right_ascension)

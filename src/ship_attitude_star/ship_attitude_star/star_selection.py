@@ -136,13 +136,13 @@ def _pair_trials(stars: SightedStars) -> list[Trial]:
     solution = wahba.solve(stars.reference_n[pairs], stars.measured_b[pairs], sigma[pairs])
     pairs, solved = pairs[solution.solved], np.atleast_1d(solution.solved)
     rotation_nb, covariance_n = solution.rotation_nd[solved], solution.covariance_n[solved]
-    basis = _across(stars.reference_n)
+    basis = across(stars.reference_n)
     displacement = stars.reference_n - stars.measured_b @ np.swapaxes(rotation_nb, -1, -2)
     left = np.einsum("kij,tkj->tki", basis, displacement)
     turned = basis @ skew(stars.reference_n)
     covariance = np.einsum("kia,tab,kjb->tkij", turned, covariance_n, turned)
     covariance += (sigma**2)[:, None, None] * np.eye(2)
-    members = _distance(left, covariance) < MEMBER_DISTANCE
+    members = distance(left, covariance) < MEMBER_DISTANCE
     # The two stars of the trial belong to it, and only one side of the sphere does.
     members &= np.einsum("tkj,kj->tk", displacement, stars.reference_n) < 0.5
     members[np.arange(len(pairs))[:, None], pairs] = True
@@ -195,7 +195,7 @@ def _without_worst(fit: StarFit, judgement: Judgement, members: BoolArray) -> Bo
 
 def _single_trials(stars: SightedStars, fit: StarFit, prior: AttitudePrior) -> list[Trial]:
     """What the other stars say once the prior was turned to one of them, the largest sets first."""
-    basis = _across(stars.reference_n)
+    basis = across(stars.reference_n)
     left = np.einsum("kij,kj->ki", basis, fit.displacement)
     rows = basis @ fit.jacobian
     known = np.eye(rows.shape[-1])
@@ -203,7 +203,7 @@ def _single_trials(stars: SightedStars, fit: StarFit, prior: AttitudePrior) -> l
     covariance = np.einsum("kia,ab,ljb->klij", rows, known, rows)
     own = np.arange(len(stars))
     covariance[own, own] += np.eye(2)
-    possible = np.flatnonzero(_distance(left, covariance[own, own]) < MEMBER_DISTANCE)
+    possible = np.flatnonzero(distance(left, covariance[own, own]) < MEMBER_DISTANCE)
     # Each possible star t updates the prior; the others k are compared with what is then predicted.
     cross = covariance[:, possible].swapaxes(0, 1)
     gain = cross @ np.linalg.inv(covariance[possible, possible])[:, None]
@@ -211,7 +211,7 @@ def _single_trials(stars: SightedStars, fit: StarFit, prior: AttitudePrior) -> l
     rest_covariance = covariance[own, own] - gain @ np.swapaxes(cross, -1, -2)
     rest_covariance[np.arange(len(possible)), possible] = np.eye(2)
     rest[np.arange(len(possible)), possible] = 0.0
-    members = _distance(rest, rest_covariance) < MEMBER_DISTANCE
+    members = distance(rest, rest_covariance) < MEMBER_DISTANCE
     return _by_size(members, np.zeros(len(possible)))
 
 
@@ -221,12 +221,12 @@ def _by_size(members: BoolArray, spread: FloatArray) -> list[Trial]:
     return [Trial(members[row], int(counts[row])) for row in np.lexsort((spread, -counts)).tolist()]
 
 
-def _distance(left: FloatArray, covariance: FloatArray) -> FloatArray:
+def distance(left: FloatArray, covariance: FloatArray) -> FloatArray:
     """Mahalanobis² of (..., 2) under (..., 2, 2)."""
     return np.einsum("...i,...i->...", left, np.linalg.solve(covariance, left[..., None])[..., 0])
 
 
-def _across(direction: FloatArray) -> FloatArray:
+def across(direction: FloatArray) -> FloatArray:
     """Two unit vectors across each direction, shape (k, 2, 3)."""
     # Beside the axis that the direction is farthest from, so that no direction is special.
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]

@@ -1,0 +1,100 @@
+"""A measurement of any kind against the predicted attitude of its device: residual, Jacobian, noise."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_attitude_star.inertial_attitude import InertialAttitude, in_horizon
+from ship_attitude_star.measurement_models import PredictedAttitude, attitude_measurement
+from ship_attitude_star.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement, Measurement, Refusal
+from ship_attitude_star.sky_watch import SkyWatch
+from ship_attitude_star.star_exposure import StarExposure
+from ship_attitude_star.star_update import attitude_by_stars, star_residuals
+from ship_estimation.state import StateModel
+from ship_geometry.rotations import FloatArray
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A measurement against its prediction.
+
+    Attributes:
+        residual: measured minus predicted, rad, shape (m,).
+        jacobian: of the residual per state, shape (m, n).
+        noise: covariance of the white noise, rad², shape (m, m).
+        components: names of the residuals.
+        rotation_nv: horizon from device as measured, shape (3, 3); as predicted where single stars agree with that.
+        stars_refused: stars that had no part in it, by name.
+    """
+
+    residual: FloatArray
+    jacobian: FloatArray
+    noise: FloatArray
+    components: tuple[str, ...]
+    rotation_nv: FloatArray
+    stars_refused: tuple[tuple[str, Refusal], ...] = ()
+
+
+def compare(
+    measurement: Measurement,
+    predicted: PredictedAttitude,
+    model: StateModel,
+    mean: FloatArray,
+    covariance: FloatArray,
+    watch: SkyWatch | None,
+) -> Compared | Refusal:
+    """Compare a measurement with the attitude predicted for its device.
+
+    Args:
+        measurement: an attitude, an attitude against the ICRS, or single stars.
+        predicted: attitude of the device at the moment of the measurement.
+        model: what the states are.
+        mean: of the state, shape (n,).
+        covariance: of the state, shape (n, n).
+        watch: the sky; None where no sensor needs it.
+
+    Returns:
+        The refusal where it cannot be compared.
+    """
+    if isinstance(measurement, AttitudeMeasurement):
+        return _compare_attitude(measurement, predicted, model, mean)
+    assert watch is not None
+    assert isinstance(measurement, StarExposure | InertialAttitude)
+    refusal = watch.reason_against(measurement.time_ns)
+    if refusal is not None:
+        return refusal
+    if isinstance(measurement, InertialAttitude):
+        attitude = in_horizon(measurement, watch)
+        return attitude if isinstance(attitude, Refusal) else _compare_attitude(attitude, predicted, model, mean)
+    stars = star_residuals(measurement, predicted, covariance, watch, model, mean)
+    if isinstance(stars, Refusal):
+        return stars
+    rotation_ns = predicted.rotation_nv if stars.rotation_ns is None else stars.rotation_ns
+    return Compared(
+        stars.residual, stars.jacobian, np.diag(stars.noise), stars.components, rotation_ns, stars.refused
+    )
+
+
+def _compare_attitude(
+    attitude: AttitudeMeasurement, predicted: PredictedAttitude, model: StateModel, mean: FloatArray
+) -> Compared:
+    residual, jacobian = attitude_measurement(predicted, attitude, model, mean)
+    return Compared(residual, jacobian, attitude.noise_v, ATTITUDE_COMPONENTS, attitude.rotation_nv)
+
+
+def attitude_alone(measurement: Measurement, watch: SkyWatch | None) -> AttitudeMeasurement | None:
+    """The attitude of a star sensor by one measurement and nothing else; None where it does not give one."""
+    if isinstance(measurement, AttitudeMeasurement):
+        return measurement
+    assert watch is not None
+    assert isinstance(measurement, StarExposure | InertialAttitude)
+    if watch.reason_against(measurement.time_ns) is not None:
+        return None
+    if isinstance(measurement, StarExposure):
+        attitude = attitude_by_stars(measurement, watch)
+        return None if isinstance(attitude, Refusal) else attitude
+    attitude = in_horizon(measurement, watch)
+    if isinstance(attitude, Refusal):
+        return None
+    assert attitude.shared_n is not None
+    return replace(attitude, common_n=attitude.shared_n @ attitude.shared_n.T, shared_n=None)
