@@ -22,7 +22,8 @@ DETECTION_M = 0.65e-6
 BASELINE_M = 0.027
 REFRACTION = 2.0 * ARCSEC
 EARTH_RADIUS_M = 6_371_000.0
-LIGHTS_DEG = np.array([[3.0, 2.0], [-2.0, -3.0]])
+FOUR_LIGHTS_DEG = np.array([[3.0, 2.0], [-2.0, -3.0], [-3.0, 1.5], [0.5, -1.0]])
+LIGHTS_DEG = FOUR_LIGHTS_DEG[:2]
 NONE = np.zeros(3)
 
 SURVEY = Survey(
