@@ -100,6 +100,18 @@ def test_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "not observable: 4 combinations of g, h, c, I, beta_x, beta_y" in capsys.readouterr().out
 
 
+def test_zero_points_may_be_degrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    moved = [[row[0] + 137.0, row[1] - 10.0, row[2] - 137.0, row[3] + 10.0] for row in table_rows()]
+    outcomes = []
+    for name, rows in (("near", table_rows()), ("far", moved)):
+        assert main([str(write_table(tmp_path / f"{name}.csv", rows)), "--out", str(tmp_path / name)]) == 0
+        outcomes.append(yaml.safe_load((tmp_path / name / "axes.yaml").read_text(encoding="utf-8")))
+    near, far = (np.array(list(outcome["values_arcsec"].values())) for outcome in outcomes)
+    np.testing.assert_allclose(far - near, [137.0 * 3600.0, -36000.0, 0.0, 0.0, 0.0, 0.0, 0.0], rtol=0.0, atol=1e-3)
+    assert (tmp_path / "far" / "terms.png").read_bytes() != (tmp_path / "near" / "terms.png").read_bytes()
+    assert "RMS" in capsys.readouterr().out
+
+
 def test_flexure_is_fitted_when_asked_for(tmp_path: Path) -> None:
     table = write_table(tmp_path / "s.csv")
     assert main([str(table), "--out", str(tmp_path), "--flexure", "--fix", "c", "--fix", "I=-25"]) == 0

@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MultipleLocator
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -19,6 +19,8 @@ from theodolite_calib.axis_fit.sightings import Sightings
 _GOOD, _OUTLIER = "#0b3c6f", "#c1440e"
 _SIDES = ("to the right", "up")
 _ROOM = 1.12
+# Zero points of encoders may be degrees, where the rest is arcseconds: beyond this ratio one scale shows only them.
+_STEEP = 20.0
 # Of the radius of the sky, for an arrow as long as the scale.
 _ARROW = 0.05
 _CORRELATION_COLOURS = "RdBu_r"
@@ -39,17 +41,21 @@ def _figures(fit: AxisFit, sightings: Sightings) -> Iterator[tuple[str, Figure]]
 
 
 def _before_and_after(fit: AxisFit, sightings: Sightings) -> Figure:
-    """How far the sightings lie beside the model, without and with it, to the same scale."""
-    figure, panels = plt.subplots(1, 2, figsize=(11, 6.4), sharex=True, sharey=True, layout="compressed")
-    limit = _ROOM * max(float(np.max(np.abs(part))) for part in (fit.before, fit.residuals)) / ARCSEC
+    """How far the sightings lie beside the model, without and with it, to the same scale if that shows both."""
+    figure, panels = plt.subplots(1, 2, figsize=(11, 6.4), layout="compressed")
+    limits = [_ROOM * float(np.max(np.abs(part))) / ARCSEC for part in (fit.before, fit.residuals)]
+    if limits[0] < _STEEP * limits[1]:
+        limits = [max(limits)] * 2
     words = ("without a model", f"with {len(fit.fitted)} fitted terms")
-    for axes, residuals, title in zip(panels, (fit.before, fit.residuals), words, strict=True):
+    for axes, residuals, title, limit in zip(panels, (fit.before, fit.residuals), words, limits, strict=True):
         circle = np.linspace(0.0, 2.0 * np.pi, 181)
         radius = rms(residuals) / ARCSEC
         axes.plot(radius * np.cos(circle), radius * np.sin(circle), color="0.4", ls="--", lw=1.2, label="RMS")
         _draw_points(axes, residuals[:, 0] / ARCSEC, residuals[:, 1] / ARCSEC, fit.outliers)
         axes.set(title=f"{title}: RMS {radius:.1f}″", xlabel=f"{_SIDES[0]} [″]", aspect="equal")
         axes.set(xlim=(-limit, limit), ylim=(-limit, limit))
+        # Long numbers need room.
+        axes.xaxis.set_major_locator(MaxNLocator(8 if limit < 1000.0 else 4))
     _name_outliers(panels[1], fit.residuals / ARCSEC, fit.outliers, sightings.labels)
     panels[0].set_ylabel(f"{_SIDES[1]} [″]")
     panels[0].legend(loc="upper left")
@@ -121,11 +127,15 @@ def _terms(fit: AxisFit) -> Figure:
     figure, (bars, matrix) = plt.subplots(1, 2, figsize=(12, 1.8 + 0.6 * count), layout="constrained")
     rows = np.arange(count)
     values = np.array([getattr(fit.errors, name) for name in fit.fitted]) / ARCSEC
+    sigmas = fit.sigmas / ARCSEC
+    others = (np.abs(values) + sigmas)[~np.isin(fit.fitted, ["g", "h"])]
+    shown = np.abs(values) < _STEEP * np.max(others) if len(others) else np.full(count, True)
     bars.axvline(0.0, color="0.4", lw=1)
-    bars.errorbar(values, rows, xerr=2.0 * fit.sigmas / ARCSEC, fmt="o", color=_GOOD, capsize=4)
-    for row, value, sigma in zip(rows, values, fit.sigmas / ARCSEC, strict=True):
-        text = f"{value:.1f} ± {sigma:.1f}″".replace("-", "−")
-        bars.annotate(text, (value, row), xytext=(0, 9), textcoords="offset points", ha="center", size=10)
+    bars.errorbar(values[shown], rows[shown], xerr=2.0 * sigmas[shown], fmt="o", color=_GOOD, capsize=4)
+    for row, value, sigma, inside in zip(rows, values, sigmas, shown, strict=True):
+        text = f"{value:.1f} ± {sigma:.1f}″".replace("-", "−") + ("" if inside else " (off the scale)")
+        place = (value if inside else 0.0, row)
+        bars.annotate(text, place, xytext=(0, 9), textcoords="offset points", ha="center", size=10)
     bars.set(yticks=rows, yticklabels=fit.fitted, ylim=(count - 0.5, -0.7), xlabel="[″]", title="Fitted terms, ±2σ")
 
     correlation = fit.correlation
