@@ -147,8 +147,8 @@ def test_the_budget_adds_up_to_the_covariance(name):
     sources = {"rtk", "lever_arms", "ship_attitude", "drone_attitude", "refraction", "image", "focal_length"}
     assert set(pointing.parts_n) == (sources if prior is None else sources | {"encoder"})
     parts = np.array(list(pointing.parts_n.values()))
-    # The covariance by the information of the equations, which knows nothing of sources; taken one step later, which may
-    # be 1e-9 rad.
+    # The covariance by the information of the equations, which knows nothing of sources; taken one step later, which
+    # may be 1e-9 rad.
     lines = epoch.lines()
     line_covariance = total(covariance_by_source(lines.terms))
     equations = linearised(epoch.image, epoch.camera, lines.direction_n, line_covariance, pointing.rotation_nt, prior)
