@@ -13,7 +13,7 @@ from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.star_selection import AttitudePrior, across, distance
 from ship_estimation.gates import chi_square_gate
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, skew
-from ship_geometry.star_directions import StarPositions, fixed_stars
+from ship_geometry.star_directions import StarPositions
 
 GATE_PROBABILITY = 0.9999
 MAGNITUDE_TOLERANCE = 1.5
@@ -21,8 +21,6 @@ MAGNITUDE_TOLERANCE = 1.5
 
 _FIELD_MARGIN = np.deg2rad(1.0)
 """Aberration, refraction and the prediction's own error, together far less."""
-
-_AXES = fixed_stars(np.array([0.0, 0.5 * np.pi, 0.0]), np.array([0.0, 0.0, 0.5 * np.pi]))
 
 
 def identified(
@@ -65,14 +63,13 @@ def identified(
 def _in_field(directions_s: FloatArray, time_ns: int, prior: AttitudePrior, watch: SkyWatch) -> np.ndarray:
     """Rows of the catalogue that may be in the field, those that the sensor can see."""
     place, _ = watch.surroundings(time_ns)
-    # Celestial axes as seen from the ship: near enough a rotation.
-    rotation_nc = watch.sky.without_air(_AXES, time_ns, place).T
+    rotation_nc = watch.sky.rotation_horizon_from_icrs(time_ns, place)
     centre_s = np.mean(directions_s, axis=0)
     centre_s /= np.linalg.norm(centre_s)
     radius = np.max(angle_between(directions_s, centre_s)) + _FIELD_MARGIN
     centre_c = rotation_nc.T @ prior.rotation_nb @ centre_s
     bright = watch.bright_rows
-    return bright[watch.bright_directions @ centre_c > np.cos(radius) * np.linalg.norm(centre_c)]
+    return bright[watch.bright_directions @ centre_c > np.cos(radius)]
 
 
 def _mahalanobis(seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, prior: AttitudePrior) -> FloatArray:

@@ -1,24 +1,18 @@
 """The attitude of a star tracker against the ICRS → its attitude in the horizon, by the same sky as single stars.
 
-The tracker has taken annual aberration out (its quaternion is against the ICRS); the chain puts it back with everything
-else between the catalogue and the horizon. Air lifts the boresight: refraction is a turn there, as the tracker's own
-mean over its field sees it.
+The tracker has taken aberration out of what it sees: its quaternion turns bodies, so the Earth's rotation alone brings
+it to the horizon. Of the air it knows nothing: it takes a star that is seen lifted for one that stands higher, so the turn
+by refraction at the boresight comes on top.
 """
 
 from dataclasses import dataclass
 
-import erfa
 import numpy as np
 
 from ship_attitude_star.samples import AttitudeMeasurement, Refusal
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_geometry.refraction import elevation_of
 from ship_geometry.rotations import FloatArray, exp_rotation
-from ship_geometry.star_directions import fixed_stars
-
-# Of the second direction from the boresight, rad: small against the field in which aberration is a turn, large against
-# rounding.
-_APART = 1e-3
 
 
 @dataclass(frozen=True)
@@ -54,18 +48,14 @@ def in_horizon(inertial: InertialAttitude, watch: SkyWatch) -> AttitudeMeasureme
     Returns:
         The refusal where the boresight is lower than the refraction model holds.
     """
-    time_ns, rotation_cs = inertial.time_ns, inertial.rotation_cs
+    time_ns = inertial.time_ns
     place, air = watch.surroundings(time_ns)
-    beside = rotation_cs[:, 0] + _APART * rotation_cs[:, 1]
-    celestial = np.stack([rotation_cs[:, 0], beside / np.linalg.norm(beside)])
-    forward, towards_up = watch.sky.without_air(fixed_stars(*erfa.c2s(celestial)), time_ns, place)
+    without_air_ns = watch.sky.rotation_horizon_from_icrs(time_ns, place) @ inertial.rotation_cs
+    forward = without_air_ns[:, 0]
     elevation = float(elevation_of(forward))
     angle, sigma = watch.sky.refraction_at(elevation, air)
     if not np.isfinite(angle):
         return watch.sky.too_low(elevation)
-    up = towards_up - (towards_up @ forward) * forward
-    up /= np.linalg.norm(up)
-    without_air_ns = np.stack([forward, up, np.cross(forward, up)], axis=-1)
     # Lifting turns about the level axis on the left of the direction: forward × Up.
     level = np.array([-forward[2], 0.0, forward[0]])
     lift = level / np.linalg.norm(level)

@@ -88,9 +88,9 @@ class Sky:
         shared_n[..., 1:] = (direction_n @ across).reshape(*direction_n.shape, 3)
         return ApparentStars(direction_n, shared_n, elevation, np.isfinite(bent_sigma))
 
-    def without_air(self, stars: StarPositions, time_ns: int, place: Place) -> FloatArray:
-        """Directions of stars as they would be seen without air, shape (k, 3)."""
-        return self._refreshed.directions(stars, time_ns, place.observer)
+    def rotation_horizon_from_icrs(self, time_ns: int, place: Place) -> FloatArray:
+        """The horizon's axes from those of the ICRS, shape (3, 3): how bodies turn, without aberration and air."""
+        return self._refreshed.rotation_horizon_from_icrs(time_ns, place.observer.position)
 
     def refraction_at(self, elevation: float, air: Air) -> tuple[float, float]:
         """Refraction at an elevation without air and its standard deviation, rad; NaN where the model does not hold."""

@@ -18,7 +18,7 @@ import erfa
 import numpy as np
 
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable
-from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.geodetic import GeodeticPosition, rotation_horizon_from_ecef
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS, JulianDate, TimeNs, julian_date, tt_julian_date
 
@@ -177,6 +177,18 @@ class RefreshedSky:
             0.0,
         )
         return _horizon_directions(stars, epoch.to_cirs, to_horizon, observer)
+
+    def rotation_horizon_from_icrs(self, time_ns: int, position: GeodeticPosition) -> FloatArray:
+        """The horizon's axes (N, U, E) from those of the ICRS, shape (3, 3): how bodies turn, aberration left out.
+
+        Raises:
+            OutsideEarthOrientation: the table has no value for this moment.
+        """
+        epoch = self._epoch(time_ns)
+        polar_motion = erfa.pom00(epoch.orientation.pole_x, epoch.orientation.pole_y, epoch.tio_locator)
+        earth_rotation = erfa.era00(*_ut1(time_ns, epoch.orientation))
+        rotation_ei = erfa.c2tcio(epoch.to_cirs["bpn"], earth_rotation, polar_motion)
+        return rotation_horizon_from_ecef(position.latitude, position.longitude) @ rotation_ei
 
     def orientation(self, time_ns: int) -> EarthOrientation:
         """Earth orientation used at a moment, with its error."""
