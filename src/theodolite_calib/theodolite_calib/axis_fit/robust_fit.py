@@ -4,9 +4,9 @@ Huber's loss of the angle on the sky, r = |residual|, against the scale s (sigma
 
     rho(r) = r² / 2  for r <= k s,   k s (r - k s / 2)  beyond,   k = 1.345
 
-so that a sighting within 1.3 s counts in full and one far out with the weight k s / r. The loss is convex: one minimum,
-whatever the start. s is the median of r, in units of that of a normal error in two components, 1.177 s. Minimised by
-iteratively reweighted Gauss-Newton steps (Huber, "Robust Statistics", 1981, ch. 7).
+so that a sighting within 1.3 s counts in full and one far out with the weight k s / r. The loss is convex: with errors
+as small as these there is one minimum, whatever the start. s is the median of r over 1.177, which it is for a normal
+error in two components. Minimised by iteratively reweighted Gauss-Newton steps (Huber, "Robust Statistics", 1981, ch. 7).
 """
 
 from collections.abc import Mapping
@@ -168,7 +168,7 @@ def _result(sightings: Sightings, vector: FloatArray, free: NDArray[np.bool_], s
 
 
 def _covariance(residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray) -> FloatArray:
-    """Huber (1981) eq. (7.6.8) for residuals of two components, and the prior.
+    """Huber (1981) §7.6, for residuals of two components, and the prior.
 
     The loss beyond k s resists a change along the residual not at all and one across it with its weight: on the average
     over both with half the weight.
