@@ -6,7 +6,9 @@ Huber's loss of the angle on the sky, r = |residual|, against the scale s (sigma
 
 so that a sighting within 1.3 s counts in full and one far out with the weight k s / r. The loss is convex: with errors
 as small as these there is one minimum, whatever the start. s is the median of r over 1.177, which it is for a normal
-error in two components. Minimised by iteratively reweighted Gauss-Newton steps (Huber, "Robust Statistics", 1981, ch. 7).
+error in two components. Minimised by iteratively reweighted Gauss-Newton steps.
+
+Huber, "Robust Statistics" (1981), ch. 7.
 """
 
 from collections.abc import Mapping
