@@ -4,37 +4,22 @@ Reads attributes only, so any message class will do; what cannot be used raises
 :class:`ship_node.message_checks.Refused`.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from ship_attitude_star.sky_inputs import AirReading, PositionFix, SkyInput
 from ship_attitude_star.star_config import SkyConfig
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance
-from ship_geometry.rotations import FloatArray
 from ship_node.message_checks import Refused, covariance_3x3, finite_numbers, stamp_ns
+from ship_node.topics import InputTopic
 
 _NO_FIX = -1
 _COVARIANCE_UNKNOWN = 0
 _LARGEST_POSITION_SIGMA_M = 1e6
 _LARGEST_HEIGHT_M = 20_000.0
-
-
-class PositionFix(NamedTuple):
-    """A fix: its stamp, the antenna, its covariance in (North, Up, East), and whether the message gave that."""
-
-    time_ns: int
-    position: GeodeticPosition
-    covariance_m2: FloatArray
-    covariance_known: bool
-
-
-class Reading(NamedTuple):
-    """A stamp, a value and its standard deviation; None where the message gives none."""
-
-    time_ns: int
-    value: float
-    sigma: float | None
 
 
 def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> PositionFix:
@@ -65,7 +50,7 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> PositionFi
     return PositionFix(time_ns, position, covariance_m2, covariance_enu is not None)
 
 
-def pressure_hpa(message: Any, receive_ns: int) -> Reading:
+def pressure(message: Any, receive_ns: int) -> AirReading:
     """``met/pressure``, in Pa → hPa.
 
     Raises:
@@ -73,11 +58,11 @@ def pressure_hpa(message: Any, receive_ns: int) -> Reading:
     """
     pascal = float(message.fluid_pressure)
     hint = ": hPa, not Pa?" if 800.0 <= pascal <= 1100.0 else ""
-    reading = _reading(message, "fluid_pressure", pascal, (80_000.0, 110_000.0), f"Pa at a ship{hint}", receive_ns)
-    return Reading(reading.time_ns, 0.01 * pascal, None if reading.sigma is None else 0.01 * reading.sigma)
+    meaning = f"80000 to 110000 Pa at a ship{hint}"
+    return _reading("pressure", message, pascal, (80_000.0, 110_000.0), 0.01, meaning, receive_ns)
 
 
-def temperature_c(message: Any, receive_ns: int) -> Reading:
+def temperature(message: Any, receive_ns: int) -> AirReading:
     """``met/temperature``, in degrees Celsius.
 
     Raises:
@@ -85,10 +70,10 @@ def temperature_c(message: Any, receive_ns: int) -> Reading:
     """
     celsius = float(message.temperature)
     hint = ": kelvin, not °C?" if 213.0 <= celsius <= 333.0 else ""
-    return _reading(message, "temperature", celsius, (-60.0, 60.0), f"°C at a ship{hint}", receive_ns)
+    return _reading("temperature", message, celsius, (-60.0, 60.0), 1.0, f"-60 to 60 °C at a ship{hint}", receive_ns)
 
 
-def humidity(message: Any, receive_ns: int) -> Reading:
+def humidity(message: Any, receive_ns: int) -> AirReading:
     """``met/humidity``, 0 to 1.
 
     Raises:
@@ -96,17 +81,47 @@ def humidity(message: Any, receive_ns: int) -> Reading:
     """
     fraction = float(message.relative_humidity)
     hint = ": percent?" if 1.0 < fraction <= 100.0 else ""
-    return _reading(message, "relative_humidity", fraction, (0.0, 1.0), f"as a fraction{hint}", receive_ns)
+    return _reading("humidity", message, fraction, (0.0, 1.0), 1.0, f"0 to 1{hint}", receive_ns)
 
 
 def _reading(
-    message: Any, what: str, value: float, allowed: tuple[float, float], meaning: str, receive_ns: int
-) -> Reading:
+    quantity: str,
+    message: Any,
+    value: float,
+    allowed: tuple[float, float],
+    scale: float,
+    expected: str,
+    receive_ns: int,
+) -> AirReading:
     time_ns = stamp_ns(message.header, receive_ns)
-    finite_numbers(what, value)
-    finite_numbers("variance", message.variance)
+    finite_numbers(quantity, value)
+    finite_numbers(f"variance of {quantity}", message.variance)
     if not allowed[0] <= value <= allowed[1]:
-        raise Refused("units", f"{what} {value:.6g}: expected {allowed[0]:g} to {allowed[1]:g} {meaning}")
+        raise Refused("units", f"{quantity} {value:.6g}: expected {expected}")
     if message.variance < 0.0:
-        raise Refused("bad_covariance", f"variance of {what} is negative: {message.variance:.6g}")
-    return Reading(time_ns, value, None if message.variance == 0.0 else float(np.sqrt(message.variance)))
+        raise Refused("bad_covariance", f"variance of {quantity} is negative: {message.variance:.6g}")
+    sigma = None if message.variance == 0.0 else scale * float(np.sqrt(message.variance))
+    return AirReading(quantity, time_ns, scale * value, sigma)
+
+
+_CONVERTERS: dict[str, tuple[str, Callable[[Any, SkyConfig, int], SkyInput]]] = {
+    "gnss/fix": ("sensor_msgs/msg/NavSatFix", position_fix),
+    "met/pressure": ("sensor_msgs/msg/FluidPressure", lambda message, _, receive_ns: pressure(message, receive_ns)),
+    "met/temperature": ("sensor_msgs/msg/Temperature", lambda message, _, receive_ns: temperature(message, receive_ns)),
+    "met/humidity": ("sensor_msgs/msg/RelativeHumidity", lambda message, _, receive_ns: humidity(message, receive_ns)),
+}
+
+TOPICS = tuple(
+    InputTopic(topic, type_name, required=topic == "gnss/fix", depth=100)
+    for topic, (type_name, _) in _CONVERTERS.items()
+)
+"""Of the place and the air; without a place no star is of use."""
+
+
+def sky_input(topic: str, message: Any, config: SkyConfig, receive_ns: int) -> SkyInput:
+    """A message of one of TOPICS as the cores take it.
+
+    Raises:
+        Refused: with the reason.
+    """
+    return _CONVERTERS[topic][1](message, config, receive_ns)

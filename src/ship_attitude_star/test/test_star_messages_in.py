@@ -11,7 +11,7 @@ from ship_attitude_star.samples import Reason
 from ship_attitude_star.star_camera import StarCamera
 from ship_attitude_star.star_config import CameraConfig, SkyConfig
 from ship_attitude_star.star_messages_in import MOST_STARS, sigmas_given, star_exposure
-from ship_attitude_star.surroundings_messages_in import humidity, position_fix, pressure_hpa, temperature_c
+from ship_attitude_star.surroundings_messages_in import humidity, position_fix, pressure, temperature
 from ship_geometry.rotations import ARCSEC
 from ship_node.message_checks import Refused
 from ship_node.message_factory import RosidlFactory
@@ -175,7 +175,7 @@ def fix(**changes: Any) -> Any:
 
 def test_a_fix_is_a_place_with_the_error_of_each_axis() -> None:
     taken = position_fix(fix(), SkyConfig(), NOW_NS)
-    assert (taken.time_ns, taken.covariance_known) == (STAMP_NS, True)
+    assert (taken.time_ns, taken.sigma_known) == (STAMP_NS, True)
     assert np.rad2deg([taken.position.latitude, taken.position.longitude]) == pytest.approx([31.945213, 120.293086])
     assert taken.position.height_m == 25.0
     # East 2 m, North 3 m, Up 5 m in the message; North, Up, East here.
@@ -187,7 +187,7 @@ def test_a_fix_is_a_place_with_the_error_of_each_axis() -> None:
 )
 def test_a_fix_without_error_has_the_configured_one(changes: dict[str, Any]) -> None:
     taken = position_fix(fix(**changes), SkyConfig(fix_sigma_m=7.0), NOW_NS)
-    assert not taken.covariance_known
+    assert not taken.sigma_known
     np.testing.assert_array_equal(taken.covariance_m2, 49.0 * np.eye(3))
 
 
@@ -224,8 +224,8 @@ def test_a_bad_fix_is_refused(changes: dict[str, Any], reason: str, text: str) -
 
 
 AIR: dict[Callable[..., Any], tuple[str, str]] = {
-    pressure_hpa: ("FluidPressure", "fluid_pressure"),
-    temperature_c: ("Temperature", "temperature"),
+    pressure: ("FluidPressure", "fluid_pressure"),
+    temperature: ("Temperature", "temperature"),
     humidity: ("RelativeHumidity", "relative_humidity"),
 }
 
@@ -239,10 +239,10 @@ def air(converter: Callable[..., Any], value: float, variance: float = 0.0, stam
 @pytest.mark.parametrize(
     ("converter", "value", "variance", "expected"),
     [
-        (pressure_hpa, 100_830.0, 2500.0, (1008.3, 0.5)),
-        (pressure_hpa, 100_830.0, 0.0, (1008.3, None)),
-        (temperature_c, 28.2, 0.09, (28.2, 0.3)),
-        (temperature_c, -40.0, 0.0, (-40.0, None)),
+        (pressure, 100_830.0, 2500.0, (1008.3, 0.5)),
+        (pressure, 100_830.0, 0.0, (1008.3, None)),
+        (temperature, 28.2, 0.09, (28.2, 0.3)),
+        (temperature, -40.0, 0.0, (-40.0, None)),
         (humidity, 0.82, 0.0, (0.82, None)),
         (humidity, 1.0, 0.0, (1.0, None)),
     ],
@@ -259,16 +259,16 @@ def test_weather_is_taken_in_its_units(
 @pytest.mark.parametrize(
     ("converter", "value", "variance", "reason", "text"),
     [
-        (pressure_hpa, 1008.3, 0.0, "units", "hPa, not Pa?"),
-        (pressure_hpa, 0.0, 0.0, "units", "expected 80000 to 110000 Pa"),
-        (pressure_hpa, np.nan, 0.0, "non_finite", "fluid_pressure"),
-        (temperature_c, 301.35, 0.0, "units", "kelvin, not °C?"),
-        (temperature_c, 82.8, 0.0, "units", "-60 to 60 °C"),
+        (pressure, 1008.3, 0.0, "units", "hPa, not Pa?"),
+        (pressure, 0.0, 0.0, "units", "expected 80000 to 110000 Pa"),
+        (pressure, np.nan, 0.0, "non_finite", "pressure"),
+        (temperature, 301.35, 0.0, "units", "kelvin, not °C?"),
+        (temperature, 82.8, 0.0, "units", "-60 to 60 °C"),
         (humidity, 82.0, 0.0, "units", "percent?"),
         (humidity, -0.1, 0.0, "units", "0 to 1"),
-        (humidity, np.inf, 0.0, "non_finite", "relative_humidity"),
-        (temperature_c, 20.0, -1.0, "bad_covariance", "negative"),
-        (temperature_c, 20.0, np.nan, "non_finite", "variance"),
+        (humidity, np.inf, 0.0, "non_finite", "humidity"),
+        (temperature, 20.0, -1.0, "bad_covariance", "negative"),
+        (temperature, 20.0, np.nan, "non_finite", "variance"),
     ],
 )
 def test_bad_weather_is_refused(
