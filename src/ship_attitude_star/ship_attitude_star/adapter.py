@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 from ship_attitude_star import alignment_file, messages_in, messages_out
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.diagnosis import attitude_status, conflict_statuses
-from ship_attitude_star.samples import AttitudeEstimate, Decision, Reason, Status
-from ship_attitude_star.ship_core import Outcome, ShipAttitudeCore
+from ship_attitude_star.samples import AttitudeEstimate, Decision, Outcome, Reason, Status
+from ship_attitude_star.ship_core import ShipAttitudeCore
 from ship_estimation.parameters import changed
 from ship_node.adapter import ServiceResult
 from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level, diagnostic_array

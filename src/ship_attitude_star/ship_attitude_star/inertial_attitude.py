@@ -1,8 +1,8 @@
 """The attitude of a star tracker against the ICRS → its attitude in the horizon, by the same sky as single stars.
 
 The tracker has taken aberration out of what it sees: its quaternion turns bodies, so the Earth's rotation alone brings
-it to the horizon. Of the air it knows nothing: it takes a star that is seen lifted for one that stands higher, so the turn
-by refraction at the boresight comes on top.
+it to the horizon. Of the air it knows nothing: it takes a star that is seen lifted for one that stands higher, so the
+turn by refraction at the boresight comes on top.
 """
 
 from dataclasses import dataclass

@@ -194,3 +194,18 @@ class AttitudeEstimate:
         """Error covariance, rotation vector in the horizon frame, rad², shape (3, 3)."""
         total: FloatArray = self.covariance_parts_n.sum(axis=0)
         return total
+
+
+@dataclass
+class Outcome:
+    """What one input led to.
+
+    Attributes:
+        refusal: why this very input was not used; None where it was, or still waits.
+        decisions: measurements judged now, this one or others that had waited for it.
+        estimates: attitudes to publish, with strictly increasing times.
+    """
+
+    refusal: Refusal | None = None
+    decisions: list[Decision] = field(default_factory=list)
+    estimates: list[AttitudeEstimate] = field(default_factory=list)

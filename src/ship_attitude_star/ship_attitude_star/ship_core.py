@@ -4,9 +4,10 @@ Knows no ROS, no files, no clock. Measurements enter in any order; within ``lag_
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from ship_attitude_star.alignment import Alignment, AlignmentPrior, alignment_of, prior_of, state_from_prior
+from ship_attitude_star.arrivals import Arrivals
 from ship_attitude_star.attitude_output import CorrectedIns, estimate_from_star, no_estimate
 from ship_attitude_star.comparison import attitude_alone
 from ship_attitude_star.config import ShipAttitudeConfig
@@ -15,33 +16,17 @@ from ship_attitude_star.samples import (
     AttitudeMeasurement,
     Decision,
     Measurement,
-    Reason,
+    Outcome,
     Refusal,
     same_stamp,
 )
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
 from ship_attitude_star.sky_watch import SkyWatch
-from ship_attitude_star.stream_guards import StreamGuards
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.rotations import FloatArray
 
 _SECOND_NS = 1_000_000_000
-
-
-@dataclass
-class Outcome:
-    """What one input led to.
-
-    Attributes:
-        refusal: why this very input was not used; None where it was, or still waits.
-        decisions: measurements judged now, this one or others that had waited for it.
-        estimates: attitudes to publish, with strictly increasing times.
-    """
-
-    refusal: Refusal | None = None
-    decisions: list[Decision] = field(default_factory=list)
-    estimates: list[AttitudeEstimate] = field(default_factory=list)
 
 
 class ShipAttitudeCore:
@@ -57,7 +42,6 @@ class ShipAttitudeCore:
         self._watch = watch
         self.filter = ShipFilter(config)
         self._start: tuple[AlignmentPrior, int] | None = None
-        self._lag_ns = round(config.lag_s * _SECOND_NS)
         self._max_gap_ns = round(config.ins.max_gap_s * _SECOND_NS)
         self._longest_shift_ns = round(self.filter.longest_shift_s * _SECOND_NS)
         self._silence_ns = round(config.ins.silence_s * _SECOND_NS)
@@ -74,9 +58,7 @@ class ShipAttitudeCore:
         """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
         self._forget_estimate()
         self._track = AttitudeTrack(self._max_gap_ns)
-        self._newest_ns = 0
-        self._guards = StreamGuards(self.config.ins.white_sigma_arcsec * ARCSEC)
-        self._latest: dict[str, Measurement] = {}
+        self._arrivals = Arrivals(self.config)
         if self._watch is not None:
             self._watch.reset()
         if clock_jumped:
@@ -103,7 +85,11 @@ class ShipAttitudeCore:
             sample: attitude, and rate where the INS measures it.
             estimate: False where only the filter's state matters, as in a Monte Carlo run.
         """
-        refusal = self._ins_refusal(sample)
+        rates_known_wrong = self._arrivals.rates_wrong
+        refusal = self._arrivals.ins_refusal(sample, self._track.newest)
+        if self._arrivals.rates_wrong and not rates_known_wrong:
+            # By wrong rates the stars were compared with attitudes that never were: nothing of it can stay.
+            self._forget_estimate()
         if refusal is not None:
             return Outcome(refusal)
         known = self._track.get(sample.time_ns)
@@ -143,7 +129,7 @@ class ShipAttitudeCore:
 
     def add_measurement(self, measurement: Measurement) -> Outcome:
         """What a star sensor or another attitude system has measured."""
-        refusal = self._measurement_refusal(measurement)
+        refusal = self._arrivals.measurement_refusal(measurement, self._track.newest)
         if refusal is not None:
             return Outcome(refusal)
         key = (measurement.time_ns, measurement.source)
@@ -155,10 +141,7 @@ class ShipAttitudeCore:
         else:
             outcome = Outcome()
         self._log.insert(key, measurement)
-        if self._is_latest(measurement):
-            self._latest[measurement.source] = measurement
-            if isinstance(measurement, AttitudeMeasurement):
-                self._guards.used(measurement)
+        self._arrivals.used(measurement)
         self._advance(measurement.time_ns, outcome)
         carries = self._ins_silent(measurement.time_ns) and self._may_carry(measurement.source)
         if carries and measurement.time_ns > self._last_output_ns:
@@ -170,7 +153,7 @@ class ShipAttitudeCore:
     def tick(self, now_ns: int) -> Outcome:
         """The time now: says INVALID, once a second, when nothing carries an attitude any more."""
         outcome = Outcome()
-        stars_ns = [m.time_ns for source, m in self._latest.items() if self._may_carry(source)]
+        stars_ns = [time_ns for source, time_ns in self._arrivals.latest_ns.items() if self._may_carry(source)]
         star_carries = bool(stars_ns) and now_ns - max(stars_ns) <= _SECOND_NS
         due = now_ns - self._last_output_ns >= _SECOND_NS
         if self._ins_silent(now_ns) and not star_carries and due:
@@ -192,49 +175,14 @@ class ShipAttitudeCore:
         """The filter's state after the last measurement applied."""
         return self._log.state
 
-    # -- refusals -------------------------------------------------------------------------------------------
-
-    def _ins_refusal(self, sample: AttitudeSample) -> Refusal | None:
-        if self._too_late(sample.time_ns):
-            return self._late(sample.time_ns)
-        newest = self._track.newest
-        if newest is not None and sample.time_ns <= newest.time_ns:
-            return None  # the guards watch the stream in order
-        known_wrong = self._guards.rates_wrong
-        refusal = self._guards.check_ins(sample)
-        if self._guards.rates_wrong and not known_wrong:
-            # By wrong rates the stars were compared with attitudes that never were: nothing of it can stay.
-            self._forget_estimate()
-        return refusal
-
-    def _measurement_refusal(self, measurement: Measurement) -> Refusal | None:
-        if self._too_late(measurement.time_ns):
-            return self._late(measurement.time_ns)
-        # Single stars that stand still while the ship moves leave the gate by themselves.
-        if not self._is_latest(measurement) or not isinstance(measurement, AttitudeMeasurement):
-            return None
-        return self._guards.check_measurement(measurement, self._track.newest)
-
-    def _is_latest(self, measurement: Measurement) -> bool:
-        latest = self._latest.get(measurement.source)
-        return latest is None or measurement.time_ns > latest.time_ns
-
-    def _too_late(self, time_ns: int) -> bool:
-        return time_ns < self._newest_ns - self._lag_ns
-
-    def _late(self, time_ns: int) -> Refusal:
-        late_s = (self._newest_ns - time_ns) / _SECOND_NS
-        return Refusal(Reason.LATE, f"{late_s:.3f} s behind the newest data: more than lag_s = {self.config.lag_s:g}")
-
     # -- time order -----------------------------------------------------------------------------------------
 
     def _advance(self, time_ns: int, outcome: Outcome) -> None:
         """Apply what can be applied now, then close the window behind ``lag_s``."""
-        self._newest_ns = max(self._newest_ns, time_ns)
+        self._arrivals.newest_ns = max(self._arrivals.newest_ns, time_ns)
         self._apply(outcome)
-        oldest_ns = self._newest_ns - self._lag_ns
         # The INS's stamps differ from a device's, and an INS sample changes what is compared within a gap of it.
-        reach_ns = oldest_ns - self._max_gap_ns - self._longest_shift_ns
+        reach_ns = self._arrivals.oldest_ns - self._max_gap_ns - self._longest_shift_ns
         self._log.forget_before(reach_ns)
         self._track.drop_before(reach_ns - self._longest_shift_ns)
         if self._watch is not None:
@@ -249,7 +197,7 @@ class ShipAttitudeCore:
 
     def _step(self, state: FilterState, measurement: Measurement) -> tuple[FilterState, Decision] | None:
         awaited = not self._track.covers(self.filter.ins_time_ns(state, measurement))
-        if awaited and measurement.time_ns >= self._newest_ns - self._lag_ns:
+        if awaited and measurement.time_ns >= self._arrivals.oldest_ns:
             return None
         return self.filter.step(state, measurement, self._track, self._watch)
 

@@ -46,6 +46,17 @@ class StarExposure:
         """Whether it is known which star it is, shape (k,)."""
         return np.isfinite(self.positions.right_ascension)
 
+    def name(self, row: int) -> str:
+        """A star for people: its number, else its direction, else where it was seen."""
+        hip = int(self.hip[row])
+        if hip:
+            return f"HIP {hip}"
+        alpha, delta = self.positions.right_ascension[row], self.positions.declination[row]
+        if np.isfinite(alpha):
+            return f"star at right ascension {np.rad2deg(alpha):.4f}°, declination {np.rad2deg(delta):+.4f}°"
+        _, up, right = self.directions_s[row]
+        return f"star {np.rad2deg(up):+.2f}° up, {np.rad2deg(right):+.2f}° right of the boresight"
+
     def __len__(self) -> int:
         return len(self.hip)
 

@@ -83,19 +83,19 @@ def star_residuals(
         # Do the stars contradict the prediction, or one another?
         alone = solve_stars(stars)
         if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
-            refused += [(_name(seen, row), _misfit(stars, row, rotation_ns)) for row in range(len(stars))]
+            refused += [(seen.name(row), _misfit(stars, row, rotation_ns)) for row in range(len(stars))]
             text = f"none of {len(stars)} stars is where it is expected, and they do not agree on another attitude"
             return Refusal(Reason.MISIDENTIFIED, _listed(text, refused))
         members, alone_ns = alone.members, alone.rotation_nb
     turned_ns = rotation_ns if alone_ns is None else alone_ns
-    refused += [(_name(seen, row), _misfit(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()]
+    refused += [(seen.name(row), _misfit(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()]
     chosen = expected_n[members]
     predicted_s = chosen @ rotation_ns
     basis = tangent_basis(predicted_s)
     residual = np.einsum("kij,kj->ki", basis, stars.measured_b[members] - predicted_s)
     jacobian = basis @ skew(predicted_s) @ to_sensor
     jacobian[:, :, rows] = basis @ rotation_ns.T @ stars.shared_n[members]
-    names = [_name(seen, row) for row in np.flatnonzero(members).tolist()]
+    names = [seen.name(row) for row in np.flatnonzero(members).tolist()]
     return StarResiduals(
         residual=residual.ravel(),
         jacobian=jacobian.reshape(-1, jacobian.shape[-1]),
@@ -140,11 +140,11 @@ def visible_stars(
             exposure, reasons = identified(exposure, prior, watch)
         nobody = Refusal(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it by")
         unknown = np.flatnonzero(~exposure.identified)
-        refused += [(_name(exposure, row), reasons.get(row, nobody)) for row in unknown.tolist()]
+        refused += [(exposure.name(row), reasons.get(row, nobody)) for row in unknown.tolist()]
         exposure = exposure[exposure.identified]
     apparent = watch.apparent(exposure.positions, exposure.time_ns)
     for row in np.flatnonzero(~apparent.visible).tolist():
-        refused.append((_name(exposure, row), watch.sky.too_low(float(apparent.elevation[row]))))
+        refused.append((exposure.name(row), watch.sky.too_low(float(apparent.elevation[row]))))
     keep = apparent.visible
     exposure = exposure[keep]
     stars = SightedStars(
@@ -157,17 +157,6 @@ def visible_stars(
         installation_b=_ONE_SENSOR,
     )
     return exposure, stars, refused
-
-
-def _name(exposure: StarExposure, row: int) -> str:
-    hip = int(exposure.hip[row])
-    if hip:
-        return f"HIP {hip}"
-    if exposure.identified[row]:
-        alpha, delta = exposure.positions.right_ascension[row], exposure.positions.declination[row]
-        return f"star at {np.rad2deg(alpha):.4f}°, {np.rad2deg(delta):+.4f}°"
-    _, up, right = exposure.directions_s[row]
-    return f"star {np.rad2deg(up):+.2f}° up, {np.rad2deg(right):+.2f}° right of the boresight"
 
 
 def _misfit(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Refusal:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ship_attitude_star.inertial_attitude import InertialAttitude
 from ship_attitude_star.input_guards import RateIntegrator, RateUnitsGuard, StuckGuard, Witness
 from ship_attitude_star.samples import AttitudeMeasurement, Reason, Refusal
 from ship_attitude_star.star_exposure import StarExposure
@@ -61,6 +62,13 @@ class StreamGuards:
         sigma_rad = float(np.max(exposure.sigma))
         if self._stands_still(exposure.source, exposure.directions_s, sigma_rad, newest_ins):
             return Refusal(Reason.STUCK, "stars stand still on the detector while other sources move")
+        return None
+
+    def check_inertial(self, inertial: InertialAttitude, newest_ins: AttitudeSample | None) -> Refusal | None:
+        """The same of an attitude against the ICRS, which even a ship at rest does not keep."""
+        sigma_rad = float(np.sqrt(np.max(np.diagonal(inertial.noise_s))))
+        if self._stands_still(inertial.source, inertial.rotation_cs, sigma_rad, newest_ins):
+            return Refusal(Reason.STUCK, "attitude against the stars stands still while other sources move")
         return None
 
     def _stands_still(

@@ -1,0 +1,76 @@
+"""What is looked at when an input arrives, before it is compared with anything: its age, and whether it can be true."""
+
+from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.inertial_attitude import InertialAttitude
+from ship_attitude_star.samples import AttitudeMeasurement, Measurement, Reason, Refusal
+from ship_attitude_star.star_exposure import StarExposure
+from ship_attitude_star.stream_guards import StreamGuards
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.rotations import ARCSEC
+
+_SECOND_NS = 1_000_000_000
+
+
+class Arrivals:
+    """The inputs of one run as they come.
+
+    Args:
+        config: the node's parameters.
+
+    Attributes:
+        newest_ns: latest stamp of all data.
+        latest_ns: by source, the latest stamp of its measurements.
+    """
+
+    def __init__(self, config: ShipAttitudeConfig) -> None:
+        self._lag_s = config.lag_s
+        self._lag_ns = round(config.lag_s * _SECOND_NS)
+        self._guards = StreamGuards(config.ins.white_sigma_arcsec * ARCSEC)
+        self.newest_ns = 0
+        self.latest_ns: dict[str, int] = {}
+
+    @property
+    def oldest_ns(self) -> int:
+        """What is older than this comes too late."""
+        return self.newest_ns - self._lag_ns
+
+    @property
+    def rates_wrong(self) -> bool:
+        """True while the INS's rates and attitudes contradict one another by a wrong unit."""
+        return self._guards.rates_wrong
+
+    def ins_refusal(self, sample: AttitudeSample, newest: AttitudeSample | None) -> Refusal | None:
+        """Why an INS sample is not used; ``newest`` is the latest one used before."""
+        if sample.time_ns < self.oldest_ns:
+            return self._late(sample.time_ns)
+        if newest is not None and sample.time_ns <= newest.time_ns:
+            return None  # the guards watch the stream in order
+        return self._guards.check_ins(sample)
+
+    def measurement_refusal(self, measurement: Measurement, newest_ins: AttitudeSample | None) -> Refusal | None:
+        """Why a measurement is not used."""
+        if measurement.time_ns < self.oldest_ns:
+            return self._late(measurement.time_ns)
+        if not self._is_latest(measurement):
+            return None
+        if isinstance(measurement, StarExposure):
+            return self._guards.check_exposure(measurement, newest_ins)
+        if isinstance(measurement, InertialAttitude):
+            return self._guards.check_inertial(measurement, newest_ins)
+        assert isinstance(measurement, AttitudeMeasurement)
+        return self._guards.check_measurement(measurement, newest_ins)
+
+    def used(self, measurement: Measurement) -> None:
+        """A measurement was not refused."""
+        if not self._is_latest(measurement):
+            return
+        self.latest_ns[measurement.source] = measurement.time_ns
+        if isinstance(measurement, AttitudeMeasurement):
+            self._guards.used(measurement)
+
+    def _is_latest(self, measurement: Measurement) -> bool:
+        return measurement.time_ns > self.latest_ns.get(measurement.source, measurement.time_ns - 1)
+
+    def _late(self, time_ns: int) -> Refusal:
+        late_s = (self.newest_ns - time_ns) / _SECOND_NS
+        return Refusal(Reason.LATE, f"{late_s:.3f} s behind the newest data: more than lag_s = {self._lag_s:g}")
