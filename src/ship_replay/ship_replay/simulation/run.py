@@ -16,7 +16,7 @@ from ship_replay.simulation.carriers import carrier_of
 from ship_replay.simulation.inertial_device import InertialSamples, simulate_inertial_sensor
 from ship_replay.simulation.ins import InsSamples, InsTruth, simulate_ins
 from ship_replay.simulation.motion import Carrier
-from ship_replay.simulation.noise import SECOND_NS
+from ship_replay.simulation.noise import SECOND_NS, stamps
 from ship_replay.simulation.scenario import Scenario
 from ship_replay.simulation.ship_track import FixSamples, ShipTrack, simulate_fixes
 from ship_replay.simulation.sky import TrueSky, draw_sky
@@ -24,6 +24,9 @@ from ship_replay.simulation.star_sightings import SightingsTruth, StarSightings,
 from ship_replay.simulation.start_time import start_of
 
 TRUTH_RATE_HZ = 10.0
+
+SKY_SOURCES = ("fix", "pressure", "temperature", "humidity")
+"""What arrives besides measurements where a star sensor looks at the real sky."""
 
 StarSamples = DeviceSamples | StarSightings | InertialSamples
 """Horizon attitudes, single stars, or attitudes among the stars."""
@@ -59,7 +62,10 @@ class Truth:
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """A scenario with one draw of its random parts."""
+    """A scenario with one draw of its random parts.
+
+    The weather station says at the stamps ``weather_ns``, shape (n,), what the scenario's ``weather`` says.
+    """
 
     scenario: Scenario
     seed: int
@@ -68,20 +74,25 @@ class SimulatedRun:
     stars: dict[str, StarSamples]
     references: dict[str, DeviceSamples]
     fixes: FixSamples
+    weather_ns: np.ndarray
     truth: Truth
 
     def arrivals(self) -> list[tuple[int, str, int]]:
-        """(log time, ``ins`` | ``star.<id>`` | ``reference.<name>``, index of the sample), in order of arrival.
+        """(log time, source, index of the sample), in order of arrival.
 
-        What arrives at the same nanosecond comes in the order INS, stars, references, then by stamp.
+        A source is ``ins``, ``star.<id>`` or ``reference.<name>``, or, where a star sensor looks at the real sky, one
+        of SKY_SOURCES. What arrives at the same nanosecond comes in this order, then by stamp.
         """
-        devices = {f"star.{key}": s for key, s in self.stars.items()}
-        devices |= {f"reference.{key}": s for key, s in self.references.items()}
-        sources = {"ins": self.ins, **devices}
+        sources = {"ins": self.ins.log_time_ns}
+        sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.stars.items()}
+        sources |= {f"reference.{key}": samples.log_time_ns for key, samples in self.references.items()}
+        if self.scenario.needs_sky:
+            fix, *weather = SKY_SOURCES
+            sources |= {fix: self.fixes.log_time_ns, **dict.fromkeys(weather, self.weather_ns)}
         arrivals = [
             (int(log_time_ns), source, index)
-            for source, samples in sources.items()
-            for index, log_time_ns in enumerate(samples.log_time_ns)
+            for source, log_times_ns in sources.items()
+            for index, log_time_ns in enumerate(log_times_ns)
         ]
         # A stable sort keeps the order of the sources and of the stamps.
         return sorted(arrivals, key=lambda arrival: arrival[0])
@@ -126,6 +137,7 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
         stars=stars,
         references={key: samples for key, (samples, _) in references.items()},
         fixes=simulate_fixes(scenario, track, seed),
+        weather_ns=stamps(start_ns, scenario.weather.rate_hz, 0.0, scenario.duration_s),
         truth=truth,
     )
 

@@ -1,23 +1,30 @@
-"""The configuration of ``ship_attitude`` that fits a scenario: same layout, same sigmas."""
+"""The configuration of the suite that fits a scenario: same layout, same sigmas."""
 
 import dataclasses
+import math
 from typing import Any
 
 import yaml
 
 from ship_attitude_star.config import InsConfig, ReferenceConfig, StarSensorConfig
+from ship_attitude_star.star_config import CameraConfig
 from ship_replay.simulation.device_messages import INS_FRAME, star_frame
-from ship_replay.simulation.scenario import Scenario
+from ship_replay.simulation.scenario import Scenario, StarSensor
+
+_LEAST_POSITION_TIME_S = 1.0
+"""Of the estimator's parameter."""
 
 
 def suite_configuration(scenario: Scenario) -> dict[str, Any]:
     """Parameters of ``ship_attitude`` as nested mapping."""
-    configuration: dict[str, Any] = {"ins": {"frame_id": INS_FRAME, **_shared(scenario.ins, InsConfig)}}
+    configuration: dict[str, Any] = {"ins": _ins(scenario, InsConfig)}
     if scenario.star_sensors:
         configuration["star_sensors"] = {
-            key: {"frame_id": star_frame(key), **_shared(sensor, StarSensorConfig)}
+            key: {"frame_id": star_frame(key), **_input(sensor), **_shared(sensor, StarSensorConfig)}
             for key, sensor in scenario.star_sensors.items()
         }
+    if scenario.needs_sky:
+        configuration["sky"] = _sky(scenario)
     if scenario.references:
         configuration["references"] = {
             key: {"frame_id": key, **_shared(reference, ReferenceConfig)}
@@ -27,8 +34,42 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
 
 
 def suite_yaml(scenario: Scenario) -> str:
-    """The same as ROS 2 parameter file."""
-    return yaml.safe_dump({"ship_attitude": {"ros__parameters": suite_configuration(scenario)}}, sort_keys=False)
+    """The same as ROS 2 parameter file of all nodes that the scenario has inputs for."""
+    nodes = {"ship_attitude": suite_configuration(scenario)}
+    return yaml.safe_dump({node: {"ros__parameters": values} for node, values in nodes.items()}, sort_keys=False)
+
+
+def _ins(scenario: Scenario, parameters: type) -> dict[str, Any]:
+    return {"frame_id": INS_FRAME, **_shared(scenario.ins, parameters)}
+
+
+def _input(sensor: StarSensor) -> dict[str, Any]:
+    """What a sensor sends, and its camera where that is single stars."""
+    if sensor.output == "horizon_attitude":
+        return {}
+    if sensor.output == "inertial_attitude":
+        return {"input": sensor.output}
+    return {"input": sensor.output, "camera": _shared(sensor.camera, CameraConfig)}
+
+
+def _sky(scenario: Scenario) -> dict[str, Any]:
+    """How well the air and the ship's place are known."""
+    weather, position = scenario.weather, scenario.position
+    known = {
+        "refraction_model": weather.refraction_model,
+        "pressure_hpa": weather.pressure_hpa,
+        "temperature_c": weather.temperature_c,
+        "relative_humidity": 0.01 * weather.humidity_percent,
+        "measured_pressure_sigma_hpa": weather.pressure_sigma_hpa,
+        "measured_temperature_sigma_k": weather.temperature_sigma_k,
+        "magnitude_limit": max(
+            sensor.magnitude_limit for sensor in scenario.star_sensors.values() if sensor.output != "horizon_attitude"
+        ),
+        "fix_sigma_m": math.hypot(position.sigma_m, position.slow_sigma_m),
+    }
+    if position.slow_sigma_m > 0.0:
+        known["position_time_s"] = max(position.slow_time_s, _LEAST_POSITION_TIME_S)
+    return known
 
 
 def _shared(device: Any, parameters: type) -> dict[str, Any]:

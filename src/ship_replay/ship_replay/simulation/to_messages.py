@@ -11,7 +11,6 @@ from ship_replay.simulation.device_messages import Maker, ins_maker, reference_m
 from ship_replay.simulation.environment_messages import fix_maker, weather_makers
 from ship_replay.simulation.faults import deliver, simulated_topics, spoil
 from ship_replay.simulation.inertial_device import InertialSamples
-from ship_replay.simulation.noise import stamps
 from ship_replay.simulation.run import SimulatedRun
 from ship_replay.simulation.star_messages import inertial_maker, observations_maker
 from ship_replay.simulation.star_sightings import StarSightings
@@ -52,9 +51,8 @@ def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.n
         maker = reference_maker(key, samples, factory)
         sources[f"reference/{key}/imu"] = samples.time_ns, samples.log_time_ns, maker
     sources["gnss/fix"] = run.fixes.time_ns, run.fixes.log_time_ns, fix_maker(run.fixes, factory)
-    weather_ns = stamps(run.start_ns, scenario.weather.rate_hz, 0.0, scenario.duration_s)
-    for topic, maker in weather_makers(weather_ns, scenario.weather, factory).items():
-        sources[topic] = weather_ns, weather_ns, maker
+    for topic, maker in weather_makers(run.weather_ns, scenario.weather, factory).items():
+        sources[topic] = run.weather_ns, run.weather_ns, maker
     return sources
 
 

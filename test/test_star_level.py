@@ -1,0 +1,131 @@
+"""Simulated stars and what the suite makes of them: one joint solution an epoch, honest with every shared error large.
+
+The simulated sky and the estimator's are separate: were a sign or a scale of one of them wrong, these bands would fail.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.inertial_attitude import InertialAttitude, in_horizon
+from ship_attitude_star.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.star_exposure import StarExposure
+from ship_attitude_star.star_fit import SightedStars
+from ship_attitude_star.star_solution import SolutionStatus, solve_stars
+from ship_estimation.consistency import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters import build
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_replay.monte_carlo import sky_input
+from ship_replay.simulation.run import SKY_SOURCES, SimulatedRun, simulate
+from ship_replay.simulation.scenario import Scenario
+from ship_replay.simulation.scenario_file import load_scenario
+from ship_replay.simulation.suite import suite_configuration
+
+SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
+SEEDS = 120
+
+
+def one_epoch(**changes) -> Scenario:
+    """The reference case at star level for a second, with one exposure of each sensor, stamped at the start."""
+    whole = load_scenario(SCENARIOS / "paper_stars.yaml")
+    sensors = {id_: replace(sensor, rate_hz=1.0) for id_, sensor in whole.star_sensors.items()}
+    short = replace(whole, duration_s=1.0, ins=replace(whole.ins, rate_hz=1.0), star_sensors=sensors)
+    return replace(short, **changes)
+
+
+def told_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyWatch:
+    """The sky as the fixes and the weather station tell it."""
+    watch = installed_sky(configuration.sky)
+    for _, source, index in run.arrivals():
+        if source in SKY_SOURCES:
+            sky_input(run, source, index).insert(watch)
+    return watch
+
+
+def sighted(exposures: dict[str, StarExposure], watch: SkyWatch, configuration: ShipAttitudeConfig) -> SightedStars:
+    """All stars of several sensors in the deck."""
+    parts, installation_b = [], []
+    for index, (id_, exposure) in enumerate(exposures.items()):
+        sensor = configuration.star_sensors[id_]
+        rotation_ds = rotation_from_angles(*np.deg2rad([sensor.azimuth_deg, sensor.elevation_deg, sensor.roll_deg]))
+        sigma_s = [
+            sensor.installation_sigma_forward_arcsec,
+            sensor.installation_sigma_up_arcsec,
+            sensor.installation_sigma_right_arcsec,
+        ]
+        installation_b.append(rotation_ds @ np.diag(np.square(sigma_s) * ARCSEC**2) @ rotation_ds.T)
+        apparent = watch.apparent(exposure.positions, exposure.time_ns)
+        measured_b = exposure.directions_s @ rotation_ds.T
+        of_sensor = np.full(len(exposure), index)
+        parts.append(
+            (measured_b, apparent.direction_n, exposure.sigma, exposure.position_sigma, apparent.shared_n, of_sensor)
+        )
+    return SightedStars(*(np.concatenate(columns) for columns in zip(*parts, strict=True)), np.array(installation_b))
+
+
+def normalised_errors(scenario: Scenario, told: Scenario | None = None) -> list[float]:
+    """NEES of the joint solution, a seed each; with the configuration of another scenario where one is given."""
+    configuration = build(ShipAttitudeConfig, suite_configuration(told or scenario))
+    values = []
+    for seed in range(SEEDS):
+        run = simulate(scenario, seed)
+        exposures = {id_: sightings.exposure(0) for id_, sightings in run.stars.items()}
+        solution = solve_stars(sighted(exposures, told_sky(run, configuration), configuration))
+        assert solution.status is SolutionStatus.VALID
+        # The sensors have no time offset: the truth at the first stamp is theirs.
+        error_n = log_rotation(run.truth.rotation_nd[0] @ solution.rotation_nb.T)
+        values.append(float(normalized_error_squared(error_n, solution.covariance_n)))
+    return values
+
+
+BASE = one_epoch()
+LARGE_ERRORS = {
+    "as it is": {},
+    "weather": {"weather": replace(BASE.weather, pressure_sigma_hpa=20.0, temperature_sigma_k=8.0)},
+    "position": {"position": replace(BASE.position, slow_sigma_m=100.0)},
+}
+
+
+@pytest.mark.parametrize("case", LARGE_ERRORS)
+def test_the_joint_solution_is_as_good_as_it_says(case: str) -> None:
+    low, high = mean_nees_band(SEEDS, degrees=3)
+    assert low <= np.mean(normalised_errors(one_epoch(**LARGE_ERRORS[case]))) <= high
+
+
+def test_errors_that_nobody_was_told_of_are_found_out() -> None:
+    """The bands can fail: the weather's large errors with the configuration of the usual ones."""
+    values = normalised_errors(one_epoch(**LARGE_ERRORS["weather"]), told=BASE)
+    assert np.mean(values) > mean_nees_band(SEEDS, degrees=3)[1]
+
+
+def test_a_tracker_against_the_icrs_is_turned_to_the_horizon_as_it_really_stands() -> None:
+    sensors = {
+        id_: replace(
+            sensor,
+            output="inertial_attitude",
+            sigma_forward_arcsec=0.0,
+            sigma_up_arcsec=0.0,
+            sigma_right_arcsec=0.0,
+        )
+        for id_, sensor in BASE.star_sensors.items()
+    }
+    exact = replace(
+        BASE,
+        star_sensors=sensors,
+        position=replace(BASE.position, sigma_m=0.0, slow_sigma_m=0.0),
+        weather=replace(BASE.weather, pressure_sigma_hpa=0.0, temperature_sigma_k=0.0),
+        # The least that is not the table's own.
+        earth_rotation_sigma_s=1e-9,
+    )
+    run = simulate(exact, seed=1)
+    watch = told_sky(run, build(ShipAttitudeConfig, suite_configuration(exact)))
+    for id_, samples in run.stars.items():
+        inertial = InertialAttitude(id_, int(samples.time_ns[0]), samples.rotation_iv[0], samples.noise_v)
+        found = in_horizon(inertial, watch)
+        true_ns = run.truth.rotation_nd[0] @ run.truth.stars[id_].rotation_dv
+        # The estimator refreshes the slow part of its chain every ten seconds.
+        assert np.max(np.abs(log_rotation(true_ns.T @ found.rotation_nv))) < 0.5e-3 * ARCSEC
