@@ -16,6 +16,7 @@ from ship_replay.simulation.to_messages import messages
 
 _DESCRIPTION = """\
 Simulates a voyage: the ship's motion, INS, star sensors and other attitude systems with their errors and faults.
+A star sensor gives its horizon attitude, single stars of the real sky over the ship, or its attitude among the stars.
 The bag holds their topics, the truth (truth/attitude at 10 Hz, truth/alignment at 1 Hz), and as attachments the
 scenario and the configuration of ship_attitude that fits it. In a scenario units stand in the names: _deg, _arcsec,
 _s, _m, _hz. The same scenario and seed give the same bytes.

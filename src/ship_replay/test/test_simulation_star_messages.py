@@ -4,17 +4,20 @@ import dataclasses
 
 import numpy as np
 import pytest
-from paper_stars import paper_stars, with_sensor
+from paper_stars import paper_stars, with_position, with_sensor
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.catalogue import hipparcos
+from ship_attitude_star.star_config import SkyConfig
 from ship_attitude_star.star_messages_in import star_exposure
+from ship_attitude_star.surroundings_messages_in import humidity, position_fix, pressure, temperature
 from ship_geometry.rotations import ARCSEC
 from ship_node.stamps import ns_from_stamp
 from ship_replay.message_store import RosbagsFactory, message_store, serialize
+from ship_replay.monte_carlo import sky_input
 from ship_replay.simulate_command import write_bag
 from ship_replay.simulation.noise import SECOND_NS
-from ship_replay.simulation.run import simulate
+from ship_replay.simulation.run import SKY_SOURCES, simulate
 from ship_replay.simulation.scenario import Fault, Outage
 from ship_replay.simulation.to_messages import messages
 
@@ -53,6 +56,30 @@ def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
             np.testing.assert_array_equal(getattr(read.positions, name), getattr(held.positions, name))
         # The year of the run's start against that of the exposure.
         np.testing.assert_allclose(read.position_sigma, held.position_sigma, rtol=1e-4)
+
+
+def test_fixes_and_weather_are_read_as_the_run_holds_them():
+    run = simulate(with_position(with_sensor(paper_stars(duration_s=6.0)), slow_sigma_m=30.0), seed=1)
+    read = {
+        "fix": [position_fix(m, SkyConfig(), log) for m, log in entries_of(run, "gnss/fix")],
+        "pressure": [pressure(m, log) for m, log in entries_of(run, "met/pressure")],
+        "temperature": [temperature(m, log) for m, log in entries_of(run, "met/temperature")],
+        "humidity": [humidity(m, log) for m, log in entries_of(run, "met/humidity")],
+    }
+    arrivals = [(source, index) for _, source, index in run.arrivals() if source in SKY_SOURCES]
+    assert {source: sum(s == source for s, _ in arrivals) for source in SKY_SOURCES} == {
+        "fix": 7,
+        "pressure": 4,
+        "temperature": 4,
+        "humidity": 4,
+    }
+    for source, index in arrivals:
+        held, found = sky_input(run, source, index), read[source][index]
+        if source == "fix":
+            np.testing.assert_array_equal(found.covariance_m2, held.covariance_m2)
+            assert (found.time_ns, found.position) == (held.time_ns, held.position)
+        else:
+            assert found == dataclasses.replace(held, value=pytest.approx(held.value, rel=1e-15))
 
 
 def test_an_observation_has_a_number_or_a_direction_or_nothing():
