@@ -4,9 +4,10 @@ import sys
 from pathlib import Path
 
 from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
 from ship_estimation.parameters import ParameterDescription, describe
 
-ADAPTERS = (ShipAttitudeAdapter,)
+ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter)
 PAGE = Path(__file__).parents[1] / "docs" / "parameters.md"
 HEAD = """# Parameters
 

@@ -21,6 +21,7 @@ setup(
     entry_points={
         "console_scripts": [
             "ship_attitude = ship_attitude_star.ship_attitude_node:main",
+            "star_attitude = ship_attitude_star.star_attitude_node:main",
             "layout_study = ship_attitude_star.layout_study_command:main",
         ],
     },

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
 from ship_replay.bag_reader import read_bag
 from ship_replay.black_box_identity import is_black_box
 from ship_replay.black_box_replay import replay_black_box
@@ -16,7 +17,7 @@ from ship_replay.replay_run import ReplaySummary
 from ship_replay.verification import Verification
 from ship_replay.verify_bag import verify_bag
 
-ADAPTERS = (ShipAttitudeAdapter,)
+ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter)
 """Nodes whose black boxes can be replayed."""
 
 

@@ -1,0 +1,102 @@
+"""The ship's motion by its INS, for whoever only needs to know about where the deck is and how it turns meanwhile."""
+
+import numpy as np
+
+from ship_attitude_star.device_config import InsInputConfig
+from ship_attitude_star.samples import Refusal, same_stamp
+from ship_attitude_star.star_selection import AttitudePrior
+from ship_attitude_star.stream_guards import StreamGuards
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+_SECOND_NS = 1_000_000_000
+_LEAST_SIGMA = 0.1 * ARCSEC
+"""A prior must not be singular, whatever sigmas are configured, rad."""
+
+
+class InsMotion:
+    """Attitudes of the deck by their stamps, with the INS's errors as configured.
+
+    Args:
+        config: the INS.
+        guards: watch its samples.
+    """
+
+    def __init__(self, config: InsInputConfig, guards: StreamGuards) -> None:
+        self._config = config
+        self._guards = guards
+        self._max_gap_ns = round(config.max_gap_s * _SECOND_NS)
+        self._offset_ns = round(config.time_offset_s * _SECOND_NS)
+        self._track = AttitudeTrack(self._max_gap_ns)
+
+    @property
+    def newest(self) -> AttitudeSample | None:
+        """The sample with the latest stamp."""
+        return self._track.newest
+
+    def reconfigure(self, config: InsInputConfig) -> None:
+        """Go on with other sigmas."""
+        self._config = config
+
+    def add(self, sample: AttitudeSample) -> Refusal | None:
+        """Take a sample, or say why not."""
+        newest = self._track.newest
+        if newest is None or sample.time_ns > newest.time_ns:
+            known_wrong = self._guards.rates_wrong
+            refusal = self._guards.check_ins(sample)
+            if self._guards.rates_wrong and not known_wrong:
+                self._track = AttitudeTrack(self._max_gap_ns)
+            if refusal is None:
+                self._track.insert(sample)
+            return refusal
+        known = self._track.get(sample.time_ns)
+        refusal = None if known is None else same_stamp(known.content(), sample.content())
+        if known is None or sample.content() < known.content():
+            self._track.insert(sample)
+        return refusal
+
+    def awaited(self, time_ns: int) -> bool:
+        """Whether a sample still to come may tell the attitude at a moment."""
+        newest, stamp_ns = self._track.newest, time_ns - self._offset_ns
+        if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns:
+            return False
+        return not self._track.covers(stamp_ns)
+
+    def deck(self, time_ns: int) -> AttitudePrior | None:
+        """The attitude of the deck at a moment, with all that the INS may have wrong; None where it is not known."""
+        found = self._at(time_ns)
+        if found is None:
+            return None
+        config = self._config
+        slow = np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec]) * ARCSEC
+        white_variance = found.noise_gain * (config.white_sigma_arcsec * ARCSEC) ** 2
+        shifted_n = config.time_offset_sigma_s * (found.rotation_nd @ found.rate_d)
+        covariance_n = np.diag(slow**2 + white_variance + _LEAST_SIGMA**2) + np.outer(shifted_n, shifted_n)
+        return AttitudePrior(found.rotation_nd, covariance_n)
+
+    def turn(self, to_ns: int, from_ns: int) -> tuple[FloatArray, FloatArray] | None:
+        """The deck's turn between two moments.
+
+        The slow error of the INS is the same at both and cancels. What is left is its noise, and its time offset where
+        the rate changes.
+
+        Returns:
+            Rotation "deck at ``to_ns`` from deck at ``from_ns``", and the covariance of its rotation vector in the
+            deck, rad²; None where the INS does not tell.
+        """
+        if to_ns == from_ns:
+            return np.eye(3), np.zeros((3, 3))
+        end, start = self._at(to_ns), self._at(from_ns)
+        if end is None or start is None:
+            return None
+        rotation = end.rotation_nd.T @ start.rotation_nd
+        shifted = self._config.time_offset_sigma_s * (rotation @ start.rate_d - end.rate_d)
+        white_variance = (end.noise_gain + start.noise_gain) * (self._config.white_sigma_arcsec * ARCSEC) ** 2
+        return rotation, white_variance * np.eye(3) + np.outer(shifted, shifted)
+
+    def drop_before(self, time_ns: int) -> None:
+        """Forget what is not needed for moments at or after ``time_ns``."""
+        self._track.drop_before(time_ns - self._offset_ns)
+
+    def _at(self, time_ns: int) -> InterpolatedAttitude | None:
+        return self._track.at(time_ns - self._offset_ns)

@@ -1,0 +1,197 @@
+"""Exposures of star sensors in, attitudes out: the core that the node ``star_attitude`` and the replay share.
+
+Knows no ROS, no files, no clock. Each exposure gives the attitude of its sensor, at its own time and in any order
+within ``lag_s``; exposures of different sensors near in time give the attitude of the deck, in order of time.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_attitude_star.exposure_solver import Mounted, Sighting, solve_deck, solve_exposure
+from ship_attitude_star.ins_motion import InsMotion
+from ship_attitude_star.joint_window import JointWindow
+from ship_attitude_star.samples import AttitudeMeasurement, Reason, Refusal
+from ship_attitude_star.sky_inputs import SkyInput
+from ship_attitude_star.sky_watch import SkyWatch
+from ship_attitude_star.stamped_values import StampedValues
+from ship_attitude_star.star_attitude_config import ObservingSensorConfig, StarAttitudeConfig
+from ship_attitude_star.star_exposure import StarExposure
+from ship_attitude_star.star_results import RefusedStar, Solved, StarOutcome
+from ship_attitude_star.star_selection import AttitudePrior
+from ship_attitude_star.stream_guards import StreamGuards
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+_SECOND_NS = 1_000_000_000
+_AT_REST: FloatArray = np.eye(3)
+_EXACT: FloatArray = np.zeros((3, 3))
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    """An exposure that has not been solved yet, and those of its stars that were refused already."""
+
+    exposure: StarExposure
+    refused: tuple[RefusedStar, ...]
+
+
+class StarCore:
+    """Attitudes from stars.
+
+    Args:
+        config: the node's parameters.
+        watch: the sky.
+
+    Attributes:
+        joined_by_ins: whether the INS could move the exposures of the last joint solution to one moment.
+    """
+
+    def __init__(self, config: StarAttitudeConfig, watch: SkyWatch) -> None:
+        self._config = config
+        self._watch = watch
+        self._lag_ns = round(config.lag_s * _SECOND_NS)
+        self._wait_ns = round(config.joint.wait_s * _SECOND_NS)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all inputs."""
+        self._watch.reset()
+        self._guards = StreamGuards(self._config.ins.white_sigma_arcsec * ARCSEC)
+        self._ins = InsMotion(self._config.ins, self._guards)
+        self._sources = [f"star.{id_}" for id_ in self._config.star_sensors]
+        self._taken: dict[str, StampedValues[StarExposure]] = {source: StampedValues() for source in self._sources}
+        self._waiting: list[_Waiting] = []
+        self._window: JointWindow[Sighting] = JointWindow(self._sources, self._config.joint)
+        self._newest_ns = 0
+        self.joined_by_ins = False
+
+    def reconfigure(self, config: StarAttitudeConfig) -> None:
+        """Go on with other sigmas; geometry and the set of sensors stay."""
+        self._config = config
+        self._ins.reconfigure(config.ins)
+
+    def add_ins(self, sample: AttitudeSample) -> StarOutcome:
+        """The attitude of the deck as the INS has it: it chooses among stars and has no part in any solution."""
+        if self._too_late(sample.time_ns):
+            return StarOutcome(self._late(sample.time_ns))
+        outcome = StarOutcome(self._ins.add(sample))
+        self._advance(sample.time_ns, outcome)
+        return outcome
+
+    def add_surroundings(self, given: SkyInput) -> Refusal | None:
+        """Where the ship is, or the air around it; returns why it is not used."""
+        refusal = given.refusal(self._watch)
+        given.insert(self._watch)
+        return refusal
+
+    def add_exposure(self, exposure: StarExposure, refused: tuple[RefusedStar, ...] = ()) -> StarOutcome:
+        """The stars of a sensor.
+
+        Args:
+            exposure: the stars.
+            refused: further stars of the message that cannot be used.
+        """
+        refusal = self._refusal(exposure)
+        if refusal is not None:
+            return StarOutcome(refusal)
+        self._taken[exposure.source].insert(exposure.time_ns, exposure)
+        self._waiting.append(_Waiting(exposure, refused))
+        outcome = StarOutcome()
+        self._advance(exposure.time_ns, outcome)
+        return outcome
+
+    def tick(self, now_ns: int) -> StarOutcome:
+        """The time now: nothing waits any longer than it should."""
+        outcome = StarOutcome()
+        self._solve(outcome, now_ns)
+        return outcome
+
+    def not_measured(self) -> list[str]:
+        """Which quantities of the air are taken from parameters, at the newest time of the data."""
+        return self._watch.weather.not_measured(self._newest_ns)
+
+    # -- what is used ---------------------------------------------------------------------------------------
+
+    def _refusal(self, exposure: StarExposure) -> Refusal | None:
+        if self._too_late(exposure.time_ns):
+            return self._late(exposure.time_ns)
+        taken = self._taken[exposure.source]
+        refusal = taken.refusal(exposure.time_ns, exposure)
+        if refusal is not None and refusal.reason is Reason.CONFLICT:
+            # Its solution is out: whoever uses that must not get another one for the same moment.
+            text = "the same stamp with other stars: do two sensors publish on one topic? The first is used"
+            return Refusal(Reason.CONFLICT, text)
+        if refusal is None and (not taken.times or exposure.time_ns > taken.times[-1]):
+            return self._guards.check_exposure(exposure, self._ins.newest)
+        return refusal
+
+    def _too_late(self, time_ns: int) -> bool:
+        return time_ns < self._newest_ns - self._lag_ns
+
+    def _late(self, time_ns: int) -> Refusal:
+        late_s = (self._newest_ns - time_ns) / _SECOND_NS
+        return Refusal(Reason.LATE, f"{late_s:.3f} s behind the newest data: more than lag_s = {self._config.lag_s:g}")
+
+    # -- in order of time -----------------------------------------------------------------------------------
+
+    def _advance(self, time_ns: int, outcome: StarOutcome) -> None:
+        """Solve what can be solved now, and forget what no exposure can ask for any more."""
+        self._newest_ns = max(self._newest_ns, time_ns)
+        self._solve(outcome, None)
+        oldest_ns = self._newest_ns - self._lag_ns - self._wait_ns
+        self._watch.drop_before(oldest_ns)
+        self._ins.drop_before(oldest_ns)
+        for taken in self._taken.values():
+            taken.forget(taken.last_before(oldest_ns))
+
+    def _solve(self, outcome: StarOutcome, now_ns: int | None) -> None:
+        still_waiting = []
+        for waiting in self._waiting:
+            time_ns = waiting.exposure.time_ns
+            overdue = now_ns is not None and now_ns - time_ns >= self._wait_ns
+            if self._ins.awaited(time_ns) and not overdue:
+                still_waiting.append(waiting)
+                continue
+            prior = self._prior(waiting.exposure)
+            sighting, solved = solve_exposure(waiting.exposure, waiting.refused, prior, self._watch)
+            self._note(solved)
+            outcome.solved.append(solved)
+            if not self._window.add(sighting):
+                outcome.not_joined.append((sighting.source, sighting.time_ns))
+        self._waiting = still_waiting
+        for group in self._window.closed(self._movable, now_ns):
+            outcome.solved.append(self._joint(group))
+
+    def _prior(self, exposure: StarExposure) -> AttitudePrior | None:
+        """The attitude of a sensor by the INS and its mounting, with the errors of both."""
+        deck, sensor = self._ins.deck(exposure.time_ns), self._sensor(exposure.source)
+        if deck is None:
+            return None
+        rotation_ns = deck.rotation_nb @ sensor.rotation_ds
+        mounting_n = rotation_ns * sensor.installation_sigma_s
+        return AttitudePrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
+
+    def _joint(self, group: list[Sighting]) -> Solved:
+        time_ns = group[0].time_ns
+        mounted = []
+        for sighting in group:
+            # Exposures so close that the ship is at rest need no turn.
+            turn, covariance_d = self._ins.turn(time_ns, sighting.time_ns) or (_AT_REST, _EXACT)
+            mounted.append(Mounted(sighting, turn @ self._sensor(sighting.source).rotation_ds, covariance_d))
+        prior = self._ins.deck(time_ns)
+        self.joined_by_ins = prior is not None
+        return solve_deck(time_ns, mounted, self._config.star_sensors, prior)
+
+    def _movable(self, to_ns: int, from_ns: int) -> bool:
+        return self._ins.turn(to_ns, from_ns) is not None
+
+    def _note(self, solved: Solved) -> None:
+        """A sensor's attitude tells whether other sensors stand still."""
+        if solved.valid:
+            rotation_ns, covariance_n = solved.solution.rotation_nb, solved.solution.covariance_n
+            noise_s = rotation_ns.T @ covariance_n @ rotation_ns
+            self._guards.used(AttitudeMeasurement(f"star.{solved.sensor_id}", solved.time_ns, rotation_ns, noise_s))
+
+    def _sensor(self, source: str) -> ObservingSensorConfig:
+        return self._config.star_sensors[source.partition(".")[2]]
