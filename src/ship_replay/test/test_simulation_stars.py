@@ -185,6 +185,7 @@ def test_false_stars_leave_the_true_ones_as_they_were_and_stand_among_them():
     mixed, truth, _ = sightings_of(paper_stars_one(false_stars=3.0))
     true = truth.hip != 0
     np.testing.assert_array_equal(mixed.pixel[true], clean.pixel)
+    np.testing.assert_array_equal(mixed.stars.magnitude[true], clean.stars.magnitude)
     np.testing.assert_array_equal(truth.hip[true], clean_truth.hip)
     exposure = np.repeat(np.arange(mixed.time_ns.size), np.diff(mixed.first))
     order = np.lexsort((mixed.pixel[:, 1], exposure))

@@ -84,9 +84,6 @@ def simulate_sightings(
     arrival = random_stream(seed, source + ".arrival")
     # What the fields of a message can hold.
     sigma_px = float(np.float32(config.camera.centroid_sigma_px))
-    magnitude = spots.magnitude + MAGNITUDE_SIGMA * random_stream(seed, source + ".magnitude").standard_normal(
-        spots.magnitude.size
-    )
     hip, positions, position_sigma = _identities(config, sky, spots.claimed)
     camera = config.camera.camera(source)
     sightings = StarSightings(
@@ -103,7 +100,7 @@ def simulate_sightings(
             sigma=equivalent_sigma(camera.direction_covariance(spots.pixel, sigma_px)),
             positions=positions,
             position_sigma=position_sigma,
-            magnitude=magnitude.astype(np.float32).astype(float),
+            magnitude=spots.magnitude.astype(np.float32).astype(float),
         ),
     )
     true_hip = np.where(spots.row == UNKNOWN, 0, sky.catalogue.hip[spots.row])
@@ -115,7 +112,8 @@ def simulate_sightings(
 class _Spots:
     """What is on the detector, an entry a spot: its exposure, what it is, what it is taken for, where and how bright.
 
-    ``row`` is of the catalogue, UNKNOWN where there is no star; ``claimed`` the row of the identity given.
+    ``row`` is of the catalogue, UNKNOWN where there is no star; ``claimed`` the row of the identity given; ``magnitude``
+    as measured.
     """
 
     exposure: NDArray[np.int64]
@@ -132,10 +130,11 @@ class _Spots:
 def _true_spots(
     source: str, config: StarSensor, motion: MountedMotion, sky: TrueSky, seeing: NDArray[np.bool_], seed: int
 ) -> _Spots:
-    """Stars with the errors of their centroids, some taken for one another."""
+    """Stars with the errors of centroids and magnitudes, some taken for one another."""
     field = stars_in_field(config, sky, motion.rotation_nv[seeing], motion.valid_ns[seeing])
     exposure = np.flatnonzero(seeing)[field.exposure]
     noise_px = random_stream(seed, source + ".centroid").standard_normal(field.pixel.shape)
+    magnitude_noise = random_stream(seed, source + ".magnitude").standard_normal(field.row.size)
     swaps = random_stream(seed, source + ".swaps")
     return _Spots(
         exposure=exposure,
@@ -143,7 +142,7 @@ def _true_spots(
         claimed=swapped_identities(field.row, exposure, config.swapped_probability, swaps),
         direction_s=field.direction_s,
         pixel=field.pixel + config.camera.centroid_sigma_px * noise_px,
-        magnitude=sky.catalogue.magnitude[field.row],
+        magnitude=sky.catalogue.magnitude[field.row] + MAGNITUDE_SIGMA * magnitude_noise,
     )
 
 
