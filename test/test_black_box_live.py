@@ -35,7 +35,8 @@ def boxes(tmp_path_factory):
 def test_a_run_with_changes_and_services_is_equal_to_the_last_bit(boxes):
     outcome = verified(boxes[0])
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
-    for used in ("ins/imu 4501", "parameters 2", "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
+    services = "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"
+    for used in ("ins/imu 4501", "parameters 2", "parameters refused 1", *services):
         assert used in outcome.stdout
     assert "ship/imu 4501" in outcome.stdout
 

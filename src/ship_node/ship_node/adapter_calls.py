@@ -9,7 +9,7 @@ from rclpy.serialization import serialize_message
 from ship_estimation.parameters import ParameterError
 from ship_node.adapter import Adapter, ServiceResult
 from ship_node.black_box import BlackBox
-from ship_node.black_box_format import ClockJumpedBack, Event, ParametersChanged, ServiceCalled, Tick
+from ship_node.black_box_format import ChangeRefused, ClockJumpedBack, Event, ParametersChanged, ServiceCalled, Tick
 from ship_node.files import NotedFiles
 from ship_node.topics import Published
 
@@ -82,6 +82,10 @@ class AdapterCalls:
             raise
         finally:
             self._note(ParametersChanged(dict(changes), refused), now_ns)
+
+    def note_refusal(self, changes: Mapping[str, Any], reason: str, now_ns: int) -> None:
+        """Note live parameters that are refused without asking the adapter."""
+        self._note(ChangeRefused(dict(changes), reason), now_ns)
 
     def publish(self, published: list[Published], now_ns: int) -> None:
         """Publish messages; with a box they are serialised once, for the subscribers and for it."""

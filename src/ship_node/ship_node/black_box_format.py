@@ -46,6 +46,14 @@ class ParametersChanged:
 
 
 @dataclass(frozen=True)
+class ChangeRefused:
+    """The node refused live parameters, dotted name → value, before the adapter was asked."""
+
+    changes: Mapping[str, Any]
+    reason: str
+
+
+@dataclass(frozen=True)
 class ServiceCalled:
     """A service was called, with its answer; None where it raised."""
 
@@ -83,12 +91,13 @@ class Closed:
     """The node ended in order; a box without it ends suddenly."""
 
 
-Event = Tick | ClockJumpedBack | ParametersChanged | ServiceCalled | FileUsed | EntriesLost | Closed
+Event = Tick | ClockJumpedBack | ParametersChanged | ChangeRefused | ServiceCalled | FileUsed | EntriesLost | Closed
 
 _KINDS: dict[str, type[Event]] = {
     "tick": Tick,
     "clock_jumped_back": ClockJumpedBack,
     "parameters": ParametersChanged,
+    "change_refused": ChangeRefused,
     "service": ServiceCalled,
     "file": FileUsed,
     "lost": EntriesLost,
@@ -99,7 +108,8 @@ _NAMES = {kind: name for name, kind in _KINDS.items()}
 
 def event_text(event: Event) -> str:
     """The event as it lies in the box."""
-    return json.dumps({"event": _NAMES[type(event)], **asdict(event)})
+    # What was asked for and refused may be anything: bytes, too.
+    return json.dumps({"event": _NAMES[type(event)], **asdict(event)}, default=repr)
 
 
 def event_from_text(text: str) -> Event:

@@ -35,7 +35,7 @@ from ship_node.guard import Guard
 from ship_node.message_factory import RosidlFactory, message_class
 from ship_node.parameter_file import quoted_parameter, read_whatever_fits
 from ship_node.qos import input_qos, output_qos, overridable, overrides_checked
-from ship_node.ros_parameters import NodeParameters
+from ship_node.ros_parameters import NodeParameters, ParameterNode
 from ship_node.tick_grid import TickGrid
 from ship_node.topics import InputTopic, OutputTopic
 
@@ -66,7 +66,7 @@ class LiveNode:
     """
 
     def __init__(self, adapter_class: type[Adapter], context: Context, parameter_files: tuple[Path, ...] = ()) -> None:
-        self.node = Node(adapter_class.node_name, context=context)
+        self.node: Node = ParameterNode(adapter_class.node_name, context=context)
         queue_clock(self.node)
         self._context = context
         self._factory = RosidlFactory()
@@ -82,7 +82,7 @@ class LiveNode:
             self.node.destroy_node()
             raise _with_line(error, parameter_files, adapter_class.node_name) from error
         self._calls = AdapterCalls(self.adapter, self._publishers, files, self._box)
-        self._parameters.on_change(lambda changes: self._calls.set_parameters(changes, self._now_ns()))
+        self._parameters.give_changes_to(self._calls, self._now_ns)
         self._grid = TickGrid()
         self._last_ns = 0
         self._before_clock: deque[tuple[str, bytes]] = deque(maxlen=sum(i.depth for i in self.adapter.inputs))

@@ -2,20 +2,46 @@
 
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
-from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.exceptions import InvalidParameterTypeException, ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe, flatten, nest
+from ship_estimation.parameters import (
+    ParameterDescription,
+    ParameterError,
+    build,
+    changed,
+    describe,
+    flatten,
+    nest,
+)
+from ship_node.adapter_calls import AdapterCalls
 from ship_node.diagnostics import Level, Status
 from ship_node.errors import BadInput
 from ship_node.parameter_file import BLACK_BOX_PARAMETER, is_shell_parameter
 
 _LEAST_INTEGER, _GREATEST_INTEGER = -(2**63), 2**63 - 1
+
+
+class ParameterNode(Node):
+    """A node whose live changes all pass through one hand.
+
+    What rclpy itself refuses (by range, type, read-only, unknown name) no callback hears of.
+
+    Attributes:
+        change: what takes a request, given rclpy's own way to do so; None for that way alone.
+    """
+
+    change: Callable[[list[Parameter], Callable[..., SetParametersResult]], SetParametersResult] | None = None
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Take or refuse all of them; rclpy's services call this."""
+        take = super().set_parameters_atomically
+        return take(parameter_list) if self.change is None else self.change(parameter_list, take)
 
 
 class NodeParameters:
@@ -33,9 +59,8 @@ class NodeParameters:
         ParameterError: an override is unknown, of the wrong type, out of its range or missing.
     """
 
-    def __init__(self, node: Node, config_type: type) -> None:
+    def __init__(self, node: ParameterNode, config_type: type) -> None:
         self._node = node
-        self._config_type = config_type
         self.config: Any = build(config_type, nest(_overrides(node)))
         self._at_start = flatten(self.config)
         self._last_refusal = ""
@@ -45,10 +70,17 @@ class NodeParameters:
             # The override is in the value already, as a float where the file had an integer.
             node.declare_parameter(name, value, _descriptor(self._descriptions[name]), ignore_override=True)
 
-    def on_change(self, apply: Callable[[Mapping[str, Any]], None]) -> None:
-        """From now on give live changes to ``apply``; what it raises refuses them with that reason."""
-        self._apply = apply
+    def give_changes_to(self, calls: AdapterCalls, now_ns: Callable[[], int]) -> None:
+        """From now on give live changes to the adapter; what it raises refuses them with that reason.
+
+        Args:
+            calls: of the adapter.
+            now_ns: the node's time.
+        """
+        self._calls = calls
+        self._now_ns = now_ns
         self._node.add_on_set_parameters_callback(self._set)
+        self._node.change = self._change
 
     def status(self) -> Status:
         """What of the parameters was changed since the start, and what was refused last."""
@@ -58,22 +90,41 @@ class NodeParameters:
         text = f"changed: {'; '.join(lines)}" if lines else "as at the start"
         return Status("parameters", Level.OK, text + self._last_refusal, changed)
 
+    def _change(
+        self, parameters: list[Parameter], take: Callable[[list[Parameter]], SetParametersResult]
+    ) -> SetParametersResult:
+        """Take a request, or refuse it with a reason that log, diagnostics and black box keep."""
+        asked = {p.name: _plain(p.value) for p in parameters}
+        self._adapter_was_asked = False
+        try:
+            # First our own check: it names the unit.
+            changed(self.config, {name: value for name, value in asked.items() if not self._is_of_the_shell(name)})
+            result = take(parameters)
+        except (ParameterError, ParameterNotDeclaredException) as error:
+            result = SetParametersResult(successful=False, reason=str(error))
+        if not result.successful:
+            self._last_refusal = f"; last refusal: {result.reason}"
+            self._node.get_logger().warning(f"refused: {result.reason}")
+            if not self._adapter_was_asked:
+                self._calls.note_refusal(asked, result.reason, self._now_ns())
+        return result
+
+    def _is_of_the_shell(self, name: str) -> bool:
+        return name not in self._descriptions and self._node.has_parameter(name)
+
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         changes = {p.name: _plain(p.value) for p in parameters if p.name in self._descriptions}
         if not changes:
             return SetParametersResult(successful=True)
         before = flatten(self.config)
+        config: Any = changed(self.config, changes)
+        self._adapter_was_asked = True
         try:
-            config: Any = build(self._config_type, nest(before | changes))
-            self._apply({name: flatten(config)[name] for name in changes})
+            self._calls.set_parameters({name: flatten(config)[name] for name in changes}, self._now_ns())
         except ParameterError as error:
-            self._last_refusal = f"; last refusal: {error}"
-            self._node.get_logger().warning(f"refused: {error}")
             return SetParametersResult(successful=False, reason=str(error))
         except Exception as error:
-            reason = f"not changed: {type(error).__name__}: {error}"
-            self._node.get_logger().error(reason)
-            return SetParametersResult(successful=False, reason=reason)
+            return SetParametersResult(successful=False, reason=f"not changed: {type(error).__name__}: {error}")
         self.config = config
         for name, value in changes.items():
             unit = self._descriptions[name].unit

@@ -14,7 +14,15 @@ from std_srvs.srv import Trigger
 from test_black_box import SECOND_NS, entries
 
 from ship_msgs.msg import ShipAttitude
-from ship_node.black_box_format import EVENTS_TOPIC, ClockJumpedBack, Closed, ParametersChanged, ServiceCalled, Tick
+from ship_node.black_box_format import (
+    EVENTS_TOPIC,
+    ChangeRefused,
+    ClockJumpedBack,
+    Closed,
+    ParametersChanged,
+    ServiceCalled,
+    Tick,
+)
 
 REFUSAL = "parameter 'gate.count' = 13 is not wanted by the adapter"
 
@@ -73,6 +81,35 @@ def test_box_and_changed_parameters_are_in_the_diagnostics(live_relay, tmp_path)
     assert not set_parameter(relay, "gate.count", 13).successful
     wanted = f"changed: gate.count = 5, 3 at the start; last refusal: {REFUSAL}"
     relay.wait_until(lambda: relay.diagnostics["relay: parameters"].message == wanted)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("gate.probability", 1.5),
+        ("gate.probability", "high"),
+        ("gate.probabilty", 0.75),
+        ("sensors.fore.elevation_deg", 50.0),
+        ("black_box", "other.mcap"),
+        ("frame_id", [b"a", b"b"]),
+    ],
+)
+def test_a_change_that_never_reaches_the_adapter_is_in_log_box_and_diagnostics(
+    live_relay, tmp_path, capfd, name, value
+):
+    relay = live_relay("-p", f"black_box:={tmp_path}/box.mcap", "-p", "sensors.fore.elevation_deg:=45")
+    reason = set_parameter(relay, name, value).reason
+    wanted = f"as at the start; last refusal: {reason}"
+    relay.wait_until(
+        lambda: "relay: parameters" in relay.diagnostics and relay.diagnostics["relay: parameters"].message == wanted
+    )
+    assert reason
+    assert f"refused: {reason}" in "".join(capfd.readouterr())
+    relay.live._box.close()
+    noted = [what for topic, what, _ in entries(tmp_path / "box.mcap") if isinstance(what, ChangeRefused)]
+    # What JSON has no word for stands there as Python writes it.
+    told = value if not isinstance(value, list) else [repr(part) for part in value]
+    assert noted == [ChangeRefused({name: told}, reason)]
 
 
 def test_the_parameter_is_read_only_and_without_it_there_is_no_box(live_relay, tmp_path):

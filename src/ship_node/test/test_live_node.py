@@ -81,14 +81,16 @@ def test_live_parameter_reaches_the_adapter(live_relay):
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [
-        ("gate.probability", 1.5, "out of range"),
-        ("gate.probability", "high", "expected 'Type.DOUBLE' got 'Type.STRING'"),
+        ("gate.probability", 1.5, "parameter 'gate.probability' = 1.5 is out of its range [0.5, 1.0]"),
+        ("gate.probability", "high", "parameter 'gate.probability' must be of type float, got 'high'"),
+        ("gate.probability", 1, "expected 'Type.DOUBLE' got 'Type.INTEGER'"),
         ("gate.bias_deg", math.nan, "parameter 'gate.bias_deg' must be finite, got nan"),
         ("gate.count", 13, "parameter 'gate.count' = 13 is not wanted by the adapter"),
-        ("gate.count", 0, "out of range"),
+        ("gate.count", 0, "parameter 'gate.count' = 0 is out of its range [1, inf]"),
         ("offsets_s", [1.0, 10.0], "parameter 'offsets_s[1]' = 10.0 s is out of its range [-inf, 9.0] s"),
-        ("sensors.fore.elevation_deg", 50.0, "read-only"),
-        ("gate.probabilty", 0.75, "undeclared"),
+        ("sensors.fore.elevation_deg", 50.0, "cannot be changed while the node runs: set it at the start"),
+        ("gate.probabilty", 0.75, "parameter 'gate.probabilty' is unknown"),
+        ("use_sim_time", 3, "expected 'Type.BOOL' got 'Type.INTEGER'"),
     ],
 )
 def test_bad_live_parameter_is_refused_with_a_reason(live_relay, name, value, reason):

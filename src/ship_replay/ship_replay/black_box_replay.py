@@ -9,6 +9,7 @@ from ship_estimation.parameters import ParameterError
 from ship_node.adapter import Adapter
 from ship_node.black_box_format import (
     EVENTS_TOPIC,
+    ChangeRefused,
     ClockJumpedBack,
     Closed,
     EntriesLost,
@@ -144,6 +145,8 @@ class _BoxReplay:
         elif isinstance(event, ParametersChanged):
             refused = self._call("parameters", time_ns, lambda: _refusal(adapter, event))
             self._compare_values("parameters", time_ns, "refused", event.refused, refused)
+        elif isinstance(event, ChangeRefused):
+            self._result.used["parameters refused"] += 1
         elif isinstance(event, EntriesLost):
             self._result.unverified = f"the disk was too slow for {event.count} entries at {utc_text(time_ns)}"
         elif isinstance(event, Closed):

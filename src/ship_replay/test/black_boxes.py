@@ -48,10 +48,11 @@ def make_box(path: Path, alignment_path: Path, close: bool = True) -> BlackBox:
     box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print)
     calls = AdapterCalls(adapter, {output.topic: Nobody() for output in adapter.outputs}, files, box)
     plan = _plan(calls)
+    planned = len(plan)
     grid = TickGrid()
     for record in [*records, *records[:300]]:
         now_ns = record.log_time_ns
-        if record is records[0] and len(plan) < 6:
+        if record is records[0] and len(plan) < planned:
             grid.restart(now_ns)
             calls.clock_jumped_back(now_ns)
         for tick_ns in grid.due(now_ns):
@@ -78,6 +79,7 @@ def _plan(calls: AdapterCalls) -> list[tuple[int, Callable[[int], Any]]]:
     return [
         (1 * second, lambda ns: calls.set_parameters({"gate.probability": 0.99}, ns)),
         (2 * second, refused),
+        (2 * second, lambda ns: calls.note_refusal({"gate.probability": 5.0}, "out of its range", ns)),
         (3 * second, lambda ns: calls.set_parameters({"ins.white_sigma_arcsec": 2.0}, ns)),
         (4 * second, lambda ns: calls.service("save_alignment", ns)),
         (5 * second, lambda ns: calls.service("reset", ns)),

@@ -41,8 +41,10 @@ def refused(capsys, *arguments):
 def test_a_whole_box_is_equal_to_the_last_bit(box, capsys):
     code, out, _ = verify(capsys, box)
     assert code == 0, out
-    # 8 s at 100 Hz and 300 messages more after the clock went back; 2 parameter changes and a refused one.
-    for used in ("clock jump back 1", "parameters 3", "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
+    # 8 s at 100 Hz and 300 messages more after the clock went back; 2 parameter changes, one refused by the adapter
+    # and one by the node.
+    events = "clock jump back 1", "parameters 3", "parameters refused 1"
+    for used in (*events, "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
         assert used in out
     assert "outputs are equal to the last bit" in out
     assert "verified up to there" not in out
