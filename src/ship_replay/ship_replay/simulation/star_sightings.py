@@ -112,8 +112,8 @@ def simulate_sightings(
 class _Spots:
     """What is on the detector, an entry a spot: its exposure, what it is, what it is taken for, where and how bright.
 
-    ``row`` is of the catalogue, UNKNOWN where there is no star; ``claimed`` the row of the identity given; ``magnitude``
-    as measured.
+    ``row`` is of the catalogue, UNKNOWN where there is no star; ``claimed`` the row of the identity given;
+    ``magnitude`` as measured.
     """
 
     exposure: NDArray[np.int64]

@@ -7,6 +7,8 @@ from typing import Any
 import yaml
 
 from ship_attitude_star.config import InsConfig, ReferenceConfig, StarSensorConfig
+from ship_attitude_star.device_config import InsInputConfig
+from ship_attitude_star.star_attitude_config import ObservingSensorConfig
 from ship_attitude_star.star_config import CameraConfig
 from ship_replay.simulation.device_messages import INS_FRAME, star_frame
 from ship_replay.simulation.scenario import Scenario, StarSensor
@@ -33,9 +35,28 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
     return configuration
 
 
+def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
+    """Parameters of ``star_attitude``, for the sensors that give single stars."""
+    return {
+        "ins": _ins(scenario, InsInputConfig),
+        "star_sensors": {
+            key: {
+                "frame_id": star_frame(key),
+                "camera": _shared(sensor.camera, CameraConfig),
+                **_shared(sensor, ObservingSensorConfig),
+            }
+            for key, sensor in scenario.star_sensors.items()
+            if sensor.output == "observations"
+        },
+        "sky": _sky(scenario),
+    }
+
+
 def suite_yaml(scenario: Scenario) -> str:
     """The same as ROS 2 parameter file of all nodes that the scenario has inputs for."""
     nodes = {"ship_attitude": suite_configuration(scenario)}
+    if any(sensor.output == "observations" for sensor in scenario.star_sensors.values()):
+        nodes["star_attitude"] = star_attitude_configuration(scenario)
     return yaml.safe_dump({node: {"ros__parameters": values} for node, values in nodes.items()}, sort_keys=False)
 
 
