@@ -4,11 +4,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ship_attitude_star import alignment_file, messages_in, messages_out
+from ship_attitude_star import alignment_file, messages_out
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.diagnosis import attitude_status, conflict_statuses
-from ship_attitude_star.samples import AttitudeEstimate, Decision, Outcome, Reason, Status
+from ship_attitude_star.samples import AttitudeEstimate, Decision, Outcome, Reason, Refusal, Status
 from ship_attitude_star.ship_core import ShipAttitudeCore
+from ship_attitude_star.ship_inputs import ShipInputs
+from ship_attitude_star.sky_watch import installed_sky
 from ship_estimation.parameters import changed
 from ship_node.adapter import ServiceResult
 from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level, diagnostic_array
@@ -21,12 +23,9 @@ from ship_node.message_factory import MessageFactory
 from ship_node.stamps import ns_from_stamp
 from ship_node.topics import InputTopic, OutputTopic, Published
 
-_INS_TOPIC = "ins/imu"
-_IMU = "sensor_msgs/msg/Imu"
-_STAR = "ship_msgs/msg/StarHorizonAttitude"
 _OUTPUTS = (
     OutputTopic("ship/attitude", "ship_msgs/msg/ShipAttitude"),
-    OutputTopic("ship/imu", _IMU),
+    OutputTopic("ship/imu", "sensor_msgs/msg/Imu"),
     OutputTopic("ship/alignment", "ship_msgs/msg/AlignmentState"),
     OutputTopic("ship/error_budget", "ship_msgs/msg/ErrorBudget"),
     OutputTopic("ship/innovation", "ship_msgs/msg/Innovation"),
@@ -58,13 +57,12 @@ class ShipAttitudeAdapter:
         self._config = config
         self._files = files
         self._factory = factory
-        self.core = ShipAttitudeCore(config)
-        self._sources = _sources_by_topic(config)
-        self._topics = {source: topic for topic, source in self._sources.items()}
-        self.inputs: tuple[InputTopic, ...] = tuple(
-            InputTopic(topic, _STAR if topic.startswith("star/") else _IMU, topic == _INS_TOPIC, depth=1000)
-            for topic in self._sources
-        )
+        looks_at_sky = any(star.looks_at_sky for star in config.star_sensors.values())
+        watch = installed_sky(config.sky) if looks_at_sky else None
+        self.core = ShipAttitudeCore(config, watch)
+        self._inputs = ShipInputs(config, self.core, watch)
+        self._topics = {source: topic for topic, source in self._inputs.sources.items()}
+        self.inputs: tuple[InputTopic, ...] = self._inputs.topics
         self.health = InputHealthBook(self.inputs)
         self._saved = self._read_alignment_at_start()
         self._alignment_messages: list[str] = []
@@ -78,22 +76,20 @@ class ShipAttitudeAdapter:
         self._start(receive_ns)
         self.health.arrived(topic, receive_ns)
         try:
-            converted = self._convert(topic, message, receive_ns)
+            taken = self._inputs.take(topic, message, receive_ns)
         except Refused as refused:
             reason = Reason[refused.reason.upper()]
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
             return self._refusal(topic, time_ns, reason, refused.text, receive_ns)
-        if not converted.covariance_known:
+        if not taken.covariance_known:
             self.health.noted(topic, Reason.COVARIANCE_UNKNOWN.name.lower())
-        is_ins = topic == _INS_TOPIC
-        outcome = (self.core.add_ins if is_ins else self.core.add_measurement)(converted.value)
-        published: list[Published] = []
-        if outcome.refusal is not None:
-            refusal = outcome.refusal
-            published += self._refusal(topic, converted.value.time_ns, refusal.reason, refusal.text, receive_ns)
-        elif is_ins:
-            self.health.accepted(topic, converted.value.time_ns, receive_ns)
-        return published + self._published(outcome, receive_ns)
+        published = self._stars_refused(topic, taken.time_ns, taken.stars_refused)
+        if taken.outcome.refusal is not None:
+            refusal = taken.outcome.refusal
+            published += self._refusal(topic, taken.time_ns, refusal.reason, refusal.text, receive_ns)
+        elif not taken.judged:
+            self.health.accepted(topic, taken.time_ns, receive_ns)
+        return published + self._published(taken.outcome, receive_ns)
 
     def tick(self, now_ns: int) -> list[Published]:
         """Say INVALID where nothing carries an attitude; once a period, the slow topics."""
@@ -131,16 +127,9 @@ class ShipAttitudeAdapter:
         """
         self._config = changed(self._config, changes)
         self.core.reconfigure(self._config)
+        self._inputs.config = self._config
 
     # -- inputs ---------------------------------------------------------------------------------------------
-
-    def _convert(self, topic: str, message: Any, receive_ns: int) -> messages_in.Converted:
-        kind, _, id_ = self._sources[topic].partition(".")
-        if kind == "star":
-            return messages_in.star_measurement(message, id_, self._config.star_sensors[id_], receive_ns)
-        if kind == "reference":
-            return messages_in.reference_measurement(message, id_, self._config.references[id_], receive_ns)
-        return messages_in.ins_sample(message, self._config.ins, receive_ns)
 
     def _start(self, now_ns: int) -> None:
         """Take the alignment read at the start, as soon as there is a time to judge its age by."""
@@ -158,13 +147,31 @@ class ShipAttitudeAdapter:
     def _refusal(self, topic: str, time_ns: int, reason: Reason, text: str, receive_ns: int) -> list[Published]:
         self.health.rejected(topic, reason.name.lower(), text, receive_ns, time_ns)
         return [
-            ("ship/innovation", messages_out.refusal(self._factory, self._sources[topic], time_ns, reason, text))
+            ("ship/innovation", messages_out.refusal(self._factory, self._source(topic), time_ns, reason, text))
         ]
+
+    def _stars_refused(
+        self, topic: str, time_ns: int, stars_refused: tuple[tuple[str, Refusal], ...]
+    ) -> list[Published]:
+        """Stars that had no part in their exposure, each said and counted; the exposure may be used all the same."""
+        published: list[Published] = []
+        for name, refusal in stars_refused:
+            self.health.noted(topic, refusal.reason.name.lower())
+            text = f"{name}: {refusal.text}"
+            message = messages_out.refusal(self._factory, self._source(topic), time_ns, refusal.reason, text)
+            published.append(("ship/innovation", message))
+        return published
+
+    def _source(self, topic: str) -> str:
+        return self._inputs.sources[topic]
 
     def _published(self, outcome: Outcome, now_ns: int) -> list[Published]:
         published: list[Published] = []
         for decision in outcome.decisions:
             self._count(decision, now_ns)
+            measurement = decision.measurement
+            topic = self._topics[measurement.source]
+            published += self._stars_refused(topic, measurement.time_ns, decision.stars_refused)
             published.append(("ship/innovation", messages_out.innovation(self._factory, decision)))
         for estimate in outcome.estimates:
             self._latest = estimate
@@ -241,10 +248,3 @@ class ShipAttitudeAdapter:
         if not self._config.alignment_file:
             raise BadInput("parameter 'alignment_file' is empty: set it to the path of the file to use")
         return Path(self._config.alignment_file)
-
-
-def _sources_by_topic(config: ShipAttitudeConfig) -> dict[str, str]:
-    """Input topic → source name; each star sensor feeds the filter by exactly one topic."""
-    stars = {f"star/{id_}/{star.input}": f"star.{id_}" for id_, star in config.star_sensors.items()}
-    references = {f"reference/{name}/imu": f"reference.{name}" for name in config.references}
-    return {_INS_TOPIC: "ins", **stars, **references}

@@ -7,10 +7,17 @@ import numpy as np
 
 from ship_attitude_star.config import ReferenceConfig, StarSensorConfig
 from ship_attitude_star.device_config import InsInputConfig
+from ship_attitude_star.inertial_attitude import InertialAttitude
 from ship_attitude_star.samples import AttitudeMeasurement
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
-from ship_geometry.ros_axes import device_vector_from_ros, horizon_covariance, rotation_from_quaternion
+from ship_geometry.ros_axes import (
+    FLU_FROM_DEVICE,
+    celestial_rotation_from_quaternion,
+    device_vector_from_ros,
+    horizon_covariance,
+    rotation_from_quaternion,
+)
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.message_checks import (
     Refused,
@@ -30,19 +37,19 @@ _LARGEST_RATE = 100.0
 
 
 @dataclass(frozen=True)
-class Converted:
-    """A message as the core takes it.
+class InsMessage:
+    """A message of the INS as the core takes it.
 
     Attributes:
-        value: an :class:`AttitudeSample` or an :class:`AttitudeMeasurement`.
-        covariance_known: False where the configured sigma was used.
+        value: attitude and rate of the deck.
+        covariance_known: False where the message gives no covariance.
     """
 
-    value: Any
+    value: AttitudeSample
     covariance_known: bool
 
 
-def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> Converted:
+def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> InsMessage:
     """``ins/imu`` → attitude and rate of the deck.
 
     Its covariance is the INS's total error, not white noise: it is checked and otherwise left alone.
@@ -63,10 +70,10 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> Convert
         if np.max(np.abs(rate_ros)) > _LARGEST_RATE:
             raise Refused("units", f"angular_velocity {rate_ros.tolist()} cannot be a ship's in rad/s")
         rate_d = rotation_di @ device_vector_from_ros(rate_ros, config.convention)
-    return Converted(AttitudeSample(time_ns, rotation_ni @ rotation_di.T, rate_d), covariance is not None)
+    return InsMessage(AttitudeSample(time_ns, rotation_ni @ rotation_di.T, rate_d), covariance is not None)
 
 
-def star_measurement(message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int) -> Converted:
+def star_measurement(message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int) -> AttitudeMeasurement:
     """``star/<sensor>/horizon_attitude`` or ``.../solution`` → the sensor's attitude in the horizon.
 
     Raises:
@@ -81,23 +88,38 @@ def star_measurement(message: Any, sensor_id: str, config: StarSensorConfig, rec
     rotation_ns = rotation_from_angles(message.azimuth, message.elevation, message.roll)
     total_n = _total_covariance(message)
     if total_n is None:
-        sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
-        noise_s = np.diag((np.array(sigma) * ARCSEC) ** 2)
-        measurement = AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False)
-        return Converted(measurement, False)
+        noise_s = _configured_noise(config)
+        return AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False)
     noise_enu = _angular_covariance(message.noise_covariance, "noise_covariance")
     noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
-    measurement = AttitudeMeasurement(
+    return AttitudeMeasurement(
         f"star.{sensor_id}",
         time_ns,
         rotation_ns,
         rotation_ns.T @ noise_n @ rotation_ns,
         _common_covariance(total_n, noise_n),
     )
-    return Converted(measurement, True)
 
 
-def reference_measurement(message: Any, name: str, config: ReferenceConfig, receive_ns: int) -> Converted:
+def inertial_attitude(message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int) -> InertialAttitude:
+    """``star/<sensor>/inertial_attitude`` → the sensor's attitude against the ICRS.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    if message.sensor_id != sensor_id:
+        raise Refused("unknown_sensor", f"sensor_id is '{message.sensor_id}': expected '{sensor_id}' on this topic")
+    frame(message.header.frame_id, config.frame_id)
+    rotation_cs = celestial_rotation_from_quaternion(unit_quaternion(message.orientation, "orientation"))
+    covariance_flu = _angular_covariance(message.covariance, "covariance")
+    if covariance_flu is None:
+        return InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, _configured_noise(config), False)
+    noise_s = FLU_FROM_DEVICE.T @ covariance_flu @ FLU_FROM_DEVICE
+    return InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s)
+
+
+def reference_measurement(message: Any, name: str, config: ReferenceConfig, receive_ns: int) -> AttitudeMeasurement:
     """``reference/<name>/imu`` → the attitude of another system; its covariance is white.
 
     Raises:
@@ -113,8 +135,14 @@ def reference_measurement(message: Any, name: str, config: ReferenceConfig, rece
     else:
         noise_r = rotation_nr.T @ horizon_covariance(covariance_enu) @ rotation_nr
     known = covariance_enu is not None
-    measurement = AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known)
-    return Converted(measurement, known)
+    return AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known)
+
+
+def _configured_noise(config: StarSensorConfig) -> FloatArray:
+    """Covariance of an attitude whose message gives none, in the sensor frame."""
+    sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
+    noise_s: FloatArray = np.diag((np.array(sigma) * ARCSEC) ** 2)
+    return noise_s
 
 
 def _rotation(message: Any, convention: str) -> FloatArray:

@@ -3,7 +3,6 @@
 Knows no ROS, no files, no clock. Measurements enter in any order; within ``lag_s`` each is applied at its own time.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from ship_attitude_star.alignment import Alignment, AlignmentPrior, alignment_of, prior_of, state_from_prior
@@ -17,10 +16,10 @@ from ship_attitude_star.samples import (
     Decision,
     Measurement,
     Outcome,
-    Refusal,
     same_stamp,
 )
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
+from ship_attitude_star.sky_inputs import SkyInput
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
@@ -107,18 +106,11 @@ class ShipAttitudeCore:
             self._publish(outcome, self._estimate_from_ins(sample.time_ns))
         return outcome
 
-    def add_surroundings(self, inserted: Callable[[SkyWatch], Refusal | int | None]) -> Outcome:
-        """Where the ship is, or the air around it.
-
-        Args:
-            inserted: puts it into the sky; returns the moment (ns) after which the sky has changed, None where it has
-                not, or why it is not used.
-        """
+    def add_sky_input(self, sky_input: SkyInput) -> Outcome:
+        """Where the ship is, or the air around it; what was compared with another sky is compared anew."""
         assert self._watch is not None
-        changed_after_ns = inserted(self._watch)
-        if isinstance(changed_after_ns, Refusal):
-            return Outcome(changed_after_ns)
-        outcome = Outcome()
+        outcome = Outcome(sky_input.refusal(self._watch))
+        changed_after_ns = sky_input.insert(self._watch)
         if changed_after_ns is not None:
             self._log.rewind_where(
                 lambda decision: decision.measurement.time_ns > changed_after_ns

@@ -40,6 +40,11 @@ def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu"
     return parent.T @ matrix @ device
 
 
+def celestial_rotation_from_quaternion(quaternion: FloatArray) -> FloatArray:
+    """Rotation "ICRS from device (forward, up, right)", shape (3, 3), of a quaternion x, y, z, w, ICRS <- FLU."""
+    return _matrix_of_one(np.asarray(quaternion, dtype=float)) @ FLU_FROM_DEVICE
+
+
 def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
     """Quaternion x, y, z, w (w >= 0), ENU <- FLU, shape (..., 4), of rotations "horizon from device"."""
     rotation = np.asarray(rotation, dtype=float)
