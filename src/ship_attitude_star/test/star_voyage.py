@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from small_voyage import FACTORY, INS, SECOND_NS, START_NS, Arrival, Run, attitude, drive, in_order
+from small_voyage import FACTORY, INS, SECOND_NS, START_NS, Arrival, Run, attitude, drive, exactly, in_order
 from small_voyage import voyage as small_voyage
 
 from ship_attitude_star.catalogue import hipparcos
@@ -158,13 +158,13 @@ def fix(since_ns: int) -> Any:
 
 
 def air(topic: str, since_ns: int) -> Any:
-    kind, field, value = {
-        PRESSURE: ("FluidPressure", "fluid_pressure", 100.0 * WEATHER.pressure_hpa),
-        TEMPERATURE: ("Temperature", "temperature", WEATHER.temperature_c),
-        HUMIDITY: ("RelativeHumidity", "relative_humidity", WEATHER.relative_humidity),
+    kind, field, value, sigma = {
+        PRESSURE: ("FluidPressure", "fluid_pressure", 100.0 * WEATHER.pressure_hpa, 50.0),
+        TEMPERATURE: ("Temperature", "temperature", WEATHER.temperature_c, 1.0),
+        HUMIDITY: ("RelativeHumidity", "relative_humidity", WEATHER.relative_humidity, 0.0),
     }[topic]
     header = make_header(FACTORY, START_NS + since_ns, "mast")
-    return FACTORY.make(f"sensor_msgs/msg/{kind}", header=header, **{field: value}, variance=0.0)
+    return FACTORY.make(f"sensor_msgs/msg/{kind}", header=header, **{field: value}, variance=sigma**2)
 
 
 @functools.cache
@@ -210,8 +210,6 @@ def clean_run() -> Run:
 
 def results(run: Run) -> list[tuple[str, bytes]]:
     """All solutions and budgets as published, to the last bit."""
-    from small_voyage import exactly
-
     topics = [output.topic for output in run.adapter.outputs if output.topic.startswith("star/")]
     return [
         (topic, exactly(message))

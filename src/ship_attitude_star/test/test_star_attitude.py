@@ -1,0 +1,363 @@
+"""The node star_attitude on a voyage under the real sky: its attitudes against the truth, with and without an INS."""
+
+import copy
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from small_voyage import INS, SECOND_NS, START_NS, Arrival, Run, changed_where, drive, exactly, in_order, stamp_of
+from star_voyage import (
+    CAMERA_PARAMETERS,
+    FIX,
+    FORE,
+    HUMIDITY,
+    LATENCY_NS,
+    MAS,
+    PERIOD_NS,
+    PHASE_NS,
+    PRESSURE,
+    STARBOARD,
+    STARS,
+    TEMPERATURE,
+    clean_run,
+    except_,
+    new_adapter,
+    observations,
+    only,
+    results,
+    sail,
+    solution_rotation,
+    true_deck,
+    true_sensor,
+    voyage,
+)
+
+from ship_attitude_star.catalogue import hipparcos
+from ship_attitude_star.samples import Reason
+from ship_attitude_star.star_solution import SolutionStatus
+from ship_estimation.parameters import ParameterError
+from ship_geometry.frames import angle_covariance, rotation_from_angles
+from ship_geometry.ros_axes import horizon_covariance, quaternion_from_rotation, rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+
+SOLUTION = {FORE: "star/fore/solution", STARBOARD: "star/starboard/solution"}
+JOINT = "star/joint/solution"
+EXACT_MAS = 0.2
+"""Twice what the refreshed sky may differ from the exact one."""
+
+
+def error_n(message: Any, truth_n: FloatArray) -> FloatArray:
+    return log_rotation(truth_n @ solution_rotation(message).T)
+
+
+def since(message: Any) -> int:
+    return stamp_of(message) - START_NS
+
+
+def without_ins() -> tuple[Arrival, ...]:
+    return except_(voyage(), INS)
+
+
+def simultaneous(*counts: int) -> tuple[Arrival, ...]:
+    """Both sensors expose at once, with so many stars each; nothing else but place and weather."""
+    arrivals = list(only(voyage(), FIX, PRESSURE, TEMPERATURE, HUMIDITY))
+    for topic, count in zip((FORE, STARBOARD), counts, strict=True):
+        for since_ns in range(PHASE_NS[FORE], SECOND_NS, PERIOD_NS):
+            message = observations(topic, since_ns, count=STARS)
+            message.stars = message.stars[:count]
+            arrivals.append(Arrival(topic, message, START_NS + since_ns + LATENCY_NS))
+    return in_order(arrivals)
+
+
+@pytest.mark.parametrize("topic", [FORE, STARBOARD])
+def test_each_exposure_is_an_attitude_of_its_sensor_exact_to_the_chain(topic: str) -> None:
+    exposures = [arrival.stamp_ns for arrival in only(voyage(), topic)]
+    solutions = clean_run().messages(SOLUTION[topic])
+    assert [stamp_of(message) for message in solutions] == exposures
+    for message in solutions:
+        error = error_n(message, true_sensor(topic, since(message)))
+        assert np.linalg.norm(error) < EXACT_MAS * MAS
+        assert (message.status, message.star_count, message.rejected_count) == (SolutionStatus.VALID, STARS, 0)
+        assert message.sensor_id == topic.split("/")[1]
+        assert message.header.frame_id == f"star_{message.sensor_id}"
+        assert message.residual_rms < 0.1 * MAS
+
+
+def test_covariances_belong_together() -> None:
+    for topic in (*SOLUTION.values(), JOINT):
+        message = clean_run().messages(topic)[3]
+        total_n = horizon_covariance(message.rotation_covariance.reshape(3, 3))
+        noise_n = horizon_covariance(message.noise_covariance.reshape(3, 3))
+        expected = angle_covariance(total_n, message.azimuth, message.elevation)
+        np.testing.assert_allclose(message.covariance.reshape(3, 3), expected, rtol=1e-9)
+        # What stars share comes on top of the noise.
+        assert np.linalg.eigvalsh(total_n - noise_n)[0] > -1e-6 * np.trace(total_n)
+        assert np.trace(noise_n) < np.trace(total_n)
+
+
+def test_errors_are_as_large_as_the_noise_covariance_says() -> None:
+    run = sail(voyage(noise=True))
+    total = degrees = 0.0
+    for topic, name in SOLUTION.items():
+        for message in run.messages(name):
+            error = error_n(message, true_sensor(topic, since(message)))
+            noise_n = horizon_covariance(message.noise_covariance.reshape(3, 3))
+            total += error @ np.linalg.solve(noise_n, error)
+            degrees += 3
+    assert degrees == 90
+    low, high = chi2.ppf([0.0005, 0.9995], degrees)
+    assert low < total < high
+
+
+def test_the_prior_chooses_and_has_no_part_in_the_attitude() -> None:
+    without = sail(without_ins())
+    for name in SOLUTION.values():
+        assert [exactly(m) for m in without.messages(name)] == [exactly(m) for m in clean_run().messages(name)]
+
+
+def test_simultaneous_exposures_make_an_exact_deck_without_any_ins() -> None:
+    run = sail(simultaneous(STARS, STARS), use_ins=False)
+    assert len(run.messages(JOINT)) == 5
+    for message in run.messages(JOINT):
+        assert np.linalg.norm(error_n(message, true_deck(since(message)))) < EXACT_MAS * MAS
+        assert (message.star_count, message.status) == (2 * STARS, SolutionStatus.VALID)
+        assert (message.sensor_id, message.header.frame_id) == ("joint", "deck")
+
+
+def test_exposures_at_different_times_are_moved_to_one_by_the_ins() -> None:
+    joint = clean_run().messages(JOINT)
+    # Each pair once, at the time of its first.
+    assert [since(message) for message in joint] == list(range(PHASE_NS[FORE], 3 * SECOND_NS, PERIOD_NS))
+    # Left to itself, 64 ms of rolling would be up to 2.3°/s x 64 ms = 0.15° = 530″.
+    moved = [
+        log_rotation(true_deck(since(m)).T @ true_deck(since(m) + PHASE_NS[STARBOARD] - PHASE_NS[FORE])) for m in joint
+    ]
+    assert np.max(np.linalg.norm(moved, axis=-1)) > 300 * ARCSEC
+    for message in joint:
+        error = error_n(message, true_deck(since(message)))
+        covariance_n = horizon_covariance(message.rotation_covariance.reshape(3, 3))
+        assert error @ np.linalg.solve(covariance_n, error) < chi2.ppf(0.9999, 3)
+        assert message.star_count == 2 * STARS
+
+
+def test_without_ins_exposures_at_different_times_are_not_joined_and_it_says_so() -> None:
+    run = sail(without_ins())
+    stamps = [stamp_of(message) for message in run.messages(JOINT)]
+    assert len(stamps) == len(only(voyage(), FORE, STARBOARD))
+    assert stamps == sorted(stamps)
+    assert {message.star_count for message in run.messages(JOINT)} == {STARS}
+    assert status(run, "solution joint")[1].endswith("without ins/imu only exposures within 0.1 ms are joined")
+    assert "without ins/imu" not in status(clean_run(), "solution joint")[1]
+
+
+def test_the_deck_by_one_sensor_bears_the_error_of_its_mounting() -> None:
+    run = sail(except_(voyage(), STARBOARD))
+    assert len(run.messages(JOINT)) == len(only(voyage(), FORE))
+    for message in run.messages(JOINT):
+        assert np.linalg.norm(error_n(message, true_deck(since(message)))) < EXACT_MAS * MAS
+        # 20″ about a boresight 45° up, along the keel: 20 / √2 of heading and of roll each.
+        installation_n = horizon_covariance(message.rotation_covariance.reshape(3, 3))
+        boresight_n = true_sensor(FORE, since(message))[:, 0]
+        assert np.sqrt(boresight_n @ installation_n @ boresight_n) / ARCSEC == pytest.approx(21.8, abs=1.0)
+
+
+def test_a_joint_solution_waits_no_longer_than_it_may() -> None:
+    run = sail(except_(voyage(), STARBOARD), joint__wait_s=0.5)
+    waits_ns = [time_ns - stamp_of(message) for time_ns, topic, message in run.published if topic == JOINT]
+    # The ticks come every 0.1 s.
+    assert min(waits_ns) >= 0.5 * SECOND_NS
+    assert max(waits_ns) < 0.6 * SECOND_NS
+    both = [time_ns - stamp_of(message) for time_ns, topic, message in clean_run().published if topic == JOINT]
+    assert max(both) == PHASE_NS[STARBOARD] - PHASE_NS[FORE] + LATENCY_NS
+
+
+def test_one_star_in_each_of_two_sensors_is_an_attitude_of_the_deck_only() -> None:
+    run = sail(simultaneous(1, 1), use_ins=False)
+    for name in SOLUTION.values():
+        for message in run.messages(name):
+            assert message.status == SolutionStatus.INVALID
+            assert np.isnan([message.azimuth, message.elevation, message.roll, message.residual_rms]).all()
+            assert np.isnan(np.concatenate([message.covariance, message.rotation_covariance])).all()
+            assert (message.star_count, message.rejected_count) == (0, 0)
+    for message in run.messages(JOINT):
+        assert (message.status, message.star_count) == (SolutionStatus.UNVERIFIED, 2)
+        assert np.linalg.norm(error_n(message, true_deck(since(message)))) < EXACT_MAS * MAS
+    assert run.reasons(FORE) == {"too_few_stars": 5}
+    assert {m.source for m in run.messages("star/innovation")} == {"star.fore", "star.starboard"}
+
+
+def test_with_the_ins_two_stars_are_enough_to_be_sure() -> None:
+    ins = (arrival for arrival in only(voyage(), INS) if arrival.receive_ns < START_NS + 2 * SECOND_NS)
+    arrivals = in_order([*simultaneous(1, 1), *ins])
+    joint = sail(arrivals).messages(JOINT)
+    assert {(message.status, message.star_count) for message in joint} == {(SolutionStatus.VALID, 2)}
+
+
+def turned_ins(heading_deg: float) -> tuple[Arrival, ...]:
+    turn = rotation_from_angles(np.deg2rad(heading_deg), 0.0, 0.0)
+
+    def change(message: Any) -> None:
+        o = message.orientation
+        rotation_nd = turn @ rotation_from_quaternion(np.array([o.x, o.y, o.z, o.w]))
+        o.x, o.y, o.z, o.w = quaternion_from_rotation(rotation_nd).tolist()
+
+    return changed_where(voyage(), lambda arrival: arrival.topic == INS, change)
+
+
+def test_an_ins_that_contradicts_all_stars_does_not_put_them_out() -> None:
+    run = sail(turned_ins(90.0))
+    for topic, name in SOLUTION.items():
+        for message in run.messages(name):
+            assert message.status == SolutionStatus.VALID
+            assert np.linalg.norm(error_n(message, true_sensor(topic, since(message)))) < EXACT_MAS * MAS
+    level, text, _ = status(run, "solution fore")
+    assert level == 1
+    assert "not with ins/imu" in text
+
+
+def nameless(arrivals: tuple[Arrival, ...]) -> tuple[Arrival, ...]:
+    def change(message: Any) -> None:
+        for star in message.stars:
+            star.catalogue_id = 0
+
+    return changed_where(arrivals, lambda arrival: arrival.topic in SOLUTION, change)
+
+
+def test_stars_without_a_name_are_identified_by_the_ins() -> None:
+    run = sail(nameless(voyage()))
+    for topic, name in SOLUTION.items():
+        for message in run.messages(name):
+            assert message.star_count + message.rejected_count == STARS
+            assert message.star_count >= STARS - 2
+            assert np.linalg.norm(error_n(message, true_sensor(topic, since(message)))) < EXACT_MAS * MAS
+
+
+def test_without_a_name_and_without_an_ins_there_is_no_solution() -> None:
+    run = sail(nameless(without_ins()))
+    assert {message.status for message in run.messages(SOLUTION[FORE])} == {SolutionStatus.INVALID}
+    exposures = len(only(voyage(), FORE))
+    assert run.reasons(FORE) == {"unidentified": STARS * exposures, "too_few_stars": exposures}
+
+
+def test_a_star_given_by_its_direction_counts_like_one_of_the_catalogue() -> None:
+    catalogue = hipparcos()
+
+    def change(message: Any) -> None:
+        for star in message.stars:
+            (row,) = catalogue.rows([star.catalogue_id])
+            # As its sensor would give it: with the motion up to now, 23.87 years.
+            listed = catalogue.at_j2000[row]
+            star.right_ascension = listed.right_ascension + 23.87 * listed.pm_right_ascension
+            star.declination = listed.declination + 23.87 * listed.pm_declination
+            star.catalogue_id = 0
+
+    run = sail(changed_where(without_ins(), lambda arrival: arrival.topic in SOLUTION, change))
+    for message in run.messages(SOLUTION[FORE]):
+        # Their parallaxes are left out: up to 0.1″ of the nearest.
+        assert np.linalg.norm(error_n(message, true_sensor(FORE, since(message)))) < 0.1 * ARCSEC
+        assert message.star_count == STARS
+
+
+def test_the_budget_is_the_covariance_of_the_joint_solution_by_source() -> None:
+    budgets = clean_run().messages("star/joint/error_budget")
+    assert len(budgets) == 3  # once a second
+    joint = {stamp_of(message): message for message in clean_run().messages(JOINT)}
+    for budget in budgets:
+        assert (budget.quantity, budget.header.frame_id) == ("star_joint", "deck")
+        assert budget.sources == [
+            "star_noise", "installation", "refraction", "earth_rotation", "ship_position", "catalogue",
+        ]  # fmt: skip
+        np.testing.assert_allclose(np.reshape(budget.covariances, (6, 9)).sum(axis=0), budget.total, rtol=1e-9)
+        np.testing.assert_array_equal(budget.total, joint[stamp_of(budget)].rotation_covariance)
+
+
+def test_old_budgets_are_not_repeated() -> None:
+    run = drive(new_adapter(), voyage(), until_ns=START_NS + 10 * SECOND_NS)
+    assert len(run.messages("star/joint/error_budget")) == 3
+
+
+def test_any_order_within_the_lag_gives_the_same_attitudes_of_the_sensors() -> None:
+    delayed = tuple(
+        replace(a, receive_ns=a.receive_ns + (900_000_000 if a.topic == FORE and index % 2 else 0))
+        for index, a in enumerate(voyage())
+    )
+    run = sail(in_order(delayed))
+    for name in SOLUTION.values():
+        by_stamp = {stamp_of(m): solution_rotation(m) for m in run.messages(name)}
+        for message in clean_run().messages(name):
+            # Only the place is not the same to the last bit: later fixes are there by then.
+            np.testing.assert_allclose(by_stamp[stamp_of(message)], solution_rotation(message), atol=1e-12)
+    joint = [stamp_of(m) for m in run.messages(JOINT)]
+    assert all(b > a for a, b in itertools.pairwise(joint))
+    assert run.reasons(FORE)["late"] > 0
+    assert all("joint" in m.reason_text for m in run.messages("star/innovation") if m.reason == Reason.LATE)
+
+
+def test_no_exposure_is_in_two_joint_solutions() -> None:
+    for run in (clean_run(), sail(without_ins())):
+        used = sum(message.star_count for message in run.messages(JOINT))
+        assert used == STARS * len(only(voyage(), FORE, STARBOARD))
+
+
+def test_after_the_clock_went_back_it_starts_anew_and_does_the_same_again() -> None:
+    adapter = new_adapter()
+    first = drive(adapter, voyage())
+    adapter.clock_jumped_back(voyage()[0].receive_ns)
+    second = drive(adapter, voyage())
+    assert results(second) == results(first)
+    assert status(second, "sky")[2]["clock jumps back"] == "1"
+
+
+def test_reset_forgets_the_place() -> None:
+    adapter = new_adapter()
+    drive(adapter, voyage())
+    assert adapter.service("reset", START_NS + 4 * SECOND_NS).success
+    again = drive(adapter, only(voyage(), FORE))
+    assert {message.status for message in again.messages(SOLUTION[FORE])} == {SolutionStatus.INVALID}
+
+
+def test_sigma_of_the_centroid_changes_while_it_runs() -> None:
+    def change(message: Any) -> None:
+        for star in message.stars:
+            star.sigma_px = 0.0
+
+    exposures = changed_where(voyage(), lambda arrival: arrival.topic in SOLUTION, change)
+    adapter = new_adapter()
+    adapter.set_parameters({"star_sensors.fore.camera.centroid_sigma_px": 0.08})
+    run = drive(adapter, exposures)
+    fore, starboard = (
+        np.trace(run.messages(name)[0].noise_covariance.reshape(3, 3))
+        / np.trace(clean_run().messages(name)[0].noise_covariance.reshape(3, 3))
+        for name in SOLUTION.values()
+    )
+    assert fore == pytest.approx(4.0, rel=1e-3)
+    assert starboard == pytest.approx(1.0, rel=1e-3)
+    assert run.reasons(FORE) == {"covariance_unknown": len(only(voyage(), FORE))}
+    with pytest.raises(ParameterError, match="cannot be changed"):
+        adapter.set_parameters({"star_sensors.fore.azimuth_deg": 1.0})
+
+
+def test_a_sensor_must_not_be_called_joint() -> None:
+    with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' means all sensors"):
+        new_adapter(star_sensors__joint={"azimuth_deg": 1.0, "elevation_deg": 2.0, "camera": camera()})
+
+
+def test_a_sensor_needs_its_camera() -> None:
+    given = camera()
+    del given["focal_length_m"]
+    with pytest.raises(ParameterError, match=r"'star_sensors\.fore\.camera\.focal_length_m' .* must be given"):
+        new_adapter(star_sensors__fore__camera=given)
+
+
+def camera() -> dict[str, float]:
+    return copy.deepcopy(CAMERA_PARAMETERS)
+
+
+def status(run: Run, name: str) -> tuple[int, str, dict[str, str]]:
+    """The last diagnostic status of a name."""
+    report = [message for _, topic, message in run.published if topic == "/diagnostics"][-1]
+    (found,) = [entry for entry in report.status if entry.name == f"star_attitude: {name}"]
+    return found.level[0], found.message, {value.key: value.value for value in found.values}

@@ -1,0 +1,362 @@
+"""What star_attitude cannot use: the reason, where it is told, and that all else comes out as without it."""
+
+import functools
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from small_voyage import (
+    INS,
+    SECOND_NS,
+    START_NS,
+    Arrival,
+    Run,
+    added,
+    changed_copy,
+    changed_where,
+    drive,
+    exactly,
+    in_order,
+    index_at,
+    replaced,
+    stamp_of,
+    without,
+)
+from small_voyage import voyage as small_voyage
+from star_voyage import (
+    FIX,
+    FORE,
+    HUMIDITY,
+    PRESSURE,
+    SIGMA_PX,
+    STARBOARD,
+    STARS,
+    TEMPERATURE,
+    clean_run,
+    except_,
+    new_adapter,
+    only,
+    results,
+    sail,
+    solution_rotation,
+    true_sensor,
+    voyage,
+)
+
+from ship_attitude_star.samples import Reason
+from ship_attitude_star.star_solution import SolutionStatus
+from ship_geometry.earth_orientation import earth_orientation_table
+from ship_geometry.rotations import ARCSEC, log_rotation
+
+MOMENT_S = 1.5
+SOURCE = {FORE: "star.fore", FIX: "gnss.fix", PRESSURE: "met.pressure", INS: "ins.imu", HUMIDITY: "met.humidity"}
+FORE_SOLUTION = "star/fore/solution"
+DAY_NS = 86_400 * SECOND_NS
+
+Change = Callable[[Any], None]
+
+
+def put(path: str, value: Any) -> Change:
+    """Sets a field, as ``header.frame_id``."""
+    *parents, leaf = path.split(".")
+
+    def change(message: Any) -> None:
+        setattr(functools.reduce(getattr, parents, message), leaf, value)
+
+    return change
+
+
+def ahead(seconds: float) -> Change:
+    def change(message: Any) -> None:
+        ns = stamp_of(message) + round(seconds * SECOND_NS)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, SECOND_NS)
+
+    return change
+
+
+def no_stamp(message: Any) -> None:
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+
+
+def no_fix(message: Any) -> None:
+    message.status.status = -1
+
+
+DROPPED = [
+    ("exposure stamp zero", FORE, no_stamp, "bad_stamp", "0 ns"),
+    ("exposure from the future", FORE, ahead(0.18), "future", "0.060 s ahead"),
+    ("exposure of another sensor", FORE, put("sensor_id", "aft"), "unknown_sensor", "'aft': expected 'fore'"),
+    ("exposure in another frame", FORE, put("header.frame_id", "aft"), "frame", "'aft': expected 'star_fore'"),
+    ("fix without fix", FIX, no_fix, "no_fix", "STATUS_NO_FIX"),
+    ("fix NaN", FIX, put("latitude", np.nan), "non_finite", "latitude"),
+    ("fix in minutes", FIX, put("longitude", 7217.6), "units", "expected degrees"),
+    ("fix stamp zero", FIX, no_stamp, "bad_stamp", "0 ns"),
+    ("pressure in hPa", PRESSURE, put("fluid_pressure", 1008.3), "units", "hPa, not Pa?"),
+    ("humidity in percent", HUMIDITY, put("relative_humidity", 60.0), "units", "percent?"),
+    ("ins quaternion NaN", INS, put("orientation.x", np.nan), "non_finite", "orientation"),
+    ("ins frame", INS, put("header.frame_id", "imu"), "frame", "'imu': expected 'ins'"),
+]
+
+
+@functools.cache
+def run_without(topic: str) -> Run:
+    return sail(without(voyage(), index_at(voyage(), topic, MOMENT_S)))
+
+
+@pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
+def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
+    index = index_at(voyage(), topic, MOMENT_S)
+    run = sail(replaced(voyage(), index, change))
+
+    assert results(run) == results(run_without(topic))
+    assert_told_once(run, topic, reason, text, voyage()[index].receive_ns)
+
+
+def assert_told_once(run: Run, topic: str, reason: str, text: str, receive_ns: int) -> None:
+    """Counted, in an innovation, and in the diagnostics within 1.1 s."""
+    health = run.health(topic)
+    assert run.reasons(topic) == {reason: 1}
+    assert (health.rejected, health.received) == (1, health.accepted + 1)
+    (innovation,) = innovations(run, Reason[reason.upper()])
+    assert innovation.source == SOURCE[topic]
+    assert text in innovation.reason_text
+    levels = [
+        (entry.level[0], entry.message)
+        for ns, name, report in run.published
+        if name == "/diagnostics" and receive_ns <= ns <= receive_ns + 1.1 * SECOND_NS
+        for entry in report.status
+        if entry.name == f"star_attitude: input {topic}"
+    ]
+    assert any(level == 1 and text in said for level, said in levels)
+
+
+def innovations(run: Run, reason: Reason) -> list[Any]:
+    return [message for message in run.messages("star/innovation") if message.reason == reason]
+
+
+# -- single stars ---------------------------------------------------------------------------------------------
+
+
+def star(row: int, **fields: Any) -> Change:
+    def change(message: Any) -> None:
+        for name, value in fields.items():
+            setattr(message.stars[row], name, value)
+
+    return change
+
+
+def without_star(row: int) -> Change:
+    def change(message: Any) -> None:
+        del message.stars[row]
+
+    return change
+
+
+STARS_REFUSED = [
+    ("pixel NaN", star(3, u=np.nan), Reason.NON_FINITE, "pixel (nan"),
+    ("pixel nonsense", star(3, v=1e12), Reason.UNITS, "1e+12"),
+    ("sigma negative", star(3, sigma_px=-1.0), Reason.BAD_COVARIANCE, "sigma_px -1"),
+    ("unknown number", star(3, catalogue_id=900_000), Reason.UNKNOWN_STAR, "HIP 900000: HIP 900000 is not in"),
+    (
+        "right ascension in degrees",
+        star(3, catalogue_id=0, right_ascension=310.36, declination=0.79),
+        Reason.UNITS,
+        "degrees?",
+    ),
+    # Achernar, declination -57°: it never rises at 32° north.
+    ("below the horizon", star(3, catalogue_id=7588), Reason.BELOW_HORIZON, "HIP 7588: elevation -"),
+]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason", "text"), [s[1:] for s in STARS_REFUSED], ids=[s[0] for s in STARS_REFUSED]
+)
+def test_a_bad_star_alone_is_refused(change: Change, reason: Reason, text: str) -> None:
+    index = index_at(voyage(), FORE, MOMENT_S)
+    run, expected = sail(replaced(voyage(), index, change)), sail(replaced(voyage(), index, without_star(3)))
+
+    for message in run.messages(FORE_SOLUTION):
+        # Nothing but the count of what was refused tells the two runs apart.
+        message.rejected_count -= stamp_of(message) == voyage()[index].stamp_ns
+    assert results(run) == results(expected)
+    assert run.reasons(FORE) == {reason.name.lower(): 1}
+    assert run.health(FORE).rejected == 0
+    (innovation,) = innovations(run, reason)
+    assert (innovation.source, stamp_of(innovation)) == ("star.fore", voyage()[index].stamp_ns)
+    assert text in innovation.reason_text
+
+
+def solution_at(run: Run, index: int) -> Any:
+    return next(m for m in run.messages(FORE_SOLUTION) if stamp_of(m) == voyage()[index].stamp_ns)
+
+
+@pytest.mark.parametrize("ins", [True, False])
+def test_a_false_star_is_named_with_its_angle(ins: bool) -> None:
+    index = index_at(voyage(), FORE, MOMENT_S)
+    u, v = (getattr(voyage()[index].message.stars[2], name) for name in "uv")
+    # 3 px right and 4 px down: 5 px of 82.5″, less off axis.
+    arrivals = replaced(voyage(), index, star(2, u=u + 3.0, v=v + 4.0))
+    run = sail(arrivals if ins else except_(arrivals, INS))
+    (innovation,) = innovations(run, Reason.MISIDENTIFIED)
+    hip = voyage()[index].message.stars[2].catalogue_id
+    assert innovation.reason_text.startswith(f"HIP {hip}: ")
+    assert list(innovation.components) == ["up", "right"]
+    up, right = np.array(innovation.residual) / ARCSEC
+    assert (up, right) == pytest.approx((-4 * 82.5, 3 * 82.5), abs=15.0)
+    assert innovation.sigma[0] / ARCSEC == pytest.approx(82.5 * SIGMA_PX, rel=0.05)
+    assert innovation.nis == pytest.approx((5 / SIGMA_PX) ** 2, rel=0.15)
+    solution = solution_at(run, index)
+    assert (solution.status, solution.star_count, solution.rejected_count) == (SolutionStatus.VALID, STARS - 1, 1)
+    since_ns = stamp_of(solution) - START_NS
+    assert np.linalg.norm(log_rotation(true_sensor(FORE, since_ns) @ solution_rotation(solution).T)) < 1e-3 * ARCSEC
+    assert run.reasons(FORE) == {"misidentified": 1}
+
+
+def test_two_stars_with_each_other_s_name_are_both_refused() -> None:
+    index = index_at(voyage(), FORE, MOMENT_S)
+    first, second = (voyage()[index].message.stars[row].catalogue_id for row in (0, 5))
+
+    def swap(message: Any) -> None:
+        message.stars[0].catalogue_id, message.stars[5].catalogue_id = second, first
+
+    run = sail(replaced(voyage(), index, swap))
+    named = {message.reason_text.split(":")[0] for message in innovations(run, Reason.MISIDENTIFIED)}
+    assert named == {f"HIP {first}", f"HIP {second}"}
+    assert solution_at(run, index).star_count == STARS - 2
+
+
+def test_a_star_seen_twice_counts_once() -> None:
+    index = index_at(voyage(), FORE, MOMENT_S)
+    run = sail(replaced(voyage(), index, lambda message: message.stars.append(message.stars[0])))
+    assert solution_at(run, index).star_count == STARS
+    assert run.reasons(FORE) == {"duplicate": 1}
+    expected, given = solution_at(clean_run(), index), solution_at(run, index)
+    assert exactly(given.rotation_covariance) == exactly(expected.rotation_covariance)
+
+
+# -- the same again, late, standing still ---------------------------------------------------------------------
+
+
+def test_the_same_exposure_again_is_dropped() -> None:
+    index = index_at(voyage(), FORE, MOMENT_S)
+    run = sail(added(voyage(), index, lambda message: None, voyage()[index].receive_ns + 20_000_000))
+    assert results(run) == results(clean_run())
+    assert run.reasons(FORE) == {"duplicate": 1}
+
+
+def test_two_sensors_on_one_topic_are_told() -> None:
+    index = index_at(voyage(), FORE, MOMENT_S)
+    run = sail(added(voyage(), index, star(0, u=17.0), voyage()[index].receive_ns + 20_000_000))
+    assert results(run) == results(clean_run())
+    assert run.reasons(FORE) == {"conflict": 1}
+    assert "do two sensors publish on one topic?" in innovations(run, Reason.CONFLICT)[0].reason_text
+
+
+def test_a_fix_with_the_same_stamp_and_another_place_is_told() -> None:
+    index = index_at(voyage(), FIX, 0.5)
+    run = sail(added(voyage(), index, put("latitude", 32.0), voyage()[index].receive_ns + 1))
+    assert run.reasons(FIX) == {"conflict": 1}
+
+
+def test_an_exposure_beyond_the_lag_is_dropped() -> None:
+    index = index_at(voyage(), FORE, 0.2)
+    late = replace(voyage()[index], receive_ns=voyage()[index].receive_ns + round(2.5 * SECOND_NS))
+    run = sail(in_order([*without(voyage(), index), late]))
+    assert results(run) == results(sail(without(voyage(), index)))
+    assert run.reasons(FORE) == {"late": 1}
+    assert "more than lag_s = 2" in innovations(run, Reason.LATE)[0].reason_text
+
+
+def test_a_frozen_camera_is_found_while_the_ship_moves() -> None:
+    stars = only(voyage(5.0), FORE)[2].message.stars
+    frozen = changed_where(
+        voyage(5.0),
+        lambda a: a.topic == FORE and a.stamp_ns > START_NS + SECOND_NS // 2,
+        lambda m: setattr(m, "stars", stars),
+    )
+    run = sail(frozen)
+    # Stamps from 0.513 s to 4.813 s: the first three exposures are not frozen; the twentieth like it is refused.
+    assert run.reasons(FORE)["stuck"] == 23 - 19
+    assert "stand still on the detector" in innovations(run, Reason.STUCK)[0].reason_text
+    assert run.reasons(STARBOARD) == {}
+
+
+def test_the_ins_in_degrees_per_second_is_left_out() -> None:
+    def degrees(message: Any) -> None:
+        for axis in "xyz":
+            setattr(message.angular_velocity, axis, float(np.rad2deg(getattr(message.angular_velocity, axis))))
+
+    ins = changed_where(ins_only(8.0), lambda arrival: True, degrees)
+    run = drive(new_adapter(), ins)
+    assert set(run.reasons(INS)) == {"units"}
+    assert "degrees for radians" in innovations(run, Reason.UNITS)[0].reason_text
+
+
+def ins_only(duration_s: float) -> tuple[Arrival, ...]:
+    return only(small_voyage(duration_s), INS)
+
+
+# -- no place, no air, no Earth orientation -------------------------------------------------------------------
+
+
+def assert_no_attitude_but_told(run: Run, reason: Reason, text: str) -> None:
+    exposures = len(only(voyage(), FORE))
+    for name in (FORE_SOLUTION, "star/starboard/solution", "star/joint/solution"):
+        assert {message.status for message in run.messages(name)} == {SolutionStatus.INVALID}
+    assert len(run.messages(FORE_SOLUTION)) == exposures
+    assert run.reasons(FORE) == {reason.name.lower(): exposures}
+    assert run.health(FORE).rejected == exposures
+    assert all(text in message.reason_text for message in innovations(run, reason))
+
+
+def test_without_a_fix_there_is_no_attitude() -> None:
+    assert_no_attitude_but_told(sail(except_(voyage(), FIX)), Reason.NO_FIX, "no position fix yet")
+
+
+def test_a_fix_older_than_a_minute_is_none() -> None:
+    def old(seconds: float) -> tuple[Arrival, ...]:
+        return in_order(
+            replace(changed_copy(a, ahead(-seconds)), receive_ns=a.receive_ns - round(seconds * SECOND_NS))
+            if a.topic == FIX
+            else a
+            for a in voyage()
+        )
+
+    assert_no_attitude_but_told(sail(old(64.0)), Reason.NO_FIX, "older: more than fix_max_age_s = 60")
+    young = sail(old(50.0))
+    assert {message.status for message in young.messages(FORE_SOLUTION)} == {SolutionStatus.VALID}
+    # Fifty seconds ahead by the last two fixes: the ship may have turned, ½ · 0.1 m/s² · 48 s · 49 s = 118 m = 3.8″.
+    about_east = [run.messages(FORE_SOLUTION)[0].rotation_covariance[0] for run in (young, clean_run())]
+    assert np.sqrt(about_east[0] - about_east[1]) / ARCSEC == pytest.approx(3.8, abs=0.1)
+
+
+def test_beyond_the_table_of_earth_orientation_there_is_no_attitude() -> None:
+    shift_ns = earth_orientation_table().last_ns + 40 * DAY_NS - START_NS
+    later = tuple(
+        replace(changed_copy(a, ahead(shift_ns / SECOND_NS)), receive_ns=a.receive_ns + shift_ns) for a in voyage()
+    )
+    assert_no_attitude_but_told(sail(later), Reason.NO_EARTH_ORIENTATION, "")
+
+
+def test_without_weather_refraction_is_less_well_known_and_it_says_so() -> None:
+    run = sail(except_(voyage(), PRESSURE, TEMPERATURE, HUMIDITY))
+    message, clean = run.messages(FORE_SOLUTION)[0], clean_run().messages(FORE_SOLUTION)[0]
+    assert message.status == SolutionStatus.VALID
+    # 45° up: 10 K are 2″ and 15 hPa 0.9″ of elevation; a kelvin and half a hectopascal 0.2″.
+    more = np.sqrt(message.covariance[4] - clean.covariance[4]) / ARCSEC
+    assert more == pytest.approx(2.2, abs=0.3)
+    report = [m for _, topic, m in run.published if topic == "/diagnostics"][-1]
+    (status,) = [entry for entry in report.status if entry.name == "star_attitude: sky"]
+    assert status.message.startswith("no weather: pressure, temperature, humidity by parameters")
+
+
+def test_a_night_of_clouds_is_no_fault() -> None:
+    def nothing(message: Any) -> None:
+        message.stars = []
+
+    run = sail(changed_where(voyage(), lambda a: a.topic == FORE, nothing))
+    assert {message.status for message in run.messages(FORE_SOLUTION)} == {SolutionStatus.INVALID}
+    assert {message.star_count for message in run.messages("star/joint/solution")} == {STARS}
+    assert run.health(FORE).rejected == 0
