@@ -7,11 +7,12 @@ from typing import Any, ClassVar
 from ship_attitude_star import alignment_file, messages_out
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.diagnosis import attitude_status, conflict_statuses
-from ship_attitude_star.samples import AttitudeEstimate, Decision, Outcome, Reason, Refusal, Status
+from ship_attitude_star.samples import AttitudeEstimate, Decision, Outcome, Status
 from ship_attitude_star.ship_core import ShipAttitudeCore
 from ship_attitude_star.ship_inputs import ShipInputs
 from ship_attitude_star.sky_watch import installed_sky
 from ship_estimation.parameters import changed
+from ship_estimation.refusals import Reason, Refusal
 from ship_node.adapter import ServiceResult
 from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level, diagnostic_array
 from ship_node.diagnostics import Status as DiagnosticStatus

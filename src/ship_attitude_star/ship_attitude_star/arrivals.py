@@ -2,9 +2,10 @@
 
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.inertial_attitude import InertialAttitude
-from ship_attitude_star.samples import AttitudeMeasurement, Measurement, Reason, Refusal
+from ship_attitude_star.samples import AttitudeMeasurement, Measurement
 from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.stream_guards import StreamGuards
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
 

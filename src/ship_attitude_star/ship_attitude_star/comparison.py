@@ -6,10 +6,11 @@ import numpy as np
 
 from ship_attitude_star.inertial_attitude import InertialAttitude, in_horizon
 from ship_attitude_star.measurement_models import PredictedAttitude, attitude_measurement
-from ship_attitude_star.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement, Measurement, Refusal
+from ship_attitude_star.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement, Measurement
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.star_update import attitude_by_stars, star_residuals
+from ship_estimation.refusals import Refusal
 from ship_estimation.state import StateModel
 from ship_geometry.rotations import FloatArray
 

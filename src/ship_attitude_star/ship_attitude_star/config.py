@@ -2,21 +2,16 @@
 
 from dataclasses import dataclass
 
-from ship_attitude_star.device_config import InsInputConfig, MountingConfig, arcsec, degrees
+from ship_attitude_star.device_config import MountingConfig
 from ship_attitude_star.star_config import CameraConfig, SkyConfig
-from ship_estimation.parameters import mapping_of, parameter, section
+from ship_estimation.ins_config import InsErrorConfig
+from ship_estimation.parameters import arcsec, degrees, mapping_of, parameter, section
 
 
 @dataclass(frozen=True, kw_only=True)
-class InsConfig(InsInputConfig):
-    """The inertial navigation system: its axes, its slow errors, its clock."""
+class InsConfig(InsErrorConfig):
+    """The inertial navigation system."""
 
-    tilt_time_s: float = parameter(
-        1800.0, doc="correlation time of the tilt error", unit="s", minimum=1.0, maximum=1e7
-    )
-    heading_time_s: float = parameter(
-        10800.0, doc="correlation time of the heading error", unit="s", minimum=1.0, maximum=1e7
-    )
     silence_s: float = parameter(
         1.0, doc="without samples for this long the INS counts as gone", unit="s", minimum=0.05, maximum=60.0
     )

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.samples import Reason, Refusal
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_attitude_star.star_attitude_config import JOINT, ObservingSensorConfig
 from ship_attitude_star.star_camera import tangent_basis
@@ -15,6 +14,7 @@ from ship_attitude_star.star_results import RefusedStar, Solved
 from ship_attitude_star.star_selection import AttitudePrior
 from ship_attitude_star.star_solution import SolutionStatus, StarSolution, no_attitude, solve_stars
 from ship_attitude_star.star_update import visible_stars
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import FloatArray
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.samples import Reason, Refusal
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.star_selection import AttitudePrior, across, distance
 from ship_estimation.gates import chi_square_gate
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, skew
 from ship_geometry.star_directions import StarPositions
 

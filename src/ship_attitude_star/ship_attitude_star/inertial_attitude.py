@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.samples import AttitudeMeasurement, Refusal
+from ship_attitude_star.samples import AttitudeMeasurement
 from ship_attitude_star.sky_watch import SkyWatch
+from ship_estimation.refusals import Refusal
 from ship_geometry.refraction import elevation_of
 from ship_geometry.rotations import FloatArray, exp_rotation
 

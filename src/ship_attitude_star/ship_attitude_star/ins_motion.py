@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ship_attitude_star.device_config import InsInputConfig
-from ship_attitude_star.samples import Refusal, same_stamp
 from ship_attitude_star.star_selection import AttitudePrior
 from ship_attitude_star.stream_guards import StreamGuards
+from ship_estimation.ins_config import InsInputConfig
+from ship_estimation.refusals import Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 from ship_geometry.rotations import ARCSEC, FloatArray
 

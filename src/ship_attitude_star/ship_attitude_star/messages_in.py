@@ -1,29 +1,24 @@
 """From messages to the core's structs: axes, units and checks. Reads attributes only, so any message class will do."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ship_attitude_star.config import ReferenceConfig, StarSensorConfig
-from ship_attitude_star.device_config import InsInputConfig
 from ship_attitude_star.inertial_attitude import InertialAttitude
 from ship_attitude_star.samples import AttitudeMeasurement
-from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.ros_axes import (
     FLU_FROM_DEVICE,
     celestial_rotation_from_quaternion,
-    device_vector_from_ros,
     horizon_covariance,
-    rotation_from_quaternion,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.imu_messages_in import imu_rotation
 from ship_node.message_checks import (
     Refused,
     covariance_3x3,
     finite_numbers,
-    finite_vector,
     frame,
     stamp_ns,
     unit_quaternion,
@@ -32,45 +27,6 @@ from ship_node.message_checks import (
 _STAR_INVALID = 3
 _COVARIANCE_TOLERANCE = 1e-6
 _LARGEST_VARIANCE = (2.0 * np.pi) ** 2
-_LARGEST_RATE = 100.0
-"""No ship turns like this, rad/s; far above what degrees per second would give, which are found by their ratio."""
-
-
-@dataclass(frozen=True)
-class InsMessage:
-    """A message of the INS as the core takes it.
-
-    Attributes:
-        value: attitude and rate of the deck.
-        covariance_known: False where the message gives no covariance.
-    """
-
-    value: AttitudeSample
-    covariance_known: bool
-
-
-def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> InsMessage:
-    """``ins/imu`` → attitude and rate of the deck.
-
-    Its covariance is the INS's total error, not white noise: it is checked and otherwise left alone.
-
-    Raises:
-        Refused: with the reason.
-    """
-    time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, config.frame_id)
-    rotation_ni = _rotation(message, config.convention)
-    covariance = covariance_3x3(message.orientation_covariance, "orientation_covariance")
-    rotation_di = rotation_from_angles(
-        *np.deg2rad([config.installation_heading_deg, config.installation_pitch_deg, config.installation_roll_deg])
-    )
-    rate_d = None
-    if message.angular_velocity_covariance[0] != -1.0:
-        rate_ros = finite_vector(message.angular_velocity, "angular_velocity")
-        if np.max(np.abs(rate_ros)) > _LARGEST_RATE:
-            raise Refused("units", f"angular_velocity {rate_ros.tolist()} cannot be a ship's in rad/s")
-        rate_d = rotation_di @ device_vector_from_ros(rate_ros, config.convention)
-    return InsMessage(AttitudeSample(time_ns, rotation_ni @ rotation_di.T, rate_d), covariance is not None)
 
 
 def star_measurement(message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int) -> AttitudeMeasurement:
@@ -127,7 +83,7 @@ def reference_measurement(message: Any, name: str, config: ReferenceConfig, rece
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
-    rotation_nr = _rotation(message, config.convention)
+    rotation_nr = imu_rotation(message, config.convention)
     covariance_enu = _angular_covariance(message.orientation_covariance, "orientation_covariance")
     if covariance_enu is None:
         sigma = [config.sigma_roll_arcsec, config.sigma_heading_arcsec, config.sigma_pitch_arcsec]
@@ -143,10 +99,6 @@ def _configured_noise(config: StarSensorConfig) -> FloatArray:
     sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
     noise_s: FloatArray = np.diag((np.array(sigma) * ARCSEC) ** 2)
     return noise_s
-
-
-def _rotation(message: Any, convention: str) -> FloatArray:
-    return rotation_from_quaternion(unit_quaternion(message.orientation, "orientation"), convention)
 
 
 def _radians(message: Any) -> None:

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.alignment import Alignment
-from ship_attitude_star.samples import AttitudeEstimate, Decision, Reason, Status
+from ship_attitude_star.samples import AttitudeEstimate, Decision, Status
+from ship_estimation.refusals import Reason
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.samples import Reason, Refusal
-from ship_attitude_star.stamped_values import StampedValues
 from ship_attitude_star.star_config import SkyConfig
 from ship_attitude_star.surroundings import Place
+from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.stamped_values import StampedValues
 from ship_geometry.geodetic import (
     GeodeticPosition,
     ecef_from_geodetic,

@@ -10,17 +10,11 @@ from ship_attitude_star.arrivals import Arrivals
 from ship_attitude_star.attitude_output import CorrectedIns, estimate_from_star, no_estimate
 from ship_attitude_star.comparison import attitude_alone
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.samples import (
-    AttitudeEstimate,
-    AttitudeMeasurement,
-    Decision,
-    Measurement,
-    Outcome,
-    same_stamp,
-)
+from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, Decision, Measurement, Outcome
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
 from ship_attitude_star.sky_inputs import SkyInput
 from ship_attitude_star.sky_watch import SkyWatch
+from ship_estimation.refusals import same_stamp
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.rotations import FloatArray

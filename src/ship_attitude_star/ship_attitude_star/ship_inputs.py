@@ -5,9 +5,11 @@ from typing import Any
 
 from ship_attitude_star import messages_in, star_messages_in, surroundings_messages_in
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.samples import Measurement, Outcome, Refusal
+from ship_attitude_star.samples import Measurement, Outcome
 from ship_attitude_star.ship_core import ShipAttitudeCore
 from ship_attitude_star.sky_watch import SkyWatch
+from ship_estimation.refusals import Refusal
+from ship_node import imu_messages_in
 from ship_node.topics import InputTopic
 
 INS_TOPIC = "ins/imu"
@@ -80,7 +82,7 @@ class ShipInputs:
             Refused: it cannot be read; nothing has changed.
         """
         if topic == INS_TOPIC:
-            sample = messages_in.ins_sample(message, self.config.ins, receive_ns)
+            sample = imu_messages_in.ins_sample(message, self.config.ins, receive_ns)
             outcome = self._core.add_ins(sample.value)
             return Taken(sample.value.time_ns, outcome, judged=False, covariance_known=sample.covariance_known)
         if topic in self._sky_topics:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.samples import Reason, Refusal
 from ship_attitude_star.star_config import SkyConfig
 from ship_attitude_star.surroundings import Air, Place
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.earth_orientation import EarthOrientationTable
 from ship_geometry.geodetic import horizon_radii_m
 from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, elevation_of, lifted, refraction

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from ship_attitude_star.samples import Refusal
 from ship_attitude_star.sky_watch import SkyWatch
+from ship_estimation.refusals import Refusal
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.rotations import FloatArray
 

@@ -4,11 +4,11 @@ import erfa
 
 from ship_attitude_star.catalogue import StarCatalogue, hipparcos
 from ship_attitude_star.place_track import PlaceTrack
-from ship_attitude_star.samples import Refusal
 from ship_attitude_star.sky import ApparentStars, Sky
 from ship_attitude_star.star_config import SkyConfig
 from ship_attitude_star.surroundings import Air, Place
 from ship_attitude_star.weather_track import WeatherTrack
+from ship_estimation.refusals import Refusal
 from ship_geometry.earth_orientation import EarthOrientationTable, earth_orientation_table
 from ship_geometry.rotations import FloatArray
 from ship_geometry.star_directions import StarPositions

@@ -3,14 +3,15 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from ship_attitude_star import messages_in, messages_out, star_messages_in, star_messages_out, surroundings_messages_in
-from ship_attitude_star.samples import Reason
+from ship_attitude_star import messages_out, star_messages_in, star_messages_out, surroundings_messages_in
 from ship_attitude_star.sky_watch import installed_sky
 from ship_attitude_star.star_attitude_config import JOINT, StarAttitudeConfig
 from ship_attitude_star.star_core import StarCore
 from ship_attitude_star.star_diagnosis import sky_status, solution_statuses
 from ship_attitude_star.star_results import RefusedStar, Solved, StarOutcome
 from ship_estimation.parameters import changed
+from ship_estimation.refusals import Reason
+from ship_node import imu_messages_in
 from ship_node.adapter import ServiceResult
 from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.files import DISK, Files
@@ -125,7 +126,7 @@ class StarAttitudeAdapter:
         return self._taken(topic, exposure.time_ns, self.core.add_exposure(exposure, stars), receive_ns)
 
     def _ins(self, message: Any, receive_ns: int) -> list[Published]:
-        sample = messages_in.ins_sample(message, self._config.ins, receive_ns).value
+        sample = imu_messages_in.ins_sample(message, self._config.ins, receive_ns).value
         outcome = self.core.add_ins(sample)
         if outcome.refusal is None:
             self.health.accepted(_INS_TOPIC, sample.time_ns, receive_ns)

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from ship_attitude_star.device_config import InsInputConfig, MountingConfig
+from ship_attitude_star.device_config import MountingConfig
 from ship_attitude_star.star_config import CameraConfig, SkyConfig
+from ship_estimation.ins_config import InsInputConfig
 from ship_estimation.parameters import ParameterError, mapping_of, parameter, section
 
 JOINT = "joint"

@@ -11,15 +11,16 @@ import numpy as np
 from ship_attitude_star.exposure_solver import Mounted, Sighting, solve_deck, solve_exposure
 from ship_attitude_star.ins_motion import InsMotion
 from ship_attitude_star.joint_window import JointWindow
-from ship_attitude_star.samples import AttitudeMeasurement, Reason, Refusal
+from ship_attitude_star.samples import AttitudeMeasurement
 from ship_attitude_star.sky_inputs import SkyInput
 from ship_attitude_star.sky_watch import SkyWatch
-from ship_attitude_star.stamped_values import StampedValues
 from ship_attitude_star.star_attitude_config import ObservingSensorConfig, StarAttitudeConfig
 from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.star_results import RefusedStar, Solved, StarOutcome
 from ship_attitude_star.star_selection import AttitudePrior
 from ship_attitude_star.stream_guards import StreamGuards
+from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.stamped_values import StampedValues
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, FloatArray
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.catalogue import StarCatalogue
-from ship_attitude_star.samples import Reason, Refusal
 from ship_attitude_star.star_camera import StarCamera, equivalent_sigma
 from ship_attitude_star.star_config import CameraConfig
 from ship_attitude_star.star_exposure import StarExposure
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
 from ship_node.message_checks import Refused, frame, stamp_ns

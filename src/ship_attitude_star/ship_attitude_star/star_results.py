@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from ship_attitude_star.samples import Refusal
 from ship_attitude_star.star_solution import SolutionStatus, StarSolution
+from ship_estimation.refusals import Refusal
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.samples import Reason, Refusal
 from ship_attitude_star.sky import SHARED_TERMS
 from ship_attitude_star.star_fit import Judgement, SightedStars, StarFit, linearized
 from ship_attitude_star.star_selection import FEWEST_VERIFIED, AttitudePrior, select
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry import wahba
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.rotations import ARCSEC, FloatArray

@@ -12,13 +12,14 @@ import numpy as np
 from ship_attitude_star.filter_model import sky_rows
 from ship_attitude_star.identification import identified
 from ship_attitude_star.measurement_models import PredictedAttitude
-from ship_attitude_star.samples import AttitudeMeasurement, Reason, Refusal
+from ship_attitude_star.samples import AttitudeMeasurement
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_attitude_star.star_camera import tangent_basis
 from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.star_fit import SightedStars
 from ship_attitude_star.star_selection import AttitudePrior, select
 from ship_attitude_star.star_solution import SolutionStatus, solve_stars
+from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.state import StateModel
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, skew
 

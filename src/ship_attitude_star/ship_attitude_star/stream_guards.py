@@ -3,9 +3,11 @@
 import numpy as np
 
 from ship_attitude_star.inertial_attitude import InertialAttitude
-from ship_attitude_star.input_guards import RateIntegrator, RateUnitsGuard, StuckGuard, Witness
-from ship_attitude_star.samples import AttitudeMeasurement, Reason, Refusal
+from ship_attitude_star.rate_guard import RateIntegrator, RateUnitsGuard
+from ship_attitude_star.samples import AttitudeMeasurement
 from ship_attitude_star.star_exposure import StarExposure
+from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.stuck_guard import StuckGuard, Witness
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, FloatArray
 

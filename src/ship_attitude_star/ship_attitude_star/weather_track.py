@@ -4,10 +4,10 @@ import math
 import struct
 from dataclasses import dataclass
 
-from ship_attitude_star.samples import Refusal
-from ship_attitude_star.stamped_values import StampedValues
 from ship_attitude_star.star_config import SkyConfig
 from ship_attitude_star.surroundings import Air
+from ship_estimation.refusals import Refusal
+from ship_estimation.stamped_values import StampedValues
 from ship_geometry.refraction import Weather
 
 _SECOND_NS = 1_000_000_000

@@ -67,6 +67,16 @@ def parameter(
     return dataclasses.field(default=default, metadata=metadata)
 
 
+def degrees(default: Any = dataclasses.MISSING, *, doc: str) -> Any:
+    """An angle of the geometry; without a default it must be given."""
+    return parameter(default, doc=doc, unit="deg", minimum=-360.0, maximum=360.0)
+
+
+def arcsec(default: float, *, doc: str, live: bool = False) -> Any:
+    """A standard deviation."""
+    return parameter(default, doc=doc, unit="arcsec", minimum=0.0, maximum=360_000.0, live=live)
+
+
 def mapping_of(doc: str) -> Any:
     """A field of type ``dict[str, Dataclass]``, empty by default."""
     return dataclasses.field(default_factory=dict, metadata={"doc": doc})

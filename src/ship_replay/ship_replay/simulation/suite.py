@@ -7,9 +7,9 @@ from typing import Any
 import yaml
 
 from ship_attitude_star.config import InsConfig, ReferenceConfig, StarSensorConfig
-from ship_attitude_star.device_config import InsInputConfig
 from ship_attitude_star.star_attitude_config import ObservingSensorConfig
 from ship_attitude_star.star_config import CameraConfig
+from ship_estimation.ins_config import InsInputConfig
 from ship_replay.simulation.device_messages import INS_FRAME, star_frame
 from ship_replay.simulation.scenario import Scenario, StarSensor
 

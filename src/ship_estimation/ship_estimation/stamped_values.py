@@ -3,7 +3,7 @@
 import bisect
 from typing import Generic, Protocol, TypeVar
 
-from ship_attitude_star.samples import Refusal, same_stamp
+from ship_estimation.refusals import Refusal, same_stamp
 
 
 class Content(Protocol):

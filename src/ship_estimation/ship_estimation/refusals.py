@@ -1,0 +1,52 @@
+"""Why an input is not used: the same reasons for every estimator of the suite."""
+
+import enum
+from dataclasses import dataclass
+
+
+class Reason(enum.IntEnum):
+    """Why a measurement was not used; the values are those of ship_msgs/Innovation."""
+
+    NONE = 0
+    NON_FINITE = 1
+    BAD_QUATERNION = 2
+    COVARIANCE_UNKNOWN = 3
+    BAD_COVARIANCE = 4
+    BAD_STAMP = 5
+    DUPLICATE = 6
+    CONFLICT = 7
+    LATE = 8
+    FUTURE = 9
+    FRAME = 10
+    UNITS = 11
+    STUCK = 12
+    NOT_FIXED = 13
+    MISIDENTIFIED = 14
+    TOO_FEW_STARS = 15
+    ATTITUDE_CONFLICT = 16
+    LIGHT_CONFLICT = 17
+    OVERFLOW = 18
+    GATE = 19
+    REVISED = 20
+    GAP = 21
+    NO_FIX = 22
+    NO_EARTH_ORIENTATION = 23
+    UNKNOWN_STAR = 24
+    BELOW_HORIZON = 25
+    UNIDENTIFIED = 26
+    UNKNOWN_SENSOR = 27
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why an input was not used at all."""
+
+    reason: Reason
+    text: str
+
+
+def same_stamp(known: bytes, new: bytes) -> Refusal:
+    """The refusal of a second input with the same stamp; ``known`` and ``new`` are their contents."""
+    if known == new:
+        return Refusal(Reason.DUPLICATE, "the same stamp and the same content again")
+    return Refusal(Reason.CONFLICT, "the same stamp with other content: the one whose bytes sort first is kept")
