@@ -2,26 +2,23 @@
 
 import argparse
 import math
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import rclpy
-from rclpy.signals import SignalHandlerOptions
-
-from ship_replay.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_replay.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser
 from ship_replay.dds_profile import use_quick_repeats
 from ship_replay.play import Player, PlayOptions
 from ship_replay.play_controls import add_services, keyboard, served
 from ship_replay.playback_clock import PlaybackClock
-from ship_replay.ros_arguments import split_ros_arguments
+from ship_replay.ros_command import command_node, on_end_signals, positive, run_ros_command
 
 _DESCRIPTION = """\
 Publishes the messages of a bag live, byte for byte, at the times of its log, and that time every 10 ms on /clock.
 Publishers are reliable; topics that were latched are latched again. It starts when subscribers match, and ends when
 every reliable subscriber has acknowledged the last message. On a terminal: space pauses and goes on, s plays the next
-message. Services of the node: ~/pause, ~/resume, ~/toggle_paused, ~/play_next (std_srvs/Trigger).
+message while it is paused, + doubles the rate and - halves it. Services of the node: ~/pause, ~/resume,
+~/toggle_paused, ~/play_next (std_srvs/Trigger).
 ROS arguments may follow after --ros-args (namespace, remaps).
 """
 _EPILOG = "exit code: 0 played; 1 a subscriber did not acknowledge messages; 2 bad input or usage"
@@ -29,9 +26,7 @@ _EPILOG = "exit code: 0 played; 1 a subscriber did not acknowledge messages; 2 b
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``play``; returns the exit code."""
-    command_line = sys.argv[1:] if arguments is None else list(arguments)
-    own, ros = split_ros_arguments(command_line)
-    return run_command(_parser(), lambda parsed: _play(parsed, ros), own)
+    return run_ros_command(_parser(), _play, arguments)
 
 
 def _parser() -> CommandParser:
@@ -43,7 +38,7 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("bag", type=Path, help="bag to play: .mcap file or rosbag2 folder")
     parser.add_argument(
-        "--rate", type=_positive, default=1.0, metavar="R", help="seconds of the bag per second (1)"
+        "--rate", type=positive, default=1.0, metavar="R", help="seconds of the bag per second (1)"
     )
     parser.add_argument(
         "--loop", type=_count, default=1, metavar="N", help="play it N times, 0 without end (1)"
@@ -92,17 +87,12 @@ def _play(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
     )
     use_quick_repeats()
     clock = PlaybackClock(parsed.rate, parsed.paused)
-    rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = rclpy.create_node("play")
+    with command_node("play", ros_arguments) as node:
         player = Player(node, parsed.bag, options, clock)
         add_services(node, clock)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: clock.stop())
+        on_end_signals(clock.stop)
         with served(node, clock, player.publish_clock), keyboard(clock):
             summary = player.run()
-    finally:
-        rclpy.try_shutdown()
     print(f"play: {summary.message_count} messages, none later than {summary.latest_s * 1e3:.1f} ms")
     if summary.unacknowledged:
         print(
@@ -111,13 +101,6 @@ def _play(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         )
         return EXIT_BOUND_NOT_MET
     return EXIT_DONE
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
-    return value
 
 
 def _seconds(text: str) -> float:

@@ -66,11 +66,17 @@ def served(node: Node, clock: PlaybackClock, publish_clock: Callable[[], None]) 
 
 @contextlib.contextmanager
 def keyboard(clock: PlaybackClock) -> Iterator[None]:
-    """Space pauses and goes on, s steps, while standard input is a terminal."""
-    if not sys.stdin.isatty():
+    """Space pauses and goes on, s steps, + and - double and halve the rate, while a terminal listens to us."""
+    if not sys.stdin.isatty() or not _is_ours(sys.stdin.fileno()):
         yield
         return
     terminal = sys.stdin.fileno()
+    actions: dict[str, Callable[[], object]] = {
+        " ": clock.toggle,
+        "s": clock.step,
+        "+": lambda: clock.change_rate(2.0),
+        "-": lambda: clock.change_rate(0.5),
+    }
     before = termios.tcgetattr(terminal)
     finished = threading.Event()
 
@@ -81,10 +87,8 @@ def keyboard(clock: PlaybackClock) -> Iterator[None]:
                 if not keys:
                     return
                 for key in keys.decode(errors="replace"):
-                    if key == " ":
-                        clock.toggle()
-                    elif key == "s":
-                        clock.step()
+                    if key in actions:
+                        actions[key]()
 
     thread = threading.Thread(target=listen, daemon=True)
     tty.setcbreak(terminal)
@@ -95,3 +99,12 @@ def keyboard(clock: PlaybackClock) -> Iterator[None]:
         finished.set()
         thread.join()
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+
+
+def _is_ours(terminal: int) -> bool:
+    """Whether a terminal may be touched: a shell's job in the background would be stopped for it."""
+    try:
+        return os.tcgetpgrp(terminal) == os.getpgrp()
+    except OSError:
+        # It is not the one that controls this process, and stops nobody.
+        return True

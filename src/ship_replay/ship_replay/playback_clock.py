@@ -10,10 +10,10 @@ _LONGEST_WAIT_S = 3600.0
 
 
 class PlaybackClock:
-    """Runs through bag time at a rate; may be paused, stepped and stopped from other threads and signal handlers.
+    """Runs through bag time at a rate; other threads and signal handlers may pause, step, speed up and stop it.
 
     Args:
-        rate: seconds of bag time per second of steady time, positive.
+        rate: seconds of bag time per second of steady time, positive, to begin with.
         paused: start paused.
     """
 
@@ -42,6 +42,14 @@ class PlaybackClock:
     def stopped(self) -> bool:
         """Whether the playback is to end."""
         return self._stopped
+
+    def change_rate(self, factor: float) -> None:
+        """Go on `factor` times as fast from the bag time reached."""
+        with self._changed:
+            if not self._paused:
+                self._bag_ns, self._steady_ns = self._bag_time_ns(), time.monotonic_ns()
+            self._rate *= factor
+            self._changed.notify_all()
 
     def begin(self, bag_ns: int) -> None:
         """Bag time is `bag_ns` now."""

@@ -88,7 +88,7 @@ class Recorder:
     def _spin(self, executor: SingleThreadedExecutor) -> None:
         start_s = time.monotonic()
         next_flush_s = next_discovery_s = start_s
-        while not self._stopped and not self._is_over(start_s):
+        while not self._stopped and not self._is_over(start_s, executor):
             now_s = time.monotonic()
             if now_s >= next_discovery_s:
                 self._discover()
@@ -106,14 +106,18 @@ class Recorder:
             for topic, type_name, data, sent_ns in self._before_clock:
                 self._bag.write_raw(topic, type_name, data, sent_ns, sent_ns)
 
-    def _is_over(self, start_s: float) -> bool:
-        now_s = time.monotonic()
-        duration_s, idle_s = self._options.duration_s, self._options.until_idle_s
-        if duration_s is not None and now_s - start_s >= duration_s:
+    def _is_over(self, start_s: float, executor: SingleThreadedExecutor) -> bool:
+        duration_s = self._options.duration_s
+        if duration_s is not None and time.monotonic() - start_s >= duration_s:
             return True
-        return (
-            idle_s is not None and self._last_receipt_s is not None and now_s - self._last_receipt_s >= idle_s
-        )
+        if self._is_idle():
+            # Where a slow disk held everything up, that was no silence: first what has come meanwhile.
+            self._drain(executor)
+        return self._is_idle()
+
+    def _is_idle(self) -> bool:
+        idle_s, last_s = self._options.until_idle_s, self._last_receipt_s
+        return idle_s is not None and last_s is not None and time.monotonic() - last_s >= idle_s
 
     def _drain(self, executor: SingleThreadedExecutor) -> None:
         """Take what had arrived already when the end came."""

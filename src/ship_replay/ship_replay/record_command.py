@@ -1,22 +1,16 @@
 """``record``: live topics go into a crash-safe bag; what a crash left is made whole again."""
 
 import argparse
-import math
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import rclpy
-from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
-
 from ship_replay.bag_writer import BagWriter
-from ship_replay.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser, run_command
+from ship_replay.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser
 from ship_replay.errors import BadInput
 from ship_replay.record import Recorder, RecordOptions
 from ship_replay.recover import recover, recovered_path
-from ship_replay.ros_arguments import split_ros_arguments
+from ship_replay.ros_command import command_node, on_end_signals, positive, run_ros_command
 from ship_replay.split_bag import FolderWriter, SplitLimits
 
 _DESCRIPTION = """\
@@ -35,10 +29,8 @@ _BYTES_PER_MB = 1_000_000
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``record``; returns the exit code."""
-    command_line = sys.argv[1:] if arguments is None else list(arguments)
-    own, ros = split_ros_arguments(command_line)
     parser = _parser()
-    return run_command(parser, lambda parsed: _run(parser, parsed, ros), own)
+    return run_ros_command(parser, lambda parsed, ros: _run(parser, parsed, ros), arguments)
 
 
 def _parser() -> CommandParser:
@@ -58,24 +50,24 @@ def _parser() -> CommandParser:
         "--recover", type=Path, nargs="+", metavar="FILE", help="make damaged or unfinished bags whole again"
     )
     parser.add_argument(
-        "--split-mb", type=_positive, metavar="MB", help="folder: a new file after so many megabytes (never)"
+        "--split-mb", type=positive, metavar="MB", help="folder: a new file after so many megabytes (never)"
     )
     parser.add_argument(
-        "--split-s", type=_positive, metavar="S", help="folder: a new file after S seconds of real time (never)"
+        "--split-s", type=positive, metavar="S", help="folder: a new file after S seconds of real time (never)"
     )
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="only these (all but hidden ones and /clock)"
     )
     parser.add_argument(
         "--flush-period-s",
-        type=_positive,
+        type=positive,
         default=0.1,
         metavar="S",
         help="flush and fsync every S seconds (0.1)",
     )
-    parser.add_argument("--duration-s", type=_positive, metavar="S", help="end after S seconds (never)")
+    parser.add_argument("--duration-s", type=positive, metavar="S", help="end after S seconds (never)")
     parser.add_argument(
-        "--until-idle-s", type=_positive, metavar="S", help="end S seconds after the last message (never)"
+        "--until-idle-s", type=positive, metavar="S", help="end S seconds after the last message (never)"
     )
     parser.add_argument("--use-sim-time", action="store_true", help="log time is that of /clock")
     return parser
@@ -129,29 +121,16 @@ def _record(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         until_idle_s=parsed.until_idle_s,
     )
     bag = _opened(parsed)
-    rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        overrides = [Parameter("use_sim_time", value=True)] if parsed.use_sim_time else []
-        node = rclpy.create_node("record", parameter_overrides=overrides)
+    with command_node("record", ros_arguments, parsed.use_sim_time) as node:
         recorder = Recorder(node, bag, options)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: recorder.stop())
+        on_end_signals(recorder.stop)
         print(f"record: recording to {parsed.out}", flush=True)
         recorder.run()
-    finally:
-        rclpy.try_shutdown()
     for topic in sorted(recorder.counts):
         lost = f", {recorder.lost[topic]} lost on the way" if recorder.lost[topic] else ""
         print(f"record: {topic}: {recorder.counts[topic]} messages{lost}")
     print(f"record: {sum(recorder.counts.values())} messages in {parsed.out}")
     return EXIT_DONE
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
-    return value
 
 
 if __name__ == "__main__":

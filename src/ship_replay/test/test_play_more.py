@@ -1,6 +1,11 @@
-"""play against a real node and odd bags: clean resets by loops, latched messages before the start, split folders."""
+"""play against a real node, odd bags and a terminal: resets by loops, latched messages, split folders, keys."""
 
+import contextlib
 import itertools
+import os
+import pty
+import subprocess
+import termios
 import time
 
 import pytest
@@ -153,3 +158,82 @@ def test_two_types_under_one_name_are_refused(domain, tmp_path):
     assert player.exit_code == 2
     (line,) = player.log().splitlines()
     assert "topic 'ship/lever' (geometry_msgs/msg/Vector3) cannot be played as 'ins/imu'" in line
+
+
+@contextlib.contextmanager
+def on_a_terminal(domain, *command):
+    """Start a process at a terminal of its own; yields the process, the terminal's far end, and its near one."""
+    keys, terminal = pty.openpty()
+    with open(domain.folder / "terminal.log", "wb") as log:
+        process = subprocess.Popen(
+            ["setsid", "--ctty", *map(str, command)],
+            stdin=terminal,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=domain.environment,
+        )
+    try:
+        yield process, keys, terminal
+    finally:
+        process.kill()
+        process.wait()
+        os.close(keys)
+        os.close(terminal)
+
+
+def test_keys_on_a_terminal_step_speed_up_and_pause(domain, tmp_path):
+    from rosgraph_msgs.msg import Clock
+    from sensor_msgs.msg import Imu
+
+    samples, times = domain.listen("ins/imu", Imu), domain.listen("/clock", Clock)
+    # At this rate the second of the bag takes 17 minutes: without the keys the test would not end.
+    options = ("--paused", "--rate", "0.001", "--wait-for-subscribers", "ins/imu", "/clock")
+    command = [*executable("ship_replay", "play"), write_imu_bag(tmp_path / "in.mcap", count=100), *options]
+
+    def stands():
+        """Whether the clock was said anew and did not move."""
+        seen = len(times)
+        assert domain.graph.spin_until(lambda: len(times) >= seen + 3)
+        return times[-1].clock == times[-3].clock
+
+    with on_a_terminal(domain, *command) as (process, keys, terminal):
+        before = termios.tcgetattr(terminal)
+        assert domain.graph.spin_until(lambda: not termios.tcgetattr(terminal)[3] & termios.ICANON)
+        os.write(keys, b"sxs")
+        assert domain.graph.spin_until(lambda: len(samples) == 2)
+        assert domain.graph.spin_until(stands)
+        assert len(samples) == 2
+        os.write(keys, b" " + 8 * b"+")
+        assert domain.graph.spin_until(lambda: len(samples) > 10)
+        os.write(keys, b" ")
+        assert domain.graph.spin_until(stands)
+        reached = len(samples)
+        assert domain.graph.spin_until(stands)
+        assert len(samples) == reached < 100
+        os.write(keys, 4 * b"+" + b" ")
+        assert domain.graph.spin_until(lambda: process.poll() is not None)
+        assert process.returncode == 0
+        assert domain.graph.spin_until(lambda: len(samples) == 100)
+        assert termios.tcgetattr(terminal) == before
+    stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in samples]
+    assert stamps == [START_NS + number * PERIOD_NS for number in range(100)]
+
+
+def test_ctrl_c_on_a_terminal_ends_it_and_gives_the_terminal_back(domain, tmp_path):
+    play = [*executable("ship_replay", "play"), write_imu_bag(tmp_path / "in.mcap"), "--paused", "--wait-timeout", "0"]
+    with on_a_terminal(domain, *play) as (process, keys, terminal):
+        before = termios.tcgetattr(terminal)
+        assert domain.graph.spin_until(lambda: not termios.tcgetattr(terminal)[3] & termios.ICANON)
+        os.write(keys, b"\x03")
+        assert domain.graph.spin_until(lambda: process.poll() is not None)
+        assert process.returncode == 0
+        assert termios.tcgetattr(terminal) == before
+
+
+def test_a_job_in_the_background_of_a_shell_leaves_its_terminal_alone(domain, tmp_path):
+    # Touching it would stop the job (SIGTTOU), for ever.
+    play = [*executable("ship_replay", "play"), write_imu_bag(tmp_path / "in.mcap", count=20), "--wait-timeout", "0"]
+    with on_a_terminal(domain, "bash", "-c", 'set -m; "$@" & wait $!', "shell", *play) as (process, _, _):
+        assert domain.graph.spin_until(lambda: process.poll() is not None)
+        assert process.returncode == 0
+    assert "play: 20 messages" in (domain.folder / "terminal.log").read_text()

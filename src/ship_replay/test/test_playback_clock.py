@@ -52,6 +52,33 @@ def test_a_paused_clock_lets_nothing_through_but_steps():
     assert passed == ["tick", "first"]
 
 
+def test_a_change_of_rate_ends_a_wait_that_began_before():
+    clock = PlaybackClock(SLOW)
+    clock.begin(0)
+    threading.Timer(0.05, clock.change_rate, [FAST / SLOW]).start()
+    assert clock.wait_until(DAY_NS, is_message=True)
+    assert clock.rate == pytest.approx(FAST)
+
+
+def test_a_change_of_rate_does_not_move_the_bag_time_reached():
+    clock = PlaybackClock(FAST)
+    clock.begin(0)
+    assert clock.wait_until(DAY_NS, is_message=True)
+    # From here on a second takes 31 years: what was due stays due, and a day more will not come.
+    clock.change_rate(SLOW / FAST)
+    assert clock.wait_until(DAY_NS, is_message=True)
+    threading.Timer(0.05, clock.stop).start()
+    assert not clock.wait_until(10**6 * DAY_NS, is_message=True)
+
+
+def test_while_paused_a_change_of_rate_plays_nothing():
+    clock = PlaybackClock(SLOW, paused=True)
+    clock.begin(0)
+    clock.change_rate(FAST / SLOW)
+    threading.Timer(0.05, clock.stop).start()
+    assert not clock.wait_until(DAY_NS, is_message=True)
+
+
 def test_a_step_is_refused_while_playing():
     clock = PlaybackClock(FAST)
     clock.begin(0)

@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 
@@ -14,12 +15,14 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
 from ship_replay.bag_reader import read_bag
+from ship_replay.bag_writer import BagWriter
 from ship_replay.clock_watch import STEP_NS, ClockWatch
 from ship_replay.errors import BadInput
 from ship_replay.live_graph import GraphObserver
 from ship_replay.live_process import LiveProcess, free_domain_id, live_environment
 from ship_replay.live_run import executable
 from ship_replay.message_store import serialize
+from ship_replay.record import Recorder, RecordOptions
 from ship_replay.record_command import main
 from ship_replay.split_bag import FolderWriter, SplitLimits
 
@@ -276,6 +279,45 @@ class TestLive:
                 "step_ns": str(-600 * 10**9),
                 "to_ns": str(400 * 10**9),
             }
+
+    def test_a_disk_that_stalls_is_no_silence(self, tmp_path):
+        import rclpy
+        from geometry_msgs.msg import Vector3
+        from rclpy.parameter import Parameter
+        from rosgraph_msgs.msg import Clock
+        from sensor_msgs.msg import Imu
+
+        idle_s = 1.5
+        sent = []
+
+        def send():
+            # The clock is taken first, and with it alone nothing would have come for long.
+            clock.publish(Clock())
+            publisher.publish(Imu(linear_acceleration=Vector3(x=float(len(sent)))))
+            sent.append(len(sent))
+
+        class StallingBag(BagWriter):
+            """The disk stalls while the second message is on its way; the third comes soon after."""
+
+            def flush(self):
+                super().flush()
+                if not sent and publisher.get_subscription_count() and clock.get_subscription_count():
+                    send()
+                elif len(sent) == 1 == sum(recorder.counts.values()):
+                    send()
+                    time.sleep(1.3 * idle_s)
+                    threading.Timer(0.3 * idle_s, send).start()
+
+        with GraphObserver(free_domain_id()) as graph:
+            clock = graph.node.create_publisher(Clock, "/clock", 10)
+            publisher = graph.node.create_publisher(Imu, "ins/imu", 10)
+            simulated = [Parameter("use_sim_time", value=True)]
+            node = rclpy.create_node("record", context=graph.node.context, parameter_overrides=simulated)
+            options = RecordOptions(topics=("ins/imu",), until_idle_s=idle_s)
+            recorder = Recorder(node, StallingBag(tmp_path / "voyage.mcap", atomic=False), options)
+            recorder.run()
+            node.destroy_node()
+        assert sample_numbers(tmp_path / "voyage.mcap") == [0, 1, 2]
 
     @pytest.mark.parametrize("out", ["voyage.mcap", "voyage"])
     def test_a_full_disk(self, tmp_path, out):
