@@ -5,6 +5,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -12,7 +13,8 @@ import pytest
 
 from ship_attitude_star.adapter import ShipAttitudeAdapter
 from ship_replay.bag_reader import read_bag
-from ship_replay.live_run import LiveFailure, LiveRun
+from ship_replay.live_run import LiveFailure, LiveRun, executable
+from ship_replay.recover import recovered_path
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tools"))
@@ -53,19 +55,50 @@ def test_so_is_the_run_after_it_that_starts_from_its_alignment(boxes):
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
 
 
-def test_a_killed_nodes_box_is_verified_up_to_the_cut(tmp_path, monkeypatch):
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    box = tmp_path / "box.mcap"
-    with LiveRun(DEMO, ShipAttitudeAdapter, "ship_attitude_star", tmp_path / "run", {"black_box": str(box)}) as run:
+@pytest.fixture(scope="module")
+def killed_box(tmp_path_factory):
+    """Box of a node killed in the middle of a voyage."""
+    folder = tmp_path_factory.mktemp("killed")
+    box = folder / "box.mcap"
 
-        def kill_late(elapsed_s):
-            if elapsed_s > 6.0:
-                os.kill(run.node.pid, signal.SIGKILL)
+    def kill_late(elapsed_s):
+        if elapsed_s > 6.0:
+            os.kill(run.node.pid, signal.SIGKILL)
 
-        with pytest.raises(LiveFailure, match="the node ended with exit code -9"):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        parameters = {"black_box": str(box)}
+        with (
+            LiveRun(DEMO, ShipAttitudeAdapter, "ship_attitude_star", folder / "run", parameters) as run,
+            pytest.raises(LiveFailure, match="the node ended with exit code -9"),
+        ):
             run.play(4.0, kill_late)
-    outcome = verified(box)
+    return box
+
+
+def test_a_killed_nodes_box_is_verified_up_to_the_cut(killed_box):
+    outcome = verified(killed_box)
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
     assert "the box ends suddenly" in outcome.stdout
     assert "no footer" in outcome.stdout
     assert "outputs are equal to the last bit" in outcome.stdout
+
+
+def test_so_is_what_was_recovered_of_it(killed_box):
+    command = [*executable("ship_replay", "record"), "--recover", str(killed_box)]
+    recovery = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert recovery.returncode == 0, recovery.stdout + recovery.stderr
+    assert "all read back by mcap and rosbags" in recovery.stdout
+    recovered, original = verified(recovered_path(killed_box)), verified(killed_box)
+    assert recovered.returncode == 0, recovered.stdout + recovered.stderr
+    # The file is whole now, but the node still ended suddenly.
+    assert "no footer" not in recovered.stdout
+    assert "the box ends suddenly" in recovered.stdout
+    # Not a single use or output less.
+    assert counts(recovered) == counts(original)
+    assert len(counts(original)) == 2
+
+
+def counts(outcome):
+    """What a verification says was used and was equal."""
+    return [line for line in outcome.stdout.splitlines() if line.startswith(("used:", "equal:"))]
