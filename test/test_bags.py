@@ -52,7 +52,7 @@ def test_a_bag_is_small_and_what_its_sum_and_scenario_say(path):
 
 @every_bag
 def test_an_offline_replay_meets_the_bounds(path, tmp_path):
-    summary = replay(path, tmp_path / "out.mcap", ShipAttitudeAdapter)
+    summary = replay(path, tmp_path / "out.mcap", (ShipAttitudeAdapter,))
     assert summary.problems == []
     bounds = read_bounds(path.with_suffix(".expected.yaml"))
     judged = judge(evaluate(tmp_path / "out.mcap", path, bounds.skip_s).flat(), bounds, path.name)

@@ -109,6 +109,16 @@ def read_whatever_fits(source: Path | str, node_name: str) -> ParameterFile:
     return _merged(name, [section for section in sections if _fits(section.node, node_name)])
 
 
+def has_section(source: Path | str, node_name: str, wildcards: bool = True) -> bool:
+    """Whether a file speaks of a node: by its name, or, with ``wildcards``, by one for all nodes.
+
+    Raises:
+        BadInput: the file cannot be read or is no parameter file.
+    """
+    _, sections = read_sections(source)
+    return any(_fits(section.node, node_name) and (wildcards or "*" not in section.node) for section in sections)
+
+
 def read_plain(source: Path | str) -> ParameterFile:
     """A file that is nothing but nested parameters, without sections for nodes, with their lines.
 

@@ -10,8 +10,8 @@ from ship_node.adapter import Adapter
 from ship_node.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT
 from ship_node.versions import versions
 from ship_replay.bag_reader import Bag
+from ship_replay.bag_suite import suite_config
 from ship_replay.errors import BadInput
-from ship_replay.replay import suite_config
 from ship_replay.verification import ASIDE
 
 

@@ -23,13 +23,13 @@ from ship_node.black_box_format import (
 from ship_node.files import FileUse
 from ship_node.topics import Published
 from ship_replay.bag_reader import Bag, BagRecord
+from ship_replay.bag_suite import suite_text
 from ship_replay.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_replay.black_box_identity import box_adapter, box_config, check_definitions, check_topics
 from ship_replay.errors import BadInput
 from ship_replay.message_difference import Difference, message_difference, stamp_of
 from ship_replay.message_store import RosbagsFactory
 from ship_replay.recorded_files import AnotherFileUse, RecordedFiles
-from ship_replay.replay import suite_text
 from ship_replay.times import utc_text
 from ship_replay.verification import ASIDE, Verification
 

@@ -13,11 +13,12 @@ from rcl_interfaces.srv import GetParameters
 from ship_node.adapter import Adapter
 from ship_node.parameter_file import load_config
 from ship_replay.bag_reader import Bag, read_bag
+from ship_replay.bag_suite import suite_text
 from ship_replay.errors import BadInput
 from ship_replay.live_graph import GraphObserver
 from ship_replay.live_process import LiveProcess, free_domain_id, live_environment
 from ship_replay.message_store import RosbagsFactory
-from ship_replay.replay import match_inputs, suite_text
+from ship_replay.replay import match_inputs
 from ship_replay.topic_names import TRUTH_PREFIX, relative_topics
 
 _START_S = 30.0

@@ -1,17 +1,17 @@
-"""Replays a bag through a node's adapter, in process and as fast as it goes.
+"""Replays a bag through the adapters of the suite's nodes, in process and as fast as it goes.
 
-Messages are handed over in order of log time, with the log time as time of arrival; between them the adapter is
+Messages are handed over in order of log time, with the log time as time of arrival; between them the adapters are
 ticked on a fixed grid. The same bag and configuration give the same output, byte for byte.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from ship_node.adapter import Adapter
-from ship_node.parameter_file import load_config
+from ship_replay.adapter_chain import AdapterChain, suite_chain
 from ship_replay.bag_reader import Bag, BagRecord, read_bag
+from ship_replay.bag_suite import suite_text
 from ship_replay.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_replay.errors import BadInput
 from ship_replay.message_store import RosbagsFactory
@@ -26,17 +26,17 @@ Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 def replay(
     bag_path: Path,
     out_path: Path,
-    adapter_class: type[Adapter],
+    adapter_classes: Sequence[type[Adapter]],
     config_path: Path | None = None,
     namespace: str = "",
     watch: Watcher = lambda records, bag: records,
 ) -> ReplaySummary:
-    """Replay a bag and write what the adapter publishes, and the truth as it is.
+    """Replay a bag and write what the adapters publish, and the truth as it is.
 
     Args:
         bag_path: .mcap file or rosbag2 folder.
         out_path: .mcap file to write; it appears only when the replay is complete.
-        adapter_class: the node's adapter.
+        adapter_classes: of the nodes that may take part, in the order in which data flows; the main one last.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
         watch: wraps the iteration over the bag, for a progress bar.
@@ -50,60 +50,31 @@ def replay(
             raise BadInput(f"{out_path}: the output would overwrite the input")
         factory = RosbagsFactory()
         config_text = suite_text(bag, config_path)
-        adapter = adapter_class(suite_config(bag, adapter_class, config_path), factory)
-        input_names = match_inputs(bag, adapter, namespace)
+        chain, left_out = suite_chain(bag, adapter_classes, factory, config_path, namespace)
+        input_names = match_inputs(bag, chain, namespace)
         names = input_names | _truth_names(bag, namespace)
-        summary = ReplaySummary(absent=[topic.topic for topic in adapter.inputs if topic.topic not in input_names])
+        summary = ReplaySummary(absent=[topic.topic for topic in chain.inputs if topic.topic not in input_names])
         with BagWriter(out_path) as writer:
-            _announce(writer, bag, adapter, config_text)
-            run = ReplayRun(adapter, writer, summary, has_truth=TRUTH_TOPIC in names)
+            _announce(writer, bag, chain, config_text)
+            run = ReplayRun(chain, writer, summary, has_truth=TRUTH_TOPIC in names)
             relative_names = {name: relative for relative, name in names.items()}
             for record in watch(bag.records(relative_names), bag):
                 run.take(relative_names[record.topic], record)
             run.finish()
         last_ns = bag.last_time_ns or 0
-        for message in adapter.health.messages(factory, last_ns):
-            if len(message.reasons):
-                counts = [int(count) for count in message.reason_counts]
-                summary.refused[message.topic] = dict(zip(message.reasons, counts, strict=True))
-        summary.problems = bag.problems
+        for adapter in chain.adapters:
+            for message in adapter.health.messages(factory, last_ns):
+                if len(message.reasons):
+                    counts = [int(count) for count in message.reason_counts]
+                    name = message.topic if len(chain.adapters) == 1 else f"{adapter.node_name}: {message.topic}"
+                    summary.refused[name] = dict(zip(message.reasons, counts, strict=True))
+        summary.problems = left_out + bag.problems
         summary.duration_s = (last_ns - (bag.start_ns or 0)) / NS_PER_S
     summary.elapsed_s = time.monotonic() - started_s
     return summary
 
 
-def suite_text(bag: Bag, config_path: Path | None) -> str:
-    """Text of the suite configuration: the file's, else the one attached to the bag.
-
-    Raises:
-        BadInput: there is none, or the file cannot be read.
-    """
-    if config_path is not None:
-        try:
-            return config_path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as problem:
-            raise BadInput(f"{config_path}: cannot be read: {problem}") from problem
-    if SUITE_ATTACHMENT not in bag.attachments:
-        raise BadInput(f"{bag.path}: no configuration {SUITE_ATTACHMENT} is attached to the bag: give one by --config")
-    return bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
-
-
-def suite_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None) -> Any:
-    """The node's configuration: of the file, else of the one attached to the bag.
-
-    Raises:
-        BadInput: there is none, or it is not one of this node; names the parameter.
-    """
-    if config_path is not None:
-        return load_config(adapter_class.config_type, config_path, adapter_class.node_name)
-    text = suite_text(bag, None)
-    try:
-        return load_config(adapter_class.config_type, text, adapter_class.node_name)
-    except BadInput as problem:
-        raise BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}") from problem
-
-
-def match_inputs(bag: Bag, adapter: Adapter, namespace: str) -> dict[str, str]:
+def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> dict[str, str]:
     """Relative name → name in the bag, of the adapter's input topics that the bag holds.
 
     Raises:
@@ -141,7 +112,7 @@ def _truth_names(bag: Bag, namespace: str) -> dict[str, str]:
     return names
 
 
-def _announce(writer: BagWriter, bag: Bag, adapter: Adapter, config_text: str) -> None:
+def _announce(writer: BagWriter, bag: Bag, chain: AdapterChain, config_text: str) -> None:
     """Write what stands at the head of the output."""
     writer.add_attachment(SUITE_ATTACHMENT, config_text)
     if SCENARIO_ATTACHMENT in bag.attachments:
@@ -150,5 +121,5 @@ def _announce(writer: BagWriter, bag: Bag, adapter: Adapter, config_text: str) -
         # rosbag2 keeps its own file information in a record of that name; it would be wrong in another file.
         if name != "rosbag2":
             writer.add_metadata(name, entries)
-    for output in adapter.outputs:
+    for output in chain.outputs:
         writer.add_topic(output.topic, output.type_name, output.latched)

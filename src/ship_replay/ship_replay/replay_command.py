@@ -1,4 +1,4 @@
-"""``replay``: a bag through the ship_attitude node's adapter, offline; or a black box, exactly as it was."""
+"""``replay``: a bag through the adapters of the suite's nodes, offline; or a black box, exactly as it was."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -17,8 +17,8 @@ from ship_replay.replay_run import ReplaySummary
 from ship_replay.verification import Verification
 from ship_replay.verify_bag import verify_bag
 
-ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter)
-"""Nodes whose black boxes can be replayed."""
+ADAPTERS = (StarAttitudeAdapter, ShipAttitudeAdapter)
+"""Nodes that can be replayed, in the order in which data flows."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,8 +31,9 @@ def _parser() -> CommandParser:
         prog="replay",
         epilog="exit code: 0 replayed, with --verify: and equal to the last bit; 1 --verify found a difference or "
         "could not compare all; 2 bad input or usage, with one line that says which",
-        description="Replay a bag through the ship_attitude node, in process and as fast as it goes; the same bag "
-        "and configuration give the same output. Topics truth/* are copied. A node's black box is replayed with its "
+        description="Replay a bag through the nodes that the configuration has sections for (star_attitude, whose "
+        "solutions go on to ship_attitude; ship_attitude), in process and as fast as it goes; the same bag and "
+        "configuration give the same output. Topics truth/* are copied. A node's black box is replayed with its "
         "ticks, parameter changes, service calls and files, in the order of use.",
     )
     parser.add_argument("bag", type=Path, metavar="IN.mcap", help=".mcap file or rosbag2 folder, or a black box")
@@ -62,9 +63,9 @@ def _run(options: argparse.Namespace) -> int:
         if is_box:
             verification = replay_black_box(bag, ADAPTERS, options.config, options.out, watched)
         elif options.verify:
-            verification = verify_bag(bag, ShipAttitudeAdapter, options.config, options.namespace, watched)
+            verification = verify_bag(bag, ADAPTERS, options.config, options.namespace, watched)
     if options.out is not None and not is_box:
-        _print(replay(options.bag, options.out, ShipAttitudeAdapter, options.config, options.namespace, watch=watched))
+        _print(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, watch=watched))
     if options.report is not None:
         _report(options)
     return EXIT_DONE if verification is None else _judge(verification, options.verify)

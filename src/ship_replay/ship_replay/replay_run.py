@@ -1,11 +1,12 @@
-"""One adapter fed with the messages of a bag, ticked between them, its outputs given to a sink."""
+"""The adapters of a suite fed with the messages of a bag, ticked between them, its outputs given to a sink."""
 
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from ship_node.adapter import TICK_PERIOD_NS, Adapter
+from ship_node.adapter import TICK_PERIOD_NS
 from ship_node.topics import Published
+from ship_replay.adapter_chain import AdapterChain
 from ship_replay.bag_reader import BagRecord
 from ship_replay.errors import BadInput
 from ship_replay.times import NS_PER_S
@@ -21,7 +22,7 @@ class ReplaySummary:
     """What a replay did.
 
     Attributes:
-        inputs: relative topic → messages handed to the adapter.
+        inputs: relative topic → messages handed over.
         outputs: topic → messages written, truth included.
         refused: relative topic → reason → messages not used, or used only with a note.
         undecodable: relative topic → messages whose bytes are not of their type.
@@ -54,10 +55,10 @@ class MessageSink(Protocol):
 
 
 class ReplayRun:
-    """One adapter fed message by message, its outputs given to a sink."""
+    """A chain of adapters fed message by message, its outputs given to a sink."""
 
-    def __init__(self, adapter: Adapter, writer: MessageSink, summary: ReplaySummary, has_truth: bool) -> None:
-        self._adapter = adapter
+    def __init__(self, chain: AdapterChain, writer: MessageSink, summary: ReplaySummary, has_truth: bool) -> None:
+        self._chain = chain
         self._writer = writer
         self._summary = summary
         self._errors = TruthErrors() if has_truth else None
@@ -78,7 +79,7 @@ class ReplayRun:
                 self._summary.undecodable[topic] += 1
                 return
             self._summary.inputs[topic] += 1
-            self._publish(self._adapter.handle(topic, message, record.log_time_ns), record.log_time_ns)
+            self._publish(self._chain.handle(topic, message, record.log_time_ns), record.log_time_ns)
         self._write_errors(record.log_time_ns)
 
     def finish(self) -> None:
@@ -91,7 +92,7 @@ class ReplayRun:
             end_ns = min(time_ns, self._last_time_ns + _LONGEST_SILENCE_NS)
             first_ns = (self._last_time_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS
             for now_ns in range(first_ns, end_ns + 1, TICK_PERIOD_NS):
-                self._publish(self._adapter.tick(now_ns), now_ns)
+                self._publish(self._chain.tick(now_ns), now_ns)
         self._last_time_ns = time_ns
 
     def _publish(self, published: list[Published], time_ns: int) -> None:

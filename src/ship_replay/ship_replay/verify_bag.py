@@ -1,15 +1,17 @@
 """Replays the inputs of an ordinary bag and compares with the outputs that it holds, topic by topic."""
 
 from collections import defaultdict, deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from ship_node.adapter import Adapter
+from ship_replay.adapter_chain import AdapterChain, suite_chain
 from ship_replay.bag_reader import Bag
 from ship_replay.errors import BadInput
 from ship_replay.message_difference import Difference, message_difference, stamp_of
 from ship_replay.message_store import RosbagsFactory
-from ship_replay.replay import Watcher, match_inputs, suite_config
+from ship_replay.replay import Watcher, match_inputs
 from ship_replay.replay_run import ReplayRun, ReplaySummary
 from ship_replay.topic_names import relative_topics
 from ship_replay.verification import ASIDE, Verification
@@ -17,7 +19,7 @@ from ship_replay.verification import ASIDE, Verification
 
 def verify_bag(
     bag: Bag,
-    adapter_class: type[Adapter],
+    adapter_classes: Sequence[type[Adapter]],
     config_path: Path | None = None,
     namespace: str = "",
     watch: Watcher = lambda records, bag: records,
@@ -29,7 +31,7 @@ def verify_bag(
 
     Args:
         bag: inputs and outputs of one run.
-        adapter_class: the node's adapter.
+        adapter_classes: of the nodes that may take part, in the order in which data flows; the main one last.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
         watch: wraps the iteration over the bag, for a progress bar.
@@ -37,31 +39,32 @@ def verify_bag(
     Raises:
         BadInput: the bag, its topics or the configuration do not serve, or it holds no outputs.
     """
-    adapter = adapter_class(suite_config(bag, adapter_class, config_path), RosbagsFactory())
-    inputs = {name: relative for relative, name in match_inputs(bag, adapter, namespace).items()}
-    outputs = _recorded_outputs(bag, adapter, namespace)
+    # Each node is given what was recorded, also of what another one gave it: that is what it met.
+    chain, left_out = suite_chain(bag, adapter_classes, RosbagsFactory(), config_path, namespace, linked=False)
+    inputs = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
+    outputs = _recorded_outputs(bag, chain, namespace)
     comparison = _Comparison(set(outputs.values()))
     summary = ReplaySummary()
-    run = ReplayRun(adapter, comparison, summary, has_truth=False)
+    run = ReplayRun(chain, comparison, summary, has_truth=False)
     for record in watch(bag.records(inputs | outputs), bag):
         if record.topic in inputs:
             run.take(inputs[record.topic], record)
-        else:
+        if record.topic in outputs:
             comparison.add_recorded(outputs[record.topic], record.decode(), record.log_time_ns)
         if comparison.result.difference is not None:
             break
     else:
         comparison.finish()
     comparison.result.used.update(summary.inputs)
-    comparison.result.notes += bag.problems
+    comparison.result.notes += left_out + bag.problems
     return comparison.result
 
 
-def _recorded_outputs(bag: Bag, adapter: Adapter, namespace: str) -> dict[str, str]:
+def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str, str]:
     """Name in the bag → relative name, of the outputs that are compared."""
     found = relative_topics(bag.topics, namespace)
     outputs = {}
-    for output in adapter.outputs:
+    for output in chain.outputs:
         if output.topic in found and output.type_name not in ASIDE:
             name = found[output.topic]
             if lines := bag.differences.get(bag.topics[name]):
@@ -70,7 +73,7 @@ def _recorded_outputs(bag: Bag, adapter: Adapter, namespace: str) -> dict[str, s
                 raise BadInput(f"{bag.path}: topic '{name}' is {bag.topics[name]}: expected {output.type_name}")
             outputs[name] = output.topic
     if not outputs:
-        raise BadInput(f"{bag.path}: it holds no outputs of {adapter.node_name}: there is nothing to verify")
+        raise BadInput(f"{bag.path}: it holds no outputs of {chain.name}: there is nothing to verify")
     return outputs
 
 

@@ -100,7 +100,7 @@ def outputs(path, topic):
 
 def test_messages_and_ticks_come_in_order(tmp_path):
     bag = write_imu_bag(tmp_path / "in.mcap", 25, attachments=[("suite.yaml", SUITE)])
-    summary = replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    summary = replay(bag, tmp_path / "out.mcap", (TinyAdapter,))
     # The bag runs from .050 to .290: the grid passes .100 and .200, each before the message that passes it.
     expected = [("ins/imu", START_NS + number * PERIOD_NS) for number in range(25)]
     expected.insert(15, ("tick", START_NS + 150_000_000))
@@ -113,7 +113,7 @@ def test_messages_and_ticks_come_in_order(tmp_path):
 
 def test_outputs_carry_the_log_time_of_what_caused_them(tmp_path):
     bag = write_imu_bag(tmp_path / "in.mcap", 25, attachments=[("suite.yaml", SUITE)])
-    replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    replay(bag, tmp_path / "out.mcap", (TinyAdapter,))
     assert [time for time, _ in outputs(tmp_path / "out.mcap", "ship/attitude")] == [
         START_NS + number * PERIOD_NS for number in range(25)
     ]
@@ -127,7 +127,7 @@ def test_a_long_silence_does_not_tick_for_ever(tmp_path):
         bag.add_attachment("suite.yaml", SUITE)
         for log_time_ns in (START_NS, START_NS + 10**18):
             bag.write("ins/imu", imu(START_NS), log_time_ns)
-    replay(path, tmp_path / "out.mcap", TinyAdapter)
+    replay(path, tmp_path / "out.mcap", (TinyAdapter,))
     assert [name for name, _ in TinyAdapter.calls].count("tick") == 6000
     assert TinyAdapter.calls[-1] == ("ins/imu", START_NS + 10**18)
 
@@ -135,13 +135,13 @@ def test_a_long_silence_does_not_tick_for_ever(tmp_path):
 def test_the_same_bag_gives_the_same_bytes(tmp_path):
     bag = write_bag_with_truth(tmp_path / "in.mcap")
     for name in ("a.mcap", "b.mcap"):
-        replay(bag, tmp_path / name, TinyAdapter)
+        replay(bag, tmp_path / name, (TinyAdapter,))
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
 def test_truth_and_marks_are_copied(tmp_path):
     bag = write_bag_with_truth(tmp_path / "in.mcap")
-    replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    replay(bag, tmp_path / "out.mcap", (TinyAdapter,))
     with read_bag(bag) as first, read_bag(tmp_path / "out.mcap") as second:
         kept = [[(r.log_time_ns, r.data) for r in b.records({"truth/attitude"})] for b in (first, second)]
         assert len(kept[0]) == 50
@@ -152,7 +152,7 @@ def test_truth_and_marks_are_copied(tmp_path):
 
 def test_errors_are_filled_in_from_the_truth(tmp_path):
     bag = write_bag_with_truth(tmp_path / "in.mcap")
-    replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    replay(bag, tmp_path / "out.mcap", (TinyAdapter,))
     filled = [message for _, message in outputs(tmp_path / "out.mcap", "ship/error_arcsec")]
     assert len(filled) == 50
     # They lie between two stamps of the truth; a cubic of 0.1 s errs by 4e-4 arcsec here.
@@ -164,7 +164,7 @@ def test_errors_are_filled_in_from_the_truth(tmp_path):
 
 def test_errors_stay_nan_without_truth(tmp_path):
     bag = write_imu_bag(tmp_path / "in.mcap", 50, attachments=[("suite.yaml", SUITE)])
-    replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    replay(bag, tmp_path / "out.mcap", (TinyAdapter,))
     assert all(np.isnan(message.error_heading) for _, message in outputs(tmp_path / "out.mcap", "ship/error_arcsec"))
 
 
@@ -173,7 +173,7 @@ def test_errors_stay_nan_without_truth(tmp_path):
 )
 def test_topics_of_any_namespace(tmp_path, topic, namespace):
     bag = write_imu_bag(tmp_path / "in.mcap", 10, topic, attachments=[("suite.yaml", SUITE)])
-    assert replay(bag, tmp_path / "out.mcap", TinyAdapter, namespace=namespace).inputs == {"ins/imu": 10}
+    assert replay(bag, tmp_path / "out.mcap", (TinyAdapter,), namespace=namespace).inputs == {"ins/imu": 10}
 
 
 def test_refusals_and_undecodable_messages_are_counted(tmp_path):
@@ -183,7 +183,7 @@ def test_refusals_and_undecodable_messages_are_counted(tmp_path):
         bag.write("ins/imu", imu(START_NS), START_NS)
         bag.write("ins/imu", imu(START_NS + 1, "wrong"), START_NS + 1)
         bag.write_raw("ins/imu", "sensor_msgs/msg/Imu", serialize(imu(START_NS))[:40], START_NS + 2)
-    summary = replay(path, tmp_path / "out.mcap", TinyAdapter)
+    summary = replay(path, tmp_path / "out.mcap", (TinyAdapter,))
     assert summary.refused == {"ins/imu": {"frame": 1}}
     assert summary.undecodable == {"ins/imu": 1}
     assert summary.inputs == {"ins/imu": 2}
@@ -193,7 +193,7 @@ def test_a_configuration_given_rules_over_the_attached_one(tmp_path):
     config = tmp_path / "mine.yaml"
     config.write_text(SUITE.replace("2.0", "5.0"))
     bag = write_bag_with_truth(tmp_path / "in.mcap", 100)
-    replay(bag, tmp_path / "out.mcap", TinyAdapter, config)
+    replay(bag, tmp_path / "out.mcap", (TinyAdapter,), config)
     with read_bag(tmp_path / "out.mcap") as out:
         assert b"5.0" in out.attachments["suite.yaml"]
     assert outputs(tmp_path / "out.mcap", "ship/error_arcsec")[0][1].error_heading == pytest.approx(5.0, abs=1e-3)
@@ -202,7 +202,7 @@ def test_a_configuration_given_rules_over_the_attached_one(tmp_path):
 class TestBadInput:
     def refused(self, tmp_path, bag, match, **options):
         with pytest.raises(BadInput, match=match):
-            replay(bag, tmp_path / "out.mcap", TinyAdapter, **options)
+            replay(bag, tmp_path / "out.mcap", (TinyAdapter,), **options)
         assert not list(tmp_path.glob("out.mcap*"))
 
     def test_required_topic_missing(self, tmp_path):
@@ -232,7 +232,7 @@ class TestBadInput:
         bag = write_imu_bag(tmp_path / "in.mcap", 5, attachments=[("suite.yaml", SUITE)])
         before = bag.read_bytes()
         with pytest.raises(BadInput, match="would overwrite the input"):
-            replay(bag, bag, TinyAdapter)
+            replay(bag, bag, (TinyAdapter,))
         assert bag.read_bytes() == before
 
 
@@ -280,7 +280,7 @@ class TestCommand:
 def test_factory_messages_are_written_as_they_are(tmp_path):
     """The adapter's messages come from the factory and are not changed on their way."""
     bag = write_bag_with_truth(tmp_path / "in.mcap", 20)
-    replay(bag, tmp_path / "out.mcap", TinyAdapter)
+    replay(bag, tmp_path / "out.mcap", (TinyAdapter,))
     expected = ship_attitude(START_NS, true_heading(START_NS) + 2.0 * ARCSEC, factory=FACTORY)
     with read_bag(tmp_path / "out.mcap") as out:
         assert next(out.records({"ship/attitude"})).data == serialize(expected)

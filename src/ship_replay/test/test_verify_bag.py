@@ -28,7 +28,7 @@ def parts(tmp_path_factory):
         inputs = [r for r in bag.records() if r.log_time_ns < bag.start_ns + LENGTH_NS and "truth" not in r.topic]
         for r in inputs:
             writer.write_raw(r.topic, r.type_name, r.data, r.log_time_ns)
-    replay_bag(folder / "in.mcap", folder / "out.mcap", ShipAttitudeAdapter)
+    replay_bag(folder / "in.mcap", folder / "out.mcap", (ShipAttitudeAdapter,))
     with read_bag(folder / "out.mcap") as bag:
         return inputs, list(bag.records()), suite
 

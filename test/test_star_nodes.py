@@ -1,0 +1,202 @@
+"""star_attitude in the suite: replayed with ship_attitude in one pass, from its black box, and live over DDS."""
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from rclpy.serialization import deserialize_message, serialize_message
+
+from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
+from ship_node.adapter_calls import AdapterCalls
+from ship_node.black_box import BlackBox
+from ship_node.files import NotedFiles
+from ship_node.message_factory import RosidlFactory
+from ship_node.tick_grid import TickGrid
+from ship_replay.bag_reader import BagRecord, read_bag
+from ship_replay.bag_writer import SUITE_ATTACHMENT, BagWriter
+from ship_replay.live_run import LiveRun
+from ship_replay.replay_command import main as replay
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "ship_attitude_star" / "test"))
+
+import small_voyage
+import star_voyage
+
+SOLUTIONS = ("star/fore/solution", "star/starboard/solution")
+SHIP = "ship/attitude"
+VALID = 0
+
+
+def star_values(**changes: Any) -> dict[str, Any]:
+    sensors = {
+        id_: {
+            "azimuth_deg": azimuth_deg,
+            "elevation_deg": 45.0,
+            "frame_id": f"star_{id_}",
+            "camera": star_voyage.CAMERA_PARAMETERS,
+        }
+        for id_, azimuth_deg in (("fore", 0.0), ("starboard", 90.0))
+    }
+    return {"ins": {"frame_id": "ins"}, "star_sensors": sensors, **changes}
+
+
+def suite(*nodes: str) -> str:
+    """Configuration of some nodes; ship_attitude takes the solutions."""
+    ship = star_values()
+    for sensor in ship["star_sensors"].values():
+        sensor["input"] = "solution"
+        del sensor["camera"]
+    values = {"star_attitude": star_values(), "ship_attitude": ship}
+    return yaml.safe_dump({node: {"ros__parameters": values[node]} for node in nodes})
+
+
+def write(path: Path, suite_text: str, further: Iterable[BagRecord] = (), without: str = "nothing") -> Path:
+    """The voyage as a bag."""
+    with BagWriter(path) as bag:
+        bag.add_attachment(SUITE_ATTACHMENT, suite_text)
+        kinds = {topic.topic: topic.type_name for topic in star_voyage.new_adapter().inputs}
+        for arrival in star_voyage.voyage(noise=True):
+            if not arrival.topic.endswith(without):
+                data = serialize_message(arrival.message)
+                bag.write_raw(arrival.topic, kinds[arrival.topic], data, arrival.receive_ns)
+        for record in further:
+            bag.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
+    return path
+
+
+def records(path: Path, *topics: str) -> list[BagRecord]:
+    with read_bag(path) as bag:
+        return list(bag.records(topics or None))
+
+
+def bytes_of(path: Path, *topics: str) -> list[tuple[str, int, bytes]]:
+    return [(record.topic, record.log_time_ns, record.data) for record in records(path, *topics)]
+
+
+def ship_bytes(path: Path) -> list[tuple[str, int, bytes]]:
+    """The ship's attitudes since the first INS sample; before it only the ticks tell that there is none."""
+    return [entry for entry in bytes_of(path, SHIP) if entry[1] > small_voyage.START_NS]
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The voyage, and what a replay of both nodes gives."""
+    folder = tmp_path_factory.mktemp("both")
+    bag, out = write(folder / "in.mcap", suite("star_attitude", "ship_attitude")), folder / "out.mcap"
+    assert replay([str(bag), "--out", str(out)]) == 0
+    return bag, out
+
+
+def test_solutions_go_on_to_the_ship_s_attitude_in_one_pass(both: tuple[Path, Path]) -> None:
+    _, out = both
+    attitudes = [record.decode() for record in records(out, SHIP)]
+    assert len(records(out, *SOLUTIONS)) == len(star_voyage.only(star_voyage.voyage(), *star_voyage.AZIMUTH_DEG))
+    assert attitudes[-1].status == VALID
+    assert list(attitudes[-1].sources) == ["ins", "star.fore", "star.starboard"]
+
+
+def test_the_pass_is_to_the_last_bit_what_the_nodes_give_one_after_the_other(
+    both: tuple[Path, Path], tmp_path: Path
+) -> None:
+    stars_only = write(tmp_path / "1.mcap", suite("star_attitude"))
+    assert replay([str(stars_only), "--out", str(tmp_path / "2.mcap")]) == 0
+    assert bytes_of(tmp_path / "2.mcap", *SOLUTIONS) == bytes_of(both[1], *SOLUTIONS)
+    assert SHIP not in {record.topic for record in records(tmp_path / "2.mcap")}
+
+    solutions = records(tmp_path / "2.mcap", *SOLUTIONS)
+    second = write(tmp_path / "3.mcap", suite("ship_attitude"), solutions, without="observations")
+    assert replay([str(second), "--out", str(tmp_path / "4.mcap")]) == 0
+    assert ship_bytes(tmp_path / "4.mcap") == ship_bytes(both[1])
+
+
+def test_solutions_recorded_beside_the_observations_are_not_used_a_second_time(
+    both: tuple[Path, Path], tmp_path: Path
+) -> None:
+    bag = write(tmp_path / "in.mcap", suite("star_attitude", "ship_attitude"), records(both[1], *SOLUTIONS))
+    assert replay([str(bag), "--out", str(tmp_path / "out.mcap")]) == 0
+    assert bytes_of(tmp_path / "out.mcap", SHIP, *SOLUTIONS) == bytes_of(both[1], SHIP, *SOLUTIONS)
+
+
+def test_without_observations_the_recorded_solutions_are_used(
+    both: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = suite("star_attitude", "ship_attitude")
+    bag = write(tmp_path / "in.mcap", text, records(both[1], *SOLUTIONS), without="observations")
+    assert replay([str(bag), "--out", str(tmp_path / "out.mcap")]) == 0
+    assert ship_bytes(tmp_path / "out.mcap") == ship_bytes(both[1])
+    assert "star_attitude is left out: the bag has nothing of star/fore/observations" in capsys.readouterr().out
+
+
+def test_a_bag_with_inputs_and_outputs_of_both_nodes_is_verified(
+    both: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = suite("star_attitude", "ship_attitude")
+    bag = write(tmp_path / "in.mcap", text, records(both[1], SHIP, *SOLUTIONS, "star/joint/solution"))
+    assert replay([str(bag), "--verify"]) == 0, capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "star/fore/solution 15" in out.partition("equal:")[2]
+    assert f"{SHIP} {len(records(both[1], SHIP))}" in out.partition("equal:")[2]
+
+
+class _Nobody:
+    """A publisher without subscribers."""
+
+    def publish(self, message: Any) -> None:
+        """Tell nobody."""
+
+
+def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config, files = star_voyage.config(), NotedFiles()
+    adapter = StarAttitudeAdapter(config, RosidlFactory(), files)
+    box = BlackBox(str(tmp_path / "box.mcap"), adapter, config, adapter.outputs, "/", print)
+    calls = AdapterCalls(adapter, {output.topic: _Nobody() for output in adapter.outputs}, files, box)
+    grid = TickGrid()
+    for number, arrival in enumerate(star_voyage.voyage(noise=True)):
+        for tick_ns in grid.due(arrival.receive_ns):
+            calls.tick(tick_ns)
+        if number == 40:
+            calls.set_parameters({"star_sensors.fore.camera.centroid_sigma_px": 0.1}, arrival.receive_ns)
+        if number == 80:
+            assert calls.service("reset", arrival.receive_ns).success
+        data = serialize_message(arrival.message)
+        # As it comes from the middleware: sigma_px and magnitude have single precision there.
+        calls.handle(arrival.topic, data, deserialize_message(data, type(arrival.message)), arrival.receive_ns)
+    box.close()
+
+    assert replay([str(tmp_path / "box.mcap"), "--verify"]) == 0, capsys.readouterr().out
+    out = capsys.readouterr().out
+    for used in ("parameters 1", "~/reset 1", "star/fore/observations 15"):
+        assert used in out.partition("equal:")[0]
+    for equal in ("star/fore/solution 15", "star/joint/solution 1", "star/joint/error_budget"):
+        assert equal in out.partition("equal:")[2]
+
+
+@pytest.mark.live
+@pytest.mark.xdist_group("dds")
+def test_live_over_dds_it_gives_the_same_and_its_box_says_so(
+    both: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    box = tmp_path / "box.mcap"
+    with LiveRun(both[0], StarAttitudeAdapter, "ship_attitude_star", tmp_path / "run", {"black_box": str(box)}) as run:
+        run.play(rate=1.0)
+    live = {(r.topic.lstrip("/"), stamp(r)): attitude(r) for r in records(run.recorded_path) if "solution" in r.topic}
+    for record in records(both[1], *SOLUTIONS):
+        # The place may rest on a fix more or less.
+        assert np.max(np.abs(live[record.topic, stamp(record)] - attitude(record))) < 1e-11
+    assert replay([str(box), "--verify"]) == 0, capsys.readouterr().out
+
+
+def stamp(record: BagRecord) -> int:
+    return small_voyage.stamp_of(record.decode())
+
+
+def attitude(record: BagRecord) -> np.ndarray:
+    message = record.decode()
+    return np.array([message.azimuth, message.elevation, message.roll])
+
+
