@@ -120,7 +120,7 @@ class ShipFilter:
         if isinstance(compared, Refusal):
             return before, Decision(measurement, compared.reason, ins_time_ns, text=compared.text)
         source_index = self.model.sources.index(device.noise_source)
-        linear = LinearMeasurement(compared.residual, compared.jacobian, compared.noise, source_index)
+        linear = LinearMeasurement(compared.residual, compared.jacobian, {source_index: compared.noise})
         try:
             covariance, nis = innovation(state.parts, linear)
         except np.linalg.LinAlgError as error:

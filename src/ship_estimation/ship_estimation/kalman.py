@@ -5,6 +5,7 @@ steps are linear in P (the update in Joseph's form), so each part goes through w
 the sum stays exact: this is the error budget.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,14 +21,19 @@ class LinearMeasurement:
     Attributes:
         residual: measured minus predicted, shape (m,).
         jacobian: shape (m, n).
-        noise: covariance of the measurement noise, shape (m, m).
-        source_index: index of the source that the noise is booked to.
+        noise_by_source: covariance of the measurement noise, shape (m, m), by the index of the source that it is
+            booked to.
     """
 
     residual: FloatArray
     jacobian: FloatArray
-    noise: FloatArray
-    source_index: int
+    noise_by_source: Mapping[int, FloatArray]
+
+    @property
+    def noise(self) -> FloatArray:
+        """Covariance of the whole measurement noise, shape (m, m)."""
+        first, *others = self.noise_by_source.values()
+        return sum(others, start=first)
 
 
 def predict(parts: FloatArray, decay: FloatArray, booked_noise: FloatArray) -> FloatArray:
@@ -64,6 +70,7 @@ def update(
     gain = gain_transposed.T
     keep = np.eye(parts.shape[-1]) - gain @ h
     updated: FloatArray = keep @ parts @ keep.T
-    updated[measurement.source_index] += gain @ measurement.noise @ gain.T
+    for source_index, noise in measurement.noise_by_source.items():
+        updated[source_index] += gain @ noise @ gain.T
     updated = 0.5 * (updated + updated.transpose(0, 2, 1))
     return gain @ measurement.residual, updated

@@ -30,7 +30,7 @@ def sequential(jacobians: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, n
     for time_s, jacobian, value in zip(TIMES_S, jacobians, values, strict=True):
         decay, noise = model.transition(time_s - last_s)
         mean, parts, last_s = decay * mean, predict(parts, decay, model.booked_noise(noise)), time_s
-        measurement = LinearMeasurement(value - jacobian @ mean, jacobian, NOISE, model.sources.index("noise"))
+        measurement = LinearMeasurement(value - jacobian @ mean, jacobian, {model.sources.index("noise"): NOISE})
         covariance, _ = innovation(parts, measurement)
         correction, parts = update(parts, measurement, covariance)
         mean = mean + correction
@@ -81,7 +81,7 @@ def test_constant_measured_often_is_the_weighted_mean() -> None:
     model = StateModel([block("constant", [1e4] * 3, "constant")], ["noise"])
     mean, parts = np.zeros(3), model.initial_parts()
     for row, value, sigma in zip(design, values, sigmas, strict=True):
-        measurement = LinearMeasurement(np.array([value - row @ mean]), row[None], np.array([[sigma**2]]), 1)
+        measurement = LinearMeasurement(np.array([value - row @ mean]), row[None], {1: np.array([[sigma**2]])})
         covariance, _ = innovation(parts, measurement)
         correction, parts = update(parts, measurement, covariance)
         mean = mean + correction
