@@ -37,7 +37,7 @@ def star_values(**changes: Any) -> dict[str, Any]:
             "azimuth_deg": azimuth_deg,
             "elevation_deg": 45.0,
             "frame_id": f"star_{id_}",
-            "camera": star_voyage.CAMERA_PARAMETERS,
+            "camera": dict(star_voyage.CAMERA_PARAMETERS),  # rcl knows no YAML aliases
         }
         for id_, azimuth_deg in (("fore", 0.0), ("starboard", 90.0))
     }
