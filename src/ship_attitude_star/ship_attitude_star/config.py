@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ship_attitude_star.device_config import MountingConfig
+from ship_attitude_star.device_config import MountingConfig, check_sensor_ids
 from ship_attitude_star.star_config import CameraConfig, SkyConfig
 from ship_estimation.ins_config import InsErrorConfig
 from ship_estimation.parameters import arcsec, degrees, mapping_of, parameter, section
@@ -156,3 +156,11 @@ class ShipAttitudeConfig:
     alignment_max_age_d: float = parameter(
         30.0, doc="an alignment older than this is a wider prior", unit="d", minimum=0.0, maximum=36500.0
     )
+
+    def __post_init__(self) -> None:
+        """Refuse a sensor that would be all sensors.
+
+        Raises:
+            ParameterError: names the parameter.
+        """
+        check_sensor_ids(self.star_sensors)

@@ -1,12 +1,26 @@
 """Parameters of a star sensor that more than one node has: where it is bolted."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ship_estimation.parameters import arcsec, degrees, parameter
+from ship_estimation.parameters import ParameterError, arcsec, degrees, parameter
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
+
+JOINT = "joint"
+"""In the place of a sensor's id: the deck by all sensors."""
+
+
+def check_sensor_ids(ids: Iterable[str]) -> None:
+    """Refuse an id by which the stars of all sensors would count a second time.
+
+    Raises:
+        ParameterError: names the parameter.
+    """
+    if JOINT in ids:
+        raise ParameterError(f"parameter 'star_sensors.{JOINT}': '{JOINT}' means all sensors, give it another id")
 
 
 @dataclass(frozen=True, kw_only=True)

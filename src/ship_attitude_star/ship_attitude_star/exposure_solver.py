@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_attitude_star.device_config import JOINT
 from ship_attitude_star.sky_watch import SkyWatch
-from ship_attitude_star.star_attitude_config import JOINT, ObservingSensorConfig
+from ship_attitude_star.star_attitude_config import ObservingSensorConfig
 from ship_attitude_star.star_camera import tangent_basis
 from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.star_fit import SightedStars

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from ship_attitude_star import messages_out, star_messages_in, star_messages_out, surroundings_messages_in
+from ship_attitude_star.device_config import JOINT
 from ship_attitude_star.sky_watch import installed_sky
-from ship_attitude_star.star_attitude_config import JOINT, StarAttitudeConfig
+from ship_attitude_star.star_attitude_config import StarAttitudeConfig
 from ship_attitude_star.star_core import StarCore
 from ship_attitude_star.star_diagnosis import sky_status, solution_statuses
 from ship_attitude_star.star_results import RefusedStar, Solved, StarOutcome
@@ -157,8 +158,8 @@ class StarAttitudeAdapter:
 
     def _refusal(self, topic: str, time_ns: int, reason: Reason, text: str, now_ns: int) -> list[Published]:
         self.health.rejected(topic, reason.name.lower(), text, now_ns, time_ns)
-        source = f"star.{self._sensors[topic]}" if topic in self._sensors else topic.replace("/", ".")
-        return [self._told(source, time_ns, reason, text)]
+        sources = {_INS_TOPIC: "ins", **{name: f"star.{id_}" for name, id_ in self._sensors.items()}}
+        return [self._told(sources.get(topic, topic), time_ns, reason, text)]
 
     def _told(self, source: str, time_ns: int, reason: Reason, text: str) -> Published:
         return "star/innovation", messages_out.refusal(self._factory, source, time_ns, reason, text)

@@ -2,13 +2,10 @@
 
 from dataclasses import dataclass
 
-from ship_attitude_star.device_config import MountingConfig
+from ship_attitude_star.device_config import MountingConfig, check_sensor_ids
 from ship_attitude_star.star_config import CameraConfig, SkyConfig
 from ship_estimation.ins_config import InsInputConfig
-from ship_estimation.parameters import ParameterError, mapping_of, parameter, section
-
-JOINT = "joint"
-"""In the place of a sensor's id: the deck by all sensors."""
+from ship_estimation.parameters import mapping_of, parameter, section
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +69,9 @@ class StarAttitudeConfig:
     )
 
     def __post_init__(self) -> None:
-        """Refuse what two parameters together make impossible.
+        """Refuse a sensor that would be all sensors.
 
         Raises:
             ParameterError: names the parameter.
         """
-        if JOINT in self.star_sensors:
-            raise ParameterError(f"parameter 'star_sensors.{JOINT}': '{JOINT}' means all sensors, give it another id")
+        check_sensor_ids(self.star_sensors)

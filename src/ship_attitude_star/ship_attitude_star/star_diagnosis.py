@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
-from ship_attitude_star.star_attitude_config import JOINT, StarAttitudeConfig
+from ship_attitude_star.device_config import JOINT
+from ship_attitude_star.star_attitude_config import StarAttitudeConfig
 from ship_attitude_star.star_results import Solved
 from ship_attitude_star.star_solution import SolutionStatus
 from ship_geometry.rotations import ARCSEC

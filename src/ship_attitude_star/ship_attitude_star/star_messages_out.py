@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from ship_attitude_star.device_config import JOINT
 from ship_attitude_star.messages_out import DECK_FRAME
-from ship_attitude_star.star_attitude_config import JOINT
 from ship_attitude_star.star_results import RefusedStar, Solved
 from ship_attitude_star.star_solution import SOLUTION_TERMS
 from ship_geometry.frames import angle_covariance, angles_from_rotation

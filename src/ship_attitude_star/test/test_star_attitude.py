@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import small_voyage
 from scipy.stats import chi2
 from small_voyage import INS, SECOND_NS, START_NS, Arrival, Run, changed_where, drive, exactly, in_order, stamp_of
 from star_voyage import (
@@ -343,6 +344,9 @@ def test_sigma_of_the_centroid_changes_while_it_runs() -> None:
 def test_a_sensor_must_not_be_called_joint() -> None:
     with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' means all sensors"):
         new_adapter(star_sensors__joint={"azimuth_deg": 1.0, "elevation_deg": 2.0, "camera": camera()})
+    # Fed with star/joint/solution beside the sensors' own, ship_attitude would count every star twice.
+    with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' means all sensors"):
+        small_voyage.config(star_sensors__joint={"azimuth_deg": 1.0, "elevation_deg": 2.0, "input": "solution"})
 
 
 def test_a_sensor_needs_its_camera() -> None:

@@ -51,7 +51,7 @@ from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.rotations import ARCSEC, log_rotation
 
 MOMENT_S = 1.5
-SOURCE = {FORE: "star.fore", FIX: "gnss.fix", PRESSURE: "met.pressure", INS: "ins.imu", HUMIDITY: "met.humidity"}
+SOURCE = {FORE: "star.fore", INS: "ins", FIX: FIX, PRESSURE: PRESSURE, HUMIDITY: HUMIDITY}
 FORE_SOLUTION = "star/fore/solution"
 DAY_NS = 86_400 * SECOND_NS
 
