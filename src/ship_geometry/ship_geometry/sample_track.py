@@ -1,0 +1,139 @@
+"""Samples of one source in the order of their stamps, whatever the order of their arrival, to be interpolated."""
+
+import bisect
+from typing import Generic, Protocol, TypeVar
+
+SECOND_NS = 1_000_000_000
+
+
+class Stamped(Protocol):
+    """Anything with a stamp."""
+
+    @property
+    def time_ns(self) -> int:
+        """Time in the source's own stamps."""
+        ...
+
+
+Sample = TypeVar("Sample", bound=Stamped)
+
+
+def hermite_weights(fraction: float) -> tuple[float, float, float, float]:
+    """Weights of value 0, slope 0, value 1, slope 1 of a cubic on [0, 1] at ``fraction``."""
+    s = fraction
+    return (1 - s) ** 2 * (1 + 2 * s), s * (1 - s) ** 2, s * s * (3 - 2 * s), s * s * (s - 1)
+
+
+class SampleTrack(Generic[Sample]):
+    """Samples between which a cubic is drawn; its slopes are measured rates, or differences of the neighbours.
+
+    Args:
+        max_gap_ns: neighbours further apart than this are not joined.
+    """
+
+    def __init__(self, max_gap_ns: int) -> None:
+        self._max_gap_ns = max_gap_ns
+        self._times: list[int] = []
+        self._samples: list[Sample] = []
+
+    def __len__(self) -> int:
+        return len(self._samples)
+
+    @property
+    def newest(self) -> Sample | None:
+        """The sample with the latest stamp."""
+        return self._samples[-1] if self._samples else None
+
+    def get(self, time_ns: int) -> Sample | None:
+        """The sample stamped exactly ``time_ns``."""
+        index = bisect.bisect_left(self._times, time_ns)
+        found = index < len(self._times) and self._times[index] == time_ns
+        return self._samples[index] if found else None
+
+    def last_before(self, time_ns: int) -> Sample | None:
+        """The last sample stamped at or before ``time_ns``."""
+        index = bisect.bisect_right(self._times, time_ns) - 1
+        return self._samples[index] if index >= 0 else None
+
+    def insert(self, sample: Sample) -> int | None:
+        """Put a sample in its place; one with the same stamp is replaced.
+
+        Returns:
+            The stamp after which interpolated values may have changed; None where the sample is the newest
+            and so none that :meth:`covers` held for can have.
+        """
+        if not self._times or sample.time_ns > self._times[-1]:
+            self._times.append(sample.time_ns)
+            self._samples.append(sample)
+            return None
+        index = bisect.bisect_left(self._times, sample.time_ns)
+        if self._times[index] == sample.time_ns:
+            self._samples[index] = sample
+        else:
+            self._times.insert(index, sample.time_ns)
+            self._samples.insert(index, sample)
+        # Differenced rates reach one sample beyond the interval itself; near the start, the first sample's own
+        # rate, or its being there at all, is new.
+        return self._times[index - 2] if index >= 2 else self._times[0] - 1
+
+    def drop_before(self, time_ns: int) -> None:
+        """Forget what is not needed to interpolate at or after ``time_ns``."""
+        # Two samples before the moment: the start of its interval and that one's neighbour.
+        keep_from = bisect.bisect_right(self._times, time_ns) - 2
+        if keep_from > 0:
+            del self._times[:keep_from]
+            del self._samples[:keep_from]
+
+    def covers(self, time_ns: int) -> bool:
+        """True once later samples can no longer change the value at a moment, arriving in order."""
+        right = bisect.bisect_left(self._times, time_ns)
+        if right == len(self._times):
+            return False
+        # A differenced rate at the right sample needs that one's neighbour.
+        return self._has_rate(right) or right + 1 < len(self._times)
+
+    def _has_rate(self, index: int) -> bool:
+        """Whether the source measures a rate with sample ``index``."""
+        return False
+
+    def _interval(self, time_ns: int) -> tuple[int, float] | None:
+        """Index of the sample before a moment, and how far towards the next it is; None outside or in a gap.
+
+        At the stamp of a sample the fraction is 0, also for the last one.
+        """
+        if not self._times or not self._times[0] <= time_ns <= self._times[-1]:
+            return None
+        right = bisect.bisect_left(self._times, time_ns)
+        if self._times[right] == time_ns:
+            return right, 0.0
+        left = right - 1
+        interval_ns = self._times[right] - self._times[left]
+        if interval_ns > self._max_gap_ns:
+            return None
+        return left, (time_ns - self._times[left]) / interval_ns
+
+    def _seconds(self, first: int, second: int) -> float:
+        """Time between two samples, s."""
+        return (self._times[second] - self._times[first]) / SECOND_NS
+
+    def _neighbours(self, index: int) -> tuple[int, int]:
+        """The samples whose difference gives the rate at sample ``index``: itself where there is no other."""
+        before = index - 1 if index > 0 and self._joined(index - 1) else index
+        after = index + 1 if index + 1 < len(self._samples) and self._joined(index) else index
+        return before, after
+
+    def _joined(self, left: int) -> bool:
+        return self._times[left + 1] - self._times[left] <= self._max_gap_ns
+
+    def _noise_gain(self, left: int, fraction: float) -> float:
+        """Sum of the squared weights of the samples' values; measured rates are taken as free of noise."""
+        value0, slope0, value1, slope1 = hermite_weights(fraction)
+        weights = {left: value0, left + 1: value1}
+        interval_ns = self._times[left + 1] - self._times[left]
+        for index, slope in ((left, slope0), (left + 1, slope1)):
+            if not self._has_rate(index):
+                before, after = self._neighbours(index)
+                share = slope * interval_ns / (self._times[after] - self._times[before])
+                weights[before] = weights.get(before, 0.0) - share
+                weights[after] = weights.get(after, 0.0) + share
+        return sum(weight * weight for weight in weights.values())

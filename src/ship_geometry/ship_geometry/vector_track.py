@@ -1,0 +1,78 @@
+"""Vectors between samples: baselines, encoder angles. A cubic whose slopes are differences of the neighbours."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+from ship_geometry.sample_track import SampleTrack, hermite_weights
+
+
+@dataclass(frozen=True)
+class VectorSample:
+    """One vector of a track.
+
+    Attributes:
+        time_ns: time in the source's own stamps.
+        vector: shape (k,).
+    """
+
+    time_ns: int
+    vector: FloatArray
+
+    def content(self) -> bytes:
+        """All values as bytes: equal for a repeated sample, and an order for conflicting ones."""
+        return self.vector.tobytes()
+
+
+@dataclass(frozen=True)
+class InterpolatedVector:
+    """The vector at a moment of the track.
+
+    Attributes:
+        vector: shape (k,); of periodic components any of the values that mean the same.
+        noise_gain: variance of the result per variance of the samples' independent noise.
+    """
+
+    vector: FloatArray
+    noise_gain: float
+
+
+class VectorTrack(SampleTrack[VectorSample]):
+    """Vectors of one source.
+
+    Args:
+        max_gap_ns: neighbours further apart than this are not joined.
+        period: after which all components repeat: 2 pi for angles; infinite where they do not.
+    """
+
+    def __init__(self, max_gap_ns: int, period: float = np.inf) -> None:
+        super().__init__(max_gap_ns)
+        self._period = period
+
+    def at(self, time_ns: int) -> InterpolatedVector | None:
+        """The vector at a moment; None outside the track or in a gap."""
+        interval = self._interval(time_ns)
+        if interval is None:
+            return None
+        left, fraction = interval
+        first = self._samples[left].vector
+        if fraction == 0.0:
+            return InterpolatedVector(first, 1.0)
+        _, slope0, value1, slope1 = hermite_weights(fraction)
+        change = slope0 * self._slope(left, left) + value1 * self._change(left, left + 1)
+        change += slope1 * self._slope(left + 1, left)
+        return InterpolatedVector(first + change, self._noise_gain(left, fraction))
+
+    def _slope(self, index: int, left: int) -> FloatArray:
+        """Rate of change at a sample, over the time of the interval that begins at ``left``."""
+        before, after = self._neighbours(index)
+        return self._change(before, after) * (self._seconds(left, left + 1) / self._seconds(before, after))
+
+    def _change(self, first: int, second: int) -> FloatArray:
+        """From one sample to another, through those between, each time the short way round."""
+        change = np.zeros_like(self._samples[first].vector)
+        for index in range(first, second):
+            step = self._samples[index + 1].vector - self._samples[index].vector
+            change += step if self._period == np.inf else step - self._period * np.round(step / self._period)
+        return change
