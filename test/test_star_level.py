@@ -48,7 +48,7 @@ def told_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyWatch:
 
 def sighted(exposures: dict[str, StarExposure], watch: SkyWatch, configuration: ShipAttitudeConfig) -> SightedStars:
     """All stars of several sensors in the deck."""
-    parts, installation_b = [], []
+    parts, mounting_b = [], []
     for index, (id_, exposure) in enumerate(exposures.items()):
         sensor = configuration.star_sensors[id_]
         rotation_ds = rotation_from_angles(*np.deg2rad([sensor.azimuth_deg, sensor.elevation_deg, sensor.roll_deg]))
@@ -57,14 +57,14 @@ def sighted(exposures: dict[str, StarExposure], watch: SkyWatch, configuration: 
             sensor.installation_sigma_up_arcsec,
             sensor.installation_sigma_right_arcsec,
         ]
-        installation_b.append(rotation_ds @ np.diag(np.square(sigma_s) * ARCSEC**2) @ rotation_ds.T)
+        mounting_b.append(rotation_ds * np.array(sigma_s) * ARCSEC)
         apparent = watch.apparent(exposure.positions, exposure.time_ns)
         measured_b = exposure.directions_s @ rotation_ds.T
         of_sensor = np.full(len(exposure), index)
         parts.append(
             (measured_b, apparent.direction_n, exposure.sigma, exposure.position_sigma, apparent.shared_n, of_sensor)
         )
-    return SightedStars(*(np.concatenate(columns) for columns in zip(*parts, strict=True)), np.array(installation_b))
+    return SightedStars(*(np.concatenate(columns) for columns in zip(*parts, strict=True)), np.array(mounting_b))
 
 
 def normalised_errors(scenario: Scenario, told: Scenario | None = None) -> list[float]:

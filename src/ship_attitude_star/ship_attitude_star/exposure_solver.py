@@ -10,7 +10,7 @@ from ship_attitude_star.sky_watch import SkyWatch
 from ship_attitude_star.star_attitude_config import ObservingSensorConfig
 from ship_attitude_star.star_camera import tangent_basis
 from ship_attitude_star.star_exposure import StarExposure
-from ship_attitude_star.star_fit import SightedStars
+from ship_attitude_star.star_fit import SightedStars, square_roots
 from ship_attitude_star.star_results import RefusedStar, Solved
 from ship_attitude_star.star_selection import AttitudePrior
 from ship_attitude_star.star_solution import SolutionStatus, StarSolution, no_attitude, solve_stars
@@ -125,11 +125,12 @@ def _solved(stars: SightedStars, prior: AttitudePrior | None) -> tuple[StarSolut
 def _in_deck(group: Sequence[Mounted], sensors: dict[str, ObservingSensorConfig]) -> SightedStars:
     """All stars in the deck frame, with the errors of their sensors' mounting and of the way to this moment."""
     stars = [mounted.sighting.stars for mounted in group if mounted.sighting.stars is not None]
-    installation_b = np.empty((len(group), 3, 3))
+    mounting_b = np.empty((len(group), 3, 3))
     for index, mounted in enumerate(group):
         sigma_s = sensors[mounted.sighting.source.partition(".")[2]].installation_sigma_s
         turned = mounted.rotation_ds * sigma_s
-        installation_b[index] = turned @ turned.T + mounted.covariance_d
+        exact = not mounted.covariance_d.any()
+        mounting_b[index] = turned if exact else square_roots(turned @ turned.T + mounted.covariance_d)
     return SightedStars(
         measured_b=np.concatenate([s.measured_b @ m.rotation_ds.T for s, m in zip(stars, group, strict=True)]),
         reference_n=np.concatenate([s.reference_n for s in stars]),
@@ -137,7 +138,7 @@ def _in_deck(group: Sequence[Mounted], sensors: dict[str, ObservingSensorConfig]
         position_sigma=np.concatenate([s.position_sigma for s in stars]),
         shared_n=np.concatenate([s.shared_n for s in stars]),
         sensor=np.repeat(np.arange(len(stars)), [len(s) for s in stars]),
-        installation_b=installation_b,
+        mounting_b=mounting_b,
     )
 
 

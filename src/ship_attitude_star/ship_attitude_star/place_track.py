@@ -68,8 +68,12 @@ class PlaceTrack:
         index = self._fixes.insert(time_ns, _fix(position, covariance_m2))
         if index is None:
             return None
-        # A fix tells the velocity on the other side of its neighbour too, and the first ones for all times before.
-        return self._fixes.times[index - 2] if index >= 2 else 0
+        times = self._fixes.times
+        if index < 2:
+            return 0  # the first two tell the velocity for all times before
+        # Where its neighbour is alone, a fix tells the velocity on the other side of it too.
+        joined = times[index - 1] - times[index - 2] <= 2 * self._max_age_ns
+        return times[index - 1] if joined else times[index - 2]
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed for moments at or after ``time_ns``."""

@@ -10,11 +10,14 @@ deviation 1, so their prior information is the identity.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 from scipy.special import chdtrc
 
+from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, skew
 
 
@@ -29,8 +32,8 @@ class SightedStars:
         position_sigma: error of the catalogue's position, rad per axis, shape (k,).
         shared_n: displacement of the reference by one sigma of each shared error, rad, shape (k, 3, n_shared).
         sensor: which sensor saw it, shape (k,).
-        installation_b: covariance of each sensor's mounting, rotation vector in b, rad², shape (n_sensors, 3, 3);
-            (0, 3, 3) where b is the frame of the one sensor itself.
+        mounting_b: turn of each sensor by one sigma of each of three independent errors of its mounting, rotation
+            vectors in b as columns, rad, shape (n_sensors, 3, 3); (0, 3, 3) where b is the frame of the one sensor.
     """
 
     measured_b: FloatArray
@@ -39,9 +42,9 @@ class SightedStars:
     position_sigma: FloatArray
     shared_n: FloatArray
     sensor: NDArray[np.intp]
-    installation_b: FloatArray
+    mounting_b: FloatArray
 
-    @property
+    @cached_property
     def white_sigma(self) -> FloatArray:
         """What differs from star to star: centroid and catalogue, rad per axis, shape (k,)."""
         return np.hypot(self.sigma, self.position_sigma)
@@ -81,16 +84,18 @@ class StarFit:
         """
         information, right_side = self.normal_equations(members)
         displacement = self.displacement if members is None else self.displacement[members]
-        nuisance = np.arange(3, len(right_side))
         constrained = information.copy()
-        constrained[nuisance, nuisance] += 1.0
+        constrained.ravel()[3 * len(right_side) + 3 :: len(right_side) + 1] += 1.0
         degrees = 2 * len(displacement)
         if prior_information is None:
             degrees -= 3
         else:
             constrained[:3, :3] += prior_information
-        solution = np.linalg.solve(constrained, right_side)
-        chi_square = float(displacement.ravel() @ displacement.ravel() - right_side @ solution)
+        _, solution, failed = lapack.dposv(constrained, right_side)
+        if failed:
+            raise np.linalg.LinAlgError("stars that leave the attitude open cannot be judged")
+        flat = displacement.ravel()
+        chi_square = float(flat @ flat - right_side @ solution)
         return Judgement(information, constrained, solution, chi_square, degrees)
 
     def gain_by_leaving_out(self, judgement: "Judgement", members: NDArray[np.bool_]) -> FloatArray:
@@ -128,19 +133,48 @@ class Judgement:
 
 def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
     """The stars at an attitude, shape (3, 3), no farther from the truth than a degree."""
-    count, sensors, shared = len(stars), len(stars.installation_b), stars.shared_n.shape[-1]
-    about_star = -skew(stars.reference_n)
+    count, sensors, shared = len(stars), len(stars.mounting_b), stars.shared_n.shape[-1]
+    per_sigma = 1.0 / stars.white_sigma[:, None]
+    # δ × v per sigma, column by column of δ.
+    about_star = -skew(stars.reference_n * per_sigma)
     jacobian = np.zeros((count, 3, 3 + 3 * sensors + shared))
     jacobian[:, :, :3] = about_star
     if sensors:
-        roots_n = rotation_nb @ square_roots(stars.installation_b)
-        turned = about_star @ roots_n[stars.sensor]
-        columns = 3 + 3 * stars.sensor[:, None] + np.arange(3)
-        jacobian[np.arange(count)[:, None, None], np.arange(3)[None, :, None], columns[:, None, :]] = turned
-    jacobian[:, :, 3 + 3 * sensors :] = -stars.shared_n
+        mounting_n = rotation_nb @ stars.mounting_b
+        turned = about_star @ mounting_n[stars.sensor]
+        for index in range(sensors):
+            own = (stars.sensor == index)[:, None, None]
+            np.multiply(turned, own, out=jacobian[:, :, 3 + 3 * index : 6 + 3 * index])
+    jacobian[:, :, 3 + 3 * sensors :] = stars.shared_n * -per_sigma[..., None]
     displacement = stars.reference_n - stars.measured_b @ rotation_nb.T
-    per_sigma = 1.0 / stars.white_sigma[:, None]
-    return StarFit(jacobian * per_sigma[..., None], displacement * per_sigma)
+    return StarFit(jacobian, displacement * per_sigma)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The attitude that some of the stars give, and how well they agree with it.
+
+    Attributes:
+        rotation_nb: horizon from b, by Wahba's problem, shape (3, 3).
+        white_covariance_n: of its error by what differs from star to star, rad², shape (3, 3).
+        fit: all stars, linearised there.
+        judgement: of the stars that gave it.
+    """
+
+    rotation_nb: FloatArray
+    white_covariance_n: FloatArray
+    fit: StarFit
+    judgement: Judgement
+
+
+def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> Agreement | None:
+    """What the members say, all stars where none are named; None where they leave the attitude open."""
+    sigma = stars.white_sigma if members is None else np.where(members, stars.white_sigma, np.inf)
+    solution = wahba.solve(stars.reference_n, stars.measured_b, sigma)
+    if not solution.solved:
+        return None
+    fit = linearized(stars, solution.rotation_nd)
+    return Agreement(solution.rotation_nd, solution.covariance_n, fit, fit.judge(members))
 
 
 def square_roots(covariance: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.star_fit import Judgement, SightedStars, StarFit, linearized
+from ship_attitude_star.star_fit import Agreement, Judgement, SightedStars, StarFit, agreement, linearized
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, angle_between, skew
 
@@ -52,8 +52,21 @@ class Trial:
     count: int
 
 
-def select(stars: SightedStars, prior: AttitudePrior | None = None) -> BoolArray:
-    """The stars that belong together, shape (k,); none where no set is larger than its rivals.
+@dataclass(frozen=True)
+class Choice:
+    """The stars that belong together.
+
+    Attributes:
+        members: shape (k,); none where no set is larger than its rivals.
+        agreement: the attitude that they give, where it has been found on the way.
+    """
+
+    members: BoolArray
+    agreement: Agreement | None = None
+
+
+def select(stars: SightedStars, prior: AttitudePrior | None = None) -> Choice:
+    """Choose the stars that are what they are taken for.
 
     Args:
         stars: all that were seen and have a place in the sky.
@@ -61,48 +74,37 @@ def select(stars: SightedStars, prior: AttitudePrior | None = None) -> BoolArray
     """
     if prior is None:
         return _select_alone(stars)
-    return _select_by_prior(stars, prior)
+    return Choice(_select_by_prior(stars, prior))
 
 
-def _select_alone(stars: SightedStars) -> BoolArray:
+def _select_alone(stars: SightedStars) -> Choice:
     everything = np.ones(len(stars), dtype=bool)
     if len(stars) < 2:
-        return ~everything
-    if _consistent_alone(stars, everything) >= DROP_PROBABILITY:
-        return everything
+        return Choice(~everything)
+    whole = agreement(stars)
+    if whole is not None and whole.judgement.probability >= DROP_PROBABILITY:
+        return Choice(everything, whole)
     trials = _pair_trials(stars)
     for trial in trials[:_TRIALS_REFINED]:
         members = _refined_alone(stars, trial.members)
         if members.any() and not _has_rival(trials, members, shared=2):
-            fit = _fit_alone(stars, members)
-            return members if fit is None else _unambiguous(fit, members)
-    return ~everything
-
-
-def _consistent_alone(stars: SightedStars, members: BoolArray) -> float:
-    """Probability of what is left of the members' displacements; 0 where they give no attitude."""
-    fit = _fit_alone(stars, members)
-    return 0.0 if fit is None else fit.judge(members).probability
-
-
-def _fit_alone(stars: SightedStars, members: BoolArray) -> StarFit | None:
-    sigma = np.where(members, stars.white_sigma, np.inf)
-    solution = wahba.solve(stars.reference_n, stars.measured_b, sigma)
-    return linearized(stars, solution.rotation_nd) if solution.solved else None
+            refined = agreement(stars, members)
+            assert refined is not None
+            return Choice(_unambiguous(refined.fit, members))
+    return Choice(~everything)
 
 
 def _refined_alone(stars: SightedStars, members: BoolArray) -> BoolArray:
     """Members without those that do not fit the rest; none where even the rest does not."""
     while np.count_nonzero(members) >= 2:
-        fit = _fit_alone(stars, members)
-        if fit is None:
+        refined = agreement(stars, members)
+        if refined is None:
             break
-        judgement = fit.judge(members)
-        if judgement.probability >= DROP_PROBABILITY:
+        if refined.judgement.probability >= DROP_PROBABILITY:
             return members
         if np.count_nonzero(members) <= FEWEST_VERIFIED:
-            return members if judgement.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
-        members = _without_worst(fit, judgement, members)
+            return members if refined.judgement.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
+        members = _without_worst(refined.fit, refined.judgement, members)
     return np.zeros_like(members)
 
 
@@ -152,10 +154,10 @@ def _pair_trials(stars: SightedStars) -> list[Trial]:
 def _common_variance(stars: SightedStars) -> FloatArray:
     """What mounting and shared errors add to a star's direction, mean of both axes, rad², shape (k,)."""
     variance = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
-    if len(stars.installation_b):
+    if len(stars.mounting_b):
         about_star = skew(stars.measured_b)
-        mounted = about_star @ stars.installation_b[stars.sensor] @ np.swapaxes(about_star, -1, -2)
-        variance = variance + 0.5 * np.trace(mounted, axis1=-2, axis2=-1)
+        mounted = about_star @ stars.mounting_b[stars.sensor]
+        variance = variance + 0.5 * np.sum(mounted**2, axis=(-2, -1))
     return variance
 
 

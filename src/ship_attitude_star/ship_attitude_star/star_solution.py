@@ -11,15 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky import SHARED_TERMS
-from ship_attitude_star.star_fit import Judgement, SightedStars, StarFit, linearized
+from ship_attitude_star.star_fit import Agreement, SightedStars, agreement
 from ship_attitude_star.star_selection import FEWEST_VERIFIED, AttitudePrior, select
 from ship_estimation.refusals import Reason, Refusal
-from ship_geometry import wahba
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 SOLUTION_TERMS = ("star_noise", "installation", "refraction", "earth_rotation", "ship_position", "catalogue")
 """Error sources of :attr:`StarSolution.parts_n`, in order; only the first is independent from epoch to epoch."""
+
+
+_SHARED_COLUMNS = {
+    index: slice(SHARED_TERMS.index(term), SHARED_TERMS.index(term) + SHARED_TERMS.count(term))
+    for index, term in enumerate(SOLUTION_TERMS)
+    if term in SHARED_TERMS
+}
+"""Which columns of the shared errors belong to a term."""
+
+
+_SINGULAR_UP = float(np.sin(SINGULAR_ELEVATION))
 
 
 class SolutionStatus(enum.IntEnum):
@@ -79,24 +89,23 @@ def solve_stars(stars: SightedStars, prior: AttitudePrior | None = None) -> Star
         stars: all that were seen and have a place in the sky.
         prior: helps to choose the stars and lets two of them count as verified; it does not enter the attitude.
     """
-    members = select(stars, prior)
+    choice = select(stars, prior)
+    members = choice.members
     count = int(np.count_nonzero(members))
-    chosen = members if count else np.ones_like(members)
-    attitude = wahba.solve(stars.reference_n, stars.measured_b, np.where(chosen, stars.white_sigma, np.inf))
-    if not attitude.solved:
-        return no_attitude(members, Refusal(Reason.TOO_FEW_STARS, _open_turn(int(np.count_nonzero(chosen)))))
+    together = members if count else np.ones_like(members)
+    found = choice.agreement or agreement(stars, together)
+    if found is None:
+        return no_attitude(members, Refusal(Reason.TOO_FEW_STARS, _open_turn(int(np.count_nonzero(together)))))
     if not count:
         text = f"{len(stars)} stars, no set of them belongs together more than another"
         reason = Reason.TOO_FEW_STARS if len(stars) < FEWEST_VERIFIED else Reason.MISIDENTIFIED
         return no_attitude(members, Refusal(reason, text))
-    fit = linearized(stars, attitude.rotation_nd)
-    judgement = fit.judge(members)
-    residual_n = fit.displacement * stars.white_sigma[:, None]
+    residual_n = found.fit.displacement * stars.white_sigma[:, None]
     return StarSolution(
-        status=_status(count, prior, attitude.rotation_nd),
+        status=_status(count, prior, found.rotation_nb),
         refusal=None,
-        rotation_nb=attitude.rotation_nd,
-        parts_n=_parts(stars, fit, judgement, members),
+        rotation_nb=found.rotation_nb,
+        parts_n=_parts(stars, found, members),
         members=members,
         residual_n=residual_n,
         rejected=_rejected(residual_n, stars.white_sigma, members),
@@ -112,38 +121,35 @@ def _open_turn(count: int) -> str:
 def _status(count: int, prior: AttitudePrior | None, rotation_nb: FloatArray) -> SolutionStatus:
     if prior is None and count < FEWEST_VERIFIED:
         return SolutionStatus.UNVERIFIED
-    singular = abs(rotation_nb[1, 0]) > np.sin(SINGULAR_ELEVATION)
+    singular = abs(rotation_nb[1, 0]) > _SINGULAR_UP
     return SolutionStatus.ANGLES_SINGULAR if singular else SolutionStatus.VALID
 
 
-def _parts(stars: SightedStars, fit: StarFit, judgement: Judgement, members: NDArray[np.bool_]) -> FloatArray:
+def _parts(stars: SightedStars, found: Agreement, members: NDArray[np.bool_]) -> FloatArray:
     """Covariance of the attitude by SOLUTION_TERMS, shape (6, 3, 3)."""
-    information = judgement.information
-    inverse = np.linalg.inv(information[:3, :3])
     # The attitude is weighted by the white errors alone: this is what one sigma of each other error does to it.
-    by_sigma = inverse @ information[:3, 3:]
+    by_sigma = found.white_covariance_n @ found.judgement.information[:3, 3:]
     mounting = by_sigma[:, : -len(SHARED_TERMS)]
-    parts = np.zeros((len(SOLUTION_TERMS), 3, 3))
+    shared = by_sigma[:, -len(SHARED_TERMS) :]
+    parts = np.empty((len(SOLUTION_TERMS), 3, 3))
     parts[1] = mounting @ mounting.T
-    for term, column in zip(SHARED_TERMS, by_sigma[:, -len(SHARED_TERMS) :].T, strict=True):
-        parts[SOLUTION_TERMS.index(term)] += np.outer(column, column)
-    share = (stars.position_sigma[members] / stars.white_sigma[members]) ** 2
-    attitude_rows = fit.jacobian[members, :, :3]
-    catalogue = np.einsum("k,kia,kib->ab", share, attitude_rows, attitude_rows)
-    parts[5] = inverse @ catalogue @ inverse
-    parts[0] = inverse - parts[5]
+    for index, columns in _SHARED_COLUMNS.items():
+        parts[index] = shared[:, columns] @ shared[:, columns].T
+    share = stars.position_sigma / stars.white_sigma
+    share[~members] = 0.0
+    by_catalogue = (found.fit.jacobian[:, :, :3] * share[:, None, None]).reshape(-1, 3) @ found.white_covariance_n
+    parts[5] = by_catalogue.T @ by_catalogue
+    parts[0] = found.white_covariance_n - parts[5]
     return parts
 
 
 def _rejected(residual_n: FloatArray, sigma: FloatArray, members: NDArray[np.bool_]) -> dict[int, Refusal]:
-    angles = np.linalg.norm(residual_n, axis=-1)
-    return {
-        row: Refusal(
-            Reason.MISIDENTIFIED,
-            f"{_angle_text(float(angles[row]))} from its place, sigma {sigma[row] / ARCSEC:.1f}\"",
-        )
-        for row in np.flatnonzero(~members).tolist()
-    }
+    rejected = {}
+    for row in np.flatnonzero(~members).tolist():
+        angle = float(np.linalg.norm(residual_n[row]))
+        text = f'{_angle_text(angle)} from its place, sigma {sigma[row] / ARCSEC:.1f}"'
+        rejected[row] = Refusal(Reason.MISIDENTIFIED, text)
+    return rejected
 
 
 def _angle_text(angle: float) -> str:

@@ -24,7 +24,7 @@ from ship_estimation.state import StateModel
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, skew
 
 _ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
-"""Mounting covariances of stars that are compared in their sensor's own frame."""
+"""Mounting errors of stars that are compared in their sensor's own frame."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def star_residuals(
     # Where the estimate of the shared errors puts them.
     expected_n = stars.reference_n + stars.shared_n @ mean[rows]
     expected_n /= np.linalg.norm(expected_n, axis=-1, keepdims=True)
-    members, alone_ns = select(replace(stars, reference_n=expected_n), prior), None
+    members, alone_ns = select(replace(stars, reference_n=expected_n), prior).members, None
     if not members.any():
         # Do the stars contradict the prediction, or one another?
         alone = solve_stars(stars)
@@ -155,7 +155,7 @@ def visible_stars(
         position_sigma=exposure.position_sigma,
         shared_n=apparent.shared_n[keep],
         sensor=np.zeros(len(exposure), dtype=np.intp),
-        installation_b=_ONE_SENSOR,
+        mounting_b=_ONE_SENSOR,
     )
     return exposure, stars, refused
 

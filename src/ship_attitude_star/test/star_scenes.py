@@ -79,9 +79,9 @@ def draw_scene(
     noise = SIGMA * rng.standard_normal(seen_s.shape)
     measured_s = _unit(seen_s + noise)
     measured_d = np.einsum("kij,kj->ki", np.array(mountings)[sensor], measured_s)
-    installation_d = np.array([m @ np.diag(INSTALLATION_SIGMA**2) @ m.T for m in mountings])
+    mounting_d = np.array([m * INSTALLATION_SIGMA for m in mountings])
     stars = SightedStars(
-        measured_d, reference_n, np.full(len(sensor), SIGMA), np.zeros(len(sensor)), shared_n, sensor, installation_d
+        measured_d, reference_n, np.full(len(sensor), SIGMA), np.zeros(len(sensor)), shared_n, sensor, mounting_d
     )
     return Scene(stars, rotation_nd, np.array([kind == "true" for kind in kinds]))
 

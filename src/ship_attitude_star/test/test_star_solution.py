@@ -1,5 +1,7 @@
 """The joint solution: honest covariance, the terms of models.md §2, false stars. `make campaign` has the long runs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -7,7 +9,7 @@ from star_scenes import SIGMA, Scene, attitude_error, draw_scene
 
 from ship_attitude_star.samples import Reason
 from ship_attitude_star.star_fit import SightedStars, linearized
-from ship_attitude_star.star_selection import AttitudePrior
+from ship_attitude_star.star_selection import AttitudePrior, select
 from ship_attitude_star.star_solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
@@ -72,7 +74,7 @@ def test_one_star_each_is_as_the_design_says():
 
 def test_catalogue_errors_are_counted_apart_from_noise():
     stars = draw_scene(np.random.default_rng(21), (8, 8)).stars
-    poor = SightedStars(**{**vars(stars), "position_sigma": stars.sigma})
+    poor = replace(stars, position_sigma=stars.sigma)
     parts = dict(zip(SOLUTION_TERMS, solve_stars(poor).parts_n, strict=True))
     np.testing.assert_allclose(parts["catalogue"], parts["star_noise"], rtol=1e-9)
     np.testing.assert_allclose(parts["star_noise"], solve_stars(stars).parts_n[0], rtol=1e-3)
@@ -103,10 +105,8 @@ def test_the_linear_model_is_the_derivative():
         rows = stars.sensor == 1
         turned = stars.measured_b.copy()
         turned[rows] = turned[rows] @ mounting.T
-        moved = linearized(SightedStars(**{**vars(stars), "measured_b": turned}), rotation)
-        # Columns of mounting are per sigma, in the eigenframe of its covariance.
-        values, vectors = np.linalg.eigh(stars.installation_b[1])
-        column = fit.jacobian[:, :, 6:9] @ (vectors / np.sqrt(values)).T[:, axis]
+        moved = linearized(replace(stars, measured_b=turned), rotation)
+        column = fit.jacobian[:, :, 6:9] @ np.linalg.inv(stars.mounting_b[1])[:, axis]
         numeric = (fit.displacement - moved.displacement) / step
         np.testing.assert_allclose(numeric, column, atol=3e-4 / SIGMA)
 
@@ -133,6 +133,36 @@ def test_false_identities_are_found(kind, least_solved, most_wrong):
     assert solved >= least_solved * solvable
 
 
+PRIOR_SIGMA = np.array([10.0, 72.0, 10.0]) * ARCSEC
+"""Of an INS about North, Up, East, as in models.md §2."""
+
+
+def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
+    """NEES of prior and chosen stars together, in one linear step; None where no star was chosen."""
+    prior = AttitudePrior(exp_rotation(-error_n) @ scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
+    members = select(scene.stars, prior).members
+    if not members.any():
+        return None
+    fit = linearized(scene.stars, prior.rotation_nb)
+    judgement = fit.judge(members, np.diag(PRIOR_SIGMA**-2.0))
+    covariance_n = np.linalg.inv(judgement.constrained)[:3, :3]
+    return float(normalized_error_squared(error_n - judgement.solution[:3], covariance_n))
+
+
+@pytest.mark.parametrize("kind", ["false_stars", "swapped_pairs"])
+@pytest.mark.parametrize("single", [False, True])
+def test_with_a_prior_even_one_star_is_enough_and_none_is_wrong(kind, single):
+    values = []
+    for seed in range(SCENES):
+        rng = np.random.default_rng([22, seed])
+        counts = (1, 0) if single else tuple(rng.integers(1, 13, 2).tolist())
+        scene = draw_scene(rng, counts, **{kind: int(rng.integers(0, 6))})
+        values.append(error_with_prior(scene, PRIOR_SIGMA * rng.standard_normal(3)))
+    solved = [value for value in values if value is not None]
+    assert max(solved) < WRONG
+    assert len(solved) >= 0.99 * SCENES
+
+
 def test_a_misidentified_star_is_named_with_its_angle():
     scene = draw_scene(np.random.default_rng(15), (4, 4), neighbours=1)
     solution = solve_stars(scene.stars)
@@ -145,8 +175,7 @@ def test_a_misidentified_star_is_named_with_its_angle():
 
 def test_a_prior_verifies_two_stars_and_does_not_enter_the_attitude():
     scene = draw_scene(np.random.default_rng(16), (1, 1))
-    prior_sigma = np.array([10.0, 72.0, 10.0]) * ARCSEC
-    prior = AttitudePrior(exp_rotation(0.5 * prior_sigma) @ scene.rotation_nd, np.diag(prior_sigma**2))
+    prior = AttitudePrior(exp_rotation(0.5 * PRIOR_SIGMA) @ scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
     alone, helped = solve_stars(scene.stars), solve_stars(scene.stars, prior)
     assert (alone.status, helped.status) == (SolutionStatus.UNVERIFIED, SolutionStatus.VALID)
     np.testing.assert_array_equal(alone.rotation_nb, helped.rotation_nb)
@@ -154,8 +183,7 @@ def test_a_prior_verifies_two_stars_and_does_not_enter_the_attitude():
 
 def test_a_prior_tells_swapped_identities_of_two_stars():
     scene = draw_scene(np.random.default_rng(17), (0, 0), swapped_pairs=1)
-    prior_sigma = np.array([10.0, 72.0, 10.0]) * ARCSEC
-    prior = AttitudePrior(scene.rotation_nd, np.diag(prior_sigma**2))
+    prior = AttitudePrior(scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
     assert solve_stars(scene.stars).status is SolutionStatus.UNVERIFIED
     refused = solve_stars(scene.stars, prior)
     assert refused.status is SolutionStatus.INVALID
@@ -184,7 +212,7 @@ def test_stars_in_one_direction_are_refused_with_the_reason():
         np.zeros(2),
         np.repeat(star.shared_n, 2, axis=0),
         np.zeros(2, dtype=int),
-        star.installation_b,
+        star.mounting_b,
     )
     solution = solve_stars(stars)
     assert solution.status is SolutionStatus.INVALID

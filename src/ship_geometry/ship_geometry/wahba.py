@@ -7,9 +7,11 @@ sight the minimum is the maximum-likelihood attitude, and its covariance is (Σ 
 All functions take leading dimensions: many attitudes at once, with the same number of directions each.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg.lapack as lapack
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
@@ -50,6 +52,8 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
         measured_d: unit vectors, shape (..., k, 3).
         sigma: error across the line of sight, rad per axis, shape (..., k) or one for all; infinite leaves one out.
     """
+    if reference_n.ndim == 2:
+        return _solve_one(reference_n, measured_d, np.ones(len(reference_n)) / np.square(sigma))
     weight = np.asarray(sigma, dtype=float) ** -2.0
     weighted = np.swapaxes(weight[..., None] * reference_n, -1, -2)
     outer = weighted @ reference_n
@@ -80,6 +84,27 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
         solved=solved,
         reason=reason,
     )
+
+
+def _solve_one(reference_n: FloatArray, measured_d: FloatArray, weight: FloatArray) -> WahbaSolution:
+    """The same for one attitude, as a live node has it: several times faster."""
+    weighted = (weight[:, None] * reference_n).T
+    information_n = -(weighted @ reference_n)
+    information_n.ravel()[::4] += weight.sum()
+    left, singular, right, failed = lapack.dgesdd(weighted @ measured_d)
+    if failed:
+        raise np.linalg.LinAlgError("SVD did not converge: directions or sigmas that are not finite")
+    rotation_nd = left @ right
+    (a, b, c), (d, e, f), (g, h, i) = rotation_nd.tolist()
+    handedness = math.copysign(1.0, a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
+    if handedness < 0.0:
+        left[:, 2] *= handedness
+        rotation_nd = left @ right
+    if singular[1] + handedness * singular[2] > WORST_SIGMA**-2.0:
+        return WahbaSolution(rotation_nd, np.linalg.inv(information_n), information_n, np.True_, None)
+    reason = TOO_FEW if np.count_nonzero(weight) < 2 else NEARLY_PARALLEL
+    unknown = np.full((3, 3), np.nan)
+    return WahbaSolution(unknown, unknown, information_n, np.False_, reason)
 
 
 def residual_angles(solution: WahbaSolution, reference_n: FloatArray, measured_d: FloatArray) -> FloatArray:

@@ -1,0 +1,221 @@
+"""Single stars in the filter: Jacobians, what one star tells, who is refused, who is identified."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from star_sky import (
+    MAGNITUDE_LIMIT,
+    ROTATION_ND,
+    TIME_NS,
+    configuration,
+    exposure_of,
+    ins_track,
+    told_sky,
+    without_identity,
+)
+
+from ship_attitude_star.identification import identified
+from ship_attitude_star.inertial_attitude import InertialAttitude
+from ship_attitude_star.measurement_models import predict_attitude
+from ship_attitude_star.samples import Reason
+from ship_attitude_star.ship_core import ShipAttitudeCore
+from ship_attitude_star.ship_filter import ShipFilter
+from ship_attitude_star.sky_inputs import PositionFix
+from ship_attitude_star.star_selection import AttitudePrior
+from ship_attitude_star.star_update import star_residuals
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+
+CONFIG = configuration()
+
+
+@pytest.fixture(scope="module")
+def watch():
+    return told_sky(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def ship_filter():
+    return ShipFilter(CONFIG)
+
+
+def residuals(ship_filter, watch, exposure, mean):
+    """Of an exposure at a state."""
+    state = ship_filter.initial_state()
+    ins = ins_track().at(TIME_NS)
+    predicted = predict_attitude(ship_filter.devices[exposure.source], ship_filter.model, mean, ins)
+    return star_residuals(exposure, predicted, state.covariance, watch, ship_filter.model, mean)
+
+
+def test_the_jacobian_is_the_derivative(ship_filter, watch):
+    exposure = exposure_of(watch, "fore", 4)
+    rng = np.random.default_rng(1)
+    sigma = np.sqrt(np.diagonal(ship_filter.initial_state().covariance))
+    mean = 0.3 * sigma * rng.standard_normal(ship_filter.model.size)
+    here = residuals(ship_filter, watch, exposure, mean)
+    assert here.residual.shape == (8,)
+    for row in np.flatnonzero(sigma > 0.0):
+        step = np.zeros(ship_filter.model.size)
+        step[row] = 1e-2 * sigma[row]
+        up, down = (residuals(ship_filter, watch, exposure, mean + sign * step) for sign in (1.0, -1.0))
+        # Residual = measured - predicted, so it falls where the prediction grows.
+        numeric = (down.residual - up.residual) / (2.0 * step[row])
+        scale = max(np.max(np.abs(here.jacobian[:, row])), 1e-9)
+        np.testing.assert_allclose(here.jacobian[:, row], numeric, atol=1e-4 * scale)
+
+
+def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third(ship_filter, watch):
+    exposure = exposure_of(watch, "fore", 1)
+    before = ship_filter.predicted(ship_filter.initial_state(), TIME_NS)
+    after, decision = ship_filter.step(before, exposure, ins_track(), watch)
+    assert decision.accepted
+    star_n = watch.apparent(exposure.positions, TIME_NS).direction_n[0]
+    # Bound: information of the star beside the prior, mounting and shared errors as further noise across the star.
+    rows = ship_filter.model.rows("ins.attitude")
+    prior = before.covariance[np.ix_(rows, rows)]
+    posterior = after.covariance[np.ix_(rows, rows)]
+    compared = residuals(ship_filter, watch, exposure, before.mean)
+    jacobian = compared.jacobian
+    own = jacobian.copy()
+    own[:, rows] = 0.0
+    noise = own @ before.covariance @ own.T + np.diag(compared.noise)
+    h = jacobian[:, rows]
+    bound = np.linalg.inv(np.linalg.inv(prior) + h.T @ np.linalg.inv(noise) @ h)
+    np.testing.assert_allclose(posterior, bound, rtol=1e-6, atol=1e-18)
+    # The turn about the star is as unknown as before; across it nearly all that the star cannot tell is gone.
+    information_gain = np.linalg.inv(posterior) - np.linalg.inv(prior)
+    assert star_n @ information_gain @ star_n < 1e-9 * np.trace(information_gain)
+
+
+@pytest.mark.parametrize("count", [1, 2, 8])
+def test_the_estimate_moves_to_the_truth(ship_filter, watch, count):
+    error_n = np.array([12.0, -60.0, 8.0]) * ARCSEC
+    state = ship_filter.initial_state()
+    for id_ in ("fore", "starboard"):
+        state, decision = ship_filter.step(state, exposure_of(watch, id_, count), ins_track(error_n=error_n), watch)
+        assert decision.accepted
+    rows = ship_filter.model.rows("ins.attitude")
+    left = error_n - state.mean[rows]
+    covariance = state.covariance[np.ix_(rows, rows)]
+    # Noise-free stars: what is left is the pull of the prior.
+    assert left @ np.linalg.solve(covariance, left) < 3.0
+    assert np.linalg.norm(left) < 0.1 * np.linalg.norm(error_n)
+
+
+def test_a_star_of_another_identity_is_refused_by_name_and_the_rest_is_used(ship_filter, watch):
+    exposure = exposure_of(watch, "fore", 6)
+    swapped = [1, 0, 2, 3, 4, 5]
+    wrong = replace(exposure, hip=exposure.hip[swapped], positions=exposure.positions[swapped])
+    _, decision = ship_filter.step(ship_filter.initial_state(), wrong, ins_track(), watch)
+    assert decision.accepted
+    assert {name for name, _ in decision.stars_refused} == {f"HIP {hip}" for hip in exposure.hip[:2]}
+    assert all(refusal.reason is Reason.MISIDENTIFIED for _, refusal in decision.stars_refused)
+    assert decision.components[0] == f"HIP {exposure.hip[2]} up"
+
+
+def test_stars_that_agree_against_the_ins_are_a_conflict_with_a_hint(watch):
+    config = configuration(gate={"conflict_after": 1})
+    ship_filter = ShipFilter(config)
+    error_n = np.array([0.0, np.deg2rad(90.0), 0.0])
+    _, decision = ship_filter.step(
+        ship_filter.initial_state(), exposure_of(watch, "fore", 8), ins_track(error_n=error_n), watch
+    )
+    assert decision.reason is Reason.ATTITUDE_CONFLICT
+    assert "90" in decision.text
+
+
+def test_no_fix_and_no_earth_orientation_are_named(ship_filter, watch):
+    exposure = exposure_of(watch, "fore", 4)
+    late_ns = TIME_NS + 600 * 1_000_000_000
+    _, decision = ship_filter.step(
+        ship_filter.initial_state(), replace(exposure, time_ns=late_ns), ins_track(late_ns), watch
+    )
+    assert decision.reason is Reason.NO_FIX
+    assert "fix_max_age_s" in decision.text
+    far_ns = TIME_NS + 40 * 365 * 86_400 * 1_000_000_000
+    _, decision = ship_filter.step(
+        ship_filter.initial_state(), replace(exposure, time_ns=far_ns), ins_track(far_ns), watch
+    )
+    assert decision.reason is Reason.NO_EARTH_ORIENTATION
+
+
+def test_fixes_in_any_order_end_in_the_same_state():
+    """A fix that comes after the exposures is used for them all the same, as if it had come before."""
+    config = configuration()
+    sky = told_sky(config)
+    exposures = [exposure_of(sky, "fore", 5, time_ns=TIME_NS + step * 200_000_000) for step in range(5)]
+    second = 1_000_000_000
+    fixes = [
+        PositionFix(
+            TIME_NS + offset, GeodeticPosition(0.5575, 2.0995 + 1e-6 * offset / second, 20.0), np.eye(3) * 25.0
+        )
+        for offset in (-second, 0, second)
+    ]
+    ins = [AttitudeSample(TIME_NS + step * 100_000_000, ROTATION_ND, np.zeros(3)) for step in range(-3, 14)]
+
+    def end(order):
+        core = ShipAttitudeCore(config, told_sky(config))
+        core._watch.reset()
+        for item in order:
+            if isinstance(item, PositionFix):
+                core.add_sky_input(item)
+            elif isinstance(item, AttitudeSample):
+                core.add_ins(item, estimate=False)
+            else:
+                core.add_measurement(item)
+        return core.state
+
+    first = end([*fixes, *ins, *exposures])
+    last = end([*ins, *exposures, *reversed(fixes)])
+    np.testing.assert_array_equal(first.mean, last.mean)
+    np.testing.assert_array_equal(first.parts, last.parts)
+    assert first.used_ns["star.fore"] == exposures[-1].time_ns
+
+
+def test_stars_without_identity_are_identified_by_the_prediction(ship_filter, watch):
+    exposure = exposure_of(watch, "fore", 8, np.random.default_rng(3))
+    unknown = without_identity(exposure)
+    state, known = ship_filter.step(ship_filter.initial_state(), exposure, ins_track(), watch)
+    found_state, found = ship_filter.step(ship_filter.initial_state(), unknown, ins_track(), watch)
+    assert found.components == known.components
+    np.testing.assert_allclose(found_state.mean, state.mean, rtol=0, atol=1e-12)
+
+
+def test_identification_leaves_out_what_is_ambiguous_or_nowhere(watch):
+    exposure = exposure_of(watch, "fore", 4)
+    twice = replace(exposure, directions_s=exposure.directions_s[[0, 0, 2, 3]])
+    nowhere = twice.directions_s.copy()
+    nowhere[3] = exp_rotation(np.deg2rad([0.0, 0.2, 0.0])) @ nowhere[3]
+    unknown = without_identity(replace(twice, directions_s=nowhere))
+    device = ShipFilter(CONFIG).devices["star.fore"]
+    prior = AttitudePrior(ROTATION_ND @ device.rotation_dv0, np.diag((np.array([10.0, 72.0, 10.0]) * ARCSEC) ** 2))
+    result, reasons = identified(unknown, prior, watch)
+    assert result.hip.tolist() == [0, 0, exposure.hip[2], 0]
+    assert set(reasons) == {0, 1, 3}
+    assert "claimed twice" in reasons[0].text
+    assert "no catalogue star within the gate" in reasons[3].text
+    assert CONFIG.sky.magnitude_limit > MAGNITUDE_LIMIT
+
+
+def test_an_attitude_against_the_icrs_gives_the_horizon_attitude(watch):
+    """Beside the exposure that shows the same: both bring the estimate to the same place."""
+    config = configuration()
+    config = replace(
+        config, star_sensors={id_: replace(s, input="inertial_attitude") for id_, s in config.star_sensors.items()}
+    )
+    ship_filter = ShipFilter(config)
+    device = ship_filter.devices["star.fore"]
+    rotation_ns = ROTATION_ND @ device.rotation_dv0
+    place, air = watch.surroundings(TIME_NS)
+    elevation = np.arcsin(rotation_ns[1, 0])
+    angle, _ = watch.sky.refraction_at(elevation, air)
+    level = np.array([-rotation_ns[2, 0], 0.0, rotation_ns[0, 0]]) / np.hypot(rotation_ns[0, 0], rotation_ns[2, 0])
+    seen = watch.sky.rotation_horizon_from_icrs(TIME_NS, place).T @ exp_rotation(-angle * level) @ rotation_ns
+    inertial = InertialAttitude("star.fore", TIME_NS, seen, np.diag((np.array([20.0, 3.0, 3.0]) * ARCSEC) ** 2))
+    _, decision = ship_filter.step(ship_filter.initial_state(), inertial, ins_track(), watch)
+    assert decision.accepted
+    # Refraction at the seen instead of the true elevation: 1″ of 60″ in the second order at most.
+    assert np.linalg.norm(decision.residual) < 0.1 * ARCSEC
+    assert np.linalg.norm(log_rotation(seen)) > 0.1
