@@ -1,10 +1,12 @@
 """The joint solution: honest covariance, the terms of models.md §2, false stars. `make campaign` has the long runs."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import poisson
 from star_scenes import SIGMA, Scene, attitude_error, draw_scene
 
 from ship_attitude_star.samples import Reason
@@ -16,7 +18,9 @@ from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rot
 
 WRONG = 30.7
 """NEES that one in a million honest attitudes exceeds: chi², three degrees of freedom."""
-SCENES = 150
+SCENES = int(os.environ.get("STAR_SCENES", "150"))
+EPOCHS = int(os.environ.get("STAR_EPOCHS", "400"))
+"""`make campaign` asks for 10 000 of each."""
 
 
 def nees(scene: Scene, solution) -> float:
@@ -25,16 +29,16 @@ def nees(scene: Scene, solution) -> float:
 
 @pytest.mark.parametrize("counts", [(8, 8), (2, 2), (1, 1)])
 def test_the_error_is_as_large_as_the_covariance_says(counts):
-    epochs = 400
     values = []
-    for seed in range(epochs):
+    for seed in range(EPOCHS):
         scene = draw_scene(np.random.default_rng([11, seed]), counts)
         solution = solve_stars(scene.stars)
         if solution.status is not SolutionStatus.INVALID:
             values.append(nees(scene, solution))
-    # One in a thousand honest sets is refused as inconsistent: of 400 no more than 5, with 99.9 %.
-    assert len(values) >= epochs - 5
+    # One in a thousand honest sets is refused as inconsistent; so few with 99.9 %.
+    assert len(values) >= EPOCHS - poisson.ppf(0.999, 1e-3 * EPOCHS) - 1
     low, high = mean_nees_band(len(values), 3)
+    print(f"{counts}: mean NEES {np.mean(values):.3f} in [{low:.2f}, {high:.2f}], {EPOCHS - len(values)} refused")
     assert low < np.mean(values) < high
 
 
@@ -113,23 +117,25 @@ def test_the_linear_model_is_the_derivative():
 
 @pytest.mark.parametrize(
     ("kind", "least_solved", "most_wrong"),
-    [("false_stars", 0.99, 0), ("swapped_pairs", 0.99, 0), ("neighbours", 0.95, 1)],
+    [("false_stars", 0.99, 0.0), ("swapped_pairs", 0.99, 0.0), ("neighbours", 0.95, 0.005)],
 )
 def test_false_identities_are_found(kind, least_solved, most_wrong):
-    wrong, solved, solvable = 0, 0, 0
+    solved, solvable, errors = 0, 0, []
     for seed in range(SCENES):
         rng = np.random.default_rng([14, seed])
         counts, extra = tuple(rng.integers(1, 13, 2).tolist()), int(rng.integers(0, 6))
         scene = draw_scene(rng, counts, **{kind: extra})
         solution = solve_stars(scene.stars)
         right = solution.status is not SolutionStatus.INVALID and nees(scene, solution) < WRONG
-        wrong += solution.status is SolutionStatus.VALID and not right
+        if solution.status is SolutionStatus.VALID and not right:
+            errors.append(float(np.linalg.norm(attitude_error(scene, solution.rotation_nb))) / ARCSEC)
         if sum(counts) >= 3:
             solvable += 1
             solved += solution.status is SolutionStatus.VALID and right
         elif extra == 0:
             assert solution.status is SolutionStatus.UNVERIFIED
-    assert wrong <= most_wrong
+    print(f"{kind}: solved {solved} of {solvable}, wrong {len(errors)}, by (arcsec) {np.sort(errors).round(1)}")
+    assert len(errors) <= most_wrong * SCENES
     assert solved >= least_solved * solvable
 
 
@@ -159,6 +165,7 @@ def test_with_a_prior_even_one_star_is_enough_and_none_is_wrong(kind, single):
         scene = draw_scene(rng, counts, **{kind: int(rng.integers(0, 6))})
         values.append(error_with_prior(scene, PRIOR_SIGMA * rng.standard_normal(3)))
     solved = [value for value in values if value is not None]
+    print(f"{kind}, {'one star' if single else 'two sensors'}: solved {len(solved)} of {SCENES}, worst {max(solved):.1f}")
     assert max(solved) < WRONG
     assert len(solved) >= 0.99 * SCENES
 
