@@ -21,7 +21,7 @@ from ship_replay.simulation.scenario import Scenario
 from ship_replay.simulation.scenario_file import load_scenario
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
-NAMES = ("paper", "one_sensor", "turn", "outage", "late_shuffled", "sea_state_5")
+NAMES = ("paper", "one_sensor", "turn", "outage", "late_shuffled", "sea_state_5", "paper_stars")
 
 
 def main() -> int:
@@ -32,6 +32,7 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=2, help="worker processes (default 2)")
     parser.add_argument("--recording", type=Path, help="bag whose motion the scenario `recorded` takes as carrier")
     parser.add_argument("--ins-rate-hz", type=float, default=20.0, help="INS samples per second (default 20)")
+    parser.add_argument("--duration-s", type=float, help="length of each run (default: as the scenario says)")
     arguments = parser.parse_args()
     console = Console(width=120)
     console.print(f"error at the end of each of {arguments.seeds} runs, one a seed; heading, pitch, roll")
@@ -39,7 +40,7 @@ def main() -> int:
     honest = True
     with ProcessPoolExecutor(arguments.processes) as pool:
         for name in arguments.scenarios:
-            scenario = _scenario(name, arguments.ins_rate_hz, arguments.recording)
+            scenario = _scenario(name, arguments.ins_rate_hz, arguments.recording, arguments.duration_s)
             runs = pool.map(final_error, repeat(scenario, arguments.seeds), range(arguments.seeds))
             results = list(track(runs, name, arguments.seeds, console=Console(stderr=True), transient=True))
             honest &= _judged(console, name, results)
@@ -49,9 +50,10 @@ def main() -> int:
     return 0 if honest else 1
 
 
-def _scenario(name: str, ins_rate_hz: float, recording: Path | None) -> Scenario:
+def _scenario(name: str, ins_rate_hz: float, recording: Path | None, duration_s: float | None) -> Scenario:
     scenario = load_scenario(SCENARIOS / f"{name}.yaml", recording=recording if name == "recorded" else None)
-    return dataclasses.replace(scenario, ins=dataclasses.replace(scenario.ins, rate_hz=ins_rate_hz))
+    ins = dataclasses.replace(scenario.ins, rate_hz=ins_rate_hz)
+    return dataclasses.replace(scenario, ins=ins, duration_s=duration_s or scenario.duration_s)
 
 
 def _judged(console: Console, name: str, results: list[FinalError]) -> bool:

@@ -165,7 +165,8 @@ def test_with_a_prior_even_one_star_is_enough_and_none_is_wrong(kind, single):
         scene = draw_scene(rng, counts, **{kind: int(rng.integers(0, 6))})
         values.append(error_with_prior(scene, PRIOR_SIGMA * rng.standard_normal(3)))
     solved = [value for value in values if value is not None]
-    print(f"{kind}, {'one star' if single else 'two sensors'}: solved {len(solved)} of {SCENES}, worst {max(solved):.1f}")
+    seen = "one star" if single else "two sensors"
+    print(f"{kind}, prior, {seen}: solved {len(solved)} of {SCENES}, worst NEES {max(solved):.1f}")
     assert max(solved) < WRONG
     assert len(solved) >= 0.99 * SCENES
 
