@@ -18,7 +18,7 @@ from ship_node.topics import InputTopic
 
 _NO_FIX = -1
 _COVARIANCE_UNKNOWN = 0
-_LARGEST_POSITION_SIGMA_M = 1e6
+_LARGEST_POSITION_SIGMA_M = 1e5
 _LARGEST_HEIGHT_M = 20_000.0
 
 
@@ -100,6 +100,8 @@ def _reading(
         raise Refused("units", f"{quantity} {value:.6g}: expected {expected}")
     if message.variance < 0.0:
         raise Refused("bad_covariance", f"variance of {quantity} is negative: {message.variance:.6g}")
+    if message.variance > (allowed[1] - allowed[0]) ** 2:
+        raise Refused("bad_covariance", f"variance of {quantity} {message.variance:.6g}: that is no measurement")
     sigma = None if message.variance == 0.0 else scale * float(np.sqrt(message.variance))
     return AirReading(quantity, time_ns, scale * value, sigma)
 

@@ -3,9 +3,9 @@
 import copy
 import pickle
 from collections import Counter
-from typing import Any
 
 import numpy as np
+from garbage import paths, spoil
 from rclpy.serialization import serialize_message
 from small_voyage import FORE, INS, SECOND_NS, START_NS, Arrival, Run, clean_run, new_adapter, voyage
 
@@ -13,55 +13,6 @@ from ship_attitude_star.samples import Status
 
 MESSAGES = 20_000
 REFERENCE = "reference/gyro/imu"
-
-NUMBERS = [np.nan, np.inf, -np.inf, 0.0, -0.0, 1.0, -1.0, 1e-320, 1e-160, 1e-9, 57.3, 100.0, 1e9, 1e154, 1e300, -1e308]
-TEXTS = ["", "ins", "star_fore", "\x00", "deck" * 100, "θ—\n"]
-
-
-def paths(message: Any, prefix: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    """All fields that are no messages themselves."""
-    found = []
-    for name in message.get_fields_and_field_types():
-        value = getattr(message, name)
-        nested = hasattr(value, "get_fields_and_field_types")
-        found += paths(value, (*prefix, name)) if nested else [(*prefix, name)]
-    return found
-
-
-def spoil(message: Any, fields: list[tuple[str, ...]], rng: np.random.Generator) -> None:
-    """Put garbage of the right type into one to three fields."""
-    for index in rng.integers(0, len(fields), rng.integers(1, 4)).tolist():
-        *parents, name = fields[index]
-        holder = message
-        for parent in parents:
-            holder = getattr(holder, parent)
-        setattr(holder, name, garbage(getattr(holder, name), name, rng))
-
-
-def garbage(value: Any, name: str, rng: np.random.Generator) -> Any:
-    if isinstance(value, str):
-        return TEXTS[rng.integers(len(TEXTS))]
-    if isinstance(value, float):
-        return float(a_number(rng, value))
-    if isinstance(value, np.ndarray) and rng.random() < 0.5:
-        # A covariance, but of any size and rank, none included.
-        root = rng.normal(size=(3, rng.integers(0, 4))) * 10.0 ** rng.uniform([-20.0] * 3, [1.0] * 3)[:, None]
-        return (root @ root.T).ravel()
-    if isinstance(value, np.ndarray):
-        chosen = rng.random(value.size) < rng.choice([0.2, 1.0])
-        return np.where(chosen, [a_number(rng, v) for v in value.tolist()], value)
-    if name == "sec":
-        return int(rng.choice([0, -1, -(2**31), 2**31 - 1, value - 1, value + 1, value - 3]))
-    if name == "nanosec":
-        return int(rng.choice([0, 999_999_999, 1_000_000_000, 2**32 - 1, rng.integers(0, SECOND_NS)]))
-    return int(rng.choice([0, 1, 2, 3, 4, 255]))
-
-
-def a_number(rng: np.random.Generator, value: float) -> float:
-    kind = rng.integers(3)
-    if kind == 0:
-        return float(NUMBERS[rng.integers(len(NUMBERS))])
-    return float(rng.normal() * 10.0 ** rng.uniform(-12, 3)) if kind == 1 else value * float(rng.normal())
 
 
 def templates() -> list[Arrival]:

@@ -1,0 +1,47 @@
+"""Garbage in any field of any input of star_attitude: nothing is raised, and afterwards the node is as good as new."""
+
+import pickle
+
+import numpy as np
+from garbage import paths, spoil
+from rclpy.serialization import serialize_message
+from small_voyage import SECOND_NS, START_NS, drive, stamp_of
+from star_voyage import FIX, FORE, INS, PRESSURE, STARBOARD, new_adapter, results, voyage
+
+ROUNDS, MIXED_IN = 3, 12
+
+
+def test_no_message_whatsoever_raises_or_does_damage() -> None:
+    rng = np.random.default_rng(4711)
+    adapter = new_adapter()
+    fields = {arrival.topic: paths(arrival.message) for arrival in voyage()}
+    tried = 0
+    for _ in range(ROUNDS):
+        adapter.clock_jumped_back(START_NS)
+        # Good messages go on between, so that the garbage meets a node at work.
+        for arrival in voyage():
+            published = adapter.handle(arrival.topic, arrival.message, arrival.receive_ns)
+            pickled = pickle.dumps(arrival.message)
+            for copy in range(MIXED_IN):
+                bad = pickle.loads(pickled)
+                # Earlier by some milliseconds, or each were but the second with its stamp.
+                earlier_ns = stamp_of(bad) - 1_000_000 * copy
+                bad.header.stamp.sec, bad.header.stamp.nanosec = divmod(earlier_ns, SECOND_NS)
+                spoil(bad, fields[arrival.topic], rng)
+                published += adapter.handle(arrival.topic, bad, arrival.receive_ns)
+                tried += 1
+            published += adapter.tick(arrival.receive_ns)
+            for _, message in published:
+                serialize_message(message)
+    assert tried > 4000
+    reasons = {message.topic: set(message.reasons) for message in adapter.health.messages(adapter._factory, START_NS)}
+    assert reasons[FORE] | reasons[STARBOARD] >= {
+        "bad_stamp", "future", "frame", "unknown_sensor", "duplicate", "conflict", "late", "non_finite", "units",
+        "bad_covariance", "misidentified", "below_horizon", "covariance_unknown",
+    }  # fmt: skip
+    assert reasons[FIX] >= {"bad_stamp", "future", "non_finite", "units", "bad_covariance", "conflict"}
+    assert reasons[PRESSURE] >= {"bad_stamp", "non_finite", "units", "bad_covariance"}
+    assert reasons[INS] >= {"bad_quaternion", "non_finite", "frame"}
+
+    adapter.clock_jumped_back(START_NS)
+    assert results(drive(adapter, voyage())) == results(drive(new_adapter(), voyage()))
