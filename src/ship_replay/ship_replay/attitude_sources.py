@@ -160,11 +160,12 @@ def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> Float
 
 
 def sources(truth: Truth, config: ShipAttitudeConfig | None) -> dict[str, AttitudeSource]:
-    """Relative topic → what collects its attitudes; star sensors only where the configuration places them."""
+    """Relative topic → what collects its attitudes; star sensors that give one, where placed."""
     collectors: dict[str, AttitudeSource] = {
         "ship/attitude": FusedAttitude(truth),
         "ins/imu": InsAttitude(truth, config.ins if config else InsConfig()),
     }
     for sensor_id, sensor in (config.star_sensors if config else {}).items():
-        collectors[f"star/{sensor_id}/{sensor.input}"] = StarAttitude(sensor_id, truth, sensor)
+        if sensor.input in ("horizon_attitude", "solution"):
+            collectors[f"star/{sensor_id}/{sensor.input}"] = StarAttitude(sensor_id, truth, sensor)
     return collectors

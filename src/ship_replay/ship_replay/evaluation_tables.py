@@ -64,7 +64,7 @@ def innovation_table(evaluation: Evaluation) -> Table:
             f"{values['accepted']:.0f}",
             f"{values['refused']:.0f}" + (f" ({reasons})" if reasons else ""),
         ]
-        names = [name for name in innovations.components if f"{name}.std_arcsec" in values]
+        names = [name for name in innovations.components() if f"{name}.std_arcsec" in values]
         for number, name in enumerate(names):
             table.add_row(
                 source if number == 0 else "",

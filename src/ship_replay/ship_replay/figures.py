@@ -77,12 +77,7 @@ def attitude_error_figure(series: Sequence[AttitudeErrors], title: str) -> Figur
 
 def innovation_figure(innovations: Mapping[str, SourceInnovations], title: str) -> Figure:
     """Residuals of the accepted measurements inside their predicted ±3σ, one row per source and component."""
-    rows = [
-        (source, part, column)
-        for source, part in innovations.items()
-        for column in range(len(part.components))
-        if part.compared
-    ]
+    rows = [(source, part, component) for source, part in innovations.items() for component in part.components()]
     if not rows:
         raise BadInput(f"{title}: no figure: no measurement was accepted")
     start_ns = min(min(part.compared) for _, part, _ in rows)
@@ -91,14 +86,14 @@ def innovation_figure(innovations: Mapping[str, SourceInnovations], title: str) 
             len(rows), 1, figsize=(9, 2.4 * len(rows) + 1), sharex=True, squeeze=False, layout="constrained"
         )
         figure.suptitle(title)
-        for (source, part, column), axes in zip(rows, grid[:, 0], strict=True):
-            stamps, residuals, sigmas, _ = part.arrays()
+        for (source, part, component), axes in zip(rows, grid[:, 0], strict=True):
+            stamps, residuals, sigmas = part.series(component)
             time_s = (stamps - start_ns) / NS_PER_S
-            band = 3.0 * sigmas[:, column] / ARCSEC
+            band = 3.0 * sigmas / ARCSEC
             axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
-            axes.plot(time_s, residuals[:, column] / ARCSEC, ".", color=_LINE_COLOUR, ms=3, label="residual")
-            axes.set_ylabel(f"{source}\n{part.components[column]} [arcsec]")
-            _limit(axes, np.concatenate([residuals[:, column] / ARCSEC, band]), percentile=100.0)
+            axes.plot(time_s, residuals / ARCSEC, ".", color=_LINE_COLOUR, ms=3, label="residual")
+            axes.set_ylabel(f"{source}\n{component} [arcsec]")
+            _limit(axes, np.concatenate([residuals / ARCSEC, band]), percentile=100.0)
         grid[0, 0].legend(loc="upper right")
         grid[-1, 0].set_xlabel("time [s]")
     return figure

@@ -19,46 +19,68 @@ _LEAST_WINDOW_SAMPLES = 10
 _BAND = 0.999
 
 
+@dataclass(frozen=True)
+class Judged:
+    """A measurement that was used.
+
+    Attributes:
+        components: of its residual; of single stars only the axis, whichever star it was.
+        residual: rad, one a component; NaN where not measured.
+        sigma: predicted, rad.
+        nis: normalised innovation squared.
+    """
+
+    components: tuple[str, ...]
+    residual: FloatArray
+    sigma: FloatArray
+    nis: float
+
+
 @dataclass
 class SourceInnovations:
     """Innovations of one source; of a measurement judged more than once, the last judgement.
 
     Attributes:
-        components: names of the residual's components.
-        compared: stamp → (residual, sigma, nis) of those that were accepted.
+        compared: stamp → those that were accepted.
         refused: name of the reason → count.
     """
 
-    components: list[str] = field(default_factory=list)
-    compared: dict[int, tuple[FloatArray, FloatArray, float]] = field(default_factory=dict)
+    compared: dict[int, Judged] = field(default_factory=dict)
     refused: Counter[str] = field(default_factory=Counter)
 
     def since(self, start_ns: int) -> "SourceInnovations":
         """Those stamped at or after a time; the counts of refusals are of the whole run."""
         kept = {stamp_ns: value for stamp_ns, value in self.compared.items() if stamp_ns >= start_ns}
-        return SourceInnovations(self.components, kept, self.refused)
+        return SourceInnovations(kept, self.refused)
 
-    def arrays(self) -> tuple[np.ndarray, FloatArray, FloatArray, FloatArray]:
-        """Stamps (n,) in ns, residuals and sigmas (n, k) in rad, NIS (n,), in order of stamps."""
-        stamps = sorted(self.compared)
-        count = (len(stamps), len(self.components))
-        residuals = np.array([self.compared[stamp][0] for stamp in stamps]).reshape(count)
-        sigmas = np.array([self.compared[stamp][1] for stamp in stamps]).reshape(count)
-        return np.array(stamps, dtype=np.int64), residuals, sigmas, np.array([self.compared[s][2] for s in stamps])
+    def components(self) -> list[str]:
+        """Names of all components that occur, in order of their first occurrence."""
+        return list(dict.fromkeys(name for judged in self.compared.values() for name in judged.components))
+
+    def series(self, component: str) -> tuple[np.ndarray, FloatArray, FloatArray]:
+        """Stamps (ns), residuals and sigmas (rad) of a component, in order of stamps, without those not measured."""
+        rows = [
+            (stamp_ns, residual, sigma)
+            for stamp_ns, judged in sorted(self.compared.items())
+            for name, residual, sigma in zip(judged.components, judged.residual, judged.sigma, strict=True)
+            if name == component and np.isfinite(residual)
+        ]
+        stamps = np.array([row[0] for row in rows], dtype=np.int64)
+        return stamps, np.array([row[1] for row in rows]), np.array([row[2] for row in rows])
 
     def statistics(self) -> dict[str, float]:
         """Quantity → value: counts, mean and deviation of each residual, NIS."""
-        time_ns, residuals, sigmas, nis = self.arrays()
-        values = {"accepted": float(len(time_ns)), "refused": float(sum(self.refused.values()))}
-        for column, name in enumerate(self.components):
-            residual, sigma = residuals[:, column], sigmas[:, column]
-            residual, sigma = residual[np.isfinite(residual)] / ARCSEC, sigma[np.isfinite(residual)] / ARCSEC
+        values = {"accepted": float(len(self.compared)), "refused": float(sum(self.refused.values()))}
+        for name in self.components():
+            _, residual, sigma = self.series(name)
             if len(residual):
-                values[f"{name}.mean_arcsec"] = float(np.mean(residual))
-                values[f"{name}.std_arcsec"] = float(np.std(residual))
-                values[f"{name}.sigma_arcsec"] = float(np.sqrt(np.mean(sigma**2)))
-        if len(nis):
-            degrees = np.sum(np.isfinite(residuals), axis=1)
+                values[f"{name}.mean_arcsec"] = float(np.mean(residual)) / ARCSEC
+                values[f"{name}.std_arcsec"] = float(np.std(residual)) / ARCSEC
+                values[f"{name}.sigma_arcsec"] = float(np.sqrt(np.mean(sigma**2))) / ARCSEC
+        if self.compared:
+            time_ns = np.array(sorted(self.compared), dtype=np.int64)
+            nis = np.array([self.compared[stamp].nis for stamp in time_ns.tolist()])
+            degrees = np.array([np.isfinite(self.compared[stamp].residual).sum() for stamp in time_ns.tolist()])
             values["nis_mean"] = float(np.mean(nis))
             values["nis_degrees"] = float(np.mean(degrees))
             share = windows_in_band(time_ns, nis, degrees)
@@ -78,8 +100,9 @@ class InnovationBook:
         source = self.sources.setdefault(message.source, SourceInnovations())
         stamp_ns = ns_from_stamp(message.header.stamp)
         if message.accepted and len(message.residual):
-            source.components = list(message.components)
-            source.compared[stamp_ns] = (np.array(message.residual), np.array(message.sigma), float(message.nis))
+            axes = tuple(name.rpartition(" ")[2] for name in message.components)
+            residual, sigma = np.array(message.residual), np.array(message.sigma)
+            source.compared[stamp_ns] = Judged(axes, residual, sigma, float(message.nis))
             return
         if not message.accepted:
             source.refused[reason_name(message)] += 1
