@@ -1,4 +1,4 @@
-"""Simulated voyages: a ship's motion, an INS, star sensors and other attitude systems, their errors, the truth.
+"""Simulated voyages: a ship's motion, INS, star sensors, other attitude systems, theodolite, their errors, the truth.
 
 One sample walks one way: scenario file → :mod:`scenario` → carrier (:mod:`motion`) and :mod:`sky` → devices
 (:mod:`ins`, :mod:`attitude_device`, :mod:`star_sightings`, :mod:`inertial_device`) → :class:`run.SimulatedRun`
@@ -9,5 +9,6 @@ The equations that the devices obey are those of models.md §4, which the estima
     R_star_ns(t + tau_s) = exp(c_n) R_true_nd(t + tau_s) exp(f_d) R0_ds exp(m_s) exp(n_s)
 
 A sensor that gives single stars sees the star whose direction is v_n(t + tau_s), refraction included, on the pixel of
-R_star_ns^T v_n, with noise on the pixel in place of n_s.
+R_star_ns^T v_n, with noise on the pixel in place of n_s. The theodolite and the lights of the drones that it looks at
+are in :mod:`ship_replay.simulation.theodolite`.
 """

@@ -15,16 +15,17 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.message_factory import MessageFactory
 from ship_node.stamps import make_header
 from ship_replay.simulation.attitude_device import DeviceSamples
-from ship_replay.simulation.faults import IMU, STAR
 from ship_replay.simulation.ins import InsSamples
 from ship_replay.simulation.scenario import Ins, StarSensor
+from ship_replay.simulation.topics import IMU, STAR
 
 Maker = Callable[[int, int], Any]
 
 INS_FRAME = "ins"
 
 _STATUS_VALID, _STATUS_ANGLES_SINGULAR = 0, 2
-_NOT_GIVEN = np.array([-1.0, *[0.0] * 8])
+NOT_GIVEN = np.array([-1.0, *[0.0] * 8])
+"""A covariance that says so."""
 
 
 def star_frame(sensor_id: str) -> str:
@@ -44,7 +45,7 @@ def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Make
 
     def make(stamp: int, value: int) -> Any:
         header = make_header(factory, int(samples.time_ns[stamp]), INS_FRAME)
-        return _imu(factory, header, quaternions[value], covariance, rates[value], rate_covariance)
+        return make_imu(factory, header, quaternions[value], covariance, rates[value], rate_covariance)
 
     return make
 
@@ -56,7 +57,7 @@ def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) 
 
     def make(stamp: int, value: int) -> Any:
         header = make_header(factory, int(samples.time_ns[stamp]), name)
-        return _imu(factory, header, quaternions[value], covariances[value], [0.0, 0.0, 0.0], _NOT_GIVEN)
+        return make_imu(factory, header, quaternions[value], covariances[value], [0.0, 0.0, 0.0], NOT_GIVEN)
 
     return make
 
@@ -99,7 +100,7 @@ def _in_horizon(samples: DeviceSamples) -> FloatArray:
     return samples.rotation_nv @ samples.noise_v @ np.swapaxes(samples.rotation_nv, -1, -2)
 
 
-def _imu(
+def make_imu(
     factory: MessageFactory,
     header: Any,
     quaternion: list[float],
@@ -107,6 +108,7 @@ def _imu(
     rate: list[float],
     rate_covariance: np.ndarray,
 ) -> Any:
+    """A sensor_msgs/Imu that measures no acceleration."""
     return factory.make(
         IMU,
         header=header,
@@ -115,7 +117,7 @@ def _imu(
         angular_velocity=make_vector(factory, rate),
         angular_velocity_covariance=rate_covariance,
         linear_acceleration=make_vector(factory, [0.0, 0.0, 0.0]),
-        linear_acceleration_covariance=_NOT_GIVEN,
+        linear_acceleration_covariance=NOT_GIVEN,
     )
 
 

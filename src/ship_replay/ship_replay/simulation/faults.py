@@ -11,28 +11,37 @@ frame                another frame_id
 covariance_unknown   covariances all zero
 covariance_negative  a negative variance
 rate_in_degrees      angular rate in degrees per second
+angles_in_degrees    encoder angles in degrees
+stamp_late           stamps later by ``delay_s`` than the moment that they are of
+hide                 the first light of the image is missing
+swap                 the first two lights of the image bear each other's id
+wrong_id             the first light of the image, or the rover of a baseline, has an id that nobody knows
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from ship_node.stamps import ns_from_stamp, stamp_fields
 from ship_replay.simulation.noise import SECOND_NS
-from ship_replay.simulation.scenario import Fault, Scenario
-
-IMU = "sensor_msgs/msg/Imu"
-STAR = "ship_msgs/msg/StarHorizonAttitude"
-OBSERVATIONS = "ship_msgs/msg/StarObservationArray"
-INERTIAL = "ship_msgs/msg/StarInertialAttitude"
-
-_STAR_TYPES = {"horizon_attitude": STAR, "observations": OBSERVATIONS, "inertial_attitude": INERTIAL}
+from ship_replay.simulation.scenario import Fault
+from ship_replay.simulation.topics import BASELINE, ENCODER, IMAGE, IMU, INERTIAL, OBSERVATIONS, SHIP_ATTITUDE, STAR
 
 _REPETITION_AFTER_NS = 1_000_000
 
+_OTHER = "_other"
+
 _FIRST_VALUE = {
+    IMU: "orientation.x",
+    INERTIAL: "orientation.x",
     STAR: "azimuth",
+    OBSERVATIONS: "stars.u",
+    SHIP_ATTITUDE: "heading",
+    ENCODER: "azimuth",
+    IMAGE: "beacons.x",
+    BASELINE: "enu.x",
     "sensor_msgs/msg/NavSatFix": "latitude",
     "sensor_msgs/msg/FluidPressure": "fluid_pressure",
     "sensor_msgs/msg/Temperature": "temperature",
@@ -42,27 +51,25 @@ _COVARIANCES = {
     IMU: ("orientation_covariance",),
     STAR: ("covariance", "rotation_covariance", "noise_covariance"),
     INERTIAL: ("covariance",),
+    SHIP_ATTITUDE: ("covariance", "rotation_covariance"),
+    BASELINE: ("covariance",),
 }
-
-
-def simulated_topics(scenario: Scenario) -> dict[str, str]:
-    """Topic → type of what the devices of a scenario send (the truth aside)."""
-    return {
-        "ins/imu": IMU,
-        **{f"star/{key}/{star.output}": _STAR_TYPES[star.output] for key, star in scenario.star_sensors.items()},
-        **{f"reference/{key}/imu": IMU for key in scenario.references},
-        "gnss/fix": "sensor_msgs/msg/NavSatFix",
-        "met/pressure": "sensor_msgs/msg/FluidPressure",
-        "met/temperature": "sensor_msgs/msg/Temperature",
-        "met/humidity": "sensor_msgs/msg/RelativeHumidity",
-    }
+_TYPES_OF_KIND = {
+    "covariance_unknown": tuple(_COVARIANCES),
+    "covariance_negative": tuple(_COVARIANCES),
+    "rate_in_degrees": (IMU,),
+    "angles_in_degrees": (ENCODER,),
+    "hide": (IMAGE,),
+    "swap": (IMAGE,),
+    "wrong_id": (IMAGE, BASELINE),
+}
+KINDS_WITH_DELAY = ("delay", "stamp_late")
+"""Kinds of fault that need ``delay_s``."""
 
 
 def can_happen(kind: str, type_name: str) -> bool:
-    """Whether a message type has the field that a fault spoils."""
-    if kind.startswith("covariance"):
-        return type_name in _COVARIANCES
-    return kind != "rate_in_degrees" or type_name == IMU
+    """Whether a message type has what a fault spoils."""
+    return kind not in _TYPES_OF_KIND or type_name in _TYPES_OF_KIND[kind]
 
 
 @dataclass(frozen=True)
@@ -109,34 +116,78 @@ def deliver(time_ns: np.ndarray, log_time_ns: np.ndarray, faults: list[Fault], s
 def spoil(message: Any, type_name: str, faults: Iterable[Fault]) -> None:
     """Put faults into a message. Its arrays may be shared with others, so they are replaced, not changed."""
     for fault in faults:
-        if fault.kind == "nan":
-            _spoil_first_value(message, type_name)
-        elif fault.kind == "stamp_zero":
-            message.header.stamp.sec, message.header.stamp.nanosec = 0, 0
-        elif fault.kind == "frame":
-            message.header.frame_id += "_other"
-        elif fault.kind == "rate_in_degrees":
-            rate = message.angular_velocity
-            rate.x, rate.y, rate.z = (float(np.rad2deg(value)) for value in (rate.x, rate.y, rate.z))
-        else:
-            for name in _COVARIANCES[type_name]:
-                setattr(message, name, _spoilt_covariance(getattr(message, name), fault.kind))
+        _SPOILERS[fault.kind](message, type_name, fault)
 
 
-def _spoil_first_value(message: Any, type_name: str) -> None:
-    if type_name in (IMU, INERTIAL):
-        message.orientation.x = float("nan")
-    elif type_name == OBSERVATIONS:
-        for star in message.stars[:1]:
-            star.u = float("nan")
+def _nan(message: Any, type_name: str, fault: Fault) -> None:
+    *parents, name = _FIRST_VALUE[type_name].split(".")
+    for parent in parents:
+        message = getattr(message, parent)
+    # Of an array the first element, where it has one.
+    for holder in message[:1] if isinstance(message, list) else [message]:
+        setattr(holder, name, float("nan"))
+
+
+def _stamp_zero(message: Any, type_name: str, fault: Fault) -> None:
+    message.header.stamp.sec, message.header.stamp.nanosec = 0, 0
+
+
+def _stamp_late(message: Any, type_name: str, fault: Fault) -> None:
+    late_ns = ns_from_stamp(message.header.stamp) + round(fault.delay_s * SECOND_NS)
+    message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(late_ns)
+
+
+def _frame(message: Any, type_name: str, fault: Fault) -> None:
+    message.header.frame_id += _OTHER
+
+
+def _rate_in_degrees(message: Any, type_name: str, fault: Fault) -> None:
+    rate = message.angular_velocity
+    rate.x, rate.y, rate.z = (float(np.rad2deg(value)) for value in (rate.x, rate.y, rate.z))
+
+
+def _angles_in_degrees(message: Any, type_name: str, fault: Fault) -> None:
+    message.azimuth, message.elevation = np.rad2deg([message.azimuth, message.elevation]).tolist()
+
+
+def _covariance(message: Any, type_name: str, fault: Fault) -> None:
+    for name in _COVARIANCES[type_name]:
+        spoilt = np.zeros(9)
+        if fault.kind == "covariance_negative":
+            spoilt[:] = getattr(message, name)
+            # Not the first: there a negative number means "not given" to ROS.
+            spoilt[4] = -abs(spoilt[4])
+        setattr(message, name, spoilt)
+
+
+def _hide(message: Any, type_name: str, fault: Fault) -> None:
+    message.beacons = message.beacons[1:]
+
+
+def _swap(message: Any, type_name: str, fault: Fault) -> None:
+    pair = message.beacons[:2]
+    for light, name in zip(pair, [light.beacon_id for light in reversed(pair)], strict=True):
+        light.beacon_id = name
+
+
+def _wrong_id(message: Any, type_name: str, fault: Fault) -> None:
+    if type_name == BASELINE:
+        message.rover_id += _OTHER
     else:
-        setattr(message, _FIRST_VALUE[type_name], float("nan"))
+        for light in message.beacons[:1]:
+            light.beacon_id += _OTHER
 
 
-def _spoilt_covariance(covariance: Any, kind: str) -> np.ndarray:
-    spoilt = np.zeros(9)
-    if kind == "covariance_negative":
-        spoilt[:] = covariance
-        # Not the first: there a negative number means "not given" to ROS.
-        spoilt[4] = -abs(spoilt[4])
-    return spoilt
+_SPOILERS: dict[str, Callable[[Any, str, Fault], None]] = {
+    "nan": _nan,
+    "stamp_zero": _stamp_zero,
+    "stamp_late": _stamp_late,
+    "frame": _frame,
+    "rate_in_degrees": _rate_in_degrees,
+    "angles_in_degrees": _angles_in_degrees,
+    "covariance_unknown": _covariance,
+    "covariance_negative": _covariance,
+    "hide": _hide,
+    "swap": _swap,
+    "wrong_id": _wrong_id,
+}

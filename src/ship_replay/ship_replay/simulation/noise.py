@@ -9,6 +9,10 @@ from ship_geometry.rotations import FloatArray
 
 SECOND_NS = 1_000_000_000
 
+_LONGEST_STEP_S = 0.1
+_LEAST_STEPS = 50
+"""In a correlation time: halfway between two moments of the grid the variance is then too small by 1 %."""
+
 
 def random_stream(seed: int, component: str) -> np.random.Generator:
     """The generator of one component, the same whatever other components there are."""
@@ -35,6 +39,29 @@ def gauss_markov(
     noise[1:] *= innovation
     samples = [lfilter([1.0], [1.0, -decay[i]], noise[:, i]) for i in range(len(sigma))]
     return np.stack(samples, axis=-1) * sigma
+
+
+class SlowError:
+    """Gauss–Markov processes, all with the same correlation time, that can be asked at any moment.
+
+    They are drawn on a grid far finer than their correlation time, and straight in between.
+
+    Args:
+        rng: source of the noise.
+        duration_s: they reach from zero to here.
+        sigma: steady standard deviation of each process, shape (n,).
+        time_s: correlation time.
+    """
+
+    def __init__(self, rng: np.random.Generator, duration_s: float, sigma: FloatArray, time_s: float) -> None:
+        period_s = min(_LONGEST_STEP_S, time_s / _LEAST_STEPS)
+        count = int(np.ceil(duration_s / period_s)) + 1
+        self._moments_s = period_s * np.arange(count)
+        self._values = gauss_markov(rng, count, period_s, sigma, np.full(len(sigma), time_s))
+
+    def at(self, t_s: FloatArray) -> FloatArray:
+        """The processes at moments, shape (k, n)."""
+        return np.stack([np.interp(t_s, self._moments_s, column) for column in self._values.T], axis=-1)
 
 
 def stamps(start_ns: int, rate_hz: float, phase_s: float, duration_s: float) -> np.ndarray:

@@ -13,6 +13,7 @@ from ship_replay.simulation.attitude_device import (
     simulate_star_sensor,
 )
 from ship_replay.simulation.carriers import carrier_of
+from ship_replay.simulation.fused_attitude import FusedSamples, simulate_fused_attitude
 from ship_replay.simulation.inertial_device import InertialSamples, simulate_inertial_sensor
 from ship_replay.simulation.ins import InsSamples, InsTruth, simulate_ins
 from ship_replay.simulation.motion import Carrier
@@ -22,8 +23,8 @@ from ship_replay.simulation.ship_track import FixSamples, ShipTrack, simulate_fi
 from ship_replay.simulation.sky import TrueSky, draw_sky
 from ship_replay.simulation.star_sightings import SightingsTruth, StarSightings, simulate_sightings
 from ship_replay.simulation.start_time import start_of
-
-TRUTH_RATE_HZ = 10.0
+from ship_replay.simulation.theodolite.run import TheodoliteRun, simulate_theodolite
+from ship_replay.simulation.truth_grid import truth_index
 
 SKY_SOURCES = ("fix", "pressure", "temperature", "humidity")
 """What arrives besides measurements where a star sensor looks at the real sky."""
@@ -65,6 +66,7 @@ class SimulatedRun:
     """A scenario with one draw of its random parts.
 
     The weather station says at the stamps ``weather_ns``, shape (n,), what the scenario's ``weather`` says.
+    ``fused`` and ``theodolite`` are None where the scenario has none.
     """
 
     scenario: Scenario
@@ -75,10 +77,12 @@ class SimulatedRun:
     references: dict[str, DeviceSamples]
     fixes: FixSamples
     weather_ns: np.ndarray
+    fused: FusedSamples | None
+    theodolite: TheodoliteRun | None
     truth: Truth
 
     def arrivals(self) -> list[tuple[int, str, int]]:
-        """(log time, source, index of the sample), in order of arrival.
+        """(log time, source, index of the sample) of what ``ship_attitude`` is for, in order of arrival.
 
         A source is ``ins``, ``star.<id>`` or ``reference.<name>``, or, where a star sensor looks at the real sky, one
         of SKY_SOURCES. What arrives at the same nanosecond comes in this order, then by stamp.
@@ -89,13 +93,22 @@ class SimulatedRun:
         if self.scenario.needs_sky:
             fix, *weather = SKY_SOURCES
             sources |= {fix: self.fixes.log_time_ns, **dict.fromkeys(weather, self.weather_ns)}
-        arrivals = [
-            (int(log_time_ns), source, index)
-            for source, log_times_ns in sources.items()
-            for index, log_time_ns in enumerate(log_times_ns)
-        ]
-        # A stable sort keeps the order of the sources and of the stamps.
-        return sorted(arrivals, key=lambda arrival: arrival[0])
+        return _in_order(sources)
+
+    def pointing_arrivals(self) -> list[tuple[int, str, int]]:
+        """The same of what ``optical_axis`` is for.
+
+        A source is ``ins``, ``fused``, ``encoder``, ``drone.<id>``, ``baseline.<id>`` or ``image``.
+        """
+        sources = {"ins": self.ins.log_time_ns}
+        if self.fused is not None:
+            sources["fused"] = self.fused.log_time_ns
+        if self.theodolite is not None:
+            sources["encoder"] = self.theodolite.encoder.log_time_ns
+            sources |= {f"drone.{key}": samples.log_time_ns for key, samples in self.theodolite.drones.items()}
+            sources |= {f"baseline.{key}": samples.log_time_ns for key, samples in self.theodolite.baselines.items()}
+            sources["image"] = self.theodolite.images.log_time_ns
+        return _in_order(sources)
 
 
 def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
@@ -104,7 +117,7 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
     Each random component has its own stream, named after it, so a further sensor changes nothing in the others.
 
     Raises:
-        BadInput: the recorded motion cannot be used.
+        BadInput: the recorded motion cannot be used, or the theodolite cannot look where it should.
     """
     start_ns = start_of(scenario.start_utc)
     carrier = carrier_of(scenario.carrier, seed)
@@ -116,7 +129,7 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
         key: simulate_reference(key, scenario, carrier, ins_truth.time_offset_s, start_ns, seed)
         for key in scenario.references
     }
-    index = _truth_index(ins.time_ns, start_ns)
+    index = truth_index(ins.time_ns, start_ns)
     since_start_s = (ins.time_ns[index] - start_ns) / SECOND_NS
     truth = Truth(
         ins_index=index,
@@ -138,8 +151,21 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
         references={key: samples for key, (samples, _) in references.items()},
         fixes=simulate_fixes(scenario, track, seed),
         weather_ns=stamps(start_ns, scenario.weather.rate_hz, 0.0, scenario.duration_s),
+        fused=simulate_fused_attitude(scenario, carrier, start_ns, seed) if scenario.fused_attitude.written else None,
+        theodolite=simulate_theodolite(scenario, carrier, start_ns, seed) if scenario.theodolite.aboard else None,
         truth=truth,
     )
+
+
+def _in_order(sources: dict[str, np.ndarray]) -> list[tuple[int, str, int]]:
+    """(log time, source, index) of all samples; ties in the order of the sources, then of the stamps."""
+    arrivals = [
+        (int(log_time_ns), source, index)
+        for source, log_times_ns in sources.items()
+        for index, log_time_ns in enumerate(log_times_ns)
+    ]
+    # A stable sort keeps that order.
+    return sorted(arrivals, key=lambda arrival: arrival[0])
 
 
 def _simulate_stars(
@@ -159,10 +185,3 @@ def _simulate_stars(
         else:
             samples[key] = simulate_inertial_sensor(key, scenario, motion, sky, seed)
     return samples, mounted, sightings
-
-
-def _truth_index(ins_time_ns: np.ndarray, start_ns: int) -> np.ndarray:
-    """The first INS sample in each tenth of a second, and the last of all, shape (m,)."""
-    tenth = (ins_time_ns - start_ns) // round(SECOND_NS / TRUTH_RATE_HZ)
-    first = np.flatnonzero(np.diff(tenth, prepend=-1))
-    return np.union1d(first, ins_time_ns.size - 1)

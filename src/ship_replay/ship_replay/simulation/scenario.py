@@ -13,13 +13,10 @@ from ship_attitude_star.star_config import CameraConfig
 from ship_estimation.parameters import mapping_of, parameter, section
 from ship_geometry.rotations import FloatArray
 from ship_replay.simulation.motion_scenario import CarrierMotion
+from ship_replay.simulation.scenario_units import ANGLE, CORRELATION, DELAY, MOMENT, RATE, SIGMA, Outage
+from ship_replay.simulation.theodolite.beacon_scenario import Beacon
+from ship_replay.simulation.theodolite.scenario import Theodolite
 
-_ANGLE: dict[str, Any] = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
-_SIGMA: dict[str, Any] = {"unit": "arcsec", "minimum": 0.0, "maximum": 360_000.0}
-_CORRELATION: dict[str, Any] = {"unit": "s", "minimum": 0.1, "maximum": 1e7}
-_RATE: dict[str, Any] = {"unit": "Hz", "minimum": 0.01, "maximum": 1000.0}
-_MOMENT: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1e6}
-_DELAY: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 60.0}
 _OFFSET_SIGMA: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1.0}
 
 
@@ -27,14 +24,14 @@ _OFFSET_SIGMA: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1.0}
 class Ins:
     """The inertial navigation system."""
 
-    rate_hz: float = parameter(100.0, doc="samples per second", **_RATE)
-    latency_s: float = parameter(0.002, doc="from stamp to arrival", **_DELAY)
-    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **_DELAY)
-    tilt_sigma_arcsec: float = parameter(10.0, doc="slow error in tilt, each axis", **_SIGMA)
-    tilt_time_s: float = parameter(1800.0, doc="correlation time of the tilt error", **_CORRELATION)
-    heading_sigma_arcsec: float = parameter(72.0, doc="slow error in heading", **_SIGMA)
-    heading_time_s: float = parameter(10800.0, doc="correlation time of the heading error", **_CORRELATION)
-    white_sigma_arcsec: float = parameter(1.0, doc="noise of each sample, each axis", **_SIGMA)
+    rate_hz: float = parameter(100.0, doc="samples per second", **RATE)
+    latency_s: float = parameter(0.002, doc="from stamp to arrival", **DELAY)
+    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
+    tilt_sigma_arcsec: float = parameter(10.0, doc="slow error in tilt, each axis", **SIGMA)
+    tilt_time_s: float = parameter(1800.0, doc="correlation time of the tilt error", **CORRELATION)
+    heading_sigma_arcsec: float = parameter(72.0, doc="slow error in heading", **SIGMA)
+    heading_time_s: float = parameter(10800.0, doc="correlation time of the heading error", **CORRELATION)
+    white_sigma_arcsec: float = parameter(1.0, doc="noise of each sample, each axis", **SIGMA)
     rate_sigma_arcsec_per_s: float = parameter(
         0.0, doc="noise of the angular rate, each axis", unit="arcsec/s", minimum=0.0, maximum=3600.0
     )
@@ -42,14 +39,6 @@ class Ins:
         0.0, doc="mean of: a sample is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
     )
     time_offset_sigma_s: float = parameter(0.005, doc="spread of the time offset", **_OFFSET_SIGMA)
-
-
-@dataclass(frozen=True)
-class Outage:
-    """A time without data."""
-
-    start_s: float = parameter(doc="from, after the start", **_MOMENT)
-    end_s: float = parameter(doc="to, after the start", **_MOMENT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,26 +71,26 @@ class StarSensor:
     ship. Which fields belong to which output: :data:`ship_replay.simulation.scenario_file.FIELDS_OF_OUTPUTS`.
     """
 
-    azimuth_deg: float = parameter(doc="installation azimuth of the boresight in the deck", **_ANGLE)
+    azimuth_deg: float = parameter(doc="installation azimuth of the boresight in the deck", **ANGLE)
     elevation_deg: float = parameter(
         doc="installation elevation of the boresight over the deck", unit="deg", minimum=-90.0, maximum=90.0
     )
-    roll_deg: float = parameter(0.0, doc="installation roll about the boresight, right side down", **_ANGLE)
+    roll_deg: float = parameter(0.0, doc="installation roll about the boresight, right side down", **ANGLE)
     output: str = parameter("horizon_attitude", doc="what it sends", choices=STAR_OUTPUTS)
-    rate_hz: float = parameter(5.0, doc="exposures per second", **_RATE)
-    phase_s: float = parameter(0.0, doc="first exposure after the start", **_MOMENT)
-    latency_s: float = parameter(0.1, doc="from stamp to arrival", **_DELAY)
-    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **_DELAY)
-    installation_sigma_forward_arcsec: float = parameter(20.0, doc="installation error about the boresight", **_SIGMA)
-    installation_sigma_up_arcsec: float = parameter(1.0, doc="installation error about the up axis", **_SIGMA)
-    installation_sigma_right_arcsec: float = parameter(1.0, doc="installation error about the right axis", **_SIGMA)
-    sigma_forward_arcsec: float = parameter(100.0, doc="noise about the boresight", **_SIGMA)
-    sigma_up_arcsec: float = parameter(3.0, doc="noise about the up axis", **_SIGMA)
-    sigma_right_arcsec: float = parameter(3.0, doc="noise about the right axis", **_SIGMA)
-    common_sigma_arcsec: float = parameter(0.0, doc="slow error that all stars share, each axis", **_SIGMA)
-    common_time_s: float = parameter(3600.0, doc="correlation time of that error", **_CORRELATION)
-    flexure_sigma_arcsec: float = parameter(0.0, doc="hull flexure between INS and sensor, each axis", **_SIGMA)
-    flexure_time_s: float = parameter(10.0, doc="correlation time of the flexure", **_CORRELATION)
+    rate_hz: float = parameter(5.0, doc="exposures per second", **RATE)
+    phase_s: float = parameter(0.0, doc="first exposure after the start", **MOMENT)
+    latency_s: float = parameter(0.1, doc="from stamp to arrival", **DELAY)
+    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
+    installation_sigma_forward_arcsec: float = parameter(20.0, doc="installation error about the boresight", **SIGMA)
+    installation_sigma_up_arcsec: float = parameter(1.0, doc="installation error about the up axis", **SIGMA)
+    installation_sigma_right_arcsec: float = parameter(1.0, doc="installation error about the right axis", **SIGMA)
+    sigma_forward_arcsec: float = parameter(100.0, doc="noise about the boresight", **SIGMA)
+    sigma_up_arcsec: float = parameter(3.0, doc="noise about the up axis", **SIGMA)
+    sigma_right_arcsec: float = parameter(3.0, doc="noise about the right axis", **SIGMA)
+    common_sigma_arcsec: float = parameter(0.0, doc="slow error that all stars share, each axis", **SIGMA)
+    common_time_s: float = parameter(3600.0, doc="correlation time of that error", **CORRELATION)
+    flexure_sigma_arcsec: float = parameter(0.0, doc="hull flexure between INS and sensor, each axis", **SIGMA)
+    flexure_time_s: float = parameter(10.0, doc="correlation time of the flexure", **CORRELATION)
     time_offset_s: float = parameter(
         0.0, doc="mean of: a message is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
     )
@@ -129,21 +118,36 @@ class StarSensor:
 class Reference:
     """Another attitude system."""
 
-    rate_hz: float = parameter(1.0, doc="samples per second", **_RATE)
-    phase_s: float = parameter(0.0, doc="first sample after the start", **_MOMENT)
-    latency_s: float = parameter(0.1, doc="from stamp to arrival", **_DELAY)
-    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **_DELAY)
-    heading_deg: float = parameter(0.0, doc="mean of: its heading minus that of the INS", **_ANGLE)
-    pitch_deg: float = parameter(0.0, doc="mean of: its pitch minus that of the INS", **_ANGLE)
-    roll_deg: float = parameter(0.0, doc="mean of: its roll minus that of the INS", **_ANGLE)
-    installation_sigma_arcsec: float = parameter(7200.0, doc="spread of the three angles", **_SIGMA)
-    sigma_roll_arcsec: float = parameter(60.0, doc="noise about its forward axis", **_SIGMA)
-    sigma_pitch_arcsec: float = parameter(60.0, doc="noise about its right axis", **_SIGMA)
-    sigma_heading_arcsec: float = parameter(60.0, doc="noise about its up axis", **_SIGMA)
+    rate_hz: float = parameter(1.0, doc="samples per second", **RATE)
+    phase_s: float = parameter(0.0, doc="first sample after the start", **MOMENT)
+    latency_s: float = parameter(0.1, doc="from stamp to arrival", **DELAY)
+    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
+    heading_deg: float = parameter(0.0, doc="mean of: its heading minus that of the INS", **ANGLE)
+    pitch_deg: float = parameter(0.0, doc="mean of: its pitch minus that of the INS", **ANGLE)
+    roll_deg: float = parameter(0.0, doc="mean of: its roll minus that of the INS", **ANGLE)
+    installation_sigma_arcsec: float = parameter(7200.0, doc="spread of the three angles", **SIGMA)
+    sigma_roll_arcsec: float = parameter(60.0, doc="noise about its forward axis", **SIGMA)
+    sigma_pitch_arcsec: float = parameter(60.0, doc="noise about its right axis", **SIGMA)
+    sigma_heading_arcsec: float = parameter(60.0, doc="noise about its up axis", **SIGMA)
     time_offset_s: float = parameter(
         0.0, doc="mean of: its stamp minus the INS's for the same attitude", unit="s", minimum=-10.0, maximum=10.0
     )
     time_offset_sigma_s: float = parameter(0.2, doc="spread of the time offset", unit="s", minimum=0.0, maximum=10.0)
+
+
+@dataclass(frozen=True)
+class FusedAttitude:
+    """``ship/attitude`` as INS and stars together would give it, for a voyage without ``ship_attitude``."""
+
+    written: bool = parameter(False, doc="whether the bag holds it")
+    rate_hz: float = parameter(20.0, doc="messages per second", **RATE)
+    phase_s: float = parameter(0.0, doc="first message after the start", **MOMENT)
+    latency_s: float = parameter(0.005, doc="from stamp to arrival", **DELAY)
+    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
+    tilt_sigma_arcsec: float = parameter(1.45, doc="slow error in tilt, each axis", **SIGMA)
+    heading_sigma_arcsec: float = parameter(1.75, doc="slow error in heading", **SIGMA)
+    time_s: float = parameter(600.0, doc="correlation time of both", **CORRELATION)
+    white_sigma_arcsec: float = parameter(1.0, doc="noise of each message, each axis", **SIGMA)
 
 
 @dataclass(frozen=True)
@@ -154,11 +158,11 @@ class Position:
     longitude_deg: float = parameter(0.0, doc="longitude, East positive", unit="deg", minimum=-180.0, maximum=360.0)
     height_m: float = parameter(20.0, doc="height over the ellipsoid", unit="m", minimum=-500.0, maximum=9000.0)
     speed_m_per_s: float = parameter(0.0, doc="speed over ground", unit="m/s", minimum=0.0, maximum=50.0)
-    course_deg: float = parameter(0.0, doc="course over ground, from North clockwise", **_ANGLE)
+    course_deg: float = parameter(0.0, doc="course over ground, from North clockwise", **ANGLE)
     sigma_m: float = parameter(2.0, doc="noise of a fix, each axis", unit="m", minimum=0.0, maximum=1000.0)
     slow_sigma_m: float = parameter(0.0, doc="slow error of the fixes, each axis", unit="m", minimum=0.0, maximum=1e4)
-    slow_time_s: float = parameter(600.0, doc="correlation time of that error", **_CORRELATION)
-    rate_hz: float = parameter(1.0, doc="fixes per second", **_RATE)
+    slow_time_s: float = parameter(600.0, doc="correlation time of that error", **CORRELATION)
+    rate_hz: float = parameter(1.0, doc="fixes per second", **RATE)
 
 
 @dataclass(frozen=True)
@@ -175,7 +179,7 @@ class Weather:
         1.0, doc="error of the temperature told", unit="K", minimum=0.0, maximum=50.0
     )
     refraction_model: str = parameter("erfa", doc="model of refraction", choices=("erfa", "almanac"))
-    rate_hz: float = parameter(0.5, doc="messages per second", **_RATE)
+    rate_hz: float = parameter(0.5, doc="messages per second", **RATE)
 
 
 FAULT_KINDS = (
@@ -190,6 +194,11 @@ FAULT_KINDS = (
     "covariance_unknown",
     "covariance_negative",
     "rate_in_degrees",
+    "angles_in_degrees",
+    "stamp_late",
+    "hide",
+    "swap",
+    "wrong_id",
 )
 """What may go wrong with a message; :mod:`ship_replay.simulation.faults` says what each does."""
 
@@ -200,9 +209,9 @@ class Fault:
 
     topic: str = parameter(doc="topic, for example ins/imu")
     kind: str = parameter(doc="what goes wrong", choices=FAULT_KINDS)
-    start_s: float = parameter(doc="from, after the start, by stamps", **_MOMENT)
-    end_s: float = parameter(doc="to, after the start, by stamps", **_MOMENT)
-    delay_s: float = parameter(0.0, doc="further delay, of kind delay only", **_DELAY)
+    start_s: float = parameter(doc="from, after the start, by stamps", **MOMENT)
+    end_s: float = parameter(doc="to, after the start, by stamps", **MOMENT)
+    delay_s: float = parameter(0.0, doc="how late, of the kinds delay and stamp_late", **DELAY)
 
 
 @dataclass(frozen=True)
@@ -216,6 +225,9 @@ class Scenario:
     ins: Ins = section(Ins)
     star_sensors: dict[str, StarSensor] = mapping_of("star sensors by id")
     references: dict[str, Reference] = mapping_of("other attitude systems by name")
+    fused_attitude: FusedAttitude = section(FusedAttitude)
+    theodolite: Theodolite = section(Theodolite)
+    beacons: dict[str, Beacon] = mapping_of("drones with lights by id")
     position: Position = section(Position)
     weather: Weather = section(Weather)
     earth_rotation_sigma_s: float = parameter(

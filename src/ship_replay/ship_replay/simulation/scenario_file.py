@@ -13,11 +13,14 @@ from ship_geometry.time_scales import DAY_NS
 from ship_node.errors import BadInput as BadParameterFile
 from ship_node.parameter_file import ParameterFile, read_plain
 from ship_replay.errors import BadInput
-from ship_replay.simulation.faults import can_happen, simulated_topics
+from ship_replay.simulation.faults import KINDS_WITH_DELAY, can_happen
 from ship_replay.simulation.motion_scenario import SECTIONS_OF_KIND, CarrierMotion
 from ship_replay.simulation.noise import SECOND_NS
 from ship_replay.simulation.scenario import Scenario, StarSensor
+from ship_replay.simulation.scenario_units import window_problems
 from ship_replay.simulation.start_time import start_of
+from ship_replay.simulation.theodolite.scenario_problems import theodolite_problems
+from ship_replay.simulation.topics import simulated_topics
 
 FIELDS_OF_OUTPUTS = {
     ("horizon_attitude",): ("common_sigma_arcsec", "common_time_s", "star_count"),
@@ -85,8 +88,9 @@ def _problems(scenario: Scenario, file: ParameterFile) -> Iterator[str]:
     yield from _carrier_problems(scenario.carrier, file)
     for sensor_id, sensor in scenario.star_sensors.items():
         for name, outage in sensor.outages.items():
-            yield from _window_problems(f"star_sensors.{sensor_id}.outages.{name}", outage.start_s, outage.end_s)
+            yield from window_problems(f"star_sensors.{sensor_id}.outages.{name}", outage.start_s, outage.end_s)
         yield from _output_problems(f"star_sensors.{sensor_id}", sensor, file.values["star_sensors"][sensor_id])
+    yield from theodolite_problems(scenario, file.values)
     yield from _fault_problems(scenario)
     if scenario.needs_sky:
         yield from _sky_problems(scenario)
@@ -131,15 +135,11 @@ def _sky_problems(scenario: Scenario) -> Iterator[str]:
 def _fault_problems(scenario: Scenario) -> Iterator[str]:
     topics = simulated_topics(scenario)
     for name, fault in scenario.faults.items():
-        yield from _window_problems(f"faults.{name}", fault.start_s, fault.end_s)
+        yield from window_problems(f"faults.{name}", fault.start_s, fault.end_s)
         if fault.topic not in topics:
             yield f"'faults.{name}.topic' = {fault.topic} is not simulated: expected one of {', '.join(topics)}"
         if not can_happen(fault.kind, topics[fault.topic]):
             yield f"'faults.{name}.kind' = {fault.kind} cannot happen to {topics[fault.topic]}"
-        if (fault.kind == "delay") != (fault.delay_s > 0.0):
-            yield f"'faults.{name}.delay_s' must be positive with kind delay, and not given with another"
-
-
-def _window_problems(key: str, start_s: float, end_s: float) -> Iterator[str]:
-    if end_s <= start_s:
-        yield f"'{key}.end_s' = {end_s} s must be after start_s = {start_s} s"
+        if (fault.kind in KINDS_WITH_DELAY) != (fault.delay_s > 0.0):
+            kinds = " and ".join(KINDS_WITH_DELAY)
+            yield f"'faults.{name}.delay_s' must be positive with the kinds {kinds}, and not given with another"

@@ -9,10 +9,10 @@ from ship_geometry.ros_axes import FLU_FROM_DEVICE
 from ship_node.message_factory import MessageFactory
 from ship_node.stamps import make_header
 from ship_replay.simulation.device_messages import Maker, make_quaternion, star_frame
-from ship_replay.simulation.faults import INERTIAL, OBSERVATIONS
 from ship_replay.simulation.inertial_device import InertialSamples
 from ship_replay.simulation.scenario import StarSensor
 from ship_replay.simulation.star_sightings import StarSightings
+from ship_replay.simulation.topics import INERTIAL, OBSERVATIONS
 
 
 def observations_maker(sensor_id: str, sightings: StarSightings, config: StarSensor, factory: MessageFactory) -> Maker:

@@ -9,14 +9,19 @@ import numpy as np
 from ship_node.message_factory import MessageFactory
 from ship_replay.simulation.device_messages import Maker, ins_maker, reference_maker, star_maker
 from ship_replay.simulation.environment_messages import fix_maker, weather_makers
-from ship_replay.simulation.faults import deliver, simulated_topics, spoil
+from ship_replay.simulation.faults import deliver, spoil
 from ship_replay.simulation.inertial_device import InertialSamples
 from ship_replay.simulation.run import SimulatedRun
+from ship_replay.simulation.ship_attitude_messages import fused_maker
 from ship_replay.simulation.star_messages import inertial_maker, observations_maker
 from ship_replay.simulation.star_sightings import StarSightings
+from ship_replay.simulation.theodolite.sources import theodolite_sources
+from ship_replay.simulation.theodolite.truth_messages import true_calibrations, true_pointings
+from ship_replay.simulation.topics import FUSED_TOPIC, simulated_topics
 from ship_replay.simulation.truth_messages import truth_alignments, truth_attitudes
 
 TRUTH_ATTITUDE, TRUTH_ALIGNMENT = "truth/attitude", "truth/alignment"
+TRUTH_POINTING, TRUTH_CALIBRATION = "truth/pointing", "truth/calibration"
 
 LogEntry = tuple[str, Any, int]
 """(topic, message, log time in ns)."""
@@ -29,6 +34,10 @@ def messages(run: SimulatedRun, factory: MessageFactory) -> Iterator[LogEntry]:
         _logged_at_stamp(TRUTH_ALIGNMENT, truth_alignments(run, factory)),
         _logged_at_stamp(TRUTH_ATTITUDE, truth_attitudes(run, factory)),
     ]
+    if run.theodolite is not None:
+        calibrations = true_calibrations(run.theodolite, run.start_ns, factory)
+        streams.append(_logged_at_stamp(TRUTH_CALIBRATION, calibrations))
+        streams.append(_logged_at_stamp(TRUTH_POINTING, true_pointings(run.theodolite, factory)))
     for topic, (time_ns, log_time_ns, maker) in _sources(run, factory).items():
         streams.append(_delivered(run, topic, types[topic], time_ns, log_time_ns, maker))
     return heapq.merge(*streams, key=lambda entry: entry[2])
@@ -53,6 +62,10 @@ def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.n
     sources["gnss/fix"] = run.fixes.time_ns, run.fixes.log_time_ns, fix_maker(run.fixes, factory)
     for topic, maker in weather_makers(run.weather_ns, scenario.weather, factory).items():
         sources[topic] = run.weather_ns, run.weather_ns, maker
+    if run.fused is not None:
+        sources[FUSED_TOPIC] = run.fused.time_ns, run.fused.log_time_ns, fused_maker(run.fused, factory)
+    if run.theodolite is not None:
+        sources |= theodolite_sources(run.theodolite, scenario.theodolite.telescope.exposure_s, factory)
     return sources
 
 

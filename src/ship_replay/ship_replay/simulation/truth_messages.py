@@ -6,51 +6,26 @@ from typing import Any
 import numpy as np
 
 from ship_geometry.frames import angles_from_rotation
-from ship_geometry.ros_axes import flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import wrap_pi
 from ship_node.message_factory import MessageFactory
 from ship_node.stamps import make_header
-from ship_replay.simulation.device_messages import make_quaternion, make_vector
-from ship_replay.simulation.noise import SECOND_NS
 from ship_replay.simulation.run import SimulatedRun
-
-DECK_FRAME = "deck"
-
-_EXACT = np.zeros(9)
+from ship_replay.simulation.ship_attitude_messages import DECK_FRAME, true_attitude_maker
+from ship_replay.simulation.truth_grid import once_a_second
 
 
 def truth_attitudes(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
     """(stamp, ShipAttitude) at the stamps of the truth."""
-    angles = angles_from_rotation(run.truth.rotation_nd).tolist()
-    quaternions = quaternion_from_rotation(run.truth.rotation_nd).tolist()
-    rates = flu_from_device_vector(run.truth.rate_d).tolist()
-    for row, time_ns in enumerate(run.ins.time_ns[run.truth.ins_index].tolist()):
-        heading, pitch, roll = angles[row]
-        yield (
-            time_ns,
-            factory.make(
-                "ship_msgs/msg/ShipAttitude",
-                header=make_header(factory, time_ns, DECK_FRAME),
-                heading=heading,
-                pitch=pitch,
-                roll=roll,
-                covariance=_EXACT,
-                orientation=make_quaternion(factory, quaternions[row]),
-                rotation_covariance=_EXACT,
-                angular_velocity=make_vector(factory, rates[row]),
-                status=0,
-                horizon=0,
-                sources=["truth"],
-                star_age_s=float("nan"),
-            ),
-        )
+    time_ns = run.ins.time_ns[run.truth.ins_index]
+    make = true_attitude_maker(time_ns, run.truth.rotation_nd, run.truth.rate_d, factory)
+    for row, stamp_ns in enumerate(time_ns.tolist()):
+        yield stamp_ns, make(row, row)
 
 
 def truth_alignments(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
     """(stamp, AlignmentState) once a second at stamps of the truth, and at the last."""
     index = run.truth.ins_index
-    second = (run.ins.time_ns[index] - run.start_ns) // SECOND_NS
-    chosen = np.union1d(index[np.flatnonzero(np.diff(second, prepend=-1))], index[-1:])
+    chosen = index[once_a_second(run.ins.time_ns[index], run.start_ns)]
     constant = _constant_values(run)
     names = ["ins.north", "ins.up", "ins.east", *constant]
     units = ["s" if name.endswith("time_offset") else "rad" for name in names]
