@@ -1,5 +1,6 @@
 """star_attitude in the suite: replayed with ship_attitude in one pass, from its black box, and live over DDS."""
 
+import dataclasses
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +12,12 @@ import yaml
 from rclpy.serialization import deserialize_message, serialize_message
 
 from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.star_attitude_config import StarAttitudeConfig
+from ship_estimation.consistency import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters import build
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.ros_axes import horizon_covariance
+from ship_geometry.rotations import log_rotation
 from ship_node.adapter_calls import AdapterCalls
 from ship_node.black_box import BlackBox
 from ship_node.files import NotedFiles
@@ -19,13 +26,20 @@ from ship_node.tick_grid import TickGrid
 from ship_replay.bag_reader import BagRecord, read_bag
 from ship_replay.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_replay.live_run import LiveRun
+from ship_replay.message_store import RosbagsFactory
 from ship_replay.replay_command import main as replay
+from ship_replay.simulation.run import simulate
+from ship_replay.simulation.scenario_file import load_scenario
+from ship_replay.simulation.suite import star_attitude_configuration
+from ship_replay.simulation.to_messages import messages
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "ship_attitude_star" / "test"))
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "src" / "ship_attitude_star" / "test"))
 
-import small_voyage
-import star_voyage
+import small_voyage  # noqa: E402  the ship of the package's own tests
+import star_voyage  # noqa: E402
 
+SEEDS = 50
 SOLUTIONS = ("star/fore/solution", "star/starboard/solution")
 SHIP = "ship/attitude"
 VALID = 0
@@ -140,6 +154,28 @@ def test_a_bag_with_inputs_and_outputs_of_both_nodes_is_verified(
     out = capsys.readouterr().out
     assert "star/fore/solution 15" in out.partition("equal:")[2]
     assert f"{SHIP} {len(records(both[1], SHIP))}" in out.partition("equal:")[2]
+
+
+def test_the_joint_solution_errs_as_its_covariance_says_over_many_voyages() -> None:
+    """Scenario ``paper_stars``: every seed draws mounting, refraction, UT1 and place anew; one solution of each."""
+    scenario = dataclasses.replace(load_scenario(ROOT / "bags" / "scenarios" / "paper_stars.yaml"), duration_s=1.0)
+    config = build(StarAttitudeConfig, star_attitude_configuration(scenario))
+    nees = []
+    for seed in range(SEEDS):
+        adapter, truth, joint = StarAttitudeAdapter(config, RosbagsFactory()), {}, []
+        topics = {topic.topic for topic in adapter.inputs}
+        for topic, message, log_time_ns in messages(simulate(scenario, seed), RosbagsFactory()):
+            if topic == "truth/attitude":
+                rotation_nd = rotation_from_angles(message.heading, message.pitch, message.roll)
+                truth[small_voyage.stamp_of(message)] = rotation_nd
+            elif topic in topics:
+                given = adapter.handle(topic, message, log_time_ns)
+                joint += [solved for name, solved in given if name == "star/joint/solution"]
+        last = joint[-1]
+        error = log_rotation(truth[small_voyage.stamp_of(last)] @ star_voyage.solution_rotation(last).T)
+        nees.append(normalized_error_squared(error, horizon_covariance(last.rotation_covariance.reshape(3, 3))))
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low < np.mean(nees) < high
 
 
 class _Nobody:
