@@ -1,6 +1,6 @@
 """The nodes of a suite replayed together: what one gives is, at the same moment, an input of those after it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +11,15 @@ from ship_replay.bag_reader import Bag
 from ship_replay.bag_suite import suite_config, suite_nodes
 from ship_replay.topic_names import relative_topics
 
-_DEVICE_PREFIX = "star/"
-"""Topics of star sensors: without any of its own a node has nothing to do."""
+_DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
+"""Topics of devices: without any of its own a node has nothing to do."""
 
 
 class AdapterChain:
     """Several adapters that take messages and ticks like one.
 
     Args:
-        adapters: in the order in which data flows.
+        adapters: in any order: data flows from those that give a topic to those that take it.
         linked: whether what one gives goes to those after it; otherwise all inputs come from outside.
 
     Attributes:
@@ -28,12 +28,12 @@ class AdapterChain:
     """
 
     def __init__(self, adapters: Sequence[Adapter], linked: bool = True) -> None:
-        self.adapters = tuple(adapters)
+        self.adapters = _in_order_of_flow(adapters)
         self._linked = linked
-        self._taken = [{topic.topic for topic in adapter.inputs} for adapter in adapters]
-        self.outputs: tuple[OutputTopic, ...] = _by_topic(topic for adapter in adapters for topic in adapter.outputs)
-        inside = {topic.topic for topic in self.outputs} if linked else set()
-        wanted = [topic for adapter in adapters for topic in adapter.inputs if topic.topic not in inside]
+        self._taken = [_names(adapter.inputs) for adapter in self.adapters]
+        self.outputs: tuple[OutputTopic, ...] = _by_topic(t for adapter in self.adapters for t in adapter.outputs)
+        inside = _names(self.outputs) if linked else set()
+        wanted = [t for adapter in self.adapters for t in adapter.inputs if t.topic not in inside]
         # The first of equals wins: a topic is required if any adapter requires it.
         self.inputs: tuple[InputTopic, ...] = _by_topic(sorted(wanted, key=lambda topic: not topic.required))
 
@@ -82,7 +82,7 @@ def suite_chain(
 
     Args:
         bag: the bag.
-        adapter_classes: nodes that are known, in the order in which data flows; see :func:`suite_nodes`.
+        adapter_classes: nodes that are known; see :func:`suite_nodes`.
         factory: makes their messages.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
@@ -98,13 +98,31 @@ def suite_chain(
     found, adapters, left_out = relative_topics(bag.topics, namespace), [], []
     for kind in meant:
         adapter = kind(suite_config(bag, kind, config_path), factory)
-        devices = [topic.topic for topic in adapter.inputs if topic.topic.startswith(_DEVICE_PREFIX)]
-        if kind is not meant[-1] and not found.keys() & devices:
-            wanted = ", ".join(devices) or "star sensors"
+        devices = [topic.topic for topic in adapter.inputs if topic.topic.startswith(_DEVICE_PREFIXES)]
+        if kind is not meant[0] and not found.keys() & devices:
+            wanted = ", ".join(devices) or "the devices that it needs"
             left_out.append(f"{kind.node_name} is left out: the bag has nothing of {wanted}")
         else:
             adapters.append(adapter)
     return AdapterChain(adapters, linked), left_out
+
+
+def _in_order_of_flow(adapters: Sequence[Adapter]) -> tuple[Adapter, ...]:
+    """Each adapter after those that give it something."""
+    ordered, rest = [], list(adapters)
+    while rest:
+        free = [
+            adapter
+            for adapter in rest
+            if not any(_names(adapter.inputs) & _names(other.outputs) for other in rest if other is not adapter)
+        ]
+        ordered.append(free[0] if free else rest[0])
+        rest.remove(ordered[-1])
+    return tuple(ordered)
+
+
+def _names(topics: Iterable[InputTopic | OutputTopic]) -> set[str]:
+    return {topic.topic for topic in topics}
 
 
 def _by_topic(topics: Any) -> tuple[Any, ...]:

@@ -49,7 +49,7 @@ def suite_nodes(
 
     Args:
         bag: the bag.
-        adapter_classes: nodes that are known, the main one last: a section for all nodes (``/**``) is its too, the
+        adapter_classes: nodes that are known, the main one first: a section for all nodes (``/**``) is its too, the
             others must be named.
         config_path: configuration; None takes the one attached to the bag.
 
@@ -57,11 +57,11 @@ def suite_nodes(
         BadInput: there is none, or it is no parameter file.
     """
     source = suite_text(bag, None) if config_path is None else config_path
-    *others, main = adapter_classes
+    main, *others = adapter_classes
     try:
         meant = [kind for kind in others if has_section(source, kind.node_name, wildcards=False)]
         if not meant or has_section(source, main.node_name):
-            meant.append(main)
+            meant.insert(0, main)
     except BadInput as problem:
         raise _attached(bag, problem) if config_path is None else problem from problem
     return tuple(meant)

@@ -36,7 +36,7 @@ def replay(
     Args:
         bag_path: .mcap file or rosbag2 folder.
         out_path: .mcap file to write; it appears only when the replay is complete.
-        adapter_classes: of the nodes that may take part, in the order in which data flows; the main one last.
+        adapter_classes: of the nodes that may take part, the main one first.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
         watch: wraps the iteration over the bag, for a progress bar.

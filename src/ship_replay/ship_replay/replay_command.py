@@ -17,8 +17,8 @@ from ship_replay.replay_run import ReplaySummary
 from ship_replay.verification import Verification
 from ship_replay.verify_bag import verify_bag
 
-ADAPTERS = (StarAttitudeAdapter, ShipAttitudeAdapter)
-"""Nodes that can be replayed, in the order in which data flows."""
+ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter)
+"""Nodes that can be replayed, the main one first: it runs by a configuration that names no node, too."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
