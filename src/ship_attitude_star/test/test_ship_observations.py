@@ -1,0 +1,207 @@
+"""``ship_attitude`` fed with single stars: its attitude against the truth, and each bad input of star_attitude."""
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+from small_voyage import (
+    FACTORY,
+    INS,
+    SECOND_NS,
+    START_NS,
+    Run,
+    changed_where,
+    drive,
+    exactly,
+    index_at,
+    replaced,
+    without,
+)
+from star_voyage import (
+    CAMERA_PARAMETERS,
+    FIX,
+    FORE,
+    PRESSURE,
+    STARBOARD,
+    TEMPERATURE,
+    except_,
+    only,
+    true_deck,
+    voyage,
+)
+from test_star_bad_input import DROPPED, SOURCE, STARS_REFUSED, Change, star, without_star
+
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.samples import Horizon, Reason, Status
+from ship_estimation.parameters import ParameterError, build
+from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, log_rotation
+
+MOMENT_S = 1.5
+SHIP_TOPICS = ("ship/attitude", "ship/imu", "ship/alignment", "ship/error_budget", "ship/error_arcsec")
+
+
+def config(**changes: Any) -> ShipAttitudeConfig:
+    star_values = {"elevation_deg": 45.0, "camera": CAMERA_PARAMETERS, "input": "observations"}
+    values: dict[str, Any] = {
+        "ins": {"frame_id": "ins"},
+        "star_sensors": {
+            "fore": {**star_values, "azimuth_deg": 0.0, "frame_id": "star_fore"},
+            "starboard": {**star_values, "azimuth_deg": 90.0, "frame_id": "star_starboard"},
+        },
+        **changes,
+    }
+    return build(ShipAttitudeConfig, values)
+
+
+def sail(arrivals, **changes: Any) -> Run:
+    return drive(ShipAttitudeAdapter(config(**changes), FACTORY), arrivals)
+
+
+@functools.cache
+def clean_run() -> Run:
+    return sail(voyage())
+
+
+@functools.cache
+def run_without(topic: str) -> Run:
+    return sail(without(voyage(), index_at(voyage(), topic, MOMENT_S)))
+
+
+def outputs(run: Run) -> list[Any]:
+    return [(ns, topic, exactly(message)) for ns, topic, message in run.published if topic in SHIP_TOPICS]
+
+
+def last_valid(run: Run) -> Any:
+    return next(m for m in reversed(run.messages("ship/attitude")) if m.status == Status.VALID)
+
+
+def claimed(run: Run) -> set[int]:
+    """The statuses of all attitudes, those before the first INS sample aside."""
+    return {message.status for message in run.messages("ship/attitude")} - {Status.INVALID}
+
+
+def error_of(message: Any) -> np.ndarray:
+    orientation = message.orientation
+    rotation_nd = rotation_from_quaternion(np.array([orientation.x, orientation.y, orientation.z, orientation.w]))
+    since_ns = message.header.stamp.sec * SECOND_NS + message.header.stamp.nanosec - START_NS
+    return log_rotation(true_deck(since_ns) @ rotation_nd.T)
+
+
+def test_the_attitude_is_the_true_one_within_its_sigma() -> None:
+    message = last_valid(clean_run())
+    assert message.horizon == Horizon.GEODETIC
+    assert list(message.sources) == ["ins", "star.fore", "star.starboard"]
+    sigma = np.sqrt(np.diagonal(np.array(message.rotation_covariance).reshape(3, 3)))
+    # Stars without noise: what is left is the noise of the INS, and of its mounting nothing.
+    assert np.linalg.norm(error_of(message)) < 3.0 * np.max(sigma) < 15.0 * ARCSEC
+
+
+def test_the_budget_names_what_stars_share() -> None:
+    budget = clean_run().messages("ship/error_budget")[-1]
+    parts = dict(zip(budget.sources, np.array(budget.covariances).reshape(-1, 3, 3), strict=True))
+    for name in ("refraction", "earth_rotation", "ship_position", "star_noise"):
+        assert np.trace(parts[name]) > 0.0, name
+    np.testing.assert_allclose(sum(parts.values()), np.array(budget.total).reshape(3, 3), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
+def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
+    run = sail(replaced(voyage(), index_at(voyage(), topic, MOMENT_S), change))
+    assert outputs(run) == outputs(run_without(topic))
+    assert run.reasons(topic) == {reason: 1}
+    (innovation,) = run.innovations(Reason[reason.upper()])
+    assert innovation.source == SOURCE[topic]
+    assert text in innovation.reason_text
+
+
+@pytest.mark.parametrize(("change", "reason"), [s[1:3] for s in STARS_REFUSED], ids=[s[0] for s in STARS_REFUSED])
+def test_a_bad_star_alone_is_refused(change: Change, reason: Reason) -> None:
+    index = index_at(voyage(), FORE, MOMENT_S)
+    run, lacking = sail(replaced(voyage(), index, change)), sail(replaced(voyage(), index, without_star(3)))
+    assert outputs(run) == outputs(lacking)
+    assert run.reasons(FORE) == {reason.name.lower(): 1}
+    assert len(run.innovations(reason)) == 1
+
+
+def test_a_false_star_is_named_with_its_angle() -> None:
+    index = index_at(voyage(), FORE, MOMENT_S)
+    run = sail(replaced(voyage(), index, star(3, u=100.0)))
+    (innovation,) = run.innovations(Reason.MISIDENTIFIED)
+    assert "from its place, sigma" in innovation.reason_text
+    assert not innovation.accepted
+    assert run.health(FORE).rejected == 0
+
+
+def test_without_a_fix_no_star_is_used_and_the_ins_goes_on() -> None:
+    run = sail(except_(voyage(), FIX))
+    assert run.reasons(FORE) == {"no_fix": run.health(FORE).received}
+    assert claimed(run) == {Status.DEGRADED}
+    assert "is gnss/fix published?" in run.innovations(Reason.NO_FIX)[0].reason_text
+
+
+def test_a_fix_older_than_a_minute_is_none() -> None:
+    """Fixes end a minute before the stars begin."""
+
+    def older(message: Any) -> None:
+        message.header.stamp.sec -= 64
+
+    run = sail(changed_where(voyage(), lambda arrival: arrival.topic == FIX, older))
+    assert set(run.reasons(FORE)) == {"no_fix"}
+    assert "more than fix_max_age_s = 60" in run.innovations(Reason.NO_FIX)[-1].reason_text
+
+
+def test_without_weather_refraction_is_less_well_known() -> None:
+    def refraction(run: Run) -> float:
+        budget = run.messages("ship/error_budget")[-1]
+        parts = dict(zip(budget.sources, np.array(budget.covariances).reshape(-1, 3, 3), strict=True))
+        return float(np.trace(parts["refraction"]))
+
+    run = sail(except_(voyage(), PRESSURE, TEMPERATURE))
+    assert last_valid(run).status == Status.VALID
+    # A field of 23° shows much of it by itself: stars low in it are lifted more than those high in it.
+    assert refraction(run) > 2.0 * refraction(clean_run())
+
+
+def test_a_camera_is_needed() -> None:
+    with pytest.raises(ParameterError, match=r"star_sensors\.fore\.camera\.focal_length_m"):
+        sail((), star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "input": "observations"}})
+
+
+def test_solutions_of_a_sensor_that_gives_its_stars_are_no_input() -> None:
+    """Two inputs for one sensor: the configuration names one, and only that is subscribed."""
+    topics = {entry.topic for entry in ShipAttitudeAdapter(config(), FACTORY).inputs}
+    assert FORE in topics
+    assert not {"star/fore/solution", "star/fore/horizon_attitude", "star/fore/inertial_attitude"} & topics
+
+
+def test_with_the_ins_gone_the_stars_carry_the_attitude_alone() -> None:
+    cut_ns = START_NS + SECOND_NS
+    run = sail([a for a in voyage() if a.topic != INS or a.receive_ns < cut_ns])
+    alone = [m for m in run.messages("ship/attitude") if list(m.sources) in (["star.fore"], ["star.starboard"])]
+    assert alone
+    assert all(m.status == Status.DEGRADED for m in alone)
+    for message in alone:
+        error, covariance = error_of(message), np.array(message.rotation_covariance).reshape(3, 3)
+        east_north_up = error[[2, 0, 1]]
+        # Chi² with three degrees of freedom: 30 is one in a million.
+        assert east_north_up @ np.linalg.solve(covariance, east_north_up) < 30.0
+
+
+def test_clouds_are_no_fault() -> None:
+    """A sensor that works and sees no star says so; nothing is refused."""
+
+    def clouds(message: Any) -> None:
+        message.stars = []
+
+    run = sail(changed_where(voyage(), lambda arrival: arrival.topic in (FORE, STARBOARD), clouds))
+    assert run.reasons(FORE) == {}
+    assert run.health(FORE).accepted == run.health(FORE).received
+    assert claimed(run) == {Status.DEGRADED}
+
+
+def test_one_sensor_alone_is_enough_to_be_valid() -> None:
+    run = sail(only(voyage(), INS, FORE, FIX, PRESSURE, TEMPERATURE))
+    assert list(last_valid(run).sources) == ["ins", "star.fore"]
