@@ -45,25 +45,37 @@ def suite_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | Non
 def suite_nodes(
     bag: Bag, adapter_classes: Sequence[type[Adapter]], config_path: Path | None
 ) -> tuple[type[Adapter], ...]:
-    """The nodes that the configuration is about.
+    """The nodes that the configuration is about; see :func:`nodes_of`.
 
     Args:
         bag: the bag.
-        adapter_classes: nodes that are known, the main one first: a section for all nodes (``/**``) is its too, the
-            others must be named.
+        adapter_classes: nodes that are known, the main one first.
         config_path: configuration; None takes the one attached to the bag.
 
     Raises:
         BadInput: there is none, or it is no parameter file.
     """
-    source = suite_text(bag, None) if config_path is None else config_path
-    main, *others = adapter_classes
+    if config_path is not None:
+        return nodes_of(config_path, adapter_classes)
     try:
-        meant = [kind for kind in others if has_section(source, kind.node_name, wildcards=False)]
-        if not meant or has_section(source, main.node_name):
-            meant.insert(0, main)
+        return nodes_of(suite_text(bag, None), adapter_classes)
     except BadInput as problem:
-        raise _attached(bag, problem) if config_path is None else problem from problem
+        raise _attached(bag, problem) from problem
+
+
+def nodes_of(source: Path | str, adapter_classes: Sequence[type[Adapter]]) -> tuple[type[Adapter], ...]:
+    """The nodes that a configuration (a path, or the text itself) is about.
+
+    The first of those known is the main one: a section for all nodes (``/**``) is its too, and it is meant where no
+    node is named at all. The others must be named.
+
+    Raises:
+        BadInput: it is no parameter file.
+    """
+    main, *others = adapter_classes
+    meant = [kind for kind in others if has_section(source, kind.node_name, wildcards=False)]
+    if not meant or has_section(source, main.node_name):
+        meant.insert(0, main)
     return tuple(meant)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from ship_replay.bag_reader import read_bag
 from ship_replay.check_config import Findings, check_bag, check_file
 from ship_replay.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser, run_command
+from ship_replay.replay_command import ADAPTERS
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,10 +34,10 @@ def _parser() -> CommandParser:
 
 def _run(options: argparse.Namespace) -> int:
     findings = Findings()
-    config = check_file(options.config, findings)
-    if options.bag is not None and config is not None:
+    nodes = check_file(options.config, ADAPTERS, findings)
+    if options.bag is not None and nodes:
         with read_bag(options.bag) as bag:
-            check_bag(options.config, config, bag, options.namespace, findings)
+            check_bag(options.config, nodes, bag, options.namespace, findings)
     for line in findings.errors:
         print(f"error: {line}")
     for line in findings.warnings:

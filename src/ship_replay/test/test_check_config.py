@@ -3,8 +3,10 @@
 import pytest
 from hand_made_bags import START_NS, imu, vector
 
+from ship_node.stamps import make_header
 from ship_replay.bag_writer import BagWriter
 from ship_replay.check_config_command import main
+from ship_replay.message_store import RosbagsFactory
 
 GOOD = """\
 ship_attitude:
@@ -137,11 +139,70 @@ def test_problems_of_the_bag_are_warnings(check, tmp_path):
     assert any(line.startswith("warning: a.mcap: its summary is missing or damaged; 6 messages") for line in lines)
 
 
+STARS = """\
+ship_attitude:
+  ros__parameters:
+    star_sensors:
+      fore: {azimuth_deg: 0.0, elevation_deg: 45.0, input: solution}
+star_attitude:
+  ros__parameters:
+    star_sensors:
+      fore:
+        azimuth_deg: 0.0
+        elevation_deg: 45.0
+        frame_id: star_fore
+        camera: {focal_length_m: 0.05, pixel_pitch_m: 5.5e-6}
+"""
+
+
+def star_bag(path, frame_id="star_fore", sensor="fore"):
+    factory = RosbagsFactory()
+    with BagWriter(path) as bag:
+        header = make_header(factory, START_NS, frame_id)
+        fields = {"header": header, "sensor_id": sensor, "exposure_s": 0.1, "stars": []}
+        message = factory.make("ship_msgs/msg/StarObservationArray", **fields)
+        bag.write(f"star/{sensor}/observations", message, START_NS)
+        bag.write("ins/imu", imu(START_NS), START_NS)
+    return path
+
+
+def test_each_node_of_the_suite_is_checked(check, tmp_path):
+    code, lines, _ = check(STARS, star_bag(tmp_path / "a.mcap", frame_id="camera"))
+    assert code == 2
+    assert lines[0] == "error: suite.yaml: topic 'gnss/fix' is not in a.mcap"
+    expected = "parameter 'star_sensors.fore.frame_id' = 'star_fore', but topic 'star/fore/observations' in a.mcap"
+    assert lines[1] == f"error: suite.yaml:11: {expected} carries frame_id 'camera'"
+    # What star_attitude gives need not be in the bag.
+    assert not any("star/fore/solution" in line for line in lines)
+    wrong = STARS.replace("pixel_pitch_m: 5.5e-6", "pixel_pitch_mm: 5.5e-3")
+    assert "error: suite.yaml:12: parameter 'star_sensors.fore.camera.pixel_pitch_mm' is unknown" in check(wrong)[1][0]
+
+
+def test_a_camera_that_is_missing_is_told_without_a_bag(check):
+    text = STARS.partition("star_attitude:")[0].replace("solution", "observations")
+    code, lines, _ = check(text)
+    assert code == 2
+    assert lines[0].startswith("error: suite.yaml:4: parameters 'star_sensors.fore.camera.focal_length_m'")
+
+
+def test_a_sensor_that_is_bolted_elsewhere_for_another_node_is_a_warning(check):
+    code, lines, _ = check(STARS.replace("        azimuth_deg: 0.0", "        azimuth_deg: 90.0"))
+    assert code == 0
+    said = "parameter 'star_sensors.fore.azimuth_deg' is 90.0 for star_attitude, but 0.0 for ship_attitude"
+    assert lines[0] == f"warning: suite.yaml:9: {said}"
+
+
+def test_observations_that_nobody_takes_are_a_warning(check, tmp_path):
+    _, lines, _ = check(STARS, star_bag(tmp_path / "a.mcap", sensor="aft"))
+    expected = "topic 'star/aft/observations' has no star_sensors.aft in the configuration: not used"
+    assert f"warning: a.mcap: {expected}" in lines
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
         ("", "suite.yaml: empty"),
-        ("star_attitude: {ros__parameters: {}}\n", "no section for node 'ship_attitude'"),
+        ("monitor: {ros__parameters: {}}\n", "no section for node 'ship_attitude'"),
         ("ship_attitude: [\n", "not YAML"),
     ],
 )
