@@ -46,8 +46,8 @@ def identified(
     close = _mahalanobis(seen_n, reference_n, variance, prior) < chi_square_gate(GATE_PROBABILITY, 2)
     unlike = np.abs(exposure.magnitude[rows, None] - catalogue.magnitude[candidates]) > MAGNITUDE_TOLERANCE
     close &= ~unlike
-    # A star that two detections claim is nobody's.
-    claimed_once = np.count_nonzero(close, axis=0) == 1
+    # A star that two detections claim is nobody's, and one that has its detection is no other's: none counts twice.
+    claimed_once = (np.count_nonzero(close, axis=0) == 1) & ~np.isin(catalogue.hip[candidates], exposure.hip)
     chosen = np.full(len(rows), -1)
     reasons: dict[int, Refusal] = {}
     for number, row in enumerate(rows.tolist()):

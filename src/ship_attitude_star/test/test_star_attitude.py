@@ -237,6 +237,19 @@ def test_stars_without_a_name_are_identified_by_the_ins() -> None:
             assert np.linalg.norm(error_n(message, true_sensor(topic, since(message)))) < EXACT_MAS * MAS
 
 
+def test_a_detection_without_a_name_is_not_given_that_of_another() -> None:
+    def double(message: Any) -> None:
+        again = copy.deepcopy(message.stars[0])
+        again.catalogue_id, again.u = 0, again.u + 0.05
+        message.stars.append(again)
+
+    run = sail(changed_where(voyage(), lambda arrival: arrival.topic == FORE, double))
+    for message in run.messages(SOLUTION[FORE]):
+        assert (message.star_count, message.rejected_count) == (STARS, 1)
+    assert run.reasons(FORE) == {"unidentified": len(only(voyage(), FORE))}
+    assert "claimed twice" in run.messages("star/innovation")[0].reason_text
+
+
 def test_without_a_name_and_without_an_ins_there_is_no_solution() -> None:
     run = sail(nameless(without_ins()))
     assert {message.status for message in run.messages(SOLUTION[FORE])} == {SolutionStatus.INVALID}
