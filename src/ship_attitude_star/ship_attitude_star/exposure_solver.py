@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
@@ -102,12 +103,13 @@ def solve_deck(
         refusal = Refusal(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
         return Solved(JOINT, time_ns, no_attitude(np.zeros(0, dtype=bool), refusal), (), ())
     solution, text = _solved(_in_deck(seeing, sensors), prior)
-    known = {(star.source, star.name) for mounted in group for star in mounted.sighting.refused}
-    refused = tuple(star for star in _rejected(solution, seeing) if (star.source, star.name) not in known)
+    rejected = _rejected(solution, seeing)
+    known = {(star.source, star.name) for mounted in group for star in mounted.sighting.refused} if rejected else set()
+    refused = tuple(star for star in rejected if (star.source, star.name) not in known)
     sources: tuple[str, ...] = ()
     if solution.status is not SolutionStatus.INVALID:
-        rows = _rows(seeing)
-        sources = tuple(m.sighting.source for m, own in zip(seeing, rows, strict=True) if solution.members[own].any())
+        members, rows = solution.members.tolist(), _rows(seeing)
+        sources = tuple(m.sighting.source for m, own in zip(seeing, rows, strict=True) if any(members[own]))
     return Solved(JOINT, time_ns, solution, refused, sources, text)
 
 
@@ -144,13 +146,15 @@ def _in_deck(group: Sequence[Mounted], sensors: dict[str, ObservingSensorConfig]
 
 def _rows(group: Sequence[Mounted]) -> list[slice]:
     """Where the stars of each sensor stand among all."""
-    ends = np.cumsum([len(mounted.sighting.exposure) for mounted in group]).tolist()
+    ends = list(accumulate(len(mounted.sighting.exposure) for mounted in group))
     return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
 
 
 def _rejected(solution: StarSolution, group: Sequence[Mounted]) -> list[RefusedStar]:
     """The stars that a solution rejects, each with its residual in the frame of its sensor."""
-    rejected = []
+    rejected: list[RefusedStar] = []
+    if not solution.rejected:
+        return rejected
     for mounted, rows in zip(group, _rows(group), strict=True):
         exposure, stars = mounted.sighting.exposure, mounted.sighting.stars
         assert stars is not None

@@ -53,7 +53,8 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
         sigma: error across the line of sight, rad per axis, shape (..., k) or one for all; infinite leaves one out.
     """
     if reference_n.ndim == 2:
-        return _solve_one(reference_n, measured_d, np.ones(len(reference_n)) / np.square(sigma))
+        weight = 1.0 / np.square(sigma)
+        return _solve_one(reference_n, measured_d, weight if weight.ndim else np.full(len(reference_n), weight))
     weight = np.asarray(sigma, dtype=float) ** -2.0
     weighted = np.swapaxes(weight[..., None] * reference_n, -1, -2)
     outer = weighted @ reference_n
@@ -89,8 +90,9 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
 def _solve_one(reference_n: FloatArray, measured_d: FloatArray, weight: FloatArray) -> WahbaSolution:
     """The same for one attitude, as a live node has it: several times faster."""
     weighted = (weight[:, None] * reference_n).T
-    information_n = -(weighted @ reference_n)
-    information_n.ravel()[::4] += weight.sum()
+    information_n = weighted @ -reference_n
+    # The trace of Σ w v vᵀ is Σ w.
+    information_n.ravel()[::4] -= information_n.trace()
     left, singular, right, failed = lapack.dgesdd(weighted @ measured_d)
     if failed:
         raise np.linalg.LinAlgError("SVD did not converge: directions or sigmas that are not finite")
