@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from ship_attitude_star.device_config import MountingConfig, check_sensor_ids
 from ship_attitude_star.star_config import CameraConfig, SkyConfig
+from ship_estimation.gates import GateConfig
 from ship_estimation.ins_config import InsErrorConfig
 from ship_estimation.parameters import arcsec, degrees, mapping_of, parameter, section
 
@@ -113,24 +114,6 @@ class ReferenceConfig:
     )
     time_offset_sigma_s: float = parameter(
         0.2, doc="uncertainty of time_offset_s; 0 holds it fixed", unit="s", minimum=0.0, maximum=10.0
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class GateConfig:
-    """When a measurement is too improbable to use, and what a run of such means."""
-
-    probability: float = parameter(
-        0.9999, doc="a consistent measurement passes with this probability", minimum=0.5, maximum=0.999999999, live=True
-    )
-    conflict_after: int = parameter(
-        10, doc="refusals in a row of one source that are reported as a conflict", minimum=1, live=True
-    )
-    reopen_after: int = parameter(
-        0, doc="refusals in a row that inflate the covariance to let the source back in; 0 never", minimum=0, live=True
-    )
-    reopen_factor: float = parameter(
-        100.0, doc="factor on the covariance when a gate is re-opened", minimum=1.0, maximum=1e9, live=True
     )
 
 

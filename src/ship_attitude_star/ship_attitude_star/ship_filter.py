@@ -10,13 +10,13 @@ from typing import TypeVar
 import numpy as np
 
 from ship_attitude_star.comparison import compare
-from ship_attitude_star.config import GateConfig, ShipAttitudeConfig
+from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.filter_model import SOURCE_STAR_COMMON, Device, devices, state_model
 from ship_attitude_star.hints import heading_hint
 from ship_attitude_star.measurement_models import ins_time_of, predict_attitude
 from ship_attitude_star.samples import AttitudeMeasurement, Decision, Measurement
 from ship_attitude_star.sky_watch import SkyWatch
-from ship_estimation.gates import chi_square_gate
+from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeTrack
