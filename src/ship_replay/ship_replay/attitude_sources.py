@@ -1,5 +1,6 @@
 """Collects, from the messages of a bag, attitudes that can be compared with the truth."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.stamps import ns_from_stamp
 from ship_replay.attitude_errors import AttitudeErrors, attitude_errors
-from ship_replay.truth_errors import truth_sample
+from ship_replay.orientations import POINTING, SHIP_ATTITUDE, Orientation
 
 _TRUTH_GAP_NS = 1_000_000_000
 
@@ -19,13 +20,14 @@ _TRUTH_GAP_NS = 1_000_000_000
 class Truth:
     """True attitudes by stamp, and between stamps."""
 
-    def __init__(self) -> None:
+    def __init__(self, orientation: Orientation) -> None:
+        self.orientation = orientation
         self._track = AttitudeTrack(_TRUTH_GAP_NS)
         self._rotations: dict[int, FloatArray] = {}
 
     def add(self, message: Any) -> None:
-        """A ShipAttitude of the truth."""
-        sample = truth_sample(message)
+        """A message of the truth."""
+        sample = self.orientation.sample(message)
         self._track.insert(sample)
         self._rotations[sample.time_ns] = sample.rotation_nd
 
@@ -60,16 +62,16 @@ class AttitudeSource:
         """Keep a message's attitude where the truth is known."""
         raise NotImplementedError
 
-    def errors(self) -> AttitudeErrors | None:
-        """Errors in order of stamps; None where nothing could be compared."""
+    def errors(self) -> list[AttitudeErrors]:
+        """Errors in order of stamps; none where nothing could be compared."""
         if not self._time_ns:
-            return None
+            return []
         order = np.argsort(self._time_ns, kind="stable")
         time_ns = np.array(self._time_ns, dtype=np.int64)[order]
         estimates, truths, covariances = (
             np.array(part)[order] for part in (self._estimates, self._truths, self._covariances)
         )
-        return attitude_errors(self.label, time_ns, estimates, truths, covariances)
+        return [attitude_errors(self.label, self._truth.orientation, time_ns, estimates, truths, covariances)]
 
     def _keep(self, time_ns: int, estimate_nd: FloatArray, truth_nd: FloatArray, covariance_n: FloatArray) -> None:
         self._time_ns.append(time_ns)
@@ -78,27 +80,58 @@ class AttitudeSource:
         self._covariances.append(covariance_n)
 
 
-class FusedAttitude(AttitudeSource):
-    """``ship/attitude`` where an attitude is claimed, at the stamps of the truth."""
+class PublishedAttitude(AttitudeSource):
+    """What the suite publishes, where an attitude is claimed, at the stamps of the truth.
+
+    Attributes:
+        seen: whether there was any message.
+        invalid_count: of those that claimed nothing.
+    """
 
     def __init__(self, truth: Truth) -> None:
-        super().__init__("fused", truth)
+        super().__init__(truth.orientation.label, truth)
         self.invalid_count = 0
+        self.seen = False
 
     def take(self, message: Any) -> None:
-        """A ShipAttitude."""
+        """A ShipAttitude or an OpticalAxisPointing."""
+        self.seen = True
         if message.status == message.INVALID:
             self.invalid_count += 1
             return
         stamp_ns = ns_from_stamp(message.header.stamp)
         truth_nd = self._truth.exactly_at(stamp_ns)
         if truth_nd is not None:
-            self._keep(
-                stamp_ns,
-                rotation_from_angles(message.heading, message.pitch, message.roll),
-                truth_nd,
-                _total_covariance_n(message, message.heading, message.pitch),
-            )
+            angles = self._truth.orientation.angles_of(message)
+            covariance_n = _total_covariance_n(message, angles[0], angles[1])
+            self._keep(stamp_ns, rotation_from_angles(*angles), truth_nd, covariance_n)
+
+
+class Pointing(PublishedAttitude):
+    """``theodolite/pointing``, all of it and by mode."""
+
+    MODES = ("two_lights", "one_light", "encoder")
+
+    def __init__(self, truth: Truth) -> None:
+        super().__init__(truth)
+        self._modes: dict[int, int] = {}
+
+    def take(self, message: Any) -> None:
+        """An OpticalAxisPointing."""
+        super().take(message)
+        self._modes[ns_from_stamp(message.header.stamp)] = message.mode
+
+    def errors(self) -> list[AttitudeErrors]:
+        """Errors of all, then of each mode that occurred."""
+        every = super().errors()
+        for errors in every[:1]:
+            modes = np.array([self._modes[stamp_ns] for stamp_ns in errors.time_ns.tolist()])
+            every += [
+                errors.where(modes == mode, f"{self.label}.{name}")
+                for mode, name in enumerate(self.MODES)
+                if np.any(modes == mode)
+            ]
+        return every
 
 
 class InsAttitude(AttitudeSource):
@@ -159,13 +192,21 @@ def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> Float
     return rotation_vector_covariance(message.covariance.reshape(3, 3), azimuth, elevation)
 
 
-def sources(truth: Truth, config: ShipAttitudeConfig | None) -> dict[str, AttitudeSource]:
-    """Relative topic → what collects its attitudes; star sensors that give one, where placed."""
-    collectors: dict[str, AttitudeSource] = {
-        "ship/attitude": FusedAttitude(truth),
-        "ins/imu": InsAttitude(truth, config.ins if config else InsConfig()),
-    }
-    for sensor_id, sensor in (config.star_sensors if config else {}).items():
-        if sensor.input in ("horizon_attitude", "solution"):
-            collectors[f"star/{sensor_id}/{sensor.input}"] = StarAttitude(sensor_id, truth, sensor)
+def sources(truths: Mapping[str, Truth], config: ShipAttitudeConfig | None) -> dict[str, AttitudeSource]:
+    """Relative topic → what collects its attitudes; star sensors that give one, where placed.
+
+    Args:
+        truths: by topic of the truth, those that are known.
+        config: of ``ship_attitude``.
+    """
+    collectors: dict[str, AttitudeSource] = {}
+    ship, pointing = truths.get(SHIP_ATTITUDE.truth_topic), truths.get(POINTING.truth_topic)
+    if ship is not None:
+        collectors[SHIP_ATTITUDE.topic] = PublishedAttitude(ship)
+        collectors["ins/imu"] = InsAttitude(ship, config.ins if config else InsConfig())
+        for sensor_id, sensor in (config.star_sensors if config else {}).items():
+            if sensor.input in ("horizon_attitude", "solution"):
+                collectors[f"star/{sensor_id}/{sensor.input}"] = StarAttitude(sensor_id, ship, sensor)
+    if pointing is not None:
+        collectors[POINTING.topic] = Pointing(pointing)
     return collectors

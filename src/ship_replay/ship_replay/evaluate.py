@@ -7,22 +7,24 @@ from pathlib import Path
 
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_node.errors import BadInput as BadNodeInput
-from ship_node.parameter_file import load_config
+from ship_node.parameter_file import has_section, load_config
 from ship_replay.alignment_values import AlignmentValue, alignment_values
 from ship_replay.attitude_errors import AttitudeErrors
-from ship_replay.attitude_sources import FusedAttitude, Truth, sources
+from ship_replay.attitude_sources import PublishedAttitude, Truth, sources
 from ship_replay.bag_reader import Bag, BagRecord, read_bag
 from ship_replay.bag_writer import SUITE_ATTACHMENT
 from ship_replay.errors import BadInput
 from ship_replay.innovations import InnovationBook, SourceInnovations
+from ship_replay.orientations import ORIENTATIONS
 from ship_replay.times import NS_PER_S
 from ship_replay.topic_names import relative_topics
-from ship_replay.truth_errors import ATTITUDE_TOPIC, TRUTH_TOPIC
 
 INNOVATION_TOPIC = "ship/innovation"
 ALIGNMENT_TOPIC = "ship/alignment"
 _NODE_NAME = "ship_attitude"
 _RESULTS = (INNOVATION_TOPIC, ALIGNMENT_TOPIC)
+_OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), *_RESULTS)
+"""Topics that another bag than the run's own may have as inputs, or of another run."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +32,11 @@ class Evaluation:
     """Results of one run.
 
     Attributes:
-        errors: per source of attitude, fused first; empty without truth.
+        errors: per source of an orientation: of the ship's attitude the fused one first, then pointings; empty without
+            truth.
         innovations: by name of the source.
         alignment: last estimates of the filter.
-        invalid_count: attitudes that claimed nothing, where there is truth.
+        invalid_counts: published orientation → messages that claimed nothing, where there is truth.
         problems: what is wrong with the bags, one line each.
         start_ns: log time at which the bag begins.
     """
@@ -41,7 +44,7 @@ class Evaluation:
     errors: list[AttitudeErrors]
     innovations: dict[str, SourceInnovations]
     alignment: list[AlignmentValue]
-    invalid_count: int
+    invalid_counts: dict[str, int]
     problems: list[str]
     start_ns: int
 
@@ -50,8 +53,7 @@ class Evaluation:
         values: dict[str, float] = {}
         for errors in self.errors:
             values |= {f"{errors.label}.{name}": value for name, value in errors.statistics().items()}
-        if self.errors:
-            values["fused.invalid"] = float(self.invalid_count)
+        values |= {f"{label}.invalid": float(count) for label, count in self.invalid_counts.items()}
         for source, innovations in self.innovations.items():
             values |= {f"innovation.{source}.{name}": value for name, value in innovations.statistics().items()}
         for item in self.alignment:
@@ -69,7 +71,7 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
     """Evaluate the outputs in a bag.
 
     Args:
-        bag_path: bag that holds ``ship/attitude`` and what else the node published.
+        bag_path: bag that holds ``ship/attitude``, ``theodolite/pointing`` and what else the nodes published.
         against: bag with the truth and the inputs, where they are not in ``bag_path``.
         skip_s: leave out what is stamped earlier than this after the beginning of the bag.
         namespace: namespace of the ship in the bags.
@@ -88,8 +90,7 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
 
 def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Evaluation:
     bags = [*others, bag]
-    truth = _truth(bags, namespace)
-    collectors = sources(truth, _config(bags)) if len(truth) else {}
+    collectors = sources(_truths(bags, namespace), _config(bags))
     innovations = InnovationBook()
     last_alignment: BagRecord | None = None
     for candidate, topics in _reading_plan(bag, others, [*collectors, *_RESULTS], namespace):
@@ -103,19 +104,20 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
                 collectors[topic].take(record.decode())
     start_ns = bag.start_ns or 0
     skip_to_ns = start_ns + round(skip_s * NS_PER_S)
-    found = [errors for source in collectors.values() if (errors := source.errors()) is not None]
+    found = [errors for source in collectors.values() for errors in source.errors()]
     errors = [kept for errors in found if len((kept := errors.since(skip_to_ns)).time_ns)]
     if not errors and not innovations.sources and last_alignment is None:
         raise BadInput(
-            f"{bag.path}: nothing to evaluate: expected topics {ATTITUDE_TOPIC} (with {TRUTH_TOPIC}), "
-            f"{INNOVATION_TOPIC} or {ALIGNMENT_TOPIC}, found {', '.join(sorted(bag.topics)) or 'none'}"
+            f"{bag.path}: nothing to evaluate: expected topics "
+            + ", ".join(f"{known.topic} (with {known.truth_topic})" for known in ORIENTATIONS)
+            + f", {INNOVATION_TOPIC} or {ALIGNMENT_TOPIC}, found {', '.join(sorted(bag.topics)) or 'none'}"
         )
-    fused = collectors.get(ATTITUDE_TOPIC)
+    published = [source for source in collectors.values() if isinstance(source, PublishedAttitude)]
     return Evaluation(
         errors=errors,
         innovations={name: innovations.sources[name].since(skip_to_ns) for name in sorted(innovations.sources)},
         alignment=[] if last_alignment is None else alignment_values(last_alignment.decode()),
-        invalid_count=fused.invalid_count if isinstance(fused, FusedAttitude) else 0,
+        invalid_counts={source.label: source.invalid_count for source in published if source.seen},
         problems=[problem for candidate in bags for problem in candidate.problems],
         start_ns=start_ns,
     )
@@ -130,21 +132,25 @@ def _reading_plan(bag: Bag, others: list[Bag], topics: list[str], namespace: str
     for topic in topics:
         for candidate, served in plan:
             name = relative_topics(candidate.topics, namespace).get(topic)
-            if name is not None and (candidate is bag or topic not in (ATTITUDE_TOPIC, *_RESULTS)):
+            if name is not None and (candidate is bag or topic not in _OF_THE_RUN):
                 served[name] = topic
                 break
     return plan
 
 
-def _truth(bags: list[Bag], namespace: str) -> Truth:
-    """Truth of the first bag that holds any."""
-    truth = Truth()
-    for bag in bags:
-        name = relative_topics(bag.topics, namespace).get(TRUTH_TOPIC)
-        if name is not None and not len(truth):
-            for record in bag.records({name}):
-                truth.add(record.decode())
-    return truth
+def _truths(bags: list[Bag], namespace: str) -> dict[str, Truth]:
+    """Topic → truth of the first bag that holds any."""
+    truths: dict[str, Truth] = {}
+    for orientation in ORIENTATIONS:
+        for bag in bags:
+            name = relative_topics(bag.topics, namespace).get(orientation.truth_topic)
+            if name is not None and orientation.truth_topic not in truths:
+                truth = Truth(orientation)
+                for record in bag.records({name}):
+                    truth.add(record.decode())
+                if len(truth):
+                    truths[orientation.truth_topic] = truth
+    return truths
 
 
 def _config(bags: list[Bag]) -> ShipAttitudeConfig | None:
@@ -153,7 +159,7 @@ def _config(bags: list[Bag]) -> ShipAttitudeConfig | None:
         if SUITE_ATTACHMENT in bag.attachments:
             text = bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
             try:
-                return load_config(ShipAttitudeConfig, text, _NODE_NAME)
+                return load_config(ShipAttitudeConfig, text, _NODE_NAME) if has_section(text, _NODE_NAME) else None
             except BadNodeInput as problem:
                 raise BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}") from problem
     return None

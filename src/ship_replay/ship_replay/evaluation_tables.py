@@ -3,7 +3,6 @@
 from rich.console import Console
 from rich.table import Table
 
-from ship_replay.attitude_errors import ANGLES
 from ship_replay.evaluate import Evaluation
 
 _SHOWN = {"arcsec": (1.0, 2, "arcsec"), "deg": (1.0, 5, "deg"), "s": (1e3, 3, "ms")}
@@ -14,8 +13,9 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
     """Print the tables that the evaluation has something for."""
     if evaluation.errors:
         console.print(attitude_table(evaluation))
-        if evaluation.invalid_count:
-            console.print(f"attitudes that claimed nothing (INVALID): {evaluation.invalid_count}")
+        for label, count in evaluation.invalid_counts.items():
+            if count:
+                console.print(f"{label}: messages that claimed nothing (INVALID): {count}")
     if evaluation.innovations:
         console.print(innovation_table(evaluation))
     if evaluation.alignment:
@@ -23,7 +23,7 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
 
 
 def attitude_table(evaluation: Evaluation) -> Table:
-    """Per source and angle: RMS, bias, predicted sigma and their ratio; NEES per source."""
+    """Per source and channel: RMS, bias, predicted sigma and their ratio; NEES per source."""
     table = Table(title="Error against the truth, arcseconds")
     for column in ("source", "angle"):
         table.add_column(column)
@@ -31,8 +31,8 @@ def attitude_table(evaluation: Evaluation) -> Table:
         table.add_column(column, justify="right")
     for errors in evaluation.errors:
         values = errors.statistics()
-        for name in ANGLES:
-            first = name == ANGLES[0]
+        for name in errors.channels:
+            first = name == errors.channels[0]
             table.add_row(
                 errors.label if first else "",
                 name,
@@ -42,7 +42,7 @@ def attitude_table(evaluation: Evaluation) -> Table:
                 _text(values[f"{name}.rms_over_sigma"]),
                 _text(values["nees_mean"]) if first else "",
                 f"{values['samples']:.0f}" if first else "",
-                end_section=name == ANGLES[-1],
+                end_section=name == errors.channels[-1],
             )
     return table
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_replay.attitude_errors import ANGLES, AttitudeErrors
+from ship_replay.attitude_errors import AttitudeErrors
 from ship_replay.errors import BadInput
 from ship_replay.evaluate import Evaluation
 from ship_replay.innovations import SourceInnovations
@@ -46,32 +46,31 @@ def evaluation_figure(evaluation: Evaluation, title: str) -> Figure:
 
 
 def attitude_error_figure(series: Sequence[AttitudeErrors], title: str) -> Figure:
-    """Errors of heading, pitch and roll over time.
+    """Errors over time, a row a channel.
 
     Args:
-        series: the first is drawn inside its ±3σ band on its own scale; where there are others, all are drawn
-            together in a second column.
+        series: of each orientation the first is drawn inside its ±3σ band on its own scale; where there are others, all
+            are drawn together in a further column, parts (``pointing.encoder``) aside.
         title: title of the figure.
     """
-    columns = 2 if len(series) > 1 else 1
+    panels = [(group, together) for group in _by_orientation(series) for together in (False, True)[: len(group)]]
     start_ns = min(int(errors.time_ns[0]) for errors in series)
     with plt.rc_context(_STYLE):
         figure, grid = plt.subplots(
-            3, columns, figsize=(7.5 * columns, 9), sharex=True, squeeze=False, layout="constrained"
+            3, len(panels), figsize=(7.5 * len(panels), 9), sharex=True, squeeze=False, layout="constrained"
         )
         figure.suptitle(title)
-        for row, angle in enumerate(ANGLES):
-            _draw_band(grid[row, 0], series[0], row, start_ns)
-            grid[row, 0].set_ylabel(f"{angle} error [arcsec]")
-            if columns == 2:
-                _draw_together(grid[row, 1], series, row, start_ns)
-        grid[0, 0].legend(loc="upper right")
-        for axes in grid[-1]:
-            axes.set_xlabel("time [s]")
-        if columns == 2:
-            grid[0, 1].legend(loc="upper right", markerscale=5)
-            grid[0, 0].set_title(series[0].label)
-            grid[0, 1].set_title("all sources")
+        for column, (group, together) in zip(grid.T, panels, strict=True):
+            for row, axes in enumerate(column):
+                if together:
+                    _draw_together(axes, group, row, start_ns)
+                else:
+                    _draw_band(axes, group[0], row, start_ns)
+                    axes.set_ylabel(f"{group[0].channels[row].replace('_', ' ')} error [arcsec]")
+            column[0].legend(loc="upper right", markerscale=5 if together else 1)
+            column[-1].set_xlabel("time [s]")
+            if len(panels) > 1:
+                column[0].set_title("all sources" if together else group[0].label)
     return figure
 
 
@@ -112,6 +111,16 @@ def save_figure(figure: Figure, path: Path) -> None:
         raise BadInput(f"{path}: the figure cannot be written: {problem}") from problem
     finally:
         plt.close(figure)
+
+
+def _by_orientation(series: Sequence[AttitudeErrors]) -> list[list[AttitudeErrors]]:
+    """Series of the same channels together, without those that are parts of the first of them."""
+    groups: dict[tuple[str, str, str], list[AttitudeErrors]] = {}
+    for errors in series:
+        group = groups.setdefault(errors.channels, [])
+        if not group or not errors.label.startswith(group[0].label + "."):
+            group.append(errors)
+    return list(groups.values())
 
 
 def _draw_band(axes: Axes, errors: AttitudeErrors, column: int, start_ns: int) -> None:

@@ -18,7 +18,6 @@ from ship_replay.message_store import RosbagsFactory
 from ship_replay.replay_run import ReplayRun, ReplaySummary
 from ship_replay.times import NS_PER_S
 from ship_replay.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
-from ship_replay.truth_errors import TRUTH_TOPIC
 
 Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
@@ -56,7 +55,7 @@ def replay(
         summary = ReplaySummary(absent=[topic.topic for topic in chain.inputs if topic.topic not in input_names])
         with BagWriter(out_path) as writer:
             _announce(writer, bag, chain, config_text)
-            run = ReplayRun(chain, writer, summary, has_truth=TRUTH_TOPIC in names)
+            run = ReplayRun(chain, writer, summary, truth_topics=names)
             relative_names = {name: relative for relative, name in names.items()}
             for record in watch(bag.records(relative_names), bag):
                 run.take(relative_names[record.topic], record)

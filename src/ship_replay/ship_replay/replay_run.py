@@ -1,6 +1,7 @@
 """The adapters of a suite fed with the messages of a bag, ticked between them, its outputs given to a sink."""
 
 from collections import Counter
+from collections.abc import Container
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -9,9 +10,10 @@ from ship_node.topics import Published
 from ship_replay.adapter_chain import AdapterChain
 from ship_replay.bag_reader import BagRecord
 from ship_replay.errors import BadInput
+from ship_replay.orientations import ORIENTATIONS
 from ship_replay.times import NS_PER_S
 from ship_replay.topic_names import TRUTH_PREFIX
-from ship_replay.truth_errors import ATTITUDE_TOPIC, ERROR_TOPIC, TRUTH_TOPIC, TruthErrors
+from ship_replay.truth_errors import TruthErrors
 
 _LONGEST_SILENCE_NS = 600 * NS_PER_S
 """Ticks stop this long after the last message: what a silence has to tell is told by then, and a log time
@@ -55,13 +57,23 @@ class MessageSink(Protocol):
 
 
 class ReplayRun:
-    """A chain of adapters fed message by message, its outputs given to a sink."""
+    """A chain of adapters fed message by message, its outputs given to a sink.
 
-    def __init__(self, chain: AdapterChain, writer: MessageSink, summary: ReplaySummary, has_truth: bool) -> None:
+    Args:
+        chain: of adapters.
+        writer: takes the outputs.
+        summary: is filled.
+        truth_topics: topics of the bag; where the truth of an orientation is among them, its errors are filled in.
+    """
+
+    def __init__(
+        self, chain: AdapterChain, writer: MessageSink, summary: ReplaySummary, truth_topics: Container[str]
+    ) -> None:
         self._chain = chain
         self._writer = writer
         self._summary = summary
-        self._errors = TruthErrors() if has_truth else None
+        known = [orientation for orientation in ORIENTATIONS if orientation.truth_topic in truth_topics]
+        self._errors = [TruthErrors(orientation) for orientation in known]
         self._last_time_ns: int | None = None
 
     def take(self, topic: str, record: BagRecord) -> None:
@@ -70,8 +82,9 @@ class ReplayRun:
         if topic.startswith(TRUTH_PREFIX):
             self._writer.write_raw(topic, record.type_name, record.data, record.log_time_ns)
             self._summary.outputs[topic] += 1
-            if self._errors is not None and topic == TRUTH_TOPIC:
-                self._errors.add_truth(record.decode())
+            for errors in self._errors:
+                if topic == errors.orientation.truth_topic:
+                    errors.add_truth(record.decode())
         else:
             try:
                 message = record.decode()
@@ -97,18 +110,23 @@ class ReplayRun:
 
     def _publish(self, published: list[Published], time_ns: int) -> None:
         for topic, message in published:
-            if self._errors is not None:
-                if topic == ERROR_TOPIC:
-                    self._errors.add_error(message, time_ns)
-                    continue
-                if topic == ATTITUDE_TOPIC:
-                    self._errors.add_attitude(message)
-            self._write(topic, message, time_ns)
+            if not self._held_back(topic, message, time_ns):
+                self._write(topic, message, time_ns)
+
+    def _held_back(self, topic: str, message: Any, time_ns: int) -> bool:
+        """Whether a message waits for the truth."""
+        for errors in self._errors:
+            if topic == errors.orientation.error_topic:
+                errors.add_error(message, time_ns)
+                return True
+            if topic == errors.orientation.topic:
+                errors.add_attitude(message)
+        return False
 
     def _write_errors(self, now_ns: int | None) -> None:
-        if self._errors is not None:
-            for log_time_ns, message in self._errors.filled(now_ns):
-                self._write(ERROR_TOPIC, message, log_time_ns)
+        for errors in self._errors:
+            for log_time_ns, message in errors.filled(now_ns):
+                self._write(errors.orientation.error_topic, message, log_time_ns)
 
     def _write(self, topic: str, message: Any, time_ns: int) -> None:
         self._writer.write(topic, message, time_ns)

@@ -45,7 +45,7 @@ def verify_bag(
     outputs = _recorded_outputs(bag, chain, namespace)
     comparison = _Comparison(set(outputs.values()))
     summary = ReplaySummary()
-    run = ReplayRun(chain, comparison, summary, has_truth=False)
+    run = ReplayRun(chain, comparison, summary, truth_topics=())
     for record in watch(bag.records(inputs | outputs), bag):
         if record.topic in inputs:
             run.take(inputs[record.topic], record)

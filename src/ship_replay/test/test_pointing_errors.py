@@ -1,0 +1,147 @@
+"""Errors of the optical axis against the truth: by hand, in an evaluation, in a figure, and as replay fills them in."""
+
+import numpy as np
+import pytest
+from hand_made_bags import FACTORY, START_NS, ship_attitude
+from theodolite_scenes import bag_scenario
+
+from ship_geometry.frames import rotation_vector_covariance
+from ship_geometry.ros_axes import enu_covariance
+from ship_geometry.rotations import ARCSEC
+from ship_node.stamps import make_header
+from ship_replay.bag_writer import BagWriter
+from ship_replay.evaluate import evaluate
+from ship_replay.evaluate_command import main
+from ship_replay.figures import attitude_error_figure
+from ship_replay.message_store import RosbagsFactory
+from ship_replay.orientations import POINTING
+from ship_replay.simulation.run import simulate
+from ship_replay.simulation.theodolite.truth_messages import true_pointings
+from ship_replay.truth_errors import TruthErrors
+
+SECOND_NS = 1_000_000_000
+SIGMA_ARCSEC = np.array([6.0, 3.0, 40.0])
+"""Of azimuth (not times the cosine), elevation, image rotation."""
+
+
+def pointing(stamp_ns, azimuth, elevation, rotation=0.0, mode=0, status=0, covariance_enu=None):
+    return FACTORY.make(
+        "ship_msgs/msg/OpticalAxisPointing",
+        header=make_header(FACTORY, stamp_ns, "main"),
+        azimuth=azimuth % (2.0 * np.pi),
+        elevation=elevation,
+        image_rotation=rotation,
+        covariance=np.zeros(9),
+        rotation_covariance=np.zeros(9) if covariance_enu is None else np.ravel(covariance_enu),
+        telescope_azimuth=float("nan"),
+        telescope_elevation=float("nan"),
+        telescope_rotation=float("nan"),
+        mode=mode,
+        status=status,
+        light_count=0,
+    )
+
+
+def error_message(stamp_ns):
+    names = [f"{what}_{channel}" for what in ("sigma", "error") for channel in POINTING.channels]
+    header = make_header(FACTORY, stamp_ns, "main")
+    return FACTORY.make("ship_msgs/msg/PointingErrorArcsec", header=header, **dict.fromkeys(names, float("nan")))
+
+
+def write_run(path, errors_arcsec, modes):
+    """Pointings 1 s apart towards North at an elevation, with errors of azimuth, elevation and rotation."""
+    elevation = np.deg2rad(60.0)
+    covariance_n = rotation_vector_covariance(np.diag((SIGMA_ARCSEC * ARCSEC) ** 2), 0.0, elevation)
+    with BagWriter(path) as bag:
+        for number, (errors, mode) in enumerate(zip(errors_arcsec, modes, strict=True)):
+            stamp_ns = START_NS + number * SECOND_NS
+            azimuth, up, rotation = np.array(errors) * ARCSEC
+            bag.write("truth/pointing", pointing(stamp_ns, 0.0, elevation), stamp_ns)
+            published = pointing(stamp_ns, azimuth, elevation + up, rotation, mode, 0, enu_covariance(covariance_n))
+            bag.write("theodolite/pointing", published, stamp_ns)
+    return path
+
+
+def test_errors_of_all_and_by_mode_by_hand(tmp_path):
+    # At 60° the azimuth counts half. Two lights: -4, 2, then encoder: 8 and 6 (azimuth), across North.
+    errors = [(-8.0, 1.0, 20.0), (4.0, -1.0, -20.0), (16.0, 5.0, 0.0), (12.0, 5.0, 0.0)]
+    values = evaluate(write_run(tmp_path / "a.mcap", errors, [0, 0, 2, 2])).flat()
+    expected = {
+        "pointing.samples": 4,
+        "pointing.invalid": 0,
+        "pointing.azimuth_cos_elevation.rms_arcsec": np.sqrt((16.0 + 4.0 + 64.0 + 36.0) / 4.0),
+        "pointing.azimuth_cos_elevation.sigma_arcsec": 3.0,
+        "pointing.elevation.bias_arcsec": 2.5,
+        "pointing.image_rotation.sigma_arcsec": 40.0,
+        "pointing.two_lights.samples": 2,
+        "pointing.two_lights.azimuth_cos_elevation.rms_arcsec": np.sqrt(10.0),
+        "pointing.two_lights.elevation.rms_over_sigma": 1.0 / 3.0,
+        "pointing.two_lights.image_rotation.rms_over_sigma": 0.5,
+        "pointing.encoder.azimuth_cos_elevation.bias_arcsec": 7.0,
+        "pointing.encoder.elevation.rms_arcsec": 5.0,
+        # (8/6)² + (1/3)² + (20/40)², (4/6)² + ...: the angles' covariance is diagonal.
+        "pointing.two_lights.nees_mean": 0.5 * (64 / 36 + 1 / 9 + 1 / 4 + 16 / 36 + 1 / 9 + 1 / 4),
+    }
+    assert {name: values[name] for name in expected} == pytest.approx(expected, rel=1e-4)
+    assert not any(name.startswith(("fused.", "pointing.one_light.")) for name in values)
+
+
+def test_what_claims_nothing_is_counted_and_left_out(tmp_path):
+    path = write_run(tmp_path / "a.mcap", [(0.0, 1.0, 0.0)] * 2, [0, 0])
+    with BagWriter(tmp_path / "b.mcap") as bag:
+        for number in range(2):
+            stamp_ns = START_NS + number * SECOND_NS
+            bag.write("theodolite/pointing", pointing(stamp_ns, np.nan, np.nan, status=3 * number), stamp_ns)
+    values = evaluate(tmp_path / "b.mcap", against=path).flat()
+    assert values["pointing.invalid"] == 1
+    assert values["pointing.samples"] == 1
+
+
+def test_ship_and_pointing_stand_in_one_table_and_one_figure(tmp_path, capsys):
+    path = write_run(tmp_path / "a.mcap", [(2.0, 1.0, 3.0)] * 3, [0, 0, 2])
+    with BagWriter(tmp_path / "b.mcap") as bag:
+        for number in range(3):
+            stamp_ns = START_NS + number * SECOND_NS
+            bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
+            covariance_enu = np.eye(3) * ARCSEC**2
+            bag.write("ship/attitude", ship_attitude(stamp_ns, ARCSEC, covariance_enu=covariance_enu), stamp_ns)
+            bag.write("theodolite/pointing", pointing(stamp_ns, 2.0 * ARCSEC, 1.0, mode=2), stamp_ns)
+    figure_path = tmp_path / "errors.png"
+    assert main([str(tmp_path / "b.mcap"), "--against", str(path), "--figure", str(figure_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "azimuth_cos_elevation" in printed
+    assert "heading" in printed
+    assert "pointing.encoder" in printed
+    assert figure_path.stat().st_size > 10_000
+    figure = attitude_error_figure(evaluate(tmp_path / "b.mcap", against=path).errors, "both")
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert len(labels) == 6
+    assert "heading error [arcsec]" in labels
+    assert "azimuth cos elevation error [arcsec]" in labels
+
+
+def test_errors_are_filled_in_at_stamps_and_between_them():
+    run = simulate(bag_scenario(duration_s=6.0), seed=1)
+    found = list(true_pointings(run.theodolite, RosbagsFactory()))
+    scene, start_ns = run.theodolite.truth.scene, run.start_ns
+    filler = TruthErrors(POINTING)
+    # At a stamp of the truth, between two, and where no truth comes any more.
+    stamps_ns = [start_ns + 2_000_000_000, start_ns + 3_050_000_000, start_ns + 60_000_000_000]
+    truths = [scene.mount(np.array([seconds])).rotation_nm[0] for seconds in (2.0, 3.05)]
+    for stamp_ns, truth in zip(stamps_ns, [*truths, truths[1]], strict=True):
+        azimuth, elevation = np.arctan2(truth[2, 0], truth[0, 0]), np.arcsin(truth[1, 0])
+        rotation = np.arctan2(-truth[1, 2], truth[1, 1])
+        shifted = pointing(stamp_ns, azimuth + 10.0 * ARCSEC, elevation - 4.0 * ARCSEC, rotation + 7.0 * ARCSEC)
+        filler.add_attitude(shifted)
+        filler.add_error(error_message(stamp_ns), stamp_ns)
+    assert filler.filled(stamps_ns[0]) == []
+    for _, message in found:
+        filler.add_truth(message)
+    ready = [message for _, message in filler.filled(None)]
+    values = np.array([[getattr(message, f"error_{channel}") for channel in POINTING.channels] for message in ready])
+    cosines = np.array([np.cos(np.arcsin(truth[1, 0])) for truth in truths])
+    expected = np.stack([10.0 * cosines, [-4.0, -4.0], [7.0, 7.0]], axis=-1)
+    np.testing.assert_allclose(values[0], expected[0], atol=1e-3)
+    # Interpolation, and the deformation between the stamps: a random walk of 0.26" to the middle of 0.1 s.
+    np.testing.assert_allclose(values[1], expected[1], atol=2.0)
+    assert np.isnan(values[2]).all()
