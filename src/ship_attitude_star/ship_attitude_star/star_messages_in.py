@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.catalogue import StarCatalogue
+from ship_attitude_star.catalogue import UNKNOWN, StarCatalogue
 from ship_attitude_star.star_camera import StarCamera, equivalent_sigma
 from ship_attitude_star.star_config import CameraConfig
 from ship_attitude_star.star_exposure import StarExposure
@@ -75,6 +75,7 @@ def star_exposure(
     # Squares of the largest doubles would overflow.
     directions_s = camera.directions(np.where(np.abs(pixels) < _LARGEST_PIXEL, pixels, np.nan))
 
+    rows = catalogue.rows(hip)
     refused: list[RefusedStar] = []
     used: list[int] = []
     seen: dict[Hashable, FloatArray] = {}
@@ -83,7 +84,8 @@ def star_exposure(
             _too_many(row, len(stars))
             or _pixel_refusal(pixels[row], directions_s[row])
             or _sigma_refusal(float(sigma_px[row]))
-            or _place_refusal(int(hip[row]), float(right_ascension[row]), float(declination[row]), catalogue)
+            or _number_refusal(int(hip[row]), int(rows[row]), catalogue)
+            or _place_refusal(int(hip[row]), float(right_ascension[row]), float(declination[row]))
             or _repeated(_identity(int(hip[row]), right_ascension[row], declination[row]), pixels[row], seen)
         )
         if refusal is None:
@@ -92,7 +94,7 @@ def star_exposure(
             refused.append((row, refusal))
     kept = np.array(used, dtype=np.intp)
     positions, position_sigma = _positions(
-        catalogue.rows(hip[kept]), hip[kept] != 0, right_ascension[kept], declination[kept], catalogue, time_ns
+        rows[kept], hip[kept] != 0, right_ascension[kept], declination[kept], catalogue, time_ns
     )
     exposure = StarExposure(
         source=f"star.{sensor_id}",
@@ -140,11 +142,15 @@ def _sigma_refusal(sigma_px: float) -> Refusal | None:
     return Refusal(Reason.BAD_COVARIANCE, text)
 
 
-def _place_refusal(hip: int, right_ascension: float, declination: float, catalogue: StarCatalogue) -> Refusal | None:
-    if hip != 0:
-        reason = catalogue.reason_against(hip)
-        return None if reason is None else Refusal(Reason.UNKNOWN_STAR, reason)
-    if np.isnan(right_ascension) and np.isnan(declination):
+def _number_refusal(hip: int, row: int, catalogue: StarCatalogue) -> Refusal | None:
+    if hip == 0 or row != UNKNOWN:
+        return None
+    return Refusal(Reason.UNKNOWN_STAR, catalogue.reason_against(hip) or "")
+
+
+def _place_refusal(hip: int, right_ascension: float, declination: float) -> Refusal | None:
+    """Why the place of a star without number cannot be used."""
+    if hip != 0 or (np.isnan(right_ascension) and np.isnan(declination)):
         return None
     where = f"right ascension {right_ascension:.6g}, declination {declination:.6g}"
     if not np.isfinite(right_ascension) or not np.isfinite(declination):
