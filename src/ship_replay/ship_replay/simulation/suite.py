@@ -1,6 +1,5 @@
 """The configuration of the suite that fits a scenario: same layout, same sigmas."""
 
-import dataclasses
 import math
 from typing import Any
 
@@ -12,6 +11,8 @@ from ship_attitude_star.star_config import CameraConfig
 from ship_estimation.ins_config import InsInputConfig
 from ship_replay.simulation.device_messages import INS_FRAME, star_frame
 from ship_replay.simulation.scenario import Scenario, StarSensor
+from ship_replay.simulation.shared_parameters import shared
+from ship_replay.simulation.theodolite.suite import optical_axis_configuration
 
 _LEAST_POSITION_TIME_S = 1.0
 """Of the estimator's parameter."""
@@ -22,14 +23,14 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
     configuration: dict[str, Any] = {"ins": _ins(scenario, InsConfig)}
     if scenario.star_sensors:
         configuration["star_sensors"] = {
-            key: {"frame_id": star_frame(key), **_input(sensor), **_shared(sensor, StarSensorConfig)}
+            key: {"frame_id": star_frame(key), **_input(sensor), **shared(sensor, StarSensorConfig)}
             for key, sensor in scenario.star_sensors.items()
         }
     if scenario.needs_sky:
         configuration["sky"] = _sky(scenario)
     if scenario.references:
         configuration["references"] = {
-            key: {"frame_id": key, **_shared(reference, ReferenceConfig)}
+            key: {"frame_id": key, **shared(reference, ReferenceConfig)}
             for key, reference in scenario.references.items()
         }
     return configuration
@@ -42,8 +43,8 @@ def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
         "star_sensors": {
             key: {
                 "frame_id": star_frame(key),
-                "camera": _shared(sensor.camera, CameraConfig),
-                **_shared(sensor, ObservingSensorConfig),
+                "camera": shared(sensor.camera, CameraConfig),
+                **shared(sensor, ObservingSensorConfig),
             }
             for key, sensor in scenario.star_sensors.items()
             if sensor.output == "observations"
@@ -54,14 +55,17 @@ def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
 
 def suite_yaml(scenario: Scenario) -> str:
     """The same as ROS 2 parameter file of all nodes that the scenario has inputs for."""
-    nodes = {"ship_attitude": suite_configuration(scenario)}
+    # Where the fused attitude is in the bag already, ship_attitude has nothing to do.
+    nodes = {} if scenario.fused_attitude.written else {"ship_attitude": suite_configuration(scenario)}
+    if scenario.theodolite.aboard:
+        nodes["optical_axis"] = optical_axis_configuration(scenario)
     if any(sensor.output == "observations" for sensor in scenario.star_sensors.values()):
         nodes["star_attitude"] = star_attitude_configuration(scenario)
     return yaml.safe_dump({node: {"ros__parameters": values} for node, values in nodes.items()}, sort_keys=False)
 
 
 def _ins(scenario: Scenario, parameters: type) -> dict[str, Any]:
-    return {"frame_id": INS_FRAME, **_shared(scenario.ins, parameters)}
+    return {"frame_id": INS_FRAME, **shared(scenario.ins, parameters)}
 
 
 def _input(sensor: StarSensor) -> dict[str, Any]:
@@ -70,7 +74,7 @@ def _input(sensor: StarSensor) -> dict[str, Any]:
         return {}
     if sensor.output == "inertial_attitude":
         return {"input": sensor.output}
-    return {"input": sensor.output, "camera": _shared(sensor.camera, CameraConfig)}
+    return {"input": sensor.output, "camera": shared(sensor.camera, CameraConfig)}
 
 
 def _sky(scenario: Scenario) -> dict[str, Any]:
@@ -91,10 +95,3 @@ def _sky(scenario: Scenario) -> dict[str, Any]:
     if position.slow_sigma_m > 0.0:
         known["position_time_s"] = max(position.slow_time_s, _LEAST_POSITION_TIME_S)
     return known
-
-
-def _shared(device: Any, parameters: type) -> dict[str, Any]:
-    """The values of a simulated device that the estimator has a parameter of the same name for, without groups."""
-    known = {field.name for field in dataclasses.fields(parameters)}
-    values = {field.name: getattr(device, field.name) for field in dataclasses.fields(device) if field.name in known}
-    return {name: value for name, value in values.items() if not dataclasses.is_dataclass(value)}
