@@ -1,18 +1,19 @@
 """Collects, from the messages of a bag, attitudes that can be compared with the truth."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.config import InsConfig, ShipAttitudeConfig, StarSensorConfig
-from ship_geometry.attitude_track import AttitudeTrack
+from ship_attitude_star.config import StarSensorConfig
+from ship_estimation.ins_config import InsInputConfig
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.stamps import ns_from_stamp
 from ship_replay.attitude_errors import AttitudeErrors, attitude_errors
-from ship_replay.orientations import POINTING, SHIP_ATTITUDE, Orientation
+from ship_replay.orientations import Orientation
+from ship_replay.times import NS_PER_S
 
 _TRUTH_GAP_NS = 1_000_000_000
 
@@ -107,54 +108,35 @@ class PublishedAttitude(AttitudeSource):
             self._keep(stamp_ns, rotation_from_angles(*angles), truth_nd, covariance_n)
 
 
-class Pointing(PublishedAttitude):
-    """``theodolite/pointing``, all of it and by mode."""
-
-    MODES = ("two_lights", "one_light", "encoder")
-
-    def __init__(self, truth: Truth) -> None:
-        super().__init__(truth)
-        self._modes: dict[int, int] = {}
-
-    def take(self, message: Any) -> None:
-        """An OpticalAxisPointing."""
-        super().take(message)
-        self._modes[ns_from_stamp(message.header.stamp)] = message.mode
-
-    def errors(self) -> list[AttitudeErrors]:
-        """Errors of all, then of each mode that occurred."""
-        every = super().errors()
-        for errors in every[:1]:
-            modes = np.array([self._modes[stamp_ns] for stamp_ns in errors.time_ns.tolist()])
-            every += [
-                errors.where(modes == mode, f"{self.label}.{name}")
-                for mode, name in enumerate(self.MODES)
-                if np.any(modes == mode)
-            ]
-        return every
-
-
 class InsAttitude(AttitudeSource):
-    """``ins/imu`` by itself, at the stamps of the truth, its time offset not corrected."""
+    """``ins/imu`` by itself, at the stamps of the truth, its time offset not corrected.
 
-    def __init__(self, truth: Truth, config: InsConfig) -> None:
+    Attributes:
+        track: all that it says of the deck.
+    """
+
+    def __init__(self, truth: Truth, config: InsInputConfig) -> None:
         super().__init__("ins", truth)
         angles = (config.installation_heading_deg, config.installation_pitch_deg, config.installation_roll_deg)
         self._rotation_di = rotation_from_angles(*np.deg2rad(angles))
         self._convention = config.convention
+        self.track = AttitudeTrack(round(config.max_gap_s * NS_PER_S))
 
     def take(self, message: Any) -> None:
         """A sensor_msgs/Imu."""
         stamp_ns = ns_from_stamp(message.header.stamp)
-        truth_nd = self._truth.exactly_at(stamp_ns)
         q = message.orientation
         quaternion = np.array([q.x, q.y, q.z, q.w])
-        if truth_nd is not None and np.linalg.norm(quaternion) > 0.5:
-            rotation_ni = rotation_from_quaternion(quaternion, self._convention)
+        if not np.linalg.norm(quaternion) > 0.5:
+            return
+        estimate_nd = rotation_from_quaternion(quaternion, self._convention) @ self._rotation_di.T
+        self.track.insert(AttitudeSample(stamp_ns, estimate_nd))
+        truth_nd = self._truth.exactly_at(stamp_ns)
+        if truth_nd is not None:
             covariance = message.orientation_covariance.reshape(3, 3)
             unknown = covariance[0, 0] < 0.0 or not covariance.any() or self._convention != "enu_flu"
             covariance_n = np.full((3, 3), np.nan) if unknown else horizon_covariance(covariance)
-            self._keep(stamp_ns, rotation_ni @ self._rotation_di.T, truth_nd, covariance_n)
+            self._keep(stamp_ns, estimate_nd, truth_nd, covariance_n)
 
 
 class StarAttitude(AttitudeSource):
@@ -190,23 +172,3 @@ def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> Float
     if rotation_covariance.any():
         return horizon_covariance(rotation_covariance)
     return rotation_vector_covariance(message.covariance.reshape(3, 3), azimuth, elevation)
-
-
-def sources(truths: Mapping[str, Truth], config: ShipAttitudeConfig | None) -> dict[str, AttitudeSource]:
-    """Relative topic → what collects its attitudes; star sensors that give one, where placed.
-
-    Args:
-        truths: by topic of the truth, those that are known.
-        config: of ``ship_attitude``.
-    """
-    collectors: dict[str, AttitudeSource] = {}
-    ship, pointing = truths.get(SHIP_ATTITUDE.truth_topic), truths.get(POINTING.truth_topic)
-    if ship is not None:
-        collectors[SHIP_ATTITUDE.topic] = PublishedAttitude(ship)
-        collectors["ins/imu"] = InsAttitude(ship, config.ins if config else InsConfig())
-        for sensor_id, sensor in (config.star_sensors if config else {}).items():
-            if sensor.input in ("horizon_attitude", "solution"):
-                collectors[f"star/{sensor_id}/{sensor.input}"] = StarAttitude(sensor_id, ship, sensor)
-    if pointing is not None:
-        collectors[POINTING.topic] = Pointing(pointing)
-    return collectors

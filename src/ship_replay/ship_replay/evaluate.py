@@ -4,24 +4,28 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_node.errors import BadInput as BadNodeInput
 from ship_node.parameter_file import has_section, load_config
 from ship_replay.alignment_values import AlignmentValue, alignment_values
 from ship_replay.attitude_errors import AttitudeErrors
-from ship_replay.attitude_sources import PublishedAttitude, Truth, sources
+from ship_replay.attitude_sources import PublishedAttitude, Truth
 from ship_replay.bag_reader import Bag, BagRecord, read_bag
 from ship_replay.bag_writer import SUITE_ATTACHMENT
 from ship_replay.errors import BadInput
+from ship_replay.evaluation_sources import sources
 from ship_replay.innovations import InnovationBook, SourceInnovations
 from ship_replay.orientations import ORIENTATIONS
 from ship_replay.times import NS_PER_S
 from ship_replay.topic_names import relative_topics
+from theodolite_calib.config import OpticalAxisConfig
+
+Config = TypeVar("Config")
 
 INNOVATION_TOPIC = "ship/innovation"
 ALIGNMENT_TOPIC = "ship/alignment"
-_NODE_NAME = "ship_attitude"
 _RESULTS = (INNOVATION_TOPIC, ALIGNMENT_TOPIC)
 _OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), *_RESULTS)
 """Topics that another bag than the run's own may have as inputs, or of another run."""
@@ -90,7 +94,8 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
 
 def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Evaluation:
     bags = [*others, bag]
-    collectors = sources(_truths(bags, namespace), _config(bags))
+    ship = _config(bags, ShipAttitudeConfig, "ship_attitude")
+    collectors = sources(_truths(bags, namespace), ship, _config(bags, OpticalAxisConfig, "optical_axis"))
     innovations = InnovationBook()
     last_alignment: BagRecord | None = None
     for candidate, topics in _reading_plan(bag, others, [*collectors, *_RESULTS], namespace):
@@ -153,13 +158,13 @@ def _truths(bags: list[Bag], namespace: str) -> dict[str, Truth]:
     return truths
 
 
-def _config(bags: list[Bag]) -> ShipAttitudeConfig | None:
-    """The suite configuration attached to one of the bags; it says where the star sensors look."""
+def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | None:
+    """The configuration of a node in the suite's, which is attached to one of the bags."""
     for bag in reversed(bags):
         if SUITE_ATTACHMENT in bag.attachments:
             text = bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
             try:
-                return load_config(ShipAttitudeConfig, text, _NODE_NAME) if has_section(text, _NODE_NAME) else None
+                return load_config(kind, text, node_name) if has_section(text, node_name) else None
             except BadNodeInput as problem:
                 raise BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}") from problem
     return None

@@ -1,9 +1,11 @@
 """Errors of the optical axis against the truth: by hand, in an evaluation, in a figure, and as replay fills them in."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hand_made_bags import FACTORY, START_NS, ship_attitude
-from theodolite_scenes import bag_scenario
+from theodolite_scenes import bag_scenario, with_beacons, without_errors
 
 from ship_geometry.frames import rotation_vector_covariance
 from ship_geometry.ros_axes import enu_covariance
@@ -15,7 +17,9 @@ from ship_replay.evaluate_command import main
 from ship_replay.figures import attitude_error_figure
 from ship_replay.message_store import RosbagsFactory
 from ship_replay.orientations import POINTING
+from ship_replay.simulate_command import write_bag
 from ship_replay.simulation.run import simulate
+from ship_replay.simulation.scenario import Ins
 from ship_replay.simulation.theodolite.truth_messages import true_pointings
 from ship_replay.truth_errors import TruthErrors
 
@@ -145,3 +149,29 @@ def test_errors_are_filled_in_at_stamps_and_between_them():
     # Interpolation, and the deformation between the stamps: a random walk of 0.26" to the middle of 0.1 s.
     np.testing.assert_allclose(values[1], expected[1], atol=2.0)
     assert np.isnan(values[2]).all()
+
+
+def evaluated(scenario, path):
+    write_bag(simulate(scenario, seed=1), path, b"")
+    return evaluate(path).flat()
+
+
+def test_encoder_and_ins_alone_are_held_against_the_truth_too(tmp_path):
+    exact = with_beacons(without_errors(bag_scenario(duration_s=20.0)), rtk__sigma_m=0.001)
+    quiet = Ins(
+        rate_hz=20.0, tilt_sigma_arcsec=0.0, heading_sigma_arcsec=0.0, white_sigma_arcsec=0.0, time_offset_sigma_s=0.0
+    )
+    values = evaluated(dataclasses.replace(exact, ins=quiet), tmp_path / "exact.mcap")
+    assert values["ins_encoder.samples"] == 201
+    for channel in POINTING.channels:
+        # Axis errors are known; what is left is the INS between its samples.
+        assert values[f"ins_encoder.{channel}.rms_arcsec"] < 0.3
+    # The heading's error is an angle on the sky by the cosine of the elevation, here 10° to 20°.
+    turned = dataclasses.replace(quiet, heading_sigma_arcsec=72.0, heading_time_s=1e6)
+    values = evaluated(dataclasses.replace(exact, ins=turned), tmp_path / "turned.mcap")
+    heading, across = values["ins.heading.rms_arcsec"], values["ins_encoder.azimuth_cos_elevation.rms_arcsec"]
+    assert heading > 10.0
+    assert 0.9 * heading < across < 0.99 * heading
+    # Axis errors that nobody knows, and the hull's deformation.
+    values = evaluated(bag_scenario(duration_s=20.0), tmp_path / "usual.mcap")
+    assert 10.0 < values["ins_encoder.elevation.rms_arcsec"] < 120.0

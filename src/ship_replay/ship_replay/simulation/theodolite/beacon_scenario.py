@@ -82,7 +82,9 @@ class Rtk:
     phase_s: float = parameter(0.0, doc="first solution after the start", **MOMENT)
     latency_s: float = parameter(0.1, doc="from stamp to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
-    sigma_m: float = parameter(0.015, doc="noise of each solution, each axis; the message's sigma", **_SIGMA_M)
+    sigma_m: float = parameter(
+        0.015, doc="noise of each solution, each axis; the message's sigma", unit="m", minimum=1e-4, maximum=100.0
+    )
     bias_sigma_m: float = parameter(0.0, doc="slow error of its own, each axis", **_SIGMA_M)
     bias_time_s: float = parameter(300.0, doc="its correlation time", **CORRELATION)
     float_sigma_m: float = parameter(0.3, doc="further slow error while FLOAT, in the message's sigma", **_SIGMA_M)

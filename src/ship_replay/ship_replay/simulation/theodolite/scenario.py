@@ -6,7 +6,9 @@ from typing import Any
 from ship_estimation.parameters import parameter, section
 from ship_replay.simulation.scenario_units import ANGLE, CORRELATION, DELAY, MOMENT, RATE, SIGMA
 
-_AXIS_ERROR: dict[str, Any] = {"unit": "arcsec", "minimum": -36_000.0, "maximum": 36_000.0}
+_AXIS_ERROR: dict[str, Any] = {"unit": "arcsec", "minimum": -3600.0, "maximum": 3600.0}
+_AXIS_SIGMA: dict[str, Any] = {"unit": "arcsec", "minimum": 0.0, "maximum": 3600.0}
+_PARALLELISM: dict[str, Any] = {"unit": "arcsec", "minimum": -36_000.0, "maximum": 36_000.0}
 _METRES: dict[str, Any] = {"unit": "m", "minimum": -200.0, "maximum": 200.0}
 _SMALL_METRES: dict[str, Any] = {"unit": "m", "minimum": 0.0, "maximum": 10.0}
 
@@ -38,19 +40,19 @@ class Axes:
 
     spread: str = parameter("normal", doc="distribution of that, sigma the same", choices=("normal", "uniform"))
     g_arcsec: float = parameter(0.0, doc="zero point of the azimuth encoder as known", **_AXIS_ERROR)
-    g_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    g_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
     h_arcsec: float = parameter(0.0, doc="zero point of the elevation encoder as known", **_AXIS_ERROR)
-    h_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    h_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
     c_arcsec: float = parameter(0.0, doc="collimation as known, to the left", **_AXIS_ERROR)
-    c_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    c_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
     I_arcsec: float = parameter(0.0, doc="tilt of the horizontal axis as known, right end up", **_AXIS_ERROR)
-    I_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    I_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
     beta_x_arcsec: float = parameter(0.0, doc="tilt of the vertical axis to the bow as known", **_AXIS_ERROR)
-    beta_x_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    beta_x_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
     beta_y_arcsec: float = parameter(0.0, doc="tilt of the vertical axis to starboard as known", **_AXIS_ERROR)
-    beta_y_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    beta_y_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
     flexure_arcsec: float = parameter(0.0, doc="bending of the tube as known, up at elevation 0", **_AXIS_ERROR)
-    flexure_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    flexure_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Deformation:
     """How the hull turns between INS and theodolite: Gauss–Markov about bow, up and starboard."""
 
     sigma_arcsec: float = parameter(20.0, doc="each axis", **SIGMA)
-    time_s: float = parameter(600.0, doc="correlation time", **CORRELATION)
+    time_s: float = parameter(600.0, doc="correlation time", unit="s", minimum=1.0, maximum=1e7)
 
 
 @dataclass(frozen=True)
@@ -81,11 +83,11 @@ class Telescope:
     width_m: float = parameter(0.014, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
     height_m: float = parameter(0.014, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
     sigma_m: float = parameter(6.5e-7, doc="noise of an image point, each axis", unit="m", minimum=1e-9, maximum=0.001)
-    azimuth_arcsec: float = parameter(0.0, doc="of the main axis in the telescope, as known", **_AXIS_ERROR)
+    azimuth_arcsec: float = parameter(0.0, doc="of the main axis in the telescope, as known", **_PARALLELISM)
     azimuth_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
-    elevation_arcsec: float = parameter(0.0, doc="of the main axis in the telescope, as known", **_AXIS_ERROR)
+    elevation_arcsec: float = parameter(0.0, doc="of the main axis in the telescope, as known", **_PARALLELISM)
     elevation_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
-    rotation_arcsec: float = parameter(0.0, doc="of the main image in the telescope, as known", **_AXIS_ERROR)
+    rotation_arcsec: float = parameter(0.0, doc="of the main image in the telescope, as known", **_PARALLELISM)
     rotation_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
     lens: Lever = section(Lever)
 

@@ -1,0 +1,36 @@
+"""What of a bag can be compared with the truth: topic by topic, as far as truth and configuration tell."""
+
+from collections.abc import Mapping
+
+from ship_attitude_star.config import ShipAttitudeConfig
+from ship_estimation.ins_config import InsInputConfig
+from ship_replay.attitude_sources import AttitudeSource, InsAttitude, PublishedAttitude, StarAttitude, Truth
+from ship_replay.orientations import POINTING, SHIP_ATTITUDE
+from ship_replay.pointing_sources import EncoderAlone, Pointing
+from theodolite_calib.config import OpticalAxisConfig
+
+
+def sources(
+    truths: Mapping[str, Truth], ship: ShipAttitudeConfig | None, theodolite: OpticalAxisConfig | None
+) -> dict[str, AttitudeSource]:
+    """Relative topic → what collects its attitudes; star sensors that give one, where placed.
+
+    Args:
+        truths: by topic of the truth, those that are known.
+        ship: configuration of ``ship_attitude``; None where it is not known.
+        theodolite: the same of ``optical_axis``.
+    """
+    collectors: dict[str, AttitudeSource] = {}
+    ins_config = ship.ins if ship else theodolite.ins if theodolite else InsInputConfig()
+    deck, axis = truths.get(SHIP_ATTITUDE.truth_topic), truths.get(POINTING.truth_topic)
+    if deck is not None:
+        ins = InsAttitude(deck, ins_config)
+        collectors |= {SHIP_ATTITUDE.topic: PublishedAttitude(deck), "ins/imu": ins}
+        for sensor_id, sensor in (ship.star_sensors if ship else {}).items():
+            if sensor.input in ("horizon_attitude", "solution"):
+                collectors[f"star/{sensor_id}/{sensor.input}"] = StarAttitude(sensor_id, deck, sensor)
+    if axis is not None:
+        collectors[POINTING.topic] = Pointing(axis)
+        if deck is not None and theodolite is not None:
+            collectors["theodolite/encoder"] = EncoderAlone(axis, ins.track, theodolite.axes)
+    return collectors
