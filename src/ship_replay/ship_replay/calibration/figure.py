@@ -1,0 +1,65 @@
+"""How the installation angles of a session came about. Loading matplotlib takes longer than many a session."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ship_geometry.rotations import ARCSEC, wrap_pi
+from ship_node.figure_files import write_figures
+from ship_replay.calibration.result import ANGLES, Calibration, InstalledAngle
+
+_BAND_COLOUR = "#bcd4ea"
+_LINE_COLOUR = "#0b3c6f"
+_CONFIGURED_COLOUR = "#d55e00"
+_ROOM = 1.15
+
+
+def draw_course(calibration: Calibration, folder: Path) -> Path:
+    """Write ``installation.png`` into a folder that exists."""
+    return write_figures(_figures(calibration), folder)["installation"]
+
+
+def _figures(calibration: Calibration) -> Iterator[tuple[str, Figure]]:
+    yield "installation", _course_figure(calibration)
+
+
+def _course_figure(calibration: Calibration) -> Figure:
+    """Correction of every angle over the session, one row a sensor; the last values stand above."""
+    rows = len(calibration.sensors)
+    figure, grid = plt.subplots(
+        rows, 3, figsize=(14, 3.2 * rows + 1), sharex=True, squeeze=False, layout="constrained"
+    )
+    figure.suptitle(f"{calibration.session.name}: correction of the installation angles, inside its ±1σ")
+    for number, angle in enumerate(calibration.angles):
+        _draw_course(grid[divmod(number, 3)], calibration, angle)
+    for axes in grid[-1]:
+        axes.set_xlabel("time [s]")
+    for sensor, axes in zip(calibration.sensors, grid[:, 0], strict=True):
+        axes.set_ylabel(f"{sensor} [arcsec]")
+    grid[0, len(ANGLES) - 1].legend(loc="upper right")
+    return figure
+
+
+def _draw_course(axes: Axes, calibration: Calibration, angle: InstalledAngle) -> None:
+    time_s = calibration.session.times_s
+    course = calibration.session.course[f"star.{angle.sensor}.{angle.angle}"]
+    value = wrap_pi(course[:, 0] - angle.configured) / ARCSEC
+    sigma = course[:, 1] / ARCSEC
+    axes.axhline(0.0, color=_CONFIGURED_COLOUR, lw=1.2, ls="--", label="configured")
+    axes.fill_between(time_s, value - sigma, value + sigma, color=_BAND_COLOUR, label="±1σ")
+    axes.plot(time_s, value, color=_LINE_COLOUR, lw=1.2, label="correction")
+    axes.set_title(
+        f"{angle.angle} {angle.correction_arcsec:+.2f} ± {angle.sigma / ARCSEC:.2f}″, "
+        f"before ± {angle.sigma_before / ARCSEC:.4g}″"
+    )
+    # The beginning would flatten all the rest: its band may leave the frame.
+    later = slice(len(value) // 10, None)
+    edges = np.concatenate([value[later] - sigma[later], value[later] + sigma[later]])
+    edges = edges[np.isfinite(edges)]
+    if len(edges):
+        middle, half = 0.5 * (edges.max() + edges.min()), 0.5 * (edges.max() - edges.min())
+        axes.set_ylim(middle - _ROOM * half, middle + _ROOM * half)

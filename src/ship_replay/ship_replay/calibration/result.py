@@ -1,0 +1,179 @@
+"""What a session says of the installation: each angle, and each combination of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_attitude_star.alignment import Alignment, AlignmentPrior, alignment_of
+from ship_attitude_star.ship_core import ShipAttitudeCore
+from ship_geometry.frames import angle_errors_from_rotation_vector, rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, left_jacobian, wrap_pi
+from ship_replay.calibration.observability import Combination, combinations, verdict
+from ship_replay.calibration.session import InputCount, Session
+from ship_replay.errors import BadInput
+
+ANGLES = ("azimuth", "elevation", "roll")
+
+_TAKES_PART = 0.25
+"""Share of an angle's variance from which on it is open for a combination's sake."""
+
+_EXPECTED_SHARE = 0.01
+"""Of the messages that the gate may refuse without a warning: ten times and more of what chance refuses."""
+
+
+@dataclass(frozen=True)
+class InstalledAngle:
+    """One installation angle of a star sensor.
+
+    At the zenith azimuth and roll are not told apart: their sigmas are NaN.
+
+    Attributes:
+        sensor: id.
+        angle: azimuth, elevation or roll.
+        configured: rad.
+        installed: as the session has it, rad.
+        sigma_before: as configured, rad.
+        sigma: after the session, rad.
+        open_in: labels of the combinations, not well observed, that leave it open.
+    """
+
+    sensor: str
+    angle: str
+    configured: float
+    installed: float
+    sigma_before: float
+    sigma: float
+    open_in: tuple[str, ...]
+
+    @property
+    def correction_arcsec(self) -> float:
+        """Installed minus configured."""
+        return float(wrap_pi(self.installed - self.configured)) / ARCSEC
+
+    @property
+    def observed(self) -> str:
+        """yes, partly or no; empty where the angle is none of its own."""
+        if not np.isfinite(self.sigma):
+            return ""
+        observed = verdict(self.sigma / self.sigma_before)
+        return "partly" if observed == "yes" and self.open_in else observed
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The result of a session.
+
+    Attributes:
+        angles: of all star sensors.
+        combinations: by label, 1, 2, ….
+        sensors: ids of the star sensors, in the order of the rows of the combinations.
+        sources: of error, in the order of the shares of the combinations.
+        covariance: joint, of all installation angles in the order of ``angles``, rad².
+        prior: what the next voyage starts from.
+        session: what it rests on.
+    """
+
+    angles: list[InstalledAngle]
+    combinations: dict[str, Combination]
+    sensors: tuple[str, ...]
+    sources: tuple[str, ...]
+    covariance: FloatArray
+    prior: AlignmentPrior
+    session: Session
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is wrong with the session, one line each."""
+        lines = [_gate_warning(source, count) for source, count in self.session.counts.items()]
+        return [*(line for line in lines if line), *self.session.problems]
+
+
+def calibration_of(session: Session) -> Calibration:
+    """The result of a session.
+
+    Raises:
+        BadInput: nothing was measured.
+    """
+    core, config = session.core, session.config
+    prior = core.alignment_to_save()
+    if prior is None:
+        raise BadInput(f"{session.name}: no measurement was used: there is no alignment")
+    sensors = tuple(config.star_sensors)
+    ins = config.ins
+    found = combinations(
+        prior_sigma=np.array([star.installation_sigma_s for star in config.star_sensors.values()]),
+        parts=_installation_parts(core, sensors),
+        rotations_ds=np.array([prior.rotations_dv[f"star.{id_}"] for id_ in sensors]),
+        ins_sigma_d=ARCSEC * np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec]),
+    )
+    labelled = {str(number): combination for number, combination in enumerate(found, start=1)}
+    before, after = alignment_of(core.filter, config, core.filter.initial_state()), core.alignment()
+    index = [after.names.index(f"star.{id_}.{angle}") for id_ in sensors for angle in ANGLES]
+    return Calibration(
+        angles=_installed_angles(before, after, index, labelled, sensors),
+        combinations=labelled,
+        sensors=sensors,
+        sources=tuple(core.filter.model.sources),
+        covariance=after.covariance[np.ix_(index, index)],
+        prior=prior,
+        session=session,
+    )
+
+
+def _installation_parts(core: ShipAttitudeCore, sensors: tuple[str, ...]) -> FloatArray:
+    """Joint covariance by source of the installations, in the sensors' installed axes, rad², (n_sources, 3 N, 3 N).
+
+    The state's vectors begin at the configured axes: a degree from there, a turn of the deck has other elements.
+    """
+    blocks = [core.filter.model.slices[f"star.{id_}.installation"] for id_ in sensors]
+    to_axes = np.zeros((3 * len(sensors), core.filter.model.size))
+    for number, block in enumerate(blocks):
+        to_axes[3 * number : 3 * number + 3, block] = left_jacobian(core.state.mean[block]).T
+    parts: FloatArray = to_axes @ core.state.parts @ to_axes.T
+    return parts
+
+
+def _installed_angles(
+    before: Alignment, after: Alignment, index: list[int], labelled: dict[str, Combination], sensors: tuple[str, ...]
+) -> list[InstalledAngle]:
+    configured, installed = before.values[index], after.values[index]
+    sigma_before, sigma = (np.sqrt(np.diagonal(alignment.covariance)[index]) for alignment in (before, after))
+    open_in: list[list[str]] = [[] for _ in index]
+    for label, combination in labelled.items():
+        if combination.observed != "yes":
+            shares = (_angle_changes(combination, installed) / sigma) ** 2
+            for row in np.flatnonzero(shares > _TAKES_PART).tolist():
+                open_in[row].append(label)
+    names = [(sensor, angle) for sensor in sensors for angle in ANGLES]
+    return [
+        InstalledAngle(
+            sensor=sensor,
+            angle=angle,
+            configured=float(configured[row]),
+            installed=float(installed[row]),
+            sigma_before=float(sigma_before[row]),
+            sigma=float(sigma[row]),
+            open_in=tuple(open_in[row]),
+        )
+        for row, (sensor, angle) in enumerate(names)
+    ]
+
+
+def _angle_changes(combination: Combination, angles: FloatArray) -> FloatArray:
+    """What one sigma of a combination changes in all angles, rad, shape (3 N,)."""
+    changes = []
+    for run_s, (azimuth, elevation, roll) in zip(combination.run_s, angles.reshape(-1, 3), strict=True):
+        run_d = rotation_from_angles(azimuth, elevation, roll) @ run_s
+        changes.append(angle_errors_from_rotation_vector(azimuth, elevation) @ run_d)
+    return np.concatenate(changes)
+
+
+def _gate_warning(source: str, count: InputCount) -> str:
+    """Says that many messages of a device were too improbable; empty where they were not."""
+    judged = count.used + count.improbable
+    if count.improbable <= _EXPECTED_SHARE * judged:
+        return ""
+    return (
+        f"{source}: {count.improbable} of {judged} messages were too improbable to use: its installation or its noise "
+        "is not as configured (for the first: --prior-sigma)"
+    )

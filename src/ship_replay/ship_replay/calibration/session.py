@@ -1,0 +1,246 @@
+"""A calibration session: a bag through the suite's nodes, with the installation of the star sensors to be found.
+
+It is the filter of ``ship_attitude`` itself, fed as in a replay. No smoother follows: installation angles are constants
+(or walks whose last value is wanted), and of those the last state of a filter knows all that the session has to tell.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_attitude_star.config import ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.ship_core import ShipAttitudeCore
+from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.adapter import Adapter
+from ship_node.files import DISK, Files
+from ship_node.message_factory import MessageFactory
+from ship_replay.adapter_chain import AdapterChain, suite_chain
+from ship_replay.bag_reader import Bag, read_bag
+from ship_replay.errors import BadInput
+from ship_replay.message_store import RosbagsFactory
+from ship_replay.replay import Watcher, match_inputs
+from ship_replay.replay_run import ReplayRun, ReplaySummary
+from ship_replay.times import NS_PER_S
+
+_ALIGNMENT_TOPIC = "ship/alignment"
+_IMPROBABLE = "gate", "attitude_conflict"
+"""Reasons of refusal that an installation further off than its sigma leads to."""
+
+
+@dataclass(frozen=True)
+class InputCount:
+    """What became of a device's messages.
+
+    Attributes:
+        used: messages that the filter used.
+        refused: reason → messages not used, or used only with a note.
+    """
+
+    used: int
+    refused: dict[str, int]
+
+    @property
+    def improbable(self) -> int:
+        """Messages too improbable to use."""
+        return sum(self.refused.get(reason, 0) for reason in _IMPROBABLE)
+
+    @property
+    def words(self) -> str:
+        """Reasons with their counts."""
+        return ", ".join(f"{reason} {count}" for reason, count in self.refused.items()) or "no message came"
+
+
+@dataclass(frozen=True)
+class Session:
+    """A session and what the filter made of it.
+
+    Attributes:
+        name: of the bag.
+        config: configuration with the sigmas that the session began with.
+        core: the filter after the last message.
+        counts: source (``star.<id>``, ``reference.<name>``) → what became of its messages.
+        times_s: moments of the course, seconds after the first, shape (n,).
+        course: name of an installation angle → values and sigmas at those moments, rad, shape (n, 2).
+        duration_s: length of the bag.
+        problems: what is wrong with the bag, one line each.
+    """
+
+    name: str
+    config: ShipAttitudeConfig
+    core: ShipAttitudeCore
+    counts: dict[str, InputCount]
+    times_s: FloatArray
+    course: dict[str, FloatArray]
+    duration_s: float
+    problems: list[str]
+
+
+def run_session(
+    bag_path: Path,
+    config_path: Path | None = None,
+    prior_sigma_arcsec: float | None = None,
+    namespace: str = "",
+    watch: Watcher = lambda records, bag: records,
+) -> Session:
+    """Run a bag through the suite.
+
+    Args:
+        bag_path: .mcap file or rosbag2 folder.
+        config_path: suite configuration; None takes the one attached to the bag.
+        prior_sigma_arcsec: what is known of every star sensor's installation, about each of its axes; None: what the
+            configuration says.
+        namespace: namespace of the ship in the bag.
+        watch: wraps the iteration over the bag, for a progress bar.
+
+    Raises:
+        BadInput: the bag or the configuration does not serve, or a star sensor gave nothing to calibrate it by.
+    """
+    with read_bag(bag_path) as bag:
+        nodes = (_node_of_session(prior_sigma_arcsec), StarAttitudeAdapter)
+        chain, left_out = suite_chain(bag, nodes, RosbagsFactory(), config_path, namespace)
+        adapter = _ship_adapter(bag, chain)
+        config = adapter.core.config
+        _check_installations(bag, config)
+        names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
+        _check_star_topics(bag, config, {*names.values(), *(topic.topic for topic in chain.outputs)})
+        course, summary = _Course(), ReplaySummary()
+        run = ReplayRun(chain, course, summary, ())
+        for record in watch(bag.records(names), bag):
+            run.take(names[record.topic], record)
+        last_ns = bag.last_time_ns or 0
+        counts = _counts(adapter, config, last_ns)
+        _check_used(bag, adapter.core, counts)
+        unread = [f"topic '{topic}': {count} messages cannot be read" for topic, count in summary.undecodable.items()]
+        return Session(
+            name=bag_path.name,
+            config=config,
+            core=adapter.core,
+            counts=counts,
+            times_s=course.times_s,
+            course=course.installations(),
+            duration_s=(last_ns - (bag.start_ns or 0)) / NS_PER_S,
+            problems=[*left_out, *bag.problems, *unread],
+        )
+
+
+def session_config(config: ShipAttitudeConfig, prior_sigma_arcsec: float | None) -> ShipAttitudeConfig:
+    """The configuration of a session.
+
+    A saved alignment is left aside: it may rest on this very session, which must not count twice.
+    """
+    stars = config.star_sensors
+    if prior_sigma_arcsec is not None:
+        stars = {id_: _with_sigma(star, prior_sigma_arcsec) for id_, star in stars.items()}
+    return replace(config, star_sensors=stars, alignment_file="")
+
+
+def _with_sigma(star: StarSensorConfig, sigma_arcsec: float) -> StarSensorConfig:
+    return replace(
+        star,
+        installation_sigma_forward_arcsec=sigma_arcsec,
+        installation_sigma_up_arcsec=sigma_arcsec,
+        installation_sigma_right_arcsec=sigma_arcsec,
+    )
+
+
+def _node_of_session(prior_sigma_arcsec: float | None) -> type[Adapter]:
+    """The node ``ship_attitude``, configured for a session."""
+
+    class SessionAdapter(ShipAttitudeAdapter):
+        def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
+            super().__init__(session_config(config, prior_sigma_arcsec), factory, files)
+
+    return SessionAdapter
+
+
+def _ship_adapter(bag: Bag, chain: AdapterChain) -> ShipAttitudeAdapter:
+    for adapter in chain.adapters:
+        if isinstance(adapter, ShipAttitudeAdapter):
+            return adapter
+    raise BadInput(f"{bag.path}: the configuration has no section {ShipAttitudeAdapter.node_name}")
+
+
+# -- bad input --------------------------------------------------------------------------------------------------
+
+
+def _check_installations(bag: Bag, config: ShipAttitudeConfig) -> None:
+    if not config.star_sensors:
+        raise BadInput(f"{bag.path}: the configuration has no star_sensors: there is nothing to calibrate")
+    for id_, star in config.star_sensors.items():
+        for axis, sigma in zip(("forward", "up", "right"), star.installation_sigma_s, strict=True):
+            if sigma < 1e-3 * ARCSEC:
+                raise BadInput(
+                    f"parameter 'star_sensors.{id_}.installation_sigma_{axis}_arcsec' = {sigma / ARCSEC:g} holds the "
+                    "installation fixed: give what is known of it, or --prior-sigma"
+                )
+
+
+def _check_star_topics(bag: Bag, config: ShipAttitudeConfig, there: set[str]) -> None:
+    for id_, star in config.star_sensors.items():
+        topic = f"star/{id_}/{star.input}"
+        if topic not in there:
+            stars = sorted(name for name in bag.topics if "star/" in name)
+            raise BadInput(
+                f"{bag.path}: topic '{topic}' of star sensor '{id_}' is missing; found "
+                f"{', '.join(stars) or 'no star data'}: record it, or take the sensor out of the configuration"
+            )
+
+
+def _check_used(bag: Bag, core: ShipAttitudeCore, counts: Mapping[str, InputCount]) -> None:
+    for source, device in core.filter.devices.items():
+        count = counts[source]
+        if device.is_star and source not in core.state.used_ns:
+            hint = ": its installation is further off than its sigma: give --prior-sigma" if count.improbable else ""
+            raise BadInput(f"{bag.path}: no message of {source} was used: {count.words}{hint}")
+
+
+# -- what the run gives -----------------------------------------------------------------------------------------
+
+
+def _counts(adapter: ShipAttitudeAdapter, config: ShipAttitudeConfig, now_ns: int) -> dict[str, InputCount]:
+    topics = {f"star/{id_}/{star.input}": f"star.{id_}" for id_, star in config.star_sensors.items()}
+    topics |= {f"reference/{name}/imu": f"reference.{name}" for name in config.references}
+    counts = {}
+    for message in adapter.health.messages(RosbagsFactory(), now_ns):
+        if message.topic in topics:
+            refused = zip(message.reasons, (int(count) for count in message.reason_counts), strict=True)
+            counts[topics[message.topic]] = InputCount(int(message.accepted), dict(refused))
+    return counts
+
+
+@dataclass
+class _Course:
+    """Takes a replay's outputs and keeps how the alignment came about."""
+
+    times_ns: list[int] = field(default_factory=list)
+    names: tuple[str, ...] = ()
+    values: list[FloatArray] = field(default_factory=list)
+    sigmas: list[FloatArray] = field(default_factory=list)
+
+    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
+        """Take an output."""
+        if topic == _ALIGNMENT_TOPIC:
+            self.names = tuple(message.names)
+            self.times_ns.append(log_time_ns)
+            self.values.append(np.array(message.values))
+            covariance = np.reshape(message.covariance, (len(self.names), len(self.names)))
+            self.sigmas.append(np.sqrt(np.diagonal(covariance)))
+
+    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
+        """The truth is not for a calibration."""
+
+    @property
+    def times_s(self) -> FloatArray:
+        times_ns = np.array(self.times_ns, dtype=np.int64)
+        return (times_ns - times_ns[:1]) / NS_PER_S
+
+    def installations(self) -> dict[str, FloatArray]:
+        angles = "azimuth", "elevation", "roll"
+        wanted = [n for n, name in enumerate(self.names) if name.startswith("star.") and name.endswith(angles)]
+        both = np.stack([np.array(self.values), np.array(self.sigmas)], axis=-1)
+        return {self.names[n]: both[:, n] for n in wanted}
