@@ -21,6 +21,7 @@ from ship_node.files import DISK, Files
 from ship_node.input_health import InputHealthBook
 from ship_node.message_checks import Refused
 from ship_node.message_factory import MessageFactory
+from ship_node.refusal_message import refusal_message
 from ship_node.stamps import ns_from_stamp
 from ship_node.topics import InputTopic, OutputTopic, Published
 
@@ -147,9 +148,8 @@ class ShipAttitudeAdapter:
 
     def _refusal(self, topic: str, time_ns: int, reason: Reason, text: str, receive_ns: int) -> list[Published]:
         self.health.rejected(topic, reason.name.lower(), text, receive_ns, time_ns)
-        return [
-            ("ship/innovation", messages_out.refusal(self._factory, self._source(topic), time_ns, reason, text))
-        ]
+        message = refusal_message(self._factory, self._source(topic), time_ns, reason, text)
+        return [("ship/innovation", message)]
 
     def _stars_refused(
         self, topic: str, time_ns: int, stars_refused: tuple[tuple[str, Refusal], ...]
@@ -159,7 +159,7 @@ class ShipAttitudeAdapter:
         for name, refusal in stars_refused:
             self.health.noted(topic, refusal.reason.name.lower())
             text = f"{name}: {refusal.text}"
-            message = messages_out.refusal(self._factory, self._source(topic), time_ns, refusal.reason, text)
+            message = refusal_message(self._factory, self._source(topic), time_ns, refusal.reason, text)
             published.append(("ship/innovation", message))
         return published
 

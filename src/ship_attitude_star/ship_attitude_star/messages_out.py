@@ -117,23 +117,6 @@ def innovation(factory: MessageFactory, decision: Decision) -> Any:
     )
 
 
-def refusal(factory: MessageFactory, source: str, time_ns: int, reason: Reason, text: str) -> Any:
-    """ship_msgs/Innovation of an input that was refused before it was compared."""
-    return factory.make(
-        "ship_msgs/msg/Innovation",
-        header=make_header(factory, time_ns, source),
-        source=source,
-        components=[],
-        residual=np.empty(0),
-        sigma=np.empty(0),
-        nis=float("nan"),
-        gate=float("nan"),
-        accepted=False,
-        reason=int(reason),
-        reason_text=text,
-    )
-
-
 def _angles(estimate: AttitudeEstimate) -> tuple[FloatArray, FloatArray]:
     """Heading, pitch, roll (rad) and their covariance (rad²)."""
     angles = angles_from_rotation(estimate.rotation_nd)

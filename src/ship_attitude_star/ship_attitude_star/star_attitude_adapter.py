@@ -19,6 +19,7 @@ from ship_node.files import DISK, Files
 from ship_node.input_health import InputHealthBook
 from ship_node.message_checks import Refused
 from ship_node.message_factory import MessageFactory
+from ship_node.refusal_message import refusal_message
 from ship_node.stamps import ns_from_stamp
 from ship_node.topics import InputTopic, OutputTopic, Published
 
@@ -162,7 +163,7 @@ class StarAttitudeAdapter:
         return [self._told(sources.get(topic, topic), time_ns, reason, text)]
 
     def _told(self, source: str, time_ns: int, reason: Reason, text: str) -> Published:
-        return "star/innovation", messages_out.refusal(self._factory, source, time_ns, reason, text)
+        return "star/innovation", refusal_message(self._factory, source, time_ns, reason, text)
 
     def _published(self, outcome: StarOutcome, now_ns: int) -> list[Published]:
         published: list[Published] = []
