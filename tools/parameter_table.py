@@ -6,12 +6,13 @@ from pathlib import Path
 from ship_attitude_star.adapter import ShipAttitudeAdapter
 from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
 from ship_estimation.parameters import ParameterDescription, describe
+from theodolite_calib.adapter import OpticalAxisAdapter
 
-ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter)
+ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
 PAGE = Path(__file__).parents[1] / "docs" / "parameters.md"
 HEAD = """# Parameters
 
-Units are in the names. `<id>` stands for the id of a star sensor or the name of a reference: naming it declares it. A
+Units are in the names. `<id>` stands for the id of a star sensor or beacon, or the name of a reference: naming it declares it. A
 parameter marked *live* may be changed while the node runs (`ros2 param set`); the others are read at the start. An
 unknown parameter, or one out of its range, stops the node at the start and is refused later, each time with the reason.
 

@@ -20,6 +20,7 @@ setup(
     entry_points={
         "console_scripts": [
             "fit_axes = theodolite_calib.fit_axes_command:main",
+            "optical_axis = theodolite_calib.optical_axis_node:main",
         ],
     },
 )

@@ -32,7 +32,7 @@ class SampleTrack(Generic[Sample]):
     """
 
     def __init__(self, max_gap_ns: int) -> None:
-        self._max_gap_ns = max_gap_ns
+        self.max_gap_ns = max_gap_ns
         self._times: list[int] = []
         self._samples: list[Sample] = []
 
@@ -108,7 +108,7 @@ class SampleTrack(Generic[Sample]):
             return right, 0.0
         left = right - 1
         interval_ns = self._times[right] - self._times[left]
-        if interval_ns > self._max_gap_ns:
+        if interval_ns > self.max_gap_ns:
             return None
         return left, (time_ns - self._times[left]) / interval_ns
 
@@ -123,7 +123,7 @@ class SampleTrack(Generic[Sample]):
         return before, after
 
     def _joined(self, left: int) -> bool:
-        return self._times[left + 1] - self._times[left] <= self._max_gap_ns
+        return self._times[left + 1] - self._times[left] <= self.max_gap_ns
 
     def _noise_gain(self, left: int, fraction: float) -> float:
         """Sum of the squared weights of the samples' values; measured rates are taken as free of noise."""

@@ -1,6 +1,7 @@
 """Vectors between samples: baselines, encoder angles. A cubic whose slopes are differences of the neighbours."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -38,7 +39,10 @@ class InterpolatedVector:
     noise_gain: float
 
 
-class VectorTrack(SampleTrack[VectorSample]):
+Sample = TypeVar("Sample", bound=VectorSample)
+
+
+class VectorTrack(SampleTrack[Sample]):
     """Vectors of one source.
 
     Args:

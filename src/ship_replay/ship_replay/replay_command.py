@@ -16,8 +16,9 @@ from ship_replay.replay import replay
 from ship_replay.replay_run import ReplaySummary
 from ship_replay.verification import Verification
 from ship_replay.verify_bag import verify_bag
+from theodolite_calib.adapter import OpticalAxisAdapter
 
-ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter)
+ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
 """Nodes that can be replayed, the main one first: it runs by a configuration that names no node, too."""
 
 

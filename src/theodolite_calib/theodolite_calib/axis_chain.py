@@ -23,7 +23,7 @@ class ChainErrors:
         ship_n: rotation vector a, shape (3,).
         deformation_d: rotation vector e, shape (3,).
         axes: in the order of theodolite_calib.axes.NAMES, rad, shape (7,).
-        ship_time_s: a sample of the ship's attitude is valid so much later than its stamp.
+        ship_time_s: a sample of the ship's attitude is valid so much later than it was taken to be.
     """
 
     ship_n: FloatArray

@@ -69,7 +69,6 @@ class SightingModel:
         self._axes = config.axes.values
         self._parallelism = config.telescope.parallelism
         self._principal_point = np.array([config.telescope.principal_x_m, config.telescope.principal_z_m])
-        self._ship_time_s = config.ins.time_offset_s if config.ship.source == "ins/imu" else 0.0
 
     def chain_errors(self, mean: FloatArray) -> ChainErrors:
         """What a state says is wrong with the chain to the main axis."""
@@ -77,7 +76,7 @@ class SightingModel:
             ship_n=self._of(mean, "ship.attitude"),
             deformation_d=self._of(mean, "deformation"),
             axes=self._axes + self._of(mean, "axes"),
-            ship_time_s=self._ship_time_s + float(self._of(mean, "ship.time_offset", 1)[0]),
+            ship_time_s=float(self._of(mean, "ship.time_offset", 1)[0]),
         )
 
     def parallelism(self, mean: FloatArray) -> FloatArray:

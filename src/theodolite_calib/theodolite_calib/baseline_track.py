@@ -1,0 +1,27 @@
+"""Baselines to one drone between their solutions, as far as they may be used."""
+
+from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.rotations import FloatArray
+from ship_geometry.vector_track import VectorTrack
+from theodolite_calib.samples import BaselineSample
+
+
+class BaselineTrack(VectorTrack[BaselineSample]):
+    """Solutions good and bad: nothing is drawn from or through a bad one."""
+
+    def usable_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Refusal:
+        """The baseline at a moment (N, U, E), m, with the covariance of what is new in it, m²; or why there is none."""
+        interval, baseline = self._interval(time_ns), self.at(time_ns)
+        if interval is None or baseline is None:
+            return Refusal(Reason.GAP, "no baselines on both sides of the exposure")
+        left, fraction = interval
+        around = self._samples[left : left + (1 if fraction == 0.0 else 2)]
+        for sample in around:
+            if sample.refusal is not None:
+                return sample.refusal
+        nearest = around[0] if fraction < 0.5 else around[-1]
+        return baseline.vector, baseline.noise_gain * nearest.covariance_n
+
+    def _joined(self, left: int) -> bool:
+        both_good = self._samples[left].refusal is None and self._samples[left + 1].refusal is None
+        return both_good and super()._joined(left)

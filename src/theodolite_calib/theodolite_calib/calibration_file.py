@@ -1,0 +1,72 @@
+"""The saved calibration as a file: YAML that people can read, written atomically, with a version."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.files import DISK, Files
+from ship_node.saved_document import SavedFormat, finite_numbers, joint_covariance, section
+from theodolite_calib.calibration import SAVED_NAMES, CalibrationPrior
+
+_SAVED = SavedFormat("optical_axis calibration", 1, "calibration")
+_KEYS = {name: "focal_length_m" if name == "focal_length" else f"{name}_arcsec" for name in SAVED_NAMES}
+_UNITS = np.array([1.0 if name == "focal_length" else ARCSEC for name in SAVED_NAMES])
+
+
+def save(path: Path, prior: CalibrationPrior, files: Files = DISK) -> None:
+    """Write a calibration; the file is either the old one or the new one, never a part.
+
+    Raises:
+        BadInput: the file cannot be written.
+    """
+    _SAVED.save(path, _document(prior), files)
+
+
+def load(path: Path, files: Files = DISK) -> CalibrationPrior:
+    """Read a calibration.
+
+    Raises:
+        BadInput: names the file and what is wrong with it.
+    """
+    return _SAVED.load(path, _prior, files)
+
+
+def load_if_there(path: Path, files: Files = DISK) -> CalibrationPrior | None:
+    """As :func:`load`; None where there is no such file."""
+    return _SAVED.load_if_there(path, _prior, files)
+
+
+def _document(prior: CalibrationPrior) -> dict[str, Any]:
+    sigma = np.sqrt(np.diagonal(prior.covariance))
+    return {
+        "time_ns": prior.time_ns,
+        "serial": prior.serial,
+        "telescope_id": prior.telescope_id,
+        "values": _human(prior.values),
+        "sigma": _human(sigma),
+        "covariance_note": "of the values in their order, in rad and m: g, c, I and the parallelism belong together",
+        "covariance": prior.covariance.tolist(),
+    }
+
+
+def _human(values: FloatArray) -> dict[str, float]:
+    return dict(zip(_KEYS.values(), (values / _UNITS).tolist(), strict=True))
+
+
+def _prior(document: dict[str, Any]) -> CalibrationPrior:
+    """What the document says; a ValueError names the section that cannot be used."""
+    size = len(SAVED_NAMES)
+    return CalibrationPrior(
+        time_ns=section(document, "time_ns", int),
+        serial=section(document, "serial", str),
+        telescope_id=section(document, "telescope_id", str),
+        values=section(document, "values", _values),
+        covariance=section(document, "covariance", lambda rows: joint_covariance(rows, size)),
+    )
+
+
+def _values(given: dict[str, Any]) -> FloatArray:
+    numbers = finite_numbers({key: given[key] for key in _KEYS.values()})
+    return _UNITS * np.array(list(numbers.values()))

@@ -1,0 +1,88 @@
+"""Is the encoder alive? Readings that stand still are watched against their own motion before, and the lights.
+
+A theodolite at rest reads the same for hours, and one that is stuck does so too. What tells them apart are the lights:
+when they say that the telescope has turned in the deck, the encoder is stuck. Until lights have confirmed it, readings
+that stopped dead in the midst of a motion are in doubt.
+"""
+
+import numpy as np
+
+from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.stuck_guard import StuckGuard, Witness
+from ship_geometry.rotations import ARCSEC, FloatArray
+from theodolite_calib.samples import EncoderSample
+
+_LIGHTS = "lights"
+_SIGMAS = 5.0
+
+_LARGEST_ANGLE = 2.0 * np.pi + 1e-6
+_SURE_AFTER = 20
+"""Readings beyond a turn, in a row, after which a reading within it is not believed either."""
+
+
+class EncoderWatch:
+    """Watches the readings of one run in the order of their stamps.
+
+    Args:
+        sigma_rad: noise of a reading; an arcsecond where it is less.
+    """
+
+    def __init__(self, sigma_rad: float) -> None:
+        self._sigma_rad = max(sigma_rad, ARCSEC)
+        self._guard = StuckGuard(self._sigma_rad)
+        self._witnesses: dict[str, Witness] = {}
+        self._last: tuple[EncoderSample, FloatArray] | None = None
+        self._beyond_a_turn = 0
+        self._still_since_ns: int | None = None
+        self._in_doubt_since_ns: int | None = None
+
+    @property
+    def in_doubt(self) -> bool:
+        """True while the readings stand still after a motion, and no light has confirmed it."""
+        return self._in_doubt_since_ns is not None
+
+    def check_units(self, sample: EncoderSample) -> Refusal | None:
+        """The refusal of a reading that cannot be in radians; after a run of such, of all until a reset."""
+        azimuth, elevation = sample.vector.tolist()
+        beyond = max(abs(azimuth), abs(elevation)) > _LARGEST_ANGLE
+        sure = self._beyond_a_turn >= _SURE_AFTER
+        if not beyond and not sure:
+            self._beyond_a_turn = 0
+            return None
+        self._beyond_a_turn += beyond
+        text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians within a turn; degrees?"
+        return Refusal(Reason.UNITS, text + " All readings are refused until a reset" * sure)
+
+    def check(self, sample: EncoderSample) -> Refusal | None:
+        """The refusal of a reading later than all before; None where nothing is known against it."""
+        self._watch_motion(sample)
+        if self._guard.observe(sample.vector, self._witnesses):
+            text = "both encoders stand still while the lights say that the telescope turns in the deck"
+            return Refusal(Reason.STUCK, text)
+        return None
+
+    def see_lights(self, time_ns: int, telescope_dt: FloatArray, sigma_rad: float) -> None:
+        """The telescope in the deck as lights had it at a moment, shape (3, 3), with the error about its worst axis."""
+        # Before the readings stood still the telescope may well have turned.
+        if self._still_since_ns is not None and time_ns >= self._still_since_ns:
+            self._witnesses[_LIGHTS] = Witness(telescope_dt, sigma_rad)
+
+    def confirm(self, time_ns: int) -> None:
+        """Lights at a moment agreed with the readings of that moment."""
+        if self._in_doubt_since_ns is not None and time_ns > self._in_doubt_since_ns:
+            self._in_doubt_since_ns = None
+
+    def _watch_motion(self, sample: EncoderSample) -> None:
+        """Doubt begins with a reading equal to the last one although that one had moved."""
+        if self._last is None:
+            self._last, self._still_since_ns = (sample, np.zeros(2)), sample.time_ns
+            return
+        last, rate = self._last
+        step = sample.vector - last.vector
+        step -= 2.0 * np.pi * np.round(step / (2.0 * np.pi))
+        interval_s = (sample.time_ns - last.time_ns) * 1e-9
+        if np.any(step):
+            self._witnesses, self._still_since_ns, self._in_doubt_since_ns = {}, sample.time_ns, None
+        elif np.max(np.abs(rate)) * interval_s > _SIGMAS * self._sigma_rad and self._in_doubt_since_ns is None:
+            self._in_doubt_since_ns = sample.time_ns
+        self._last = sample, step / interval_s

@@ -1,0 +1,190 @@
+"""What is measured, in tracks of its own, and brought together at the middle of an exposure."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ship_estimation.refusals import Reason, Refusal, same_stamp
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.sample_track import SECOND_NS, SampleTrack
+from ship_geometry.vector_track import VectorTrack
+from theodolite_calib.baseline_track import BaselineTrack
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.line_of_sight import Lights
+from theodolite_calib.samples import EncoderSample, Exposure, SeenLight, ShipSample, Status
+from theodolite_calib.sighting import Image
+from theodolite_calib.sighting_at import EncoderAt, ShipAt, Sighting
+
+Sample = TypeVar("Sample", EncoderSample, ShipSample, AttitudeSample, Any)
+
+
+@dataclass(frozen=True)
+class Inserted:
+    """What became of a sample.
+
+    Attributes:
+        taken: whether it is in the track.
+        refusal: DUPLICATE or CONFLICT where there was one of its stamp.
+        changed_after_ns: the stamp after which interpolated values may have changed; None where none has.
+    """
+
+    taken: bool
+    refusal: Refusal | None = None
+    changed_after_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class Assembled:
+    """What belongs to an exposure.
+
+    Attributes:
+        sighting: of the lights that have all they need; None where none has.
+        refusal: why there is none.
+        lights_refused: the other lights, by name.
+    """
+
+    sighting: Sighting | None
+    refusal: Refusal | None
+    lights_refused: tuple[tuple[str, Refusal], ...]
+
+
+class SightingInputs:
+    """The tracks of one run.
+
+    Args:
+        config: the node's parameters.
+    """
+
+    def __init__(self, config: OpticalAxisConfig) -> None:
+        self.reconfigure(config)
+        by_ins = config.ship.source == "ins/imu"
+        self._ship_shift_ns = round(config.ins.time_offset_s * SECOND_NS) if by_ins else 0
+        self.encoder: VectorTrack[EncoderSample] = VectorTrack(_ns(config.encoder.max_gap_s), 2.0 * np.pi)
+        self.ship = AttitudeTrack(_ns(config.ins.max_gap_s if by_ins else config.ship.max_gap_s))
+        self.baselines = {id_: BaselineTrack(_ns(b.rtk.max_gap_s)) for id_, b in config.beacons.items()}
+        # A light at the antenna is where it is, however the drone stands.
+        self.drones = {
+            id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
+        }
+
+    def reconfigure(self, config: OpticalAxisConfig) -> None:
+        """Go on with other noise."""
+        by_ins = config.ship.source == "ins/imu"
+        white_arcsec = config.ins.white_sigma_arcsec if by_ins else config.ship.white_sigma_arcsec
+        self._ship_noise = (white_arcsec * ARCSEC) ** 2
+
+    @property
+    def reach_ns(self) -> int:
+        """How far from its moment data may lie that an exposure is compared with."""
+        return max(track.max_gap_ns for track in self._tracks()) + abs(self._ship_shift_ns)
+
+    def drop_before(self, time_ns: int) -> None:
+        """Forget what no exposure at or after ``time_ns`` needs."""
+        for track in self._tracks():
+            track.drop_before(time_ns - abs(self._ship_shift_ns))
+
+    def awaits(self, exposure: Exposure) -> bool:
+        """True while data still to come may belong to an exposure."""
+        tracks: list[SampleTrack[Any]] = [self.encoder]
+        for light in exposure.lights:
+            tracks.append(self.baselines[light.beacon_id])
+            if light.beacon_id in self.drones:
+                tracks.append(self.drones[light.beacon_id])
+        covered = self.ship_covers(exposure.time_ns) and all(track.covers(exposure.time_ns) for track in tracks)
+        return not covered
+
+    def ship_covers(self, time_ns: int) -> bool:
+        """True once later samples can no longer change the ship's attitude at a moment."""
+        return self.ship.covers(time_ns - self._ship_shift_ns)
+
+    def ship_at(self, time_ns: int) -> tuple[ShipAt, Status] | None:
+        """The ship's attitude at a moment, and what its source says that it is worth; None in a gap."""
+        attitude = self.ship.at(time_ns - self._ship_shift_ns)
+        sample = self.ship.last_before(time_ns - self._ship_shift_ns)
+        if attitude is None or not isinstance(sample, ShipSample):
+            return None
+        noise = attitude.noise_gain * self._ship_noise
+        return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.slow_covariance_n, noise), sample.status
+
+    def encoder_at(self, time_ns: int) -> EncoderAt | None:
+        """The encoders at a moment; None in a gap."""
+        angles = self.encoder.at(time_ns)
+        sample = self.encoder.last_before(time_ns)
+        if angles is None or sample is None:
+            return None
+        azimuth, elevation = angles.vector.tolist()
+        return EncoderAt(azimuth, elevation, angles.noise_gain * sample.sigma**2)
+
+    def assemble(self, exposure: Exposure) -> Assembled:
+        """Everything at the middle of an exposure."""
+        ship, encoder = self.ship_at(exposure.time_ns), self.encoder_at(exposure.time_ns)
+        if encoder is None:
+            return Assembled(None, Refusal(Reason.GAP, "no encoder readings on both sides of it"), ())
+        if ship is None:
+            return Assembled(None, Refusal(Reason.GAP, "no attitudes of the ship on both sides of it"), ())
+        found: list[tuple[SeenLight, _Placed]] = []
+        refused: list[tuple[str, Refusal]] = []
+        for light in exposure.lights:
+            placed = self._placed(light.beacon_id, exposure.time_ns)
+            if isinstance(placed, Refusal):
+                refused.append((light.beacon_id, placed))
+            else:
+                found.append((light, placed))
+        if not found:
+            return Assembled(None, refused[0][1], tuple(refused))
+        sighting = Sighting(
+            exposure.time_ns,
+            tuple(light.beacon_id for light, _ in found),
+            Image(np.array([light.point_m for light, _ in found]), np.array([light.sigma_m for light, _ in found])),
+            Lights(
+                np.array([placed.baseline_n for _, placed in found]),
+                np.array([placed.covariance_n for _, placed in found]),
+                np.array([placed.rotation_nb for _, placed in found]),
+                np.zeros((len(found), 3, 3)),
+            ),
+            ship[0],
+            encoder,
+        )
+        return Assembled(sighting, None, tuple(refused))
+
+    def _placed(self, beacon_id: str, time_ns: int) -> "_Placed | Refusal":
+        baseline = self.baselines[beacon_id].usable_at(time_ns)
+        if isinstance(baseline, Refusal):
+            return baseline
+        if beacon_id not in self.drones:
+            return _Placed(*baseline, np.eye(3))
+        attitude = self.drones[beacon_id].at(time_ns)
+        if attitude is None:
+            return Refusal(Reason.GAP, "no attitudes of the drone on both sides of the exposure")
+        return _Placed(*baseline, attitude.rotation_nd)
+
+    def _tracks(self) -> Iterator[SampleTrack[Any]]:
+        yield self.encoder
+        yield self.ship
+        yield from self.baselines.values()
+        yield from self.drones.values()
+
+
+@dataclass(frozen=True)
+class _Placed:
+    baseline_n: FloatArray
+    covariance_n: FloatArray
+    rotation_nb: FloatArray
+
+
+def insert(track: SampleTrack[Any], sample: Any) -> Inserted:
+    """Put a sample into a track; of two with the same stamp the one whose bytes sort first is kept."""
+    known = track.get(sample.time_ns)
+    if known is None:
+        return Inserted(True, None, track.insert(sample))
+    refusal = same_stamp(known.content(), sample.content())
+    if known.content() <= sample.content():
+        return Inserted(False, refusal)
+    return Inserted(True, refusal, track.insert(sample))
+
+
+def _ns(time_s: float) -> int:
+    return round(time_s * SECOND_NS)
