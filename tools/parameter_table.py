@@ -12,9 +12,10 @@ ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
 PAGE = Path(__file__).parents[1] / "docs" / "parameters.md"
 HEAD = """# Parameters
 
-Units are in the names. `<id>` stands for the id of a star sensor or beacon, or the name of a reference: naming it declares it. A
-parameter marked *live* may be changed while the node runs (`ros2 param set`); the others are read at the start. An
-unknown parameter, or one out of its range, stops the node at the start and is refused later, each time with the reason.
+Units are in the names. `<id>` stands for the id of a star sensor or of a beacon, or the name of a reference: naming it
+declares it. A parameter marked *live* may be changed while the node runs (`ros2 param set`); the others are read at the
+start. An unknown parameter, or one out of its range, stops the node at the start and is refused later, each time with
+the reason.
 
 Every node has `black_box` besides: a file (`.mcap`) or folder that takes everything the node uses and gives, in that
 order; `replay BOX.mcap --verify` runs it again to the last bit. A file that is there is kept: the next box is
