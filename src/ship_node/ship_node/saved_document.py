@@ -126,9 +126,10 @@ def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float
     covariance = np.array(rows, dtype=float)
     if covariance.shape != (size, size) or not np.all(np.isfinite(covariance)):
         raise ValueError(f"shape {covariance.shape}: expected {size} x {size} finite numbers")
-    # In sigmas, because angles are far smaller numbers than seconds.
-    scale = np.sqrt(np.abs(np.diagonal(covariance)))
-    correlation = covariance / np.where(scale > 0.0, np.outer(scale, scale), 1.0)
+    # In sigmas, because angles are far smaller numbers than seconds; what is held fixed has none.
+    sigma = np.sqrt(np.abs(np.diagonal(covariance)))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    correlation = covariance / np.outer(scale, scale)
     if not np.allclose(correlation, correlation.T, atol=_ROUNDING):
         raise ValueError("not symmetric")
     if np.linalg.eigvalsh(correlation)[0] < -_ROUNDING:
