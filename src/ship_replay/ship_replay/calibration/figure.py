@@ -30,9 +30,7 @@ def _figures(calibration: Calibration) -> Iterator[tuple[str, Figure]]:
 def _course_figure(calibration: Calibration) -> Figure:
     """Correction of every angle over the session, one row a sensor; the last values stand above."""
     rows = len(calibration.sensors)
-    figure, grid = plt.subplots(
-        rows, 3, figsize=(14, 3.2 * rows + 1), sharex=True, squeeze=False, layout="constrained"
-    )
+    figure, grid = plt.subplots(rows, 3, figsize=(14, 3.2 * rows + 1), sharex=True, squeeze=False, layout="constrained")
     figure.suptitle(f"{calibration.session.name}: correction of the installation angles, inside its ±1σ")
     for number, angle in enumerate(calibration.angles):
         _draw_course(grid[divmod(number, 3)], calibration, angle)

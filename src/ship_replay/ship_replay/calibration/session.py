@@ -5,11 +5,8 @@ It is the filter of ``ship_attitude`` itself, fed as in a replay. No smoother fo
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from ship_attitude_star.adapter import ShipAttitudeAdapter
 from ship_attitude_star.config import ShipAttitudeConfig, StarSensorConfig
@@ -21,38 +18,12 @@ from ship_node.files import DISK, Files
 from ship_node.message_factory import MessageFactory
 from ship_replay.adapter_chain import AdapterChain, suite_chain
 from ship_replay.bag_reader import Bag, read_bag
+from ship_replay.calibration.collected import Course, InputCount, input_counts
 from ship_replay.errors import BadInput
 from ship_replay.message_store import RosbagsFactory
 from ship_replay.replay import Watcher, match_inputs
 from ship_replay.replay_run import ReplayRun, ReplaySummary
 from ship_replay.times import NS_PER_S
-
-_ALIGNMENT_TOPIC = "ship/alignment"
-_IMPROBABLE = "gate", "attitude_conflict"
-"""Reasons of refusal that an installation further off than its sigma leads to."""
-
-
-@dataclass(frozen=True)
-class InputCount:
-    """What became of a device's messages.
-
-    Attributes:
-        used: messages that the filter used.
-        refused: reason → messages not used, or used only with a note.
-    """
-
-    used: int
-    refused: dict[str, int]
-
-    @property
-    def improbable(self) -> int:
-        """Messages too improbable to use."""
-        return sum(self.refused.get(reason, 0) for reason in _IMPROBABLE)
-
-    @property
-    def words(self) -> str:
-        """Reasons with their counts."""
-        return ", ".join(f"{reason} {count}" for reason, count in self.refused.items()) or "no message came"
 
 
 @dataclass(frozen=True)
@@ -108,12 +79,14 @@ def run_session(
         _check_installations(bag, config)
         names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
         _check_star_topics(bag, config, {*names.values(), *(topic.topic for topic in chain.outputs)})
-        course, summary = _Course(), ReplaySummary()
+        course, summary = Course(), ReplaySummary()
         run = ReplayRun(chain, course, summary, ())
         for record in watch(bag.records(names), bag):
             run.take(names[record.topic], record)
         last_ns = bag.last_time_ns or 0
-        counts = _counts(adapter, config, last_ns)
+        last = adapter.core.alignment()
+        course.add(last_ns, last.names, last.values, last.covariance)
+        counts = input_counts(adapter, last_ns)
         _check_used(bag, adapter.core, counts)
         unread = [f"topic '{topic}': {count} messages cannot be read" for topic, count in summary.undecodable.items()]
         return Session(
@@ -197,50 +170,3 @@ def _check_used(bag: Bag, core: ShipAttitudeCore, counts: Mapping[str, InputCoun
         if device.is_star and source not in core.state.used_ns:
             hint = ": its installation is further off than its sigma: give --prior-sigma" if count.improbable else ""
             raise BadInput(f"{bag.path}: no message of {source} was used: {count.words}{hint}")
-
-
-# -- what the run gives -----------------------------------------------------------------------------------------
-
-
-def _counts(adapter: ShipAttitudeAdapter, config: ShipAttitudeConfig, now_ns: int) -> dict[str, InputCount]:
-    topics = {f"star/{id_}/{star.input}": f"star.{id_}" for id_, star in config.star_sensors.items()}
-    topics |= {f"reference/{name}/imu": f"reference.{name}" for name in config.references}
-    counts = {}
-    for message in adapter.health.messages(RosbagsFactory(), now_ns):
-        if message.topic in topics:
-            refused = zip(message.reasons, (int(count) for count in message.reason_counts), strict=True)
-            counts[topics[message.topic]] = InputCount(int(message.accepted), dict(refused))
-    return counts
-
-
-@dataclass
-class _Course:
-    """Takes a replay's outputs and keeps how the alignment came about."""
-
-    times_ns: list[int] = field(default_factory=list)
-    names: tuple[str, ...] = ()
-    values: list[FloatArray] = field(default_factory=list)
-    sigmas: list[FloatArray] = field(default_factory=list)
-
-    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Take an output."""
-        if topic == _ALIGNMENT_TOPIC:
-            self.names = tuple(message.names)
-            self.times_ns.append(log_time_ns)
-            self.values.append(np.array(message.values))
-            covariance = np.reshape(message.covariance, (len(self.names), len(self.names)))
-            self.sigmas.append(np.sqrt(np.diagonal(covariance)))
-
-    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """The truth is not for a calibration."""
-
-    @property
-    def times_s(self) -> FloatArray:
-        times_ns = np.array(self.times_ns, dtype=np.int64)
-        return (times_ns - times_ns[:1]) / NS_PER_S
-
-    def installations(self) -> dict[str, FloatArray]:
-        angles = "azimuth", "elevation", "roll"
-        wanted = [n for n, name in enumerate(self.names) if name.startswith("star.") and name.endswith(angles)]
-        both = np.stack([np.array(self.values), np.array(self.sigmas)], axis=-1)
-        return {self.names[n]: both[:, n] for n in wanted}

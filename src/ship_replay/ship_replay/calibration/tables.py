@@ -30,7 +30,7 @@ def json_text(calibration: Calibration) -> str:
         "bag": session.name,
         "duration_s": session.duration_s,
         "used": {source: count.used for source, count in session.counts.items()},
-        "not_used_or_noted": {source: count.refused for source, count in session.counts.items()},
+        "not_used_or_noted": {source: count.reasons for source, count in session.counts.items()},
         "angles": {
             f"star.{angle.sensor}.{angle.angle}": {
                 "configured_deg": _shown_deg(angle.configured),

@@ -1,0 +1,129 @@
+"""Are calibrated installation angles as good as their covariance says, and does a voyage gain by them?"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibration_sessions import HEELING, STILL, TURN, session
+
+from ship_attitude_star import alignment_file
+from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.ship_core import ShipAttitudeCore
+from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.parameters import build
+from ship_geometry.frames import angles_from_rotation
+from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
+from ship_replay.calibration.result import Calibration, calibration_of
+from ship_replay.calibration.session import Session
+from ship_replay.monte_carlo import core_for, feed
+from ship_replay.simulation.run import SimulatedRun, simulate
+from ship_replay.simulation.scenario import Scenario
+from ship_replay.simulation.suite import suite_configuration
+
+SEEDS = 30
+VOYAGES = 16
+SENSORS = "fore", "starboard"
+
+
+def calibrated(run: SimulatedRun, core: ShipAttitudeCore) -> Calibration:
+    """What the command makes of a run, without a bag."""
+    feed(core, run)
+    return calibration_of(Session("run", core.config, core, {}, np.array([]), {}, run.scenario.duration_s, []))
+
+
+def angle_errors(calibration: Calibration, run: SimulatedRun) -> np.ndarray:
+    """True minus installed, of all angles, rad."""
+    true = np.concatenate([angles_from_rotation(run.truth.stars[id_].rotation_dv) for id_ in SENSORS])
+    return wrap_pi(true - [angle.installed for angle in calibration.angles])
+
+
+def nees(calibration: Calibration, run: SimulatedRun) -> float:
+    return float(normalized_error_squared(angle_errors(calibration, run), calibration.covariance))
+
+
+CALM = {"bow": "no", "up": "no", "starboard": "no"}
+
+
+@pytest.mark.parametrize(
+    ("scenario", "observed"),
+    [
+        (session(STILL), CALM),
+        (session(STILL, sigma_arcsec=1200.0), CALM),
+        # The INS's heading error turns with the ship: a turn in calm water tells only its tilt.
+        (session(TURN), CALM | {"bow": "yes", "starboard": "yes"}),
+        (session(HEELING), dict.fromkeys(CALM, "yes")),
+        (session(STILL, reference=True), dict.fromkeys(CALM, "yes")),
+    ],
+    ids=["still", "still, hardly known", "turn", "turn in a swell", "still, with a reference"],
+)
+def test_errors_fit_their_covariance(scenario: Scenario, observed: dict[str, str]) -> None:
+    """One session a seed; 99.9 % bands for as many seeds, all six angles together and each alone."""
+    values, ratios = [], []
+    for seed in range(SEEDS):
+        run = simulate(scenario, seed)
+        calibration = calibrated(run, core_for(scenario))
+        assert {c.axis: c.observed for c in calibration.combinations.values() if c.axis} == observed
+        values.append(nees(calibration, run))
+        ratios.append(angle_errors(calibration, run) / [angle.sigma for angle in calibration.angles])
+    low, high = mean_nees_band(SEEDS, degrees=6)
+    assert low <= np.mean(values) <= high
+    low, high = sigma_ratio_band(SEEDS)
+    rms = np.sqrt(np.mean(np.square(ratios), axis=0))
+    assert np.all((low <= rms) & (rms <= high)), rms
+
+
+def test_a_prior_that_claims_too_much_is_found_out() -> None:
+    """The bands can fail: installations five times as far off as the configuration says."""
+    scenario = session(STILL, sigma_arcsec=4.0)
+    values = [
+        nees(calibrated(simulate(session(STILL), seed), core_for(scenario)), simulate(session(STILL), seed))
+        for seed in range(4)
+    ]
+    assert np.mean(values) > mean_nees_band(4, degrees=6)[1]
+
+
+def next_voyage(calibration_run: SimulatedRun) -> Scenario:
+    """The same ship with the same installation and clock, another day: other errors of the INS and other noise."""
+    truth = calibration_run.truth
+    sensors = {}
+    for id_, sensor in calibration_run.scenario.star_sensors.items():
+        azimuth, elevation, roll = np.rad2deg(angles_from_rotation(truth.stars[id_].rotation_dv)).tolist()
+        sensors[id_] = replace(
+            sensor,
+            azimuth_deg=azimuth,
+            elevation_deg=elevation,
+            roll_deg=roll,
+            installation_sigma_forward_arcsec=0.0,
+            installation_sigma_up_arcsec=0.0,
+            installation_sigma_right_arcsec=0.0,
+        )
+    ins = replace(calibration_run.scenario.ins, time_offset_s=truth.ins.time_offset_s, time_offset_sigma_s=0.0)
+    return replace(session(HEELING, duration_s=10.0), star_sensors=sensors, ins=ins)
+
+
+def test_a_voyage_that_starts_from_it_is_better_and_honest(tmp_path: Path) -> None:
+    """Through the file and its real loader."""
+    scenario = session(STILL, reference=True)
+    # The voyage goes without the reference that the harbour had.
+    config = build(ShipAttitudeConfig, suite_configuration(session(STILL)))
+    errors: dict[str, list[float]] = {"configured": [], "calibrated": []}
+    values = []
+    for seed in range(VOYAGES):
+        run = simulate(scenario, seed)
+        path = tmp_path / "alignment.yaml"
+        alignment_file.save(path, calibrated(run, core_for(scenario)).prior)
+        voyage = simulate(next_voyage(run), 1000 + seed)
+        for name, squares in errors.items():
+            core = ShipAttitudeCore(config)
+            if name == "calibrated":
+                assert core.start_from(alignment_file.load(path), voyage.start_ns) == []
+            estimate, _ = feed(core, voyage)
+            error_n = log_rotation(voyage.truth.rotation_nd[-1] @ estimate.rotation_nd.T)
+            squares.append(float(error_n @ error_n))
+        values.append(normalized_error_squared(error_n, estimate.covariance_n))
+    low, high = mean_nees_band(VOYAGES, degrees=3)
+    assert low <= np.mean(values) <= high
+    rms = {name: np.sqrt(np.mean(squares)) / ARCSEC for name, squares in errors.items()}
+    # 20" about every axis of two sensors, against tenths of an arcsecond of harbour time and ten seconds of stars.
+    assert rms["calibrated"] < 0.3 * rms["configured"], rms

@@ -1,0 +1,92 @@
+"""Which combinations of installation angles were observed: made-up covariances, expected numbers by hand."""
+
+import numpy as np
+import pytest
+
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC
+from ship_replay.calibration.observability import DECK_AXES, combinations, verdict
+
+LAYOUT = np.array([rotation_from_angles(azimuth, np.deg2rad(45.0), 0.0) for azimuth in np.deg2rad([0.0, 90.0])])
+INS = np.array([10.0, 72.0, 10.0]) * ARCSEC
+PRIOR = np.full((2, 3), 20.0) * ARCSEC
+PRIOR_COVARIANCE = np.diag(PRIOR.ravel() ** 2)
+
+
+def updated(covariance: np.ndarray, jacobian: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """A covariance after a measurement."""
+    return np.linalg.inv(np.linalg.inv(covariance) + jacobian.T @ np.linalg.solve(noise, jacobian))
+
+
+def against_ins(covariance: np.ndarray, sigma_arcsec: float) -> np.ndarray:
+    """After both sensors were held against an INS whose error is the same for both, at constant heading."""
+    noise = np.tile(np.diag(INS**2), (2, 2)) + (sigma_arcsec * ARCSEC) ** 2 * np.eye(6)
+    to_deck = np.zeros((6, 6))
+    to_deck[:3, :3], to_deck[3:, 3:] = LAYOUT
+    return updated(covariance, to_deck, noise)
+
+
+def found(covariance: np.ndarray, prior: np.ndarray = PRIOR, layout: np.ndarray = LAYOUT) -> list:
+    return combinations(prior, covariance[None], layout, INS)
+
+
+def test_verdicts() -> None:
+    assert [verdict(ratio) for ratio in (0.0, 0.5, 0.51, 0.89, 0.9, 1.1)] == [
+        "yes", "yes", "partly", "partly", "no", "no",
+    ]  # fmt: skip
+
+
+def test_nothing_measured_leaves_everything_open() -> None:
+    combos = found(PRIOR_COVARIANCE)
+    assert [combo.axis for combo in combos] == [*DECK_AXES, None, None, None]
+    assert {combo.observed for combo in combos} == {"no"}
+    # Two sensors of 20": the turn of both is known to 20" / sqrt 2.
+    assert [combo.sigma / ARCSEC for combo in combos[:3]] == pytest.approx([20.0 / np.sqrt(2.0)] * 3)
+
+
+def test_at_constant_heading_the_turn_of_all_is_open_and_the_rest_is_not() -> None:
+    combos = found(against_ins(PRIOR_COVARIANCE, sigma_arcsec=0.1))
+    # 1 / sqrt(2 / 20² + 1 / 10²) and 1 / sqrt(2 / 20² + 1 / 72²): prior and INS, by hand.
+    assert [combo.axis for combo in combos] == list(DECK_AXES)
+    assert [combo.sigma_before / ARCSEC for combo in combos] == pytest.approx([8.165, 13.877, 8.165], abs=1e-3)
+    assert [combo.ratio for combo in combos] == pytest.approx([1.0] * 3, abs=1e-3)
+    assert {combo.observed for combo in combos} == {"no"}
+    # The same turn of the deck for both, 13.9": half of it about each sensor's forward, half about its up axis.
+    assert combos[1].run_s / ARCSEC == pytest.approx(np.tile([9.81, 9.81, 0.0], (2, 1)), abs=0.02)
+
+
+def test_one_look_is_the_bound_of_a_wide_prior_too() -> None:
+    """The sum of INS and installation is no observation, however little was known beforehand."""
+    wide = 180.0 * PRIOR
+    combos = found(against_ins(np.diag(wide.ravel() ** 2), sigma_arcsec=0.1), wide)
+    assert [combo.sigma / ARCSEC for combo in combos] == pytest.approx([10.0, 72.0, 10.0], rel=1e-3)
+    assert {combo.observed for combo in combos} == {"no"}
+
+
+def test_an_independent_deck_is_observed() -> None:
+    fore_on_deck = np.hstack([LAYOUT[0], np.zeros((3, 3))])
+    known = updated(against_ins(PRIOR_COVARIANCE, 0.1), fore_on_deck, (0.5 * ARCSEC) ** 2 * np.eye(3))
+    assert [(combo.axis, combo.observed) for combo in found(known)] == [(axis, "yes") for axis in DECK_AXES]
+
+
+def test_a_boresight_that_was_not_observed_is_named() -> None:
+    """All known but the turn of the second sensor about its boresight."""
+    # 0.1" about five axes; the sixth, forward of the second sensor, not at all.
+    measured = np.delete(np.eye(6), 3, axis=0)
+    combos = found(updated(PRIOR_COVARIANCE, measured, (0.1 * ARCSEC) ** 2 * np.eye(5)))
+    (open_one,) = [combo for combo in combos if combo.observed != "yes"]
+    assert open_one.axis is None
+    assert np.unravel_index(np.argmax(np.abs(open_one.run_s)), (2, 3)) == (1, 0)
+
+
+def test_a_single_sensor_has_nothing_apart() -> None:
+    one = found(PRIOR_COVARIANCE[:3, :3], PRIOR[:1], LAYOUT[:1])
+    assert [combo.axis for combo in one] == list(DECK_AXES)
+    assert {combo.observed for combo in one} == {"no"}
+
+
+def test_shares_say_what_is_left() -> None:
+    parts = np.array([0.25, 0.75])[:, None, None] * against_ins(PRIOR_COVARIANCE, 0.1)
+    for combo in combinations(PRIOR, parts, LAYOUT, INS):
+        assert combo.shares == pytest.approx([0.25, 0.75])
+        assert combo.sigma == pytest.approx(combo.sigma_before, rel=1e-3)
