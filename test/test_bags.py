@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
 from ship_replay.bag_reader import read_bag
 from ship_replay.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
 from ship_replay.bounds import judge, read_bounds
 from ship_replay.evaluate import evaluate
 from ship_replay.replay import replay
+from ship_replay.replay_command import ADAPTERS
 
 ROOT = Path(__file__).parents[1]
 BAGS = sorted((ROOT / "bags").glob("*.mcap"))
@@ -33,8 +33,8 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def test_there_is_a_demo_bag_and_a_sum_for_each_bag():
-    assert "demo" in [path.stem for path in BAGS]
+def test_there_is_a_bag_of_the_ship_and_one_of_the_theodolite_and_a_sum_for_each():
+    assert [path.stem for path in BAGS] == ["demo", "theodolite"]
     assert sorted(sums()) == [path.name for path in BAGS]
 
 
@@ -52,7 +52,7 @@ def test_a_bag_is_small_and_what_its_sum_and_scenario_say(path):
 
 @every_bag
 def test_an_offline_replay_meets_the_bounds(path, tmp_path):
-    summary = replay(path, tmp_path / "out.mcap", (ShipAttitudeAdapter,))
+    summary = replay(path, tmp_path / "out.mcap", ADAPTERS)
     assert summary.problems == []
     bounds = read_bounds(path.with_suffix(".expected.yaml"))
     judged = judge(evaluate(tmp_path / "out.mcap", path, bounds.skip_s).flat(), bounds, path.name)

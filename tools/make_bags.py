@@ -14,7 +14,7 @@ from ship_replay.simulation.scenario_file import load_scenario
 
 FOLDER = Path(__file__).resolve().parents[1] / "bags"
 SUMS = "SHA256SUMS"
-SEEDS = {"demo": 1}
+SEEDS = {"demo": 1, "theodolite": 1}
 """Bag → seed; its scenario is bags/scenarios/<bag>.yaml."""
 
 

@@ -24,9 +24,10 @@ from theodolite_calib.config import OpticalAxisConfig
 
 Config = TypeVar("Config")
 
-INNOVATION_TOPIC = "ship/innovation"
-ALIGNMENT_TOPIC = "ship/alignment"
-_RESULTS = (INNOVATION_TOPIC, ALIGNMENT_TOPIC)
+_INNOVATION_TOPICS = ("ship/innovation", "theodolite/innovation")
+_ESTIMATES = {"ship/alignment": "alignment", "theodolite/calibration": "calibration"}
+"""Topics of what filters estimate besides → what it is called here."""
+_RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)
 _OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), *_RESULTS)
 """Topics that another bag than the run's own may have as inputs, or of another run."""
 
@@ -39,7 +40,7 @@ class Evaluation:
         errors: per source of an orientation: of the ship's attitude the fused one first, then pointings; empty without
             truth.
         innovations: by name of the source.
-        alignment: last estimates of the filter.
+        estimates: ``alignment`` or ``calibration`` → last estimates of the filters.
         invalid_counts: published orientation → messages that claimed nothing, where there is truth.
         problems: what is wrong with the bags, one line each.
         start_ns: log time at which the bag begins.
@@ -47,7 +48,7 @@ class Evaluation:
 
     errors: list[AttitudeErrors]
     innovations: dict[str, SourceInnovations]
-    alignment: list[AlignmentValue]
+    estimates: dict[str, list[AlignmentValue]]
     invalid_counts: dict[str, int]
     problems: list[str]
     start_ns: int
@@ -60,9 +61,9 @@ class Evaluation:
         values |= {f"{label}.invalid": float(count) for label, count in self.invalid_counts.items()}
         for source, innovations in self.innovations.items():
             values |= {f"innovation.{source}.{name}": value for name, value in innovations.statistics().items()}
-        for item in self.alignment:
-            values[f"alignment.{item.name}_{item.unit}"] = item.value
-            values[f"alignment.{item.name}_sigma_{item.unit}"] = item.sigma
+        for kind, items in self.estimates.items():
+            values |= {f"{kind}.{item.name}_{item.unit}": item.value for item in items}
+            values |= {f"{kind}.{item.name}_sigma_{item.unit}": item.sigma for item in items}
         return values
 
     def json_text(self) -> str:
@@ -97,31 +98,31 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     ship = _config(bags, ShipAttitudeConfig, "ship_attitude")
     collectors = sources(_truths(bags, namespace), ship, _config(bags, OpticalAxisConfig, "optical_axis"))
     innovations = InnovationBook()
-    last_alignment: BagRecord | None = None
+    last: dict[str, BagRecord] = {}
     for candidate, topics in _reading_plan(bag, others, [*collectors, *_RESULTS], namespace):
         for record in candidate.records(topics):
             topic = topics[record.topic]
-            if topic == INNOVATION_TOPIC:
+            if topic in _INNOVATION_TOPICS:
                 innovations.add(record.decode())
-            elif topic == ALIGNMENT_TOPIC:
-                last_alignment = record
+            elif topic in _ESTIMATES:
+                last[_ESTIMATES[topic]] = record
             else:
                 collectors[topic].take(record.decode())
     start_ns = bag.start_ns or 0
     skip_to_ns = start_ns + round(skip_s * NS_PER_S)
     found = [errors for source in collectors.values() for errors in source.errors()]
     errors = [kept for errors in found if len((kept := errors.since(skip_to_ns)).time_ns)]
-    if not errors and not innovations.sources and last_alignment is None:
+    if not errors and not innovations.sources and not last:
         raise BadInput(
             f"{bag.path}: nothing to evaluate: expected topics "
             + ", ".join(f"{known.topic} (with {known.truth_topic})" for known in ORIENTATIONS)
-            + f", {INNOVATION_TOPIC} or {ALIGNMENT_TOPIC}, found {', '.join(sorted(bag.topics)) or 'none'}"
+            + f", {' or '.join(_RESULTS)}, found {', '.join(sorted(bag.topics)) or 'none'}"
         )
     published = [source for source in collectors.values() if isinstance(source, PublishedAttitude)]
     return Evaluation(
         errors=errors,
         innovations={name: innovations.sources[name].since(skip_to_ns) for name in sorted(innovations.sources)},
-        alignment=[] if last_alignment is None else alignment_values(last_alignment.decode()),
+        estimates={kind: alignment_values(last[kind].decode()) for kind in _ESTIMATES.values() if kind in last},
         invalid_counts={source.label: source.invalid_count for source in published if source.seen},
         problems=[problem for candidate in bags for problem in candidate.problems],
         start_ns=start_ns,

@@ -3,9 +3,10 @@
 from rich.console import Console
 from rich.table import Table
 
+from ship_replay.alignment_values import AlignmentValue
 from ship_replay.evaluate import Evaluation
 
-_SHOWN = {"arcsec": (1.0, 2, "arcsec"), "deg": (1.0, 5, "deg"), "s": (1e3, 3, "ms")}
+_SHOWN = {"arcsec": (1.0, 2, "arcsec"), "deg": (1.0, 5, "deg"), "s": (1e3, 3, "ms"), "m": (1e3, 4, "mm")}
 """Unit of a value → factor, decimals and unit in the table."""
 
 
@@ -18,8 +19,8 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
                 console.print(f"{label}: messages that claimed nothing (INVALID): {count}")
     if evaluation.innovations:
         console.print(innovation_table(evaluation))
-    if evaluation.alignment:
-        console.print(alignment_table(evaluation))
+    for kind, values in evaluation.estimates.items():
+        console.print(estimate_table(kind, values))
 
 
 def attitude_table(evaluation: Evaluation) -> Table:
@@ -78,14 +79,14 @@ def innovation_table(evaluation: Evaluation) -> Table:
     return table
 
 
-def alignment_table(evaluation: Evaluation) -> Table:
-    """The last estimates of the filter with their sigma."""
-    table = Table(title="Alignment at the end")
+def estimate_table(kind: str, values: list[AlignmentValue]) -> Table:
+    """The last estimates of a filter with their sigma."""
+    table = Table(title=f"{kind.capitalize()} at the end")
     table.add_column("quantity")
     for column in ("value", "σ"):
         table.add_column(column, justify="right")
     table.add_column("unit")
-    for item in evaluation.alignment:
+    for item in values:
         scale, places, unit = _SHOWN[item.unit]
         table.add_row(item.name, f"{item.value * scale:.{places}f}", f"{item.sigma * scale:.{places}f}", unit)
     return table

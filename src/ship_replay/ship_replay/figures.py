@@ -66,7 +66,8 @@ def attitude_error_figure(series: Sequence[AttitudeErrors], title: str) -> Figur
                     _draw_together(axes, group, row, start_ns)
                 else:
                     _draw_band(axes, group[0], row, start_ns)
-                    axes.set_ylabel(f"{group[0].channels[row].replace('_', ' ')} error [arcsec]")
+                    name = group[0].channels[row].replace("_cos_elevation", " · cos E").replace("_", " ")
+                    axes.set_ylabel(f"{name} error [arcsec]")
             column[0].legend(loc="upper right", markerscale=5 if together else 1)
             column[-1].set_xlabel("time [s]")
             if len(panels) > 1:

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hand_made_bags import FACTORY, START_NS, ship_attitude
+from hand_made_bags import FACTORY, START_NS, innovation, ship_attitude
 from theodolite_scenes import bag_scenario, with_beacons, without_errors
 
 from ship_geometry.frames import rotation_vector_covariance
@@ -121,7 +121,7 @@ def test_ship_and_pointing_stand_in_one_table_and_one_figure(tmp_path, capsys):
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert len(labels) == 6
     assert "heading error [arcsec]" in labels
-    assert "azimuth cos elevation error [arcsec]" in labels
+    assert "azimuth · cos E error [arcsec]" in labels
 
 
 def test_errors_are_filled_in_at_stamps_and_between_them():
@@ -175,3 +175,42 @@ def test_encoder_and_ins_alone_are_held_against_the_truth_too(tmp_path):
     # Axis errors that nobody knows, and the hull's deformation.
     values = evaluated(bag_scenario(duration_s=20.0), tmp_path / "usual.mcap")
     assert 10.0 < values["ins_encoder.elevation.rms_arcsec"] < 120.0
+
+
+def test_the_last_calibration_and_the_lights_residuals_are_evaluated(tmp_path, capsys):
+    stamp_ns = START_NS
+    names, units = ["c", "focal_length"], ["rad", "m"]
+    with BagWriter(tmp_path / "a.mcap") as bag:
+        for c_arcsec in (9.0, -4.0):
+            calibration = FACTORY.make(
+                "ship_msgs/msg/TheodoliteCalibration",
+                header=make_header(FACTORY, stamp_ns, "base"),
+                names=names,
+                values=np.array([c_arcsec * ARCSEC, 0.1001]),
+                covariance=np.diag([(2.0 * ARCSEC) ** 2, 1e-10]).ravel(),
+                units=units,
+                unobservable=[],
+                sighting_count=3,
+                residual_rms=0.0,
+            )
+            bag.write("theodolite/calibration", calibration, stamp_ns)
+        for number in range(2):
+            residual = [3.0 * ARCSEC, 1.0 * ARCSEC, -3.0 * ARCSEC, 1.0 * ARCSEC]
+            components = ("a x", "a z", "b x", "b z")
+            found = innovation(stamp_ns + number, "lights", residual, [2.0 * ARCSEC] * 4, 5.0, components=components)
+            bag.write("theodolite/innovation", found, stamp_ns)
+    assert main([str(tmp_path / "a.mcap")]) == 0
+    assert "Calibration at the end" in capsys.readouterr().out
+    values = evaluate(tmp_path / "a.mcap").flat()
+    expected = {
+        "calibration.c_arcsec": -4.0,
+        "calibration.c_sigma_arcsec": 2.0,
+        "calibration.focal_length_m": 0.1001,
+        "calibration.focal_length_sigma_m": 1e-5,
+        # Both lights together, axis by axis.
+        "innovation.lights.x.std_arcsec": 3.0,
+        "innovation.lights.z.mean_arcsec": 1.0,
+        "innovation.lights.accepted": 2,
+        "innovation.lights.nis_degrees": 4.0,
+    }
+    assert {name: values[name] for name in expected} == pytest.approx(expected)

@@ -44,7 +44,7 @@ def rows_at(samples, time_ns):
 
 
 def test_a_sighting_without_errors_is_what_the_equations_say():
-    scenario = without_errors(bag_scenario(duration_s=55.0))
+    scenario = without_errors(bag_scenario(duration_s=39.0))
     run = simulate(scenario, seed=3)
     theodolite, time_ns = run.theodolite, run.theodolite.images.time_ns
     assert set(np.diff(theodolite.images.first)) == {2}

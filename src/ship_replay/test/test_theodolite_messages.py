@@ -229,7 +229,7 @@ def test_covariances_unknown_and_negative(topic):
 
 def test_the_same_seed_gives_the_same_bag_and_the_scenario_is_in_it(tmp_path):
     scenario = tmp_path / "short.yaml"
-    text = (SCENARIOS / "theodolite.yaml").read_text(encoding="utf-8").replace("duration_s: 180.0", "duration_s: 5.0")
+    text = (SCENARIOS / "theodolite.yaml").read_text(encoding="utf-8").replace("duration_s: 120.0", "duration_s: 5.0")
     scenario.write_text(text, encoding="utf-8")
     digests = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
@@ -254,9 +254,9 @@ BROKEN = {
         "'beacons.a.flight.waypoints' must be two or more with different time_s, got []",
     ),
     "window": (
-        "hidden: {cloud: {start_s: 60.0, end_s: 70.0}}",
-        "hidden: {cloud: {start_s: 60.0, end_s: 50.0}}",
-        "'beacons.a.hidden.cloud.end_s' = 50.0 s must be after start_s = 60.0 s",
+        "hidden: {cloud: {start_s: 40.0, end_s: 50.0}}",
+        "hidden: {cloud: {start_s: 40.0, end_s: 30.0}}",
+        "'beacons.a.hidden.cloud.end_s' = 30.0 s must be after start_s = 40.0 s",
     ),
     "elevations": (
         "greatest_elevation_deg: 70.0",
