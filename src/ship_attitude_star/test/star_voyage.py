@@ -9,7 +9,8 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from small_voyage import FACTORY, INS, SECOND_NS, START_NS, Arrival, Run, attitude, drive, exactly, in_order
+from adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, exactly, in_order
+from small_voyage import INS, Run, attitude, drive
 from small_voyage import voyage as small_voyage
 
 from ship_attitude_star.catalogue import hipparcos

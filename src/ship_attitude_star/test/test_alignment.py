@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from small_voyage import FACTORY, FORE, START_NS, clean_run, config, drive, new_adapter, voyage
+from adapter_runs import FACTORY, START_NS
+from small_voyage import FORE, clean_run, config, drive, new_adapter, voyage
 
 from ship_attitude_star import alignment_file
 from ship_attitude_star.adapter import ShipAttitudeAdapter

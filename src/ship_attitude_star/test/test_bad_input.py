@@ -7,25 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_voyage import (
-    FORE,
-    INS,
+from adapter_runs import (
     SECOND_NS,
     Arrival,
-    Run,
     added,
     changed_copy,
     changed_where,
-    clean_run,
-    drive,
     in_order,
     index_at,
-    new_adapter,
     replaced,
     stamp_of,
-    voyage,
     without,
 )
+from small_voyage import FORE, INS, Run, clean_run, drive, new_adapter, voyage
 
 from ship_attitude_star.samples import Reason
 from ship_geometry.rotations import ARCSEC

@@ -5,9 +5,10 @@ import pickle
 from collections import Counter
 
 import numpy as np
+from adapter_runs import SECOND_NS, START_NS, Arrival
 from garbage import paths, spoil
 from rclpy.serialization import serialize_message
-from small_voyage import FORE, INS, SECOND_NS, START_NS, Arrival, Run, clean_run, new_adapter, voyage
+from small_voyage import FORE, INS, Run, clean_run, new_adapter, voyage
 
 from ship_attitude_star.samples import Status
 

@@ -6,34 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_voyage import (
-    FORE,
-    INS,
-    SECOND_NS,
-    STARBOARD,
-    START_NS,
-    Arrival,
-    clean_run,
-    drive,
-    exactly,
-    in_order,
-    index_at,
-    new_adapter,
-    replaced,
-    stamp_of,
-    voyage,
-)
+from adapter_runs import SECOND_NS, START_NS, Arrival, delayed, exactly, in_order, index_at, replaced, stamp_of
+from small_voyage import FORE, INS, STARBOARD, clean_run, drive, new_adapter, voyage
 
 from ship_attitude_star.samples import Reason
 
 LAG_S = 2.0
-
-
-def delayed(arrivals: tuple[Arrival, ...], delays_s: np.ndarray) -> tuple[Arrival, ...]:
-    return in_order(
-        replace(a, receive_ns=a.stamp_ns + round(delay_s * SECOND_NS))
-        for a, delay_s in zip(arrivals, delays_s.tolist(), strict=True)
-    )
 
 
 def shuffled(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:

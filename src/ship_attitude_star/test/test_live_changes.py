@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_voyage import FORE, INS, Run, changed_where, clean_run, config, drive, new_adapter, voyage
+from adapter_runs import changed_where
+from small_voyage import FORE, INS, Run, clean_run, config, drive, new_adapter, voyage
 
 from ship_attitude_star.samples import Reason, Status
 from ship_estimation.parameters import ParameterError

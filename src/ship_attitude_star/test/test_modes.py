@@ -6,25 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, stamp_of
 from geometry_msgs.msg import Quaternion
 from scipy.spatial.transform import Rotation
-from small_voyage import (
-    FORE,
-    INS,
-    SECOND_NS,
-    STARBOARD,
-    START_NS,
-    Arrival,
-    Run,
-    attitude,
-    changed_where,
-    clean_run,
-    drive,
-    new_adapter,
-    quaternion_message,
-    stamp_of,
-    voyage,
-)
+from small_voyage import FORE, INS, STARBOARD, Run, attitude, clean_run, drive, new_adapter, quaternion_message, voyage
 
 from ship_attitude_star.samples import Horizon, Reason, Status
 from ship_geometry.frames import angles_from_rotation

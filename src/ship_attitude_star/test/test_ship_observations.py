@@ -5,31 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_voyage import (
-    FACTORY,
-    INS,
-    SECOND_NS,
-    START_NS,
-    Run,
-    changed_where,
-    drive,
-    exactly,
-    index_at,
-    replaced,
-    without,
-)
-from star_voyage import (
-    CAMERA_PARAMETERS,
-    FIX,
-    FORE,
-    PRESSURE,
-    STARBOARD,
-    TEMPERATURE,
-    except_,
-    only,
-    true_deck,
-    voyage,
-)
+from adapter_runs import FACTORY, SECOND_NS, START_NS, changed_where, exactly, index_at, replaced, without
+from small_voyage import INS, Run, drive
+from star_voyage import CAMERA_PARAMETERS, FIX, FORE, PRESSURE, STARBOARD, TEMPERATURE, except_, only, true_deck, voyage
 from test_star_bad_input import DROPPED, SOURCE, STARS_REFUSED, Change, star, without_star
 
 from ship_attitude_star.adapter import ShipAttitudeAdapter

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 import small_voyage
-from small_voyage import INS, SECOND_NS, START_NS, Arrival, Run, changed_where, drive, exactly, in_order, stamp_of
+from adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, exactly, in_order, stamp_of
+from small_voyage import INS, Run, drive
 from star_voyage import (
     CAMERA_PARAMETERS,
     FIX,

@@ -7,16 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_voyage import (
-    INS,
+from adapter_runs import (
     SECOND_NS,
     START_NS,
     Arrival,
-    Run,
     added,
     changed_copy,
     changed_where,
-    drive,
     exactly,
     in_order,
     index_at,
@@ -24,6 +21,7 @@ from small_voyage import (
     stamp_of,
     without,
 )
+from small_voyage import INS, Run, drive
 from small_voyage import voyage as small_voyage
 from star_voyage import (
     FIX,

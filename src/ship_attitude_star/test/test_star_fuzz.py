@@ -3,9 +3,10 @@
 import pickle
 
 import numpy as np
+from adapter_runs import SECOND_NS, START_NS, stamp_of
 from garbage import paths, spoil
 from rclpy.serialization import serialize_message
-from small_voyage import SECOND_NS, START_NS, drive, stamp_of
+from small_voyage import drive
 from star_voyage import FIX, FORE, INS, PRESSURE, STARBOARD, new_adapter, results, voyage
 
 ROUNDS, MIXED_IN = 3, 12
