@@ -1,20 +1,25 @@
 """Every bag in bags/ through the live node over DDS, held against the same bag replayed offline.
 
-Nothing may be lost, and what the node says may differ only by what had arrived when it said it: a star measurement a
-moment earlier or later than an INS sample. Once both have taken everything, their states are the same.
+Nothing may be lost, and what the node says may differ only by what had arrived when it said it: a star measurement
+a moment earlier or later than an INS sample, lights than an encoder reading. Once both have taken everything, their
+states are the same.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
 from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_attitude_star.config import ShipAttitudeConfig
-from ship_node.parameter_file import load_config
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.ros_axes import quaternion_from_rotation
+from ship_node.adapter import Adapter
+from ship_node.parameter_file import has_section, load_config
 from ship_node.stamps import ns_from_stamp
 from ship_node.tick_grid import TickGrid
 from ship_replay.bag_reader import read_bag
@@ -24,14 +29,62 @@ from ship_replay.evaluate import evaluate
 from ship_replay.live_run import LiveRun
 from ship_replay.message_store import RosbagsFactory
 from ship_replay.topic_names import relative_topic
+from theodolite_calib.adapter import OpticalAxisAdapter
 
 pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.xdist_group("dds")]
 
 BAGS = sorted((Path(__file__).parents[1] / "bags").glob("*.mcap"))
-RATE = 2.0
-"""Seconds of the bag per second: INS samples come at 200 Hz."""
 SAME_RAD = 1e-9
 INVALID = 3
+
+
+def ship_attitude(message) -> tuple[np.ndarray, float]:
+    """Orientation x, y, z, w and the age of the last star measurement used, s: which was the last one in."""
+    return np.array([getattr(message.orientation, axis) for axis in "xyzw"]), message.star_age_s
+
+
+def pointing(message) -> tuple[np.ndarray, float]:
+    """Orientation x, y, z, w and the variance of the pointing, rad²: it tells which lights were the last ones in."""
+    rotation_nm = rotation_from_angles(message.azimuth, message.elevation, message.image_rotation)
+    return quaternion_from_rotation(rotation_nm), float(np.trace(message.rotation_covariance.reshape(3, 3)))
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node with what a bag gives it and what it gives.
+
+    Attributes:
+        adapter: its adapter.
+        package: of its executable.
+        file: parameter that names the file of what it saves.
+        topic: what it publishes for each sample of an input.
+        sample: that input.
+        read: orientation of a message on ``topic``, and a number that tells which measurement was the last one in.
+        rate: seconds of the bag per second.
+    """
+
+    adapter: type[Adapter]
+    package: str
+    file: str
+    topic: str
+    sample: str
+    read: Callable[[Any], tuple[np.ndarray, float]]
+    rate: float
+
+
+NODES = (
+    # INS samples come at 200 Hz then, encoder readings likewise.
+    Node(ShipAttitudeAdapter, "ship_attitude_star", "alignment_file", "ship/attitude", "ins/imu", ship_attitude, 2.0),
+    Node(
+        OpticalAxisAdapter,
+        "theodolite_calib",
+        "calibration_file",
+        "theodolite/pointing",
+        "theodolite/encoder",
+        pointing,
+        4.0,
+    ),
+)
 
 
 @dataclass
@@ -39,8 +92,8 @@ class Outcome:
     """What one way of running a bag gave.
 
     Attributes:
-        attitudes: stamp → (orientation x, y, z, w; age of the last star measurement used, s).
-        saved: the alignment saved at the end.
+        attitudes: stamp → (orientation x, y, z, w; what was the last measurement in).
+        saved: the alignment or calibration saved at the end.
         counts: relative topic → messages in the recorded bag; empty offline.
     """
 
@@ -51,21 +104,31 @@ class Outcome:
 
 @pytest.fixture(scope="module", params=BAGS, ids=lambda path: path.stem)
 def runs(request, tmp_path_factory):
-    """(bag, offline outcome, live outcome, recorded bag)."""
+    """(bag, its node, offline outcome, live outcome, recorded bag)."""
+    node = node_of(request.param)
     folder = tmp_path_factory.mktemp(request.param.stem)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         recorded_path = folder / "live" / "recorded.mcap"
-        live = run_live(request.param, folder / "live")
-    return request.param, run_offline(request.param, folder / "offline.yaml"), live, recorded_path
+        live = run_live(node, request.param, folder / "live")
+    return request.param, node, run_offline(node, request.param, folder / "offline.yaml"), live, recorded_path
 
 
-def run_offline(path: Path, alignment_path: Path) -> Outcome:
-    """The bag through the adapter, message by message, as `replay` does it, and the alignment saved at the end."""
+def node_of(path: Path) -> Node:
+    """The one node that the bag's configuration is about."""
+    with read_bag(path) as bag:
+        text = bag.attachments[SUITE_ATTACHMENT].decode()
+    (node,) = (node for node in NODES if has_section(text, node.adapter.node_name))
+    return node
+
+
+def run_offline(node: Node, path: Path, saved_path: Path) -> Outcome:
+    """The bag through the adapter, message by message, as `replay` does it, and what it saves at the end."""
     published, grid = [], TickGrid()
     with read_bag(path) as bag:
-        config = load_config(ShipAttitudeConfig, with_alignment_file(bag, alignment_path), "ship_attitude")
-        adapter = ShipAttitudeAdapter(config, RosbagsFactory())
+        name = node.adapter.node_name
+        text = with_file(bag, name, node.file, saved_path)
+        adapter = node.adapter(load_config(node.adapter.config_type, text, name), RosbagsFactory())
         topics = {topic.topic for topic in adapter.inputs}
         for record in bag.records(topics):
             for tick_ns in grid.due(record.log_time_ns):
@@ -73,19 +136,18 @@ def run_offline(path: Path, alignment_path: Path) -> Outcome:
             published += adapter.handle(record.topic, record.decode(), record.log_time_ns)
     result = adapter.service("save_alignment", record.log_time_ns)
     assert result.success, result.message
-    attitudes = [message for topic, message in published if topic == "ship/attitude"]
-    return Outcome(by_stamp(attitudes), yaml.safe_load(alignment_path.read_text(encoding="utf-8")), {})
+    attitudes = [message for topic, message in published if topic == node.topic]
+    return Outcome(by_stamp(node, attitudes), yaml.safe_load(saved_path.read_text(encoding="utf-8")), {})
 
 
-def run_live(path: Path, folder: Path) -> Outcome:
-    """The bag through the node's process, and the alignment saved by its service."""
+def run_live(node: Node, path: Path, folder: Path) -> Outcome:
+    """The bag through the node's process, and what its service saves."""
     from std_srvs.srv import Trigger
 
-    alignment_path = folder / "alignment.yaml"
-    parameters = {"alignment_file": str(alignment_path)}
-    with LiveRun(path, ShipAttitudeAdapter, "ship_attitude_star", folder, parameters) as run:
-        run.play(RATE)
-        client = run.observer.node.create_client(Trigger, "/ship_attitude/save_alignment")
+    saved_path = folder / "saved.yaml"
+    with LiveRun(path, node.adapter, node.package, folder, {node.file: str(saved_path)}) as run:
+        run.play(node.rate)
+        client = run.observer.node.create_client(Trigger, f"/{node.adapter.node_name}/save_alignment")
         assert run.observer.spin_until(client.service_is_ready)
         answer = client.call_async(Trigger.Request())
         assert run.observer.spin_until(answer.done)
@@ -97,25 +159,25 @@ def run_live(path: Path, folder: Path) -> Outcome:
         for record in bag.records():
             topic = relative_topic(record.topic)
             counts[topic] = counts.get(topic, 0) + 1
-            if topic == "ship/attitude":
+            if topic == node.topic:
                 attitudes.append(record.decode())
         assert bag.problems == []
-    return Outcome(by_stamp(attitudes), yaml.safe_load(alignment_path.read_text(encoding="utf-8")), counts)
+    return Outcome(by_stamp(node, attitudes), yaml.safe_load(saved_path.read_text(encoding="utf-8")), counts)
 
 
-def with_alignment_file(bag, alignment_path: Path) -> str:
-    """The attached configuration with an alignment file of our own."""
+def with_file(bag, node_name: str, parameter: str, path: Path) -> str:
+    """The attached configuration with a file of our own for what the node saves."""
     document = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT])
-    document["ship_attitude"]["ros__parameters"]["alignment_file"] = str(alignment_path)
+    document[node_name]["ros__parameters"][parameter] = str(path)
     return yaml.safe_dump(document)
 
 
-def by_stamp(messages) -> dict[int, tuple[np.ndarray, float]]:
+def by_stamp(node: Node, messages) -> dict[int, tuple[np.ndarray, float]]:
     """Attitudes that claim something, by stamp; stamps must increase."""
     stamps = [ns_from_stamp(message.header.stamp) for message in messages]
     assert all(later > earlier for earlier, later in pairwise(stamps))
     return {
-        stamp: (np.array([getattr(message.orientation, axis) for axis in "xyzw"]), message.star_age_s)
+        stamp: node.read(message)
         for stamp, message in zip(stamps, messages, strict=True)
         if message.status != INVALID
     }
@@ -127,7 +189,7 @@ def angles_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def flat_numbers(tree, name="") -> dict[str, float]:
-    """Dotted name → number of everything in a saved alignment."""
+    """Dotted name → number of everything in a saved file."""
     if isinstance(tree, dict):
         return {k: v for key, part in tree.items() for k, v in flat_numbers(part, f"{name}.{key}").items()}
     if isinstance(tree, list):
@@ -136,36 +198,38 @@ def flat_numbers(tree, name="") -> dict[str, float]:
 
 
 def test_no_message_is_lost(runs):
-    path, _, live, _ = runs
+    path, node, _, live, _ = runs
     with read_bag(path) as bag:
         sent: dict[str, int] = {}
         for record in bag.records():
             sent[record.topic] = sent.get(record.topic, 0) + 1
-    played = {topic: count for topic, count in live.counts.items() if topic in sent}
-    assert {"ins/imu", "truth/attitude"} <= played.keys()
+    given = {topic.topic for topic in node.adapter.outputs}
+    played = {topic: count for topic, count in live.counts.items() if topic in sent.keys() - given}
+    assert {node.sample, "truth/attitude"} <= played.keys()
     assert played == {topic: sent[topic] for topic in played}
 
 
-def test_the_node_answers_every_ins_sample(runs):
-    _, offline, live, _ = runs
+def test_the_node_answers_every_sample(runs):
+    _, _, offline, live, _ = runs
     assert len(offline.attitudes) > 1000
     assert live.attitudes.keys() == offline.attitudes.keys()
 
 
 def test_attitudes_differ_only_by_what_had_arrived(runs):
-    _, offline, live, _ = runs
+    _, _, offline, live, _ = runs
     stamps = sorted(offline.attitudes)
-    orientation, age_s = (np.array([offline.attitudes[s][part] for s in stamps]) for part in (0, 1))
-    live_orientation, live_age_s = (np.array([live.attitudes[s][part] for s in stamps]) for part in (0, 1))
-    # The age tells which star measurement was the last in: the same one, or none yet in both.
-    same = (age_s == live_age_s) | (np.isnan(age_s) & np.isnan(live_age_s))
-    # Of twenty INS samples there are two at which a star measurement may come before or after.
+    orientation, last_in = (np.array([offline.attitudes[s][part] for s in stamps]) for part in (0, 1))
+    live_orientation, live_last_in = (np.array([live.attitudes[s][part] for s in stamps]) for part in (0, 1))
+    # The same measurement was the last one in, or none yet in both.
+    same = np.isclose(last_in, live_last_in, rtol=1e-9, atol=0.0, equal_nan=True)
+    # Of twenty INS samples there are two at which a star measurement may come before or after, lights at one of ten
+    # readings.
     assert np.mean(same) > 0.8
     assert angles_between(orientation[same], live_orientation[same]).max() < SAME_RAD
 
 
 def test_the_final_states_are_the_same(runs):
-    _, offline, live, _ = runs
+    _, _, offline, live, _ = runs
     expected, found = flat_numbers(offline.saved), flat_numbers(live.saved)
     assert expected.keys() == found.keys()
     assert any("covariance" in name for name in expected)
@@ -175,7 +239,7 @@ def test_the_final_states_are_the_same(runs):
 
 
 def test_the_live_run_meets_the_bounds(runs):
-    path, _, _, recorded_path = runs
+    path, _, _, _, recorded_path = runs
     bounds = read_bounds(path.with_suffix(".expected.yaml"))
     judged = judge(evaluate(recorded_path, path, bounds.skip_s).flat(), bounds, path.name)
     assert [bound.line for bound in judged if not bound.met] == []
