@@ -69,6 +69,13 @@ def test_an_independent_deck_is_observed() -> None:
     assert [(combo.axis, combo.observed) for combo in found(known)] == [(axis, "yes") for axis in DECK_AXES]
 
 
+def test_an_ins_without_errors_is_the_deck() -> None:
+    known = np.diag((0.1 * ARCSEC) ** 2 * np.ones(6))
+    combos = combinations(PRIOR, known[None], LAYOUT, np.array([0.0, 72.0, 0.0]) * ARCSEC)
+    assert [combo.sigma_before / ARCSEC for combo in combos] == pytest.approx([14.142, 13.877, 14.142], abs=1e-3)
+    assert {combo.observed for combo in combos} == {"yes"}
+
+
 def test_a_boresight_that_was_not_observed_is_named() -> None:
     """All known but the turn of the second sensor about its boresight."""
     # 0.1" about five axes; the sixth, forward of the second sensor, not at all.

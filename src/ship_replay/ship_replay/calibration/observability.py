@@ -82,8 +82,9 @@ def combinations(
     turned = turn / scale[:, None]
     information = np.linalg.solve(whitened.sum(axis=0), turned)
     to_together = np.linalg.solve(turned.T @ information, information.T)
-    # A sigma of 0 would be an INS without errors.
-    ins_information = np.diag(1.0 / np.maximum(ins_sigma_d, 1e-12) ** 2)
+    # An INS without errors about an axis is the deck itself: a look at it is an observation.
+    has_errors = ins_sigma_d > 0.0
+    ins_information = np.diag(np.divide(1.0, ins_sigma_d**2, out=np.zeros(3), where=has_errors))
     before = np.linalg.inv(turned.T @ turned + ins_information)
     found = []
     for number, axis in enumerate(DECK_AXES):
