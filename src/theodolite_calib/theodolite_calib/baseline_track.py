@@ -11,14 +11,16 @@ class BaselineTrack(VectorTrack[BaselineSample]):
 
     def usable_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Refusal:
         """The baseline at a moment (N, U, E), m, with the covariance of what is new in it, m²; or why there is none."""
-        interval, baseline = self._interval(time_ns), self.at(time_ns)
-        if interval is None or baseline is None:
+        interval = self._interval(time_ns)
+        if interval is None:
             return Refusal(Reason.GAP, "no baselines on both sides of the exposure")
         left, fraction = interval
         around = self._samples[left : left + (1 if fraction == 0.0 else 2)]
         for sample in around:
             if sample.refusal is not None:
                 return sample.refusal
+        baseline = self.at(time_ns)
+        assert baseline is not None  # in an interval of good samples
         nearest = around[0] if fraction < 0.5 else around[-1]
         return baseline.vector, baseline.noise_gain * nearest.covariance_n
 

@@ -16,7 +16,9 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.calibration_filter import CalibrationFilter, Comparison, FilterState
 from theodolite_calib.equations import AttitudePrior
+from theodolite_calib.image import Camera
 from theodolite_calib.light_check import Verdict, angle_residuals, check_lights
+from theodolite_calib.line_of_sight import LinesOfSight
 from theodolite_calib.samples import Decision, Exposure
 from theodolite_calib.sighting_at import Sighting
 
@@ -74,9 +76,9 @@ class SightingJudge:
         self, state: FilterState, sighting: Sighting, exposure: Exposure, comparison: Comparison
     ) -> Judgement:
         """Two or more lights that do not fit as they are."""
-        prediction = comparison.prediction
+        prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_parts(state, comparison))
-        check = check_lights(sighting.image, prediction.camera, prediction.lines, self._gate.probability, prior)
+        check = check_lights(sighting.image, camera, prediction.lines, self._gate.probability, prior)
         if check.verdict is Verdict.SWAPPED:
             swapped = sighting.chosen(list(range(len(sighting.names))), list(check.order))
             again = self._filter.compare(state, swapped)
@@ -90,7 +92,7 @@ class SightingJudge:
         if without_one is not None:
             return without_one
         if check.verdict is Verdict.CONFLICT or check.verdict is Verdict.SWAPPED:
-            text = _angles_text(sighting, comparison)
+            text = _angles_text(sighting, camera, prediction.lines)
             decision = self._decision(exposure, sighting, comparison)
             return Judgement(replace(decision, reason=Reason.LIGHT_CONFLICT, text=text))
         decision = self._disagreement(exposure, sighting, comparison)
@@ -98,6 +100,11 @@ class SightingJudge:
             return Judgement(decision)
         sigma = float(np.sqrt(np.max(np.diagonal(check.pointing.covariance_n))))
         return Judgement(replace(decision, telescope_dt=(sighting.in_deck(check.pointing.rotation_nt), sigma)))
+
+    def _camera(self, state: FilterState, comparison: Comparison) -> Camera:
+        """The camera as the state knows it."""
+        row = self._filter.model.slices["focal_length"].start
+        return replace(comparison.prediction.camera, focal_length_sigma_m=float(np.sqrt(state.covariance[row, row])))
 
     def _without_one(self, state: FilterState, sighting: Sighting, exposure: Exposure) -> Judgement | None:
         """Three or more lights of which one is wrong: the others, the best of the choices that pass."""
@@ -156,10 +163,9 @@ def _focal_length_m(comparison: Comparison) -> float:
     return float(comparison.prediction.camera.focal_length_m)
 
 
-def _angles_text(sighting: Sighting, comparison: Comparison) -> str:
+def _angles_text(sighting: Sighting, camera: Camera, lines: LinesOfSight) -> str:
     """The angle between lights that is furthest off."""
-    prediction = comparison.prediction
-    angles = angle_residuals(sighting.image, prediction.camera, prediction.lines)
+    angles = angle_residuals(sighting.image, camera, lines)
     worst = int(np.argmax(angles.chi2))
     first, second = (sighting.names[row] for row in angles.pairs[worst])
     return (

@@ -1,0 +1,439 @@
+"""Messages that cannot be used: the reason, where it is told, and that the pointing is as without them."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from adapter_runs import (
+    SECOND_NS,
+    Arrival,
+    added,
+    changed_where,
+    in_order,
+    index_at,
+    replaced,
+    stamp_of,
+    without,
+)
+from small_session import (
+    BASELINE,
+    BEACONS,
+    ENCODER,
+    IMU,
+    SHIP,
+    Run,
+    clean_run,
+    drive,
+    error_in_sigmas,
+    new_adapter,
+    session,
+)
+
+from ship_estimation.refusals import Reason
+from theodolite_calib.samples import Mode, Status
+
+MOMENT_S = 3.0
+ALPHA = BASELINE["alpha"]
+SOURCE = {ENCODER: "encoder", SHIP: "ship", BEACONS: "lights", ALPHA: "baseline.alpha", IMU["alpha"]: "drone.alpha"}
+
+Change = Callable[[Any], None]
+
+
+def put(path: str, value: Any) -> Change:
+    """Sets a field (``orientation.x``) or all of an array."""
+    *parents, leaf = path.split(".")
+
+    def change(message: Any) -> None:
+        holder = functools.reduce(getattr, parents, message)
+        if isinstance(getattr(holder, leaf), np.ndarray):
+            getattr(holder, leaf)[:] = value
+        else:
+            setattr(holder, leaf, value)
+
+    return change
+
+
+def stamp_moved(seconds: float) -> Change:
+    def change(message: Any) -> None:
+        moved_ns = stamp_of(message) + round(seconds * SECOND_NS)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(moved_ns, SECOND_NS)
+
+    return change
+
+
+NEGATIVE = np.diag([1.0, -1.0, 1.0]).ravel()
+def stamp_zero(message: Any) -> None:
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+
+
+LARGE = 1e4 * np.eye(3).ravel()
+NOT_SYMMETRIC = np.array([1.0, 0.5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+
+DROPPED = [
+    ("encoder NaN", ENCODER, put("azimuth", np.nan), "non_finite", "azimuth"),
+    ("encoder infinite", ENCODER, put("elevation", np.inf), "non_finite", "elevation"),
+    ("encoder sigma infinite", ENCODER, put("sigma", np.inf), "non_finite", "sigma"),
+    ("encoder sigma negative", ENCODER, put("sigma", -1.0), "bad_covariance", "positive"),
+    ("encoder reports a fault", ENCODER, put("status", 1), "gap", "reports a fault"),
+    ("encoder in degrees", ENCODER, put("azimuth", 355.0), "units", "expected radians"),
+    ("encoder elevation in degrees", ENCODER, put("elevation", 30.0), "units", "degrees?"),
+    ("encoder frame", ENCODER, put("header.frame_id", "mount"), "frame", "'mount': expected 'theodolite_base'"),
+    ("encoder stamp zero", ENCODER, stamp_zero, "bad_stamp", "0 ns"),
+    ("encoder from the future", ENCODER, stamp_moved(0.06), "future", "ahead"),
+    ("ship NaN", SHIP, put("orientation.x", np.nan), "non_finite", "orientation"),
+    ("ship quaternion zero", SHIP, put("orientation.w", 10.0), "bad_quaternion", "expected 1"),
+    ("ship says INVALID", SHIP, put("status", 3), "gap", "INVALID"),
+    ("ship status unknown", SHIP, put("status", 9), "units", "status 9"),
+    ("ship variance negative", SHIP, put("rotation_covariance", NEGATIVE), "bad_covariance", "negative"),
+    ("ship not symmetric", SHIP, put("rotation_covariance", NOT_SYMMETRIC), "bad_covariance", "symmetric"),
+    ("ship variance of turns", SHIP, put("rotation_covariance", LARGE), "bad_covariance", "full turn"),
+    ("ship frame", SHIP, put("header.frame_id", "mast"), "frame", "'mast': expected 'deck'"),
+    ("baseline NaN", ALPHA, put("enu.x", np.nan), "non_finite", "enu"),
+    ("baseline variance negative", ALPHA, put("covariance", NEGATIVE), "bad_covariance", "negative"),
+    ("baseline from the future", ALPHA, stamp_moved(1.0), "future", "ahead"),
+    ("drone quaternion", IMU["alpha"], put("orientation.w", 10.0), "bad_quaternion", "expected 1"),
+    ("image of another telescope", BEACONS, put("telescope_id", "finder"), "unknown_sensor", "expected 'main'"),
+    ("image frame", BEACONS, put("header.frame_id", "main"), "frame", "'main': expected 'telescope'"),
+]
+
+
+def told(run: Run, reason: Reason) -> list[tuple[str, str]]:
+    return [(message.source, message.reason_text) for message in run.innovations(reason)]
+
+
+def never_wrong(run: Run) -> bool:
+    """Nothing published as VALID or COASTING is off by more than it says, six sigmas."""
+    claimed = [m for m in run.pointings if m.status in (Status.VALID, Status.COASTING)]
+    return max(error_in_sigmas(message) for message in claimed) < 6.0
+
+
+def seen(message: Any, name: str) -> Any:
+    """A light in an image."""
+    return next(sighting for sighting in message.beacons if sighting.beacon_id == name)
+
+
+def test_the_clean_session_is_right_across_the_wrap_of_the_azimuth() -> None:
+    run = clean_run()
+    azimuths = np.array([a.message.azimuth for a in session() if a.topic == ENCODER])
+    assert np.min(np.diff(azimuths)) < -6.0
+    assert max(error_in_sigmas(message) for message in run.pointings) < 4.0
+    assert {m.status for m in run.pointings[20:]} == {Status.VALID}
+    assert {m.mode for m in run.pointings[20:]} == {Mode.TWO_LIGHTS}
+    assert all(m.accepted for m in run.messages("theodolite/innovation"))
+
+
+@pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
+def test_a_dropped_message_leaves_everything_as_without_it(topic: str, change: Change, reason: str, text: str) -> None:
+    index = index_at(session(), topic, MOMENT_S)
+    bad = drive(new_adapter(), replaced(session(), index, change))
+    without_it = drive(new_adapter(), without(session(), index))
+    assert bad.reasons(topic) == {reason: 1}
+    assert bad.health(topic).rejected == 1
+    ((source, said),) = told(bad, Reason[reason.upper()])
+    assert source == SOURCE[topic]
+    assert text in said
+    assert bad.results() == without_it.results()
+    assert bad.state() == without_it.state()
+
+
+@pytest.mark.parametrize("topic", [ENCODER, SHIP, ALPHA, IMU["alpha"], BEACONS])
+def test_the_same_message_again_changes_nothing(topic: str) -> None:
+    index = index_at(session(), topic, MOMENT_S)
+    again_ns = session()[index].receive_ns + 5_000_000
+    run = drive(new_adapter(), added(session(), index, lambda message: None, again_ns))
+    assert run.reasons(topic) == {"duplicate": 1}
+    assert run.results() == clean_run().results()
+
+
+OTHER = [
+    (ENCODER, put("elevation", 0.3)),
+    (SHIP, put("status", 1)),
+    (ALPHA, put("enu.x", 1.0)),
+    (IMU["alpha"], put("orientation", session()[index_at(session(), IMU["alpha"], 1.0)].message.orientation)),
+    (BEACONS, lambda message: put("x", 0.001)(message.beacons[0])),
+]
+
+
+@pytest.mark.parametrize(("topic", "change"), OTHER)
+def test_of_two_contents_of_one_stamp_the_order_of_arrival_does_not_choose(topic: str, change: Change) -> None:
+    index = index_at(session(), topic, MOMENT_S)
+    arrival = session()[index]
+    after_ns, before_ns = arrival.receive_ns + 1, arrival.receive_ns - 1
+    second = drive(new_adapter(), added(session(), index, change, after_ns))
+    first = drive(new_adapter(), added(session(), index, change, before_ns))
+    assert second.state() == first.state()
+    assert second.reasons(topic)["conflict"] == first.reasons(topic)["conflict"] == 1
+
+
+def test_exchanged_names_are_put_right_and_said() -> None:
+    def exchange(message: Any) -> None:
+        alpha, bravo = seen(message, "alpha"), seen(message, "bravo")
+        alpha.beacon_id, bravo.beacon_id = "bravo", "alpha"
+
+    run = drive(new_adapter(), replaced(session(), index_at(session(), BEACONS, MOMENT_S), exchange))
+    (message,) = run.innovations(Reason.LIGHT_CONFLICT)
+    assert message.accepted
+    assert "bravo is alpha, alpha is bravo" in message.reason_text
+    assert run.reasons(BEACONS) == {"light_conflict": 1}
+    assert run.results() == clean_run().results()
+
+
+def test_a_wrong_light_is_refused_by_the_angle_between_them() -> None:
+    index = index_at(session(), BEACONS, MOMENT_S)
+
+    def shift(message: Any) -> None:
+        seen(message, "bravo").x += 0.1 * np.deg2rad(100.0 / 3600.0)
+
+    run = drive(new_adapter(), replaced(session(), index, shift))
+    (message,) = run.innovations(Reason.LIGHT_CONFLICT)
+    assert not message.accepted
+    assert "angle between alpha and bravo is off by" in message.reason_text
+    assert run.reasons(BEACONS) == {"light_conflict": 1}
+    assert run.state() == drive(new_adapter(), without(session(), index)).state()
+    assert never_wrong(run)
+
+
+def test_lights_alike_off_are_no_wrong_lights_but_a_wrong_telescope() -> None:
+    def shift(message: Any) -> None:
+        for sighting in message.beacons:
+            sighting.x += 0.1 * np.deg2rad(200.0 / 3600.0)
+
+    index = index_at(session(), BEACONS, 4.0)
+    run = drive(new_adapter(), replaced(session(), index, shift))
+    assert run.reasons(BEACONS) == {"gate": 1}
+    assert run.state()[:3] == drive(new_adapter(), without(session(), index)).state()[:3]
+    # What disagrees with the lights must not be called VALID, until they agree again.
+    after = [m for m in run.pointings if 4.0 < seconds(m) < 4.6]
+    assert {m.status for m in after} >= {Status.DEGRADED}
+    assert run.pointings[-1].status == Status.VALID
+
+
+def seconds(message: Any) -> float:
+    return (stamp_of(message) - session()[0].stamp_ns) * 1e-9
+
+
+def test_a_float_baseline_is_not_used_and_the_other_light_goes_on() -> None:
+    run = drive(new_adapter(), changed_where(session(), lambda a: a.topic == ALPHA, put("fix", 3)))
+    assert run.reasons(ALPHA) == {"not_fixed": 30}
+    assert ("baseline.alpha", "baseline is FLOAT: expected FIXED") in told(run, Reason.NOT_FIXED)
+    assert ("light.alpha", "baseline is FLOAT: expected FIXED") in told(run, Reason.NOT_FIXED)
+    assert run.reasons(BEACONS)["not_fixed"] == 11
+    assert {m.mode for m in run.pointings[20:]} == {Mode.ONE_LIGHT}
+    assert {m.light_count for m in run.pointings[20:]} == {1}
+    assert never_wrong(run)
+
+
+def test_no_solution_is_not_fixed_whatever_its_numbers() -> None:
+    def none(message: Any) -> None:
+        message.fix, message.enu.x = 0, np.nan
+
+    run = drive(new_adapter(), replaced(session(), index_at(session(), ALPHA, MOMENT_S), none))
+    assert run.reasons(ALPHA) == {"not_fixed": 1}
+    # No exposure waits for a better one, and nothing is drawn through it.
+    assert run.reasons(BEACONS).keys() <= {"not_fixed"}
+    assert never_wrong(run)
+
+
+def test_float_is_used_where_it_is_allowed() -> None:
+    floating = changed_where(session(), lambda a: a.topic == ALPHA, put("fix", 3))
+    assert drive(new_adapter(least_fix="float"), floating).state() == clean_run().state()
+
+
+def test_a_hidden_light_leaves_the_other() -> None:
+    def hide(message: Any) -> None:
+        message.beacons = [seen(message, "bravo")]
+
+    run = drive(new_adapter(), changed_where(session(), lambda a: a.topic == BEACONS, hide))
+    assert {m.mode for m in run.pointings[20:]} == {Mode.ONE_LIGHT}
+    assert {m.status for m in run.pointings[20:]} == {Status.VALID}
+    assert run.reasons(BEACONS) == {}
+    assert max(error_in_sigmas(message) for message in run.pointings) < 4.0
+
+
+def test_a_telescope_that_sees_no_light_is_well() -> None:
+    dark = changed_where(session(), lambda a: a.topic == BEACONS, put("beacons", []))
+    run = drive(new_adapter(), dark)
+    assert run.health(BEACONS).accepted == 12
+    assert {m.mode for m in run.pointings} == {Mode.ENCODER}
+    assert {m.status for m in run.pointings} == {Status.DEGRADED}
+    assert np.isnan(run.pointings[-1].telescope_azimuth)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason", "text"),
+    [
+        (put("beacon_id", "charlie"), Reason.UNKNOWN_SENSOR, "'charlie' is unknown: expected alpha, bravo"),
+        (put("x", np.nan), Reason.NON_FINITE, "x, z holds nan"),
+        (put("x", 5.0), Reason.UNITS, "expected metres on the detector"),
+        (put("sigma", -1.0), Reason.BAD_COVARIANCE, "positive"),
+    ],
+)
+def test_a_light_that_cannot_be_read_is_left_out(change: Change, reason: Reason, text: str) -> None:
+    index = index_at(session(), BEACONS, MOMENT_S)
+
+    def spoil(message: Any) -> None:
+        change(seen(message, "alpha"))
+
+    def leave_out(message: Any) -> None:
+        message.beacons = [seen(message, "bravo")]
+
+    run = drive(new_adapter(), replaced(session(), index, spoil))
+    ((source, said),) = told(run, reason)
+    assert source.startswith("light.")
+    assert text in said
+    assert run.reasons(BEACONS) == {reason.name.lower(): 1}
+    assert run.state() == drive(new_adapter(), replaced(session(), index, leave_out)).state()
+
+
+def test_a_light_named_twice_is_nobody() -> None:
+    def twice(message: Any) -> None:
+        seen(message, "alpha").beacon_id = "bravo"
+
+    run = drive(new_adapter(), replaced(session(), index_at(session(), BEACONS, MOMENT_S), twice))
+    assert run.reasons(BEACONS) == {"conflict": 2}
+    assert never_wrong(run)
+
+
+def test_a_baseline_to_another_drone_is_refused_by_name() -> None:
+    ids = {"beacons__alpha__rtk__rover_id": "alpha", "beacons__alpha__rtk__base_id": "ship"}
+    index = index_at(session(), ALPHA, MOMENT_S)
+    run = drive(new_adapter(**ids), replaced(session(), index, put("rover_id", "bravo")))
+    assert told(run, Reason.UNKNOWN_SENSOR) == [("baseline.alpha", "rover_id is 'bravo': expected 'alpha'")]
+    assert run.state() == drive(new_adapter(**ids), without(session(), index)).state()
+
+
+def test_two_drones_that_say_each_other_s_baselines_are_in_conflict() -> None:
+    """A wrong drone id at the source: the angle stays, and exchanging the names of the lights puts it right."""
+    other = {BASELINE["alpha"]: BASELINE["bravo"], BASELINE["bravo"]: BASELINE["alpha"]}
+    crossed = tuple(Arrival(other.get(a.topic, a.topic), a.message, a.receive_ns) for a in session())
+    run = drive(new_adapter(), crossed)
+    assert all(m.accepted for m in run.innovations(Reason.LIGHT_CONFLICT))
+    assert run.reasons(BEACONS) == {"light_conflict": 11}
+    assert never_wrong(run)
+
+
+def test_a_baseline_one_second_late_is_applied_at_its_own_time() -> None:
+    index = index_at(session(), ALPHA, MOMENT_S)
+    late_ns = session()[index].receive_ns + SECOND_NS
+    run = drive(new_adapter(), replaced(session(), index, lambda message: None, late_ns))
+    assert run.state() == clean_run().state()
+    assert run.health(ALPHA).rejected == 0
+
+
+def test_a_baseline_later_than_the_lag_is_refused() -> None:
+    index = index_at(session(), ALPHA, MOMENT_S)
+    late_ns = session()[index].receive_ns + SECOND_NS
+    run = drive(new_adapter(lag_s=0.5), replaced(session(), index, lambda message: None, late_ns))
+    assert run.reasons(ALPHA) == {"late": 1}
+    ((source, said),) = told(run, Reason.LATE)
+    assert source == "baseline.alpha"
+    assert "more than lag_s = 0.5" in said
+    assert never_wrong(run)
+
+
+def test_baselines_that_tell_where_the_drone_was_a_second_ago_are_in_conflict() -> None:
+    """A light that moves by 1.5°/s is a degree and a half from where its baseline says."""
+    stale = changed_where(session(), lambda a: a.topic == ALPHA, stamp_moved(1.0))
+    stale = in_order(Arrival(a.topic, a.message, a.receive_ns + SECOND_NS * (a.topic == ALPHA)) for a in stale)
+    run = drive(new_adapter(), stale)
+    refused = run.innovations(Reason.LIGHT_CONFLICT)
+    assert len(refused) >= 7
+    assert not any(m.accepted for m in refused)
+    assert never_wrong(run)
+
+
+def frozen(from_s: float, until_s: float) -> tuple[Arrival, ...]:
+    """Ten seconds in which the encoder says the same for a while."""
+    value = session()[index_at(session(), ENCODER, from_s)].message
+
+    def freeze(message: Any) -> None:
+        message.azimuth, message.elevation = value.azimuth, value.elevation
+
+    return changed_where(session(10.0), lambda a: a.topic == ENCODER and from_s < seconds_of(a) < until_s, freeze)
+
+
+def test_a_stuck_encoder_is_told_by_the_lights() -> None:
+    run = drive(new_adapter(), frozen(2.0, 10.0))
+    stuck = told(run, Reason.STUCK)
+    assert {source for source, _ in stuck} == {"encoder"}
+    assert "stand still while the lights say" in stuck[0][1]
+    assert run.reasons(BEACONS).keys() <= {"gate", "attitude_conflict", "gap"}
+    wrong = [m for m in run.pointings if seconds(m) > 2.0 and m.status != Status.INVALID]
+    assert {m.status for m in wrong} == {Status.DEGRADED}
+    assert run.pointings[-1].status == Status.INVALID
+    assert never_wrong(run)
+
+
+def seconds_of(arrival: Arrival) -> float:
+    return (arrival.stamp_ns - session()[0].stamp_ns) * 1e-9
+
+
+def test_an_encoder_comes_back_after_twenty_changing_readings() -> None:
+    run = drive(new_adapter(), frozen(2.0, 5.0))
+    refused = run.reasons(ENCODER)["stuck"]
+    assert 20 < refused < 60
+    assert run.pointings[-1].status == Status.VALID
+    assert never_wrong(run)
+
+
+def test_an_encoder_in_degrees_is_not_believed_where_it_could_be_radians() -> None:
+    def degrees(message: Any) -> None:
+        message.azimuth, message.elevation = np.rad2deg(message.azimuth), np.rad2deg(message.elevation)
+
+    run = drive(new_adapter(), changed_where(session(), lambda a: a.topic == ENCODER, degrees))
+    assert run.reasons(ENCODER) == {"units": 120}
+    assert {m.status for m in run.pointings} == {Status.INVALID}
+    assert "reset" in told(run, Reason.UNITS)[-1][1]
+
+    # Later the axis happens to be at 4.7 and 0.5 degrees.
+    def small(message: Any) -> None:
+        message.azimuth, message.elevation = 4.7, 0.5
+
+    later = changed_where(session(), lambda a: a.topic == ENCODER and seconds_of(a) < 3.0, degrees)
+    later = changed_where(later, lambda a: a.topic == ENCODER and seconds_of(a) >= 3.0, small)
+    run = drive(new_adapter(), later)
+    assert {m.status for m in run.pointings} == {Status.INVALID}
+
+
+def test_covariances_that_are_not_given_are_not_perfect() -> None:
+    def unknown(message: Any) -> None:
+        for name in ("rotation_covariance", "covariance"):
+            if hasattr(message, name):
+                getattr(message, name)[:] = 0.0
+        for holder in (message, *getattr(message, "beacons", [])):
+            if hasattr(holder, "sigma"):
+                holder.sigma = 0.0
+
+    run = drive(new_adapter(), changed_where(session(), lambda a: a.topic not in IMU.values(), unknown))
+    for topic in (ENCODER, SHIP, BEACONS, ALPHA):
+        assert run.reasons(topic) == {"covariance_unknown": run.health(topic).received}
+        assert run.health(topic).rejected == 0
+    # The ship's attitude then has the INS's errors, the others what is configured: the same as the messages say.
+    assert run.pointings[-1].rotation_covariance[0] > clean_run().pointings[-1].rotation_covariance[0]
+    assert never_wrong(run)
+
+
+def test_without_the_ship_no_pointing_is_claimed() -> None:
+    gone = tuple(a for a in session() if a.topic != SHIP or seconds_of(a) < 3.0)
+    run = drive(new_adapter(), gone)
+    last = run.pointings[-1]
+    assert last.status == Status.INVALID
+    assert np.isnan([last.azimuth, last.elevation, last.image_rotation, *last.covariance]).all()
+    assert run.diagnostics("pointing", 0, run.now_ns)[-1] == (2, "INVALID: no attitude on ship/attitude")
+    assert all(seconds(m) < 3.1 for m in run.pointings if m.status != Status.INVALID)
+
+
+def test_when_the_lights_leave_the_encoders_carry_on_with_a_growing_covariance() -> None:
+    gone = tuple(a for a in session(10.0) if a.topic != BEACONS or seconds_of(a) < 4.0)
+    run = drive(new_adapter(), gone)
+    modes = [m.mode for m in run.pointings]
+    assert modes[-1] == Mode.ENCODER
+    assert run.pointings[-1].status == Status.COASTING
+    trace = [np.trace(np.reshape(m.rotation_covariance, (3, 3))) for m in run.pointings if m.mode == Mode.ENCODER]
+    assert trace[-1] > trace[-1 - len(trace) // 2]
+    # No jump at the hand-over beyond what two readings may differ by.
+    first = modes.index(Mode.ENCODER, 40)
+    assert abs(error_in_sigmas(run.pointings[first]) - error_in_sigmas(run.pointings[first - 1])) < 1.5
+    assert never_wrong(run)
