@@ -46,11 +46,20 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> InsMess
     )
     rate_d = None
     if message.angular_velocity_covariance[0] != -1.0:
-        rate_ros = finite_vector(message.angular_velocity, "angular_velocity")
-        if np.max(np.abs(rate_ros)) > _LARGEST_RATE:
-            raise Refused("units", f"angular_velocity {rate_ros.tolist()} cannot be a ship's in rad/s")
-        rate_d = rotation_di @ device_vector_from_ros(rate_ros, config.convention)
+        rate_d = rotation_di @ device_vector_from_ros(ship_rate(message.angular_velocity), config.convention)
     return InsMessage(AttitudeSample(time_ns, rotation_ni @ rotation_di.T, rate_d), covariance is not None)
+
+
+def ship_rate(angular_velocity: Any) -> FloatArray:
+    """The numbers of an angular velocity (rad/s), in the axes of the message, shape (3,).
+
+    Raises:
+        Refused: ``non_finite``, or ``units`` where no ship turns so fast.
+    """
+    rate_ros = finite_vector(angular_velocity, "angular_velocity")
+    if np.max(np.abs(rate_ros)) > _LARGEST_RATE:
+        raise Refused("units", f"angular_velocity {rate_ros.tolist()} cannot be a ship's in rad/s")
+    return rate_ros
 
 
 def imu_rotation(message: Any, convention: str) -> FloatArray:

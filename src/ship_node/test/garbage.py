@@ -22,7 +22,7 @@ def paths(message: Any, prefix: Path = ()) -> list[Path]:
         value, path = getattr(message, name), (*prefix, name)
         if hasattr(value, "get_fields_and_field_types"):
             found += paths(value, path)
-        elif isinstance(value, list):
+        elif isinstance(value, list) and all(hasattr(entry, "get_fields_and_field_types") for entry in value):
             found += [deeper for place, entry in enumerate(value) for deeper in paths(entry, (*path, place))]
         else:
             found.append(path)
@@ -46,6 +46,8 @@ def _inside(holder: Any, part: str | int) -> Any:
 def garbage(value: Any, name: str, rng: np.random.Generator) -> Any:
     if isinstance(value, str):
         return TEXTS[rng.integers(len(TEXTS))]
+    if isinstance(value, list):
+        return [TEXTS[number] for number in rng.integers(len(TEXTS), size=rng.integers(0, 3))]
     if isinstance(value, float):
         return float(a_number(rng, value))
     if isinstance(value, np.ndarray) and rng.random() < 0.5:

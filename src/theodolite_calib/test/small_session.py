@@ -28,6 +28,7 @@ from theodolite_calib.line_of_sight import EARTH_RADIUS_M
 ENCODER, SHIP, BEACONS = "theodolite/encoder", "ship/attitude", "theodolite/beacons"
 BASELINE = {"alpha": "beacon/alpha/baseline", "bravo": "beacon/bravo/baseline"}
 IMU = {"alpha": "beacon/alpha/imu", "bravo": "beacon/bravo/imu"}
+ALL_TOPICS = (ENCODER, SHIP, BEACONS, *BASELINE.values(), *IMU.values())
 LIGHTS_DEG = {"alpha": (3.0, 2.0), "bravo": (-2.0, -3.0)}
 AXES = AxisErrors(*(ARCSEC * np.array([25.0, -15.0, 12.0, -20.0, 18.0, -10.0, 0.0])).tolist())
 LEVER_D, LENS_M, LIGHT_B = np.array([12.0, 3.0, -2.0]), np.array([0.4, 0.3, 0.0]), np.array([0.1, -0.3, 0.05])

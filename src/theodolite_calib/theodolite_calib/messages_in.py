@@ -16,7 +16,7 @@ from ship_geometry.ros_axes import (
     rotation_from_quaternion,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.imu_messages_in import imu_rotation, ins_sample
+from ship_node.imu_messages_in import imu_rotation, ins_sample, ship_rate
 from ship_node.message_checks import (
     Refused,
     covariance_3x3,
@@ -35,6 +35,8 @@ _FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
 _LARGEST_VARIANCE = (2.0 * np.pi) ** 2
 _LARGEST_DETECTOR_M = 0.5
 """No detector is larger: more are millimetres or pixels."""
+_LONGEST_BASELINE_M = 1e5
+"""No light is seen from further away."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Convert
     if message.status == _ENCODER_INVALID:
         raise Refused("gap", "the encoder itself reports a fault")
     finite_numbers("azimuth, elevation", message.azimuth, message.elevation)
-    sigma = _sigma(message.sigma)
+    sigma = _sigma(message.sigma, 2.0 * np.pi)
     angles = np.array([message.azimuth, message.elevation])
     known = sigma is not None
     return Converted(EncoderSample(time_ns, angles, sigma or config.encoder.sigma_arcsec * ARCSEC), known)
@@ -84,9 +86,9 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> C
     rotation_nd = rotation_from_quaternion(unit_quaternion(message.orientation))
     total_n = _ship_covariance(message, rotation_nd)
     rate = message.angular_velocity
-    rate_d = None
-    if all(math.isfinite(value) for value in (rate.x, rate.y, rate.z)):
-        rate_d = device_vector_from_ros(np.array([rate.x, rate.y, rate.z]))
+    # NaN: the source knows no rate.
+    rate_known = not all(math.isnan(value) for value in (rate.x, rate.y, rate.z))
+    rate_d = device_vector_from_ros(ship_rate(rate)) if rate_known else None
     slow_n = _ins_covariance(config) if total_n is None else _without_white(total_n, config.ship.white_sigma_arcsec)
     sample = ShipSample(time_ns, rotation_nd, rate_d, slow_n, Status(message.status))
     return Converted(sample, total_n is not None)
@@ -123,7 +125,11 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
         refusal = Refusal(Reason.NOT_FIXED, f"baseline is {fix}: expected {least_fix.upper()}")
         return Converted(BaselineSample(time_ns, np.zeros(3), np.zeros((3, 3)), refusal))
     vector_n = ENU_FROM_HORIZON.T @ finite_vector(message.enu, "enu")
+    if np.max(np.abs(vector_n)) > _LONGEST_BASELINE_M:
+        raise Refused("units", f"baseline N, U, E {vector_n.tolist()}: expected metres, 100 km at most")
     covariance_enu = covariance_3x3(message.covariance)
+    if covariance_enu is not None and np.max(np.diagonal(covariance_enu)) > _LONGEST_BASELINE_M**2:
+        raise Refused("bad_covariance", "a sigma of more than 100 km")
     if covariance_enu is None:
         return Converted(BaselineSample(time_ns, vector_n, beacon.rtk.sigma_m**2 * np.eye(3)), False)
     return Converted(BaselineSample(time_ns, vector_n, horizon_covariance(covariance_enu)))
@@ -184,19 +190,19 @@ def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> t
     finite_numbers("x, z", sighting.x, sighting.z)
     if max(abs(sighting.x), abs(sighting.z)) > _LARGEST_DETECTOR_M:
         raise Refused("units", f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
-    sigma = _sigma(sighting.sigma)
+    sigma = _sigma(sighting.sigma, _LARGEST_DETECTOR_M)
     point_m = np.array([sighting.x, sighting.z])
     return SeenLight(name, point_m, sigma or config.telescope.sigma_m), sigma is not None
 
 
-def _sigma(value: float) -> float | None:
+def _sigma(value: float, largest: float) -> float | None:
     """A standard deviation; None where it is not given."""
     if math.isnan(value) or value == 0.0:
         return None
     if math.isinf(value):
         raise Refused("non_finite", "sigma holds infinity")
-    if value < 0.0:
-        raise Refused("bad_covariance", f"sigma is {value:.6g}: expected a positive number")
+    if not 0.0 < value <= largest:
+        raise Refused("bad_covariance", f"sigma is {value:.6g}: expected a positive number up to {largest:.3g}")
     return float(value)
 
 

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from ship_estimation.refusals import Reason
 from theodolite_calib.calibration_filter import CalibrationFilter, FilterState
 from theodolite_calib.config import OpticalAxisConfig
@@ -31,7 +33,10 @@ class SightingStep:
             exposure: that it comes from.
         """
         predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
-        judgement = self._judge.judge(predicted, sighting, exposure)
+        try:
+            judgement = self._judge.judge(predicted, sighting, exposure)
+        except np.linalg.LinAlgError as error:
+            return state, Decision(exposure, Reason.BAD_COVARIANCE, text=str(error))
         if judgement.sighting is not None and judgement.comparison is not None:
             return self._filter.used(predicted, judgement.sighting, judgement.comparison), judgement.decision
         # Not even the prediction is kept: the state stays, to the last bit, as without this sighting.

@@ -1,0 +1,66 @@
+"""Garbage in any field, thousands of times: nothing is raised, and afterwards the node is as good as new."""
+
+import copy
+import pickle
+
+import numpy as np
+from adapter_runs import SECOND_NS, START_NS, Arrival
+from garbage import paths, spoil
+from rclpy.serialization import serialize_message
+from small_session import ALL_TOPICS, Run, clean_run, new_adapter, session
+
+from theodolite_calib.samples import Status
+
+MESSAGES = 10_000
+
+
+def test_no_message_whatsoever_raises_or_does_damage() -> None:
+    rng = np.random.default_rng(4712)
+    adapter = new_adapter()
+    fields = {a.topic: paths(a.message) for a in session()}
+    run, now_ns, tried = Run(adapter), START_NS, 0
+    while tried < MESSAGES:
+        # Good messages go on between, so that each round of garbage meets a filter at work.
+        start_ns = now_ns
+        for arrival in session():
+            now_ns = start_ns + arrival.receive_ns - START_NS
+            good = later(arrival, start_ns - START_NS)
+            take(run, good, now_ns)
+            pickled = pickle.dumps(good.message)  # copies three times as fast as deepcopy()
+            for _ in range(6):
+                bad = pickle.loads(pickled)
+                spoil(bad, fields[arrival.topic], rng)
+                take(run, Arrival(good.topic, bad, now_ns), now_ns)
+                tried += 1
+            if tried % 60 == 0:
+                run.published += [(now_ns, *item) for item in adapter.tick(now_ns)]
+        now_ns += SECOND_NS // 10
+    assert np.all(np.isfinite(adapter.core.state.mean))
+    assert np.all(np.diagonal(adapter.core.state.covariance) >= 0.0)
+    reasons = set().union(*(run.reasons(topic) for topic in ALL_TOPICS))
+    expected = {"non_finite", "bad_quaternion", "bad_covariance", "bad_stamp", "frame", "future", "late", "units"}
+    assert reasons >= expected | {"duplicate", "conflict", "covariance_unknown", "not_fixed", "unknown_sensor", "gap"}
+    assert reasons >= {"light_conflict", "gate"}
+
+    adapter.service("reset", now_ns)
+    for arrival in session():
+        take(run, later(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS)
+    last, clean_last = run.pointings[-1], clean_run().pointings[-1]
+    assert last.status == Status.VALID
+    for angle in ("azimuth", "elevation", "image_rotation"):
+        assert abs(getattr(last, angle) - getattr(clean_last, angle)) < 1e-9
+
+
+def later(arrival: Arrival, ns: int) -> Arrival:
+    message = copy.deepcopy(arrival.message)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(arrival.stamp_ns + ns, SECOND_NS)
+    return Arrival(arrival.topic, message, arrival.receive_ns + ns)
+
+
+def take(run: Run, arrival: Arrival, now_ns: int) -> None:
+    """Hand over a message; all that comes of it must be fit to be sent."""
+    run.now_ns = now_ns
+    for topic, message in run.adapter.handle(arrival.topic, arrival.message, now_ns):
+        serialize_message(message)
+        if topic == "theodolite/pointing":
+            run.published.append((now_ns, topic, message))

@@ -1,0 +1,92 @@
+"""Messages late and out of order: within the lag the end is the same to the last bit, and outputs never go back."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from adapter_runs import SECOND_NS, Arrival, delayed, index_at, replaced, stamp_of
+from small_session import ALL_TOPICS, BASELINE, BEACONS, ENCODER, IMU, SHIP, clean_run, drive, new_adapter, session
+
+from ship_estimation.refusals import Reason
+
+LAG_S = 2.0
+ALPHA = BASELINE["alpha"]
+ALL = ALL_TOPICS
+
+
+def shuffled(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:
+    """Delays drawn over the whole lag for these topics, a few milliseconds for the others."""
+    rng = np.random.default_rng(seed)
+    late = np.array([a.topic in topics for a in session()])
+    return delayed(session(), np.where(late, rng.uniform(0.0, LAG_S - 0.001, late.size), 0.005))
+
+
+SHUFFLES = [
+    (seed, topics)
+    for seed, topics in enumerate(
+        [(BEACONS,), (ENCODER,), (SHIP,), (ALPHA, IMU["bravo"]), (BEACONS, SHIP), ALL, ALL, ALL], start=1
+    )
+]
+
+
+@pytest.mark.parametrize(("seed", "topics"), SHUFFLES)
+def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tuple[str, ...]) -> None:
+    run = drive(new_adapter(), shuffled(seed, topics))
+    assert run.state() == clean_run().state()
+    for topic in ALL:
+        # Where what lies around an exposure came late, it may be refused first; in the end it is used.
+        assert set(run.reasons(topic)) <= {"gap", "revised"}
+    stamps = [stamp_of(m) for m in run.pointings]
+    assert all(earlier < later for earlier, later in pairwise(stamps))
+    one, other = run.adapter.core.calibration(), clean_run().adapter.core.calibration()
+    assert one.values.tobytes() == other.values.tobytes()
+    assert one.covariance.tobytes() == other.covariance.tobytes()
+    assert one.unobservable == other.unobservable
+
+
+def test_the_shuffles_do_shuffle() -> None:
+    stamps = np.array([a.stamp_ns for a in shuffled(8, ALL)])
+    assert np.mean(np.diff(stamps) < 0) > 0.4
+    assert np.max(np.maximum.accumulate(stamps) - stamps) > 1.8 * SECOND_NS
+
+
+@pytest.mark.parametrize("topic", ALL)
+@pytest.mark.parametrize("late_s", [0.5, 1.0, LAG_S])
+def test_one_late_message_is_applied_at_its_own_time(topic: str, late_s: float) -> None:
+    """As late as it can be behind the newest stamp that came."""
+    index = index_at(session(), topic, 2.6)
+    limit_ns = session()[index].stamp_ns + round(late_s * SECOND_NS)
+    too_new = next(a for a in session() if a.stamp_ns > limit_ns)
+    run = drive(new_adapter(), replaced(session(), index, lambda message: None, too_new.receive_ns - 1))
+    assert run.state() == clean_run().state()
+    assert run.health(topic).rejected == 0
+
+
+@pytest.mark.parametrize("topic", ALL)
+def test_what_is_later_than_the_lag_is_refused_and_counted(topic: str) -> None:
+    index = index_at(session(), topic, 2.6)
+    late_ns = session()[index].receive_ns + round((LAG_S + 0.3) * SECOND_NS)
+    run = drive(new_adapter(), replaced(session(), index, lambda message: None, late_ns))
+    assert run.reasons(topic) == {"late": 1}
+    assert len(run.innovations(Reason.LATE)) == 1
+
+
+def test_a_pointing_waits_for_the_ship_and_comes_with_it() -> None:
+    """Encoder readings come first, the ship's attitude of their moment 0.3 s later."""
+    late = delayed(session(), np.array([0.3 if a.topic == SHIP else 0.003 for a in session()]))
+    run = drive(new_adapter(), late)
+    times = [(ns - stamp_of(m)) * 1e-9 for ns, topic, m in run.published if topic == "theodolite/pointing"]
+    assert 0.3 <= np.median(times) < 0.36
+    # The first tick found none and said INVALID.
+    assert len(run.pointings) >= len(clean_run().pointings) - 1
+
+
+def test_the_clock_goes_back_once_and_all_begins_anew() -> None:
+    adapter = new_adapter()
+    first = drive(adapter, session())
+    adapter.clock_jumped_back(session()[0].receive_ns)
+    second = drive(adapter, session())
+    assert second.state() == first.state() == clean_run().state()
+    assert [stamp_of(m) for m in second.pointings] == [stamp_of(m) for m in clean_run().pointings]
+    status = next(s for s in second.messages("/diagnostics")[-1].status if s.name == "optical_axis: pointing")
+    assert next(v.value for v in status.values if v.key == "clock jumps back") == "1"
