@@ -1,0 +1,134 @@
+"""Simulated bags of the theodolite replayed through the suite's nodes: what goes wrong is named, and never believed."""
+
+import dataclasses
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_geometry.rotations import ARCSEC
+from ship_node.stamps import ns_from_stamp
+from ship_replay.attitude_sources import Truth
+from ship_replay.bag_reader import read_bag
+from ship_replay.evaluate import evaluate
+from ship_replay.innovations import reason_name
+from ship_replay.orientations import POINTING
+from ship_replay.replay import replay
+from ship_replay.replay_command import ADAPTERS
+from ship_replay.simulate_command import write_bag
+from ship_replay.simulation.run import simulate
+from ship_replay.simulation.scenario import Fault, FusedAttitude, Scenario
+from ship_replay.simulation.scenario_file import load_scenario
+from ship_replay.simulation.scenario_units import Outage
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "src" / "ship_replay" / "test"))
+
+from theodolite_scenes import bag_scenario, replaced  # noqa: E402
+
+START_S, END_S = 6.0, 10.0
+IMAGE, ENCODER, BASELINE = "theodolite/beacons", "theodolite/encoder", "beacon/a/baseline"
+VALID = 0
+
+
+def with_fault(topic: str, kind: str, **changes: float) -> Scenario:
+    fault = Fault(topic=topic, kind=kind, start_s=START_S, end_s=END_S, **changes)
+    return bag_scenario(duration_s=14.0, faults={"fault": fault})
+
+
+def with_windows(name: str) -> Scenario:
+    scenario = bag_scenario(duration_s=14.0)
+    a = replaced(scenario.beacons["a"], **{f"rtk__{name}": {"x": Outage(START_S, END_S)}})
+    return dataclasses.replace(scenario, beacons={**scenario.beacons, "a": a})
+
+
+def replayed(scenario: Scenario, folder: Path, seed: int = 1) -> tuple[Path, dict[str, dict[str, int]]]:
+    """The replayed bag, and what was refused by topic and reason."""
+    write_bag(simulate(scenario, seed), folder / "in.mcap", b"")
+    summary = replay(folder / "in.mcap", folder / "out.mcap", ADAPTERS)
+    assert summary.problems == []
+    return folder / "out.mcap", summary.refused
+
+
+def worst_valid_sigmas(path: Path) -> float:
+    """The largest error of a pointing that claims to be VALID, in standard deviations of its channel."""
+    truth, worst = Truth(POINTING), 0.0
+    with read_bag(path) as bag:
+        for record in bag.records({POINTING.truth_topic}):
+            truth.add(record.decode())
+        for record in bag.records({POINTING.topic}):
+            message = record.decode()
+            truth_nm = truth.exactly_at(ns_from_stamp(message.header.stamp))
+            if message.status == VALID and truth_nm is not None:
+                angles = POINTING.angles_of(message)
+                sigma_arcsec = np.sqrt(np.diag(message.covariance.reshape(3, 3))) / ARCSEC
+                errors = POINTING.errors_arcsec(angles, truth_nm) / (POINTING.scale(angles) * sigma_arcsec)
+                worst = max(worst, float(np.abs(errors).max()))
+    return worst
+
+
+def reasons(path: Path) -> set[str]:
+    """Names of all reasons in theodolite/innovation but NONE."""
+    with read_bag(path) as bag:
+        found = Counter(reason_name(record.decode()) for record in bag.records({"theodolite/innovation"}))
+    return set(found) - {"none"}
+
+
+CASES = {
+    "lights swapped": (with_fault(IMAGE, "swap"), IMAGE, "light_conflict"),
+    "a light that nobody knows": (with_fault(IMAGE, "wrong_id"), IMAGE, "unknown_sensor"),
+    "another drone's baseline": (with_fault(BASELINE, "wrong_id"), BASELINE, "unknown_sensor"),
+    "a baseline stamped 1 s late": (with_fault(BASELINE, "stamp_late", delay_s=1.0), BASELINE, "future"),
+    "FLOAT": (with_windows("float_times"), BASELINE, "not_fixed"),
+    "no solution": (with_windows("no_solution_times"), BASELINE, "not_fixed"),
+    "no baselines": (with_windows("outages"), IMAGE, "gap"),
+    "encoder stuck": (with_fault(ENCODER, "freeze"), ENCODER, "stuck"),
+    "encoder in degrees": (with_fault(ENCODER, "angles_in_degrees"), ENCODER, "units"),
+    "encoder not a number": (with_fault(ENCODER, "nan"), ENCODER, "non_finite"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_fault_has_its_reason_and_no_wrong_pointing_is_valid(case, tmp_path):
+    scenario, topic, reason = CASES[case]
+    path, refused = replayed(scenario, tmp_path)
+    assert refused[topic][reason] > 5
+    assert reason in reasons(path)
+    # Of 700 pointings with three correlated channels.
+    assert worst_valid_sigmas(path) < 4.5
+
+
+@pytest.mark.parametrize("scenario", [with_fault(IMAGE, "hide"), with_fault(BASELINE, "delay", delay_s=1.0)])
+def test_a_hidden_light_and_late_baselines_do_no_harm(scenario, tmp_path):
+    path, refused = replayed(scenario, tmp_path)
+    # Exposures wait for their baselines, those of the last moments in vain.
+    assert set(refused.get(IMAGE, {})) <= {"gap", "revised"}
+    assert worst_valid_sigmas(path) < 4.5
+    assert evaluate(path).flat()["pointing.invalid"] == 0
+
+
+def test_stars_ins_and_lights_in_one_replay(tmp_path):
+    paper = load_scenario(ROOT / "bags" / "scenarios" / "paper.yaml")
+    scenario = bag_scenario(
+        duration_s=20.0,
+        ins=dataclasses.replace(paper.ins, rate_hz=50.0),
+        star_sensors=paper.star_sensors,
+        fused_attitude=FusedAttitude(),
+    )
+    path, refused = replayed(scenario, tmp_path)
+    assert refused == {}
+    values = evaluate(path, skip_s=5.0).flat()
+    assert values["fused.heading.rms_arcsec"] < 15.0
+    assert values["pointing.two_lights.samples"] == values["pointing.samples"] == 151
+    # 99.9 % of chi square with three degrees of freedom, for errors that hardly change in fifteen seconds.
+    assert values["pointing.nees_mean"] < 16.3
+    assert values["pointing.elevation.rms_arcsec"] < 15.0
+    with read_bag(path) as bag:
+        errors = [record.decode() for record in bag.records({POINTING.error_topic})]
+    assert len(errors) >= 19
+    # The first attitude of the ship comes with its second INS sample or later.
+    filled = [error for error in errors if np.isfinite(error.error_elevation)]
+    assert len(filled) >= len(errors) - 1
+    assert abs(filled[-1].error_elevation) < 4.5 * filled[-1].sigma_elevation
