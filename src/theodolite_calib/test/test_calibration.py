@@ -1,0 +1,191 @@
+"""The calibration saved and loaded: file, ages, other devices, services; changes while the node runs."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from adapter_runs import FACTORY, SECOND_NS
+from small_session import AXES, BEACONS, FOCAL_LENGTH_M, clean_run, config, drive, new_adapter, session
+
+from ship_estimation.parameters import ParameterError
+from ship_geometry.rotations import ARCSEC
+from ship_node.errors import BadInput
+from theodolite_calib import calibration_file
+from theodolite_calib.adapter import OpticalAxisAdapter
+from theodolite_calib.calibration import SAVED_NAMES, CalibrationPrior, prior_of, state_from_prior
+from theodolite_calib.calibration_filter import CalibrationFilter
+from theodolite_calib.samples import Status
+
+NOW_NS = session()[-1].receive_ns
+DAY_NS = 86400 * SECOND_NS
+
+
+def saved() -> CalibrationPrior:
+    prior = clean_run().adapter.core.calibration_to_save()
+    assert prior is not None
+    return prior
+
+
+def test_the_file_gives_back_what_was_saved(tmp_path: Path) -> None:
+    path = tmp_path / "folder" / "calibration.yaml"
+    calibration_file.save(path, saved())
+    loaded = calibration_file.load(path)
+    assert (loaded.time_ns, loaded.serial, loaded.telescope_id) == (saved().time_ns, "", "main")
+    assert loaded.values == pytest.approx(saved().values, rel=1e-12, abs=1e-18)
+    assert loaded.covariance.tolist() == saved().covariance.tolist()
+    text = path.read_text()
+    assert text.startswith("format: optical_axis calibration\nversion: 1\n")
+    g_arcsec = saved().values[0] / ARCSEC
+    assert f"g_arcsec: {g_arcsec:.3f}"[:12] in text
+    assert list(tmp_path.glob("folder/*")) == [path]  # nothing half-written is left
+
+
+BROKEN = [
+    ("format: optical_axis calibration", "format: alignment", "expected 'format: optical_axis calibration'"),
+    ("version: 1", "version: 9", "version 9 of the calibration: expected 1"),
+    ("  focal_length_m:", "  focal_length:", "'values': 'focal_length_m' is missing"),
+    ("telescope_id: main", "", "'telescope_id' is missing"),
+    ("- - ", "- - -1", "'covariance'"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "text"), BROKEN)
+def test_a_broken_file_is_refused_by_name(tmp_path: Path, old: str, new: str, text: str) -> None:
+    path = tmp_path / "calibration.yaml"
+    calibration_file.save(path, saved())
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(BadInput) as error:
+        calibration_file.load(path)
+    assert str(error.value).startswith(str(path))
+    assert text in str(error.value)
+
+
+def test_a_session_that_starts_from_it_knows_what_was_known() -> None:
+    filter_ = CalibrationFilter(config())
+    state, messages = state_from_prior(filter_, config(), saved(), NOW_NS)
+    assert messages == []
+    again = prior_of(filter_, config(), replace(state, used_ns=saved().time_ns))
+    assert again.values == pytest.approx(saved().values, rel=1e-9, abs=1e-15)
+    # What is held has no variance, saved or not.
+    assert again.covariance == pytest.approx(saved().covariance, rel=1e-12)
+    # The deformation is another by then.
+    deformation = filter_.model.slices["deformation"]
+    assert np.sqrt(np.diagonal(state.covariance)[deformation]) == pytest.approx(20.0 * ARCSEC)
+    assert state.mean[deformation].tolist() == [0.0, 0.0, 0.0]
+    source = filter_.model.sources.index("saved_calibration")
+    rows = filter_.model.rows("axes")[:6]
+    assert state.parts[source][rows, rows] == pytest.approx(np.diagonal(state.covariance)[rows])
+
+
+def test_an_old_calibration_is_a_wider_prior() -> None:
+    filter_ = CalibrationFilter(config())
+    young, _ = state_from_prior(filter_, config(), saved(), NOW_NS + 29 * DAY_NS)
+    old, messages = state_from_prior(filter_, config(), saved(), NOW_NS + 31 * DAY_NS)
+    (message,) = messages
+    assert message.startswith("saved calibration is 31.0 d old, more than calibration_max_age_d = 30: its uncertainty is")
+    rows = filter_.model.rows("axes")[:6]
+    added = np.diagonal(old.covariance - young.covariance)[rows]
+    assert np.sqrt(added) == pytest.approx(30.0 * ARCSEC)
+    assert old.mean.tolist() == young.mean.tolist()
+
+
+def test_one_of_another_theodolite_is_not_used() -> None:
+    settings = config(serial="T2")
+    state, (message,) = state_from_prior(CalibrationFilter(settings), settings, saved(), NOW_NS)
+    assert message == "saved calibration is of theodolite '', configured is 'T2': not used"
+    assert state.mean.tolist() == CalibrationFilter(settings).initial_state().mean.tolist()
+
+
+def test_of_another_telescope_the_axes_are_used() -> None:
+    settings = config(telescope__telescope_id="new")
+    filter_ = CalibrationFilter(settings)
+    state, (message,) = state_from_prior(filter_, settings, saved(), NOW_NS)
+    assert "its focal length and parallelism are not used" in message
+    assert state.mean[filter_.model.slices["focal_length"]].tolist() == [0.0]
+    assert state.mean[filter_.model.slices["axes"]] == pytest.approx(saved().values[:7], abs=1e-15)
+
+
+def test_services_save_and_load(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    adapter = new_adapter(calibration_file=str(path))
+    assert adapter.service("save_alignment", NOW_NS) == (
+        False,
+        "no light was used yet: there is no calibration to save",
+    )
+    assert not adapter.service("load_alignment", NOW_NS).success
+    drive(adapter, session())
+    assert adapter.service("save_alignment", NOW_NS).success
+    assert adapter.service("reset", NOW_NS).success
+    assert adapter.core.state.sighting_count == 0
+    assert adapter.service("load_alignment", NOW_NS) == (True, f"calibration loaded from {path}")
+    values = dict(zip(SAVED_NAMES, calibration_file.load(path).values, strict=True))
+    loaded = adapter.core.calibration()
+    assert loaded.values[loaded.names.index("c")] == pytest.approx(values["c"], abs=1e-15)
+    assert "calibration_file' is empty" in new_adapter().service("save_alignment", NOW_NS).message
+
+
+def test_the_node_starts_from_the_file_that_is_there(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    calibration_file.save(path, saved())
+    dark = tuple(a for a in session() if a.topic != BEACONS)
+    with_file = drive(new_adapter(calibration_file=str(path)), dark)
+    without_file = drive(new_adapter(), dark)
+    # Encoders alone: with a calibration they carry on where the lights left, without one there is none.
+    assert with_file.pointings[-1].status == Status.COASTING
+    assert without_file.pointings[-1].status == Status.DEGRADED
+    traces = [np.trace(np.reshape(run.pointings[-1].rotation_covariance, (3, 3))) for run in (with_file, without_file)]
+    assert traces[0] < 0.9 * traces[1]
+
+
+def test_a_file_that_cannot_be_read_stops_the_start(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    path.write_text("nonsense")
+    with pytest.raises(BadInput, match="not a calibration"):
+        OpticalAxisAdapter(config(calibration_file=str(path)), FACTORY)
+
+
+def test_what_is_published_is_the_state() -> None:
+    run = clean_run()
+    message = run.messages("theodolite/calibration")[-1]
+    assert list(message.names) == [
+        *("g", "h", "c", "I", "beta_x", "beta_y", "focal_length"),
+        *("deformation_bow", "deformation_up", "deformation_starboard"),
+    ]
+    assert list(message.units) == ["rad"] * 6 + ["m"] + ["rad"] * 3
+    sigma = np.sqrt(np.diagonal(np.reshape(message.covariance, (10, 10))))
+    truth = np.array([*AXES.vector()[:6], FOCAL_LENGTH_M, 0.0, 0.0, 0.0])
+    assert np.max(np.abs(np.array(message.values) - truth) / sigma) < 4.0
+    assert sigma[6] < 0.3 * 1e-4  # the focal length is known far better than before: 1.9e-5 m a sighting
+    assert "g - deformation_up" in message.unobservable
+    assert message.sighting_count == 10  # eleven, the last of them after the report
+    # RTK of 1 cm at 2 km, five arcseconds of image and encoder at most.
+    assert 0.3 * ARCSEC < message.residual_rms < 60.0 * ARCSEC
+    assert run.adapter.outputs[1].latched
+
+
+def test_the_budget_adds_up_to_the_pointing() -> None:
+    run = clean_run()
+    budgets = run.messages("theodolite/error_budget")
+    assert budgets
+    pointings = {(m.header.stamp.sec, m.header.stamp.nanosec): m for m in run.pointings}
+    for budget in budgets:
+        pointing = pointings[budget.header.stamp.sec, budget.header.stamp.nanosec]
+        parts = np.reshape(budget.covariances, (len(budget.sources), 3, 3))
+        total = np.reshape(pointing.rotation_covariance, (3, 3))
+        assert np.abs(parts.sum(axis=0) - total).max() < 1e-9 * np.abs(total).max()
+        assert np.reshape(budget.total, (3, 3)).tolist() == total.tolist()
+        assert np.linalg.eigvalsh(parts).min() > -1e-9 * np.trace(total)
+    assert {"ship_attitude", "deformation", "axis_errors", "encoder", "rtk", "image"} <= set(budgets[-1].sources)
+
+
+def test_noise_can_be_changed_while_it_runs_geometry_not() -> None:
+    adapter = new_adapter()
+    drive(adapter, session())
+    before = adapter.core.state
+    adapter.set_parameters({"telescope.sigma_m": 5e-6, "gate.probability": 0.99})
+    assert adapter.core.state is before
+    with pytest.raises(ParameterError, match="cannot be changed while the node runs"):
+        adapter.set_parameters({"telescope.focal_length_m": 0.2})
+    with pytest.raises(ParameterError, match="out of its range"):
+        adapter.set_parameters({"gate.probability": 2.0})
