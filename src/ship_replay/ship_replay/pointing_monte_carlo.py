@@ -9,10 +9,12 @@ import numpy as np
 
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample
-from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
 from ship_replay.simulation.run import SimulatedRun, simulate
 from ship_replay.simulation.scenario import Scenario
 from ship_replay.simulation.theodolite.suite import optical_axis_configuration
+from ship_replay.simulation.theodolite.true_values import axis_errors_of
+from theodolite_calib.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.optical_axis_core import OpticalAxisCore
 from theodolite_calib.samples import (
@@ -38,6 +40,7 @@ class PointingErrors:
         covariance_n: as claimed, rad², shape (k, 3, 3).
         axis_n: where the main axis truly points, shape (k, 3).
         mode: how each was found, shape (k,).
+        ins_encoder: error of the axis by INS and encoders alone, axis errors as configured, rad, shape (k,).
         sightings: exposures with lights that were used.
         refused: inputs and exposures that were not.
     """
@@ -47,6 +50,7 @@ class PointingErrors:
     covariance_n: FloatArray
     axis_n: FloatArray
     mode: np.ndarray
+    ins_encoder: FloatArray
     sightings: int
     refused: int
 
@@ -70,7 +74,8 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
     truth, start_ns = run.theodolite.truth, run.start_ns
     rows = {int(stamp): row for row, stamp in enumerate(run.theodolite.encoder.time_ns[truth.encoder_index])}
     kept = [found for found in estimates if found.time_ns in rows and found.status is not Status.INVALID]
-    true_nm = truth.mount.rotation_nm[[rows[found.time_ns] for found in kept]]
+    kept_rows = [rows[found.time_ns] for found in kept]
+    true_nm = truth.mount.rotation_nm[kept_rows]
     estimate_nm = np.array([found.rotation_nm for found in kept])
     return PointingErrors(
         time_s=np.array([(found.time_ns - start_ns) * 1e-9 for found in kept]),
@@ -78,9 +83,23 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
         covariance_n=np.array([found.covariance_n for found in kept]),
         axis_n=true_nm[:, :, 0],
         mode=np.array([found.mode for found in kept], dtype=Mode),
+        ins_encoder=_ins_encoder(run)[kept_rows],
         sightings=sightings,
         refused=refused,
     )
+
+
+def _ins_encoder(run: SimulatedRun) -> FloatArray:
+    """Error of the axis by INS and encoders alone at the stamps of the truth, rad; noise of the INS left out."""
+    theodolite, ins = run.theodolite, run.truth.ins
+    index, mount = theodolite.truth.encoder_index, theodolite.truth.mount
+    time_ns = theodolite.encoder.time_ns[index]
+    since_s, moments_s = (run.ins.time_ns - run.start_ns) * 1e-9, (time_ns - run.start_ns) * 1e-9
+    slow_n = np.stack([np.interp(moments_s, since_s, column) for column in ins.attitude_error_n.T], axis=-1)
+    known = AxisErrors.from_vector(axis_errors_of(run.scenario.theodolite.axes)[0])
+    rotation_dm = main_axis_rotation(known, theodolite.encoder.azimuth[index], theodolite.encoder.elevation[index])
+    axis_n = (exp_rotation(-slow_n) @ mount.rotation_nd @ rotation_dm)[:, :, 0]
+    return angle_between(axis_n, mount.rotation_nm[:, :, 0])
 
 
 def feed(core: OpticalAxisCore, run: SimulatedRun) -> tuple[list[PointingEstimate], int, int]:
