@@ -34,7 +34,8 @@ bench: setup ## speed, as ratios within one run
 	@$(RUN) python tools/bench.py
 
 campaign: setup ## many seeds, consistency of the estimates
-	@$(RUN) python tools/campaign.py && python tools/pointing_campaign.py
+	@$(RUN) python tools/campaign.py
+	@$(RUN) python tools/pointing_campaign.py
 	@$(RUN) STAR_SCENES=10000 STAR_EPOCHS=10000 pytest -q -s src/ship_attitude_star/test/test_star_solution.py
 
 kills: setup ## kill -9 of recorder and node at random moments: what is lost

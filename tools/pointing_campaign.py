@@ -1,8 +1,8 @@
 """How good is the theodolite's axis, and is its covariance honest, over many seeds of bags/scenarios/theodolite_sweep?
 
 Prints one line a span of time: with lights, the first half minute without, the end. Exit code 1 where RMS/sigma is
-outside its band, or the axis worse than it must be: 8.5" in the first half minute, 31" after ten minutes, 9 and 2.4 times
-better than INS and encoders with axis errors that nobody knows.
+outside its band, or the axis worse than it must be: 8.5" in the first half minute, 31" after ten minutes, 9 and 2.4
+times better than INS and encoders with axis errors that nobody knows.
 """
 
 import argparse
