@@ -117,6 +117,9 @@ def session(settings: OpticalAxisConfig, seed: int, times_s: FloatArray, encoder
     white = settings.ship.white_sigma_arcsec * ARCSEC
     encoder_sigma = settings.encoder.sigma_arcsec * ARCSEC
 
+    # The INS alone states no covariance: it is configured.
+    stated_n = np.diag(SHIP_SIGMA_N**2) if settings.ship.source == "ship/attitude" else None
+
     rotation_nd = rotation_from_angles(
         np.full(count, 0.7), 0.02 * np.sin(2 * np.pi * times_s / 7.0), 0.05 * np.sin(2 * np.pi * times_s / 11.0)
     )
@@ -155,7 +158,7 @@ def session(settings: OpticalAxisConfig, seed: int, times_s: FloatArray, encoder
                     np.broadcast_to(np.eye(3), (2, 3, 3)),
                     np.zeros((2, 3, 3)),
                 ),
-                ShipAt(exp_rotation(turn).T @ rotation_nd[k], np.zeros(3), np.diag(SHIP_SIGMA_N**2), white**2),
+                ShipAt(exp_rotation(turn).T @ rotation_nd[k], np.zeros(3), stated_n, white**2),
                 EncoderAt(*(encoder[k] + encoder_sigma * rng.standard_normal(2)).tolist(), encoder_sigma**2),
             )
         )

@@ -22,7 +22,16 @@ from theodolite_calib.filter_model import (
     SOURCE_SHIP_NOISE,
 )
 from theodolite_calib.image import Camera
-from theodolite_calib.line_of_sight import LeverArm, Lights, LinesOfSight, Ship, Survey, block_diagonal, lines_of_sight
+from theodolite_calib.line_of_sight import (
+    ErrorTerm,
+    LeverArm,
+    Lights,
+    LinesOfSight,
+    Ship,
+    Survey,
+    block_diagonal,
+    lines_of_sight,
+)
 from theodolite_calib.sighting import PredictedPoints, predict_points
 from theodolite_calib.sighting_at import EncoderAt, ShipAt, Sighting
 
@@ -110,6 +119,7 @@ class SightingModel:
         jacobian = by_attitude_n @ turn_n
         jacobian[:, self._model.slices["focal_length"]] = points.by_focal_length.reshape(rows, 1)
         self._add_lines(jacobian, points, lines, sighting.names)
+        self._add_carried_lever(jacobian, points, lines, chain)
         noise = {source: by_attitude_n @ part @ by_attitude_n.T for source, part in noise_n.items()}
         noise[SOURCE_IMAGE] = np.diag(np.repeat(sighting.image.sigma_m**2, 2))
         noise[SOURCE_RTK] = _own_noise(points, lines, "rtk_noise")
@@ -168,13 +178,22 @@ class SightingModel:
         slices = self._model.slices
         for term in lines.terms:
             by_error = points.by_direction_n @ term.jacobian_n
-            common = "ship.attitude" if term.name == "ship_attitude" else COMMON_TERMS.get(term.name, "")
+            common = COMMON_TERMS.get(term.name, "")
             if common in slices:
                 jacobian[:, slices[common]] += by_error.reshape(len(jacobian), -1)
             for row, name in enumerate(names):
                 own = f"light.{name}.{OWN_TERMS.get(term.name, '')}"
                 if own in slices:
                     jacobian[2 * row : 2 * row + 2, slices[own]] += by_error[row]
+
+    def _add_carried_lever(
+        self, jacobian: FloatArray, points: PredictedPoints, lines: LinesOfSight, chain: AxisChain
+    ) -> None:
+        """Add that what turns the ship carries the theodolite round the antenna."""
+        by_turn = _points_by(points, lines, "ship_attitude").reshape(len(jacobian), 3)
+        jacobian[:, self._model.slices["ship.attitude"]] += by_turn
+        if "ship.time_offset" in self._model.slices:
+            jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ chain.by_error[:, 13:]
 
     def _of(self, mean: FloatArray, name: str, width: int = 3) -> FloatArray:
         """A block of the state; zeros where there is no such state."""
@@ -194,8 +213,17 @@ def _drone_covariance(config: OpticalAxisConfig, names: tuple[str, ...]) -> Floa
     return covariance
 
 
+def _points_by(points: PredictedPoints, lines: LinesOfSight, name: str) -> FloatArray:
+    """Change of the points by an error of the lines of sight, m per unit, shape (N, 2, k)."""
+    by_error: FloatArray = points.by_direction_n @ _term(lines, name).jacobian_n
+    return by_error
+
+
 def _own_noise(points: PredictedPoints, lines: LinesOfSight, name: str) -> FloatArray:
     """Covariance of the points by an error that each light has anew, m², shape (2 N, 2 N)."""
-    term = next(term for term in lines.terms if term.name == name)
-    by_error = points.by_direction_n @ term.jacobian_n
-    return block_diagonal(by_error @ term.covariance @ np.swapaxes(by_error, -1, -2))
+    by_error = _points_by(points, lines, name)
+    return block_diagonal(by_error @ _term(lines, name).covariance @ np.swapaxes(by_error, -1, -2))
+
+
+def _term(lines: LinesOfSight, name: str) -> ErrorTerm:
+    return next(term for term in lines.terms if term.name == name)
