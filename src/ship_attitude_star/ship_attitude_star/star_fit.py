@@ -142,10 +142,10 @@ def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
     if sensors:
         mounting_n = rotation_nb @ stars.mounting_b
         turned = about_star @ mounting_n[stars.sensor]
-        for index in range(sensors):
-            own = (stars.sensor == index)[:, None, None]
-            np.multiply(turned, own, out=jacobian[:, :, 3 + 3 * index : 6 + 3 * index])
-    jacobian[:, :, 3 + 3 * sensors :] = stars.shared_n * -per_sigma[..., None]
+        own = stars.sensor[:, None] == np.arange(sensors)
+        blocks = jacobian[:, :, 3 : 3 + 3 * sensors].reshape(count, 3, sensors, 3)
+        np.multiply(turned[:, :, None, :], own[:, None, :, None], out=blocks)
+    np.multiply(stars.shared_n, -per_sigma[..., None], out=jacobian[:, :, 3 + 3 * sensors :])
     displacement = stars.reference_n - stars.measured_b @ rotation_nb.T
     return StarFit(jacobian, displacement * per_sigma)
 

@@ -14,6 +14,15 @@ FloatArray = NDArray[np.float64]
 ARCSEC = np.pi / (180.0 * 3600.0)
 """One arcsecond in radians."""
 
+# [v x] is linear in v: its nine elements row by row, of each component of v.
+_SKEW = np.array(
+    [
+        [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+        [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ]
+)
+
 # Below this angle (rad) the series used are exact to the last bit of a double.
 _SMALL_ANGLE = 1e-4
 
@@ -35,14 +44,7 @@ def wrap_two_pi(angle: FloatArray | float) -> FloatArray:
 def skew(vector: FloatArray) -> FloatArray:
     """Matrix [v x] with ``skew(v) @ w == cross(v, w)``, shape (..., 3, 3)."""
     vector = np.asarray(vector, dtype=float)
-    matrix = np.zeros((*vector.shape, 3))
-    matrix[..., 2, 1] = vector[..., 0]
-    matrix[..., 1, 2] = -vector[..., 0]
-    matrix[..., 0, 2] = vector[..., 1]
-    matrix[..., 2, 0] = -vector[..., 1]
-    matrix[..., 1, 0] = vector[..., 2]
-    matrix[..., 0, 1] = -vector[..., 2]
-    return matrix
+    return (vector @ _SKEW).reshape(*vector.shape, 3)
 
 
 def _sinc_coefficients(angle_squared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

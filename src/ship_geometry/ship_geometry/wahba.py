@@ -103,10 +103,21 @@ def _solve_one(reference_n: FloatArray, measured_d: FloatArray, weight: FloatArr
         left[:, 2] *= handedness
         rotation_nd = left @ right
     if singular[1] + handedness * singular[2] > WORST_SIGMA**-2.0:
-        return WahbaSolution(rotation_nd, np.linalg.inv(information_n), information_n, np.True_, None)
+        return WahbaSolution(rotation_nd, _inverse(information_n), information_n, np.True_, None)
     reason = TOO_FEW if np.count_nonzero(weight) < 2 else NEARLY_PARALLEL
     unknown = np.full((3, 3), np.nan)
     return WahbaSolution(unknown, unknown, information_n, np.False_, reason)
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Of one symmetric positive definite matrix, (3, 3)."""
+    lower, failed = lapack.dpotrf(information, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError("information is not positive definite")
+    inverse, _ = lapack.dpotri(lower, lower=1)
+    # Only the lower triangle is filled.
+    inverse[0, 1], inverse[0, 2], inverse[1, 2] = inverse[1, 0], inverse[2, 0], inverse[2, 1]
+    return inverse
 
 
 def residual_angles(solution: WahbaSolution, reference_n: FloatArray, measured_d: FloatArray) -> FloatArray:
