@@ -15,10 +15,10 @@ from typing import NamedTuple, TypeVar
 
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
-from mcap.writer import CompressionType, Writer
 
 from ship_node.disk_sync import DiskSync
 from ship_node.errors import BadInput
+from ship_node.mcap_writer import McapWriter
 
 SUITE_ATTACHMENT = "suite.yaml"
 """Name of the attachment that holds the suite's configuration."""
@@ -91,8 +91,7 @@ class CdrBagWriter:
         except OSError as problem:
             raise BadInput(f"{self.path}: cannot be written: {problem.strerror}") from problem
         self._sync = DiskSync(self._file.fileno())
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library=library)
+        self._writer = McapWriter(self._file, self.path.parent, profile="ros2", library=library)
         self._definitions: dict[str, TypeDefinition] = {}
         self._schema_ids: dict[str, int] = {}
         self._channels: dict[str, tuple[int, str]] = {}
@@ -129,19 +128,14 @@ class CdrBagWriter:
         channel_id = self._channel_id(topic, type_name)
         if sequence is None:
             sequence = self._sequences[channel_id] = self._sequences.get(channel_id, 0) + 1
-        self._writer.add_message(
-            channel_id=channel_id,
-            log_time=log_time_ns,
-            data=data,
-            publish_time=log_time_ns if publish_time_ns is None else publish_time_ns,
-            sequence=sequence,
-        )
+        sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
+        self._writer.add_message(channel_id, log_time_ns, data, sent_ns, sequence)
         self.message_count += 1
 
     def add_attachment(self, name: str, content: str | bytes, media_type: str = "application/yaml") -> None:
         """Attach a file."""
         data = content.encode() if isinstance(content, str) else content
-        self._writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+        self._writer.add_attachment(name, media_type, data)
 
     def add_metadata(self, name: str, entries: dict[str, str]) -> None:
         """Add a metadata record."""
@@ -173,6 +167,7 @@ class CdrBagWriter:
 
     def discard(self) -> None:
         """Give up: an atomic writer leaves nothing behind, another what it wrote so far."""
+        self._writer.discard()
         self._sync.finish()
         self._file.close()
         if self._written_path != self.path:
@@ -180,6 +175,7 @@ class CdrBagWriter:
 
     def cut(self) -> None:
         """Give up after a failed write: what was written since the last :meth:`flush` is cut off."""
+        self._writer.discard()
         self._sync.finish()
         # Closing tries once more to write what is in the buffer, and fails again.
         with contextlib.suppress(OSError):

@@ -190,7 +190,8 @@ class TestRefused:
             return record
 
         line = refused(capsys, changed_copy(box, tmp_path / "b.mcap", change))
-        assert "black box of node 'gyro': expected one of ship_attitude" in line
+        assert "black box of node 'gyro': expected one of " in line
+        assert "ship_attitude" in line.partition("expected one of")[2]
 
     def test_without_its_head(self, box, tmp_path, capsys):
         copy = changed_copy(box, tmp_path / "b.mcap", lambda r, topics: None if isinstance(r, Metadata) else r)
