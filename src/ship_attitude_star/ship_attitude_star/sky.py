@@ -63,8 +63,12 @@ class Sky:
 
     def too_low(self, elevation: float) -> Refusal:
         """The refusal of a star at an elevation (rad, without air) that is not ``visible``."""
-        lowest_deg = np.rad2deg(LOWEST_ELEVATION[self._model])
-        text = f"elevation {np.rad2deg(elevation):.1f}°: refraction model '{self._model}' holds from {lowest_deg:.0f}°"
+        text = f"elevation {np.rad2deg(elevation):.1f}°"
+        if elevation < 0.0:
+            text += ", below the horizon: look at gnss/fix, the clock and the identity"
+        else:
+            lowest_deg = np.rad2deg(LOWEST_ELEVATION[self._model])
+            text += f": refraction model '{self._model}' holds from {lowest_deg:.0f}°"
         return Refusal(Reason.BELOW_HORIZON, text)
 
     def apparent(self, stars: StarPositions, time_ns: int, place: Place, air: Air) -> ApparentStars:

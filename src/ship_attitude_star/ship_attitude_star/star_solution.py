@@ -114,7 +114,7 @@ def solve_stars(stars: SightedStars, prior: AttitudePrior | None = None) -> Star
 
 def _open_turn(count: int) -> str:
     if count < 2:
-        return f"{count} stars: " + ("no attitude" if count == 0 else "the turn about it stays open")
+        return "no star" if count == 0 else "one star: the turn about it stays open"
     return f"{count} stars, all in one direction: the turn about it stays open"
 
 

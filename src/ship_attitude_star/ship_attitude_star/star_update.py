@@ -85,7 +85,10 @@ def star_residuals(
         alone = solve_stars(stars)
         if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
             refused += [(seen.name(row), _misfit(stars, row, rotation_ns)) for row in range(len(stars))]
-            text = f"none of {len(stars)} stars is where it is expected, and they do not agree on another attitude"
+            text = (
+                f"none of {len(stars)} stars is where it is expected, and they do not agree on another attitude: "
+                "where this lasts, look at the camera's parameters, gnss/fix and the clock"
+            )
             return Refusal(Reason.MISIDENTIFIED, _listed(text, refused))
         members, alone_ns = alone.members, alone.rotation_nb
     turned_ns = rotation_ns if alone_ns is None else alone_ns
