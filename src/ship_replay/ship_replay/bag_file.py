@@ -52,10 +52,13 @@ class McapFile:
         try:
             return [record for record in self.data.records_of(place) if isinstance(record, Message)]
         except DamagedChunk as damage:
-            self.problems.append(
+            problem = (
                 f"{self.path.name}: the chunk at byte {place.offset} is damaged ({damage}): messages from "
                 f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)} are lost"
             )
+            # A place may be read more than once.
+            if problem not in self.problems:
+                self.problems.append(problem)
             return []
 
 

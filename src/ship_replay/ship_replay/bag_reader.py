@@ -206,16 +206,17 @@ def read_bag(path: Path | str) -> Bag:
 
     Raises:
         BadInput: names the file and what is wrong: missing, unreadable, empty, not MCAP, of an unknown compression, a
-            folder without metadata.yaml, no messages at all.
+            folder without metadata.yaml, no messages at all or none that can be read.
     """
     path = Path(path)
     files: list[McapFile] = []
     try:
         for part in _parts(path):
             files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
-        if not any(file.chunks for file in files):
+        if not any(file.messages(place) for file in files for place in file.chunks):
             problems = "; ".join(problem for file in files for problem in file.problems)
-            raise BadInput(f"{path}: the bag holds no messages" + (f" ({problems})" if problems else ""))
+            why = f" that can be read ({problems})" if problems else ""
+            raise BadInput(f"{path}: the bag holds no messages{why}")
         return Bag(path, files)
     except BadInput:
         for file in files:

@@ -59,8 +59,11 @@ def replay(
             relative_names = {name: relative for relative, name in names.items()}
             for record in watch(bag.records(relative_names), bag):
                 run.take(relative_names[record.topic], record)
+            if bag.last_time_ns is None or bag.start_ns is None:
+                told = "".join(f"; {problem}" for problem in bag.problems)
+                raise BadInput(f"{bag_path}: no message of {', '.join(sorted(relative_names))} could be read{told}")
             run.finish()
-        last_ns = bag.last_time_ns or 0
+        last_ns = bag.last_time_ns
         for adapter in chain.adapters:
             for message in adapter.health.messages(factory, last_ns):
                 if len(message.reasons):
@@ -68,7 +71,7 @@ def replay(
                     name = message.topic if len(chain.adapters) == 1 else f"{adapter.node_name}: {message.topic}"
                     summary.refused[name] = dict(zip(message.reasons, counts, strict=True))
         summary.problems = left_out + bag.problems
-        summary.duration_s = (last_ns - (bag.start_ns or 0)) / NS_PER_S
+        summary.duration_s = (last_ns - bag.start_ns) / NS_PER_S
     summary.elapsed_s = time.monotonic() - started_s
     return summary
 

@@ -318,6 +318,18 @@ class TestBadInput:
         (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n")
         self.refused(tmp_path / "a.mcap", "holds no messages .*no footer")
 
+    def test_all_chunks_damaged(self, tmp_path):
+        """The summary tells of two chunks, none of which can be read."""
+        path = write_numbered(tmp_path / "a.mcap", TIMES[:45])
+        data = bytearray(path.read_bytes())
+        chunks = chunk_offsets(data)
+        assert len(chunks) == 2
+        for offset, length in chunks:
+            middle = offset + length // 2
+            data[middle : middle + 20] = bytes(20)
+        path.write_bytes(data)
+        self.refused(path, "holds no messages that can be read .*the chunk at byte .* is damaged .*the chunk at byte")
+
     def test_unknown_compression(self, tmp_path, monkeypatch):
         original = Chunk.write
 

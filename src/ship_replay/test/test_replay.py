@@ -12,6 +12,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_node.input_health import InputHealthBook
 from ship_node.stamps import ns_from_stamp
 from ship_node.topics import InputTopic, OutputTopic
+from ship_replay.bag_file import open_mcap
 from ship_replay.bag_reader import read_bag
 from ship_replay.bag_writer import BagWriter
 from ship_replay.errors import BadInput
@@ -228,6 +229,14 @@ class TestBadInput:
         bag = write_imu_bag(tmp_path / "in.mcap", 5, attachments=[("suite.yaml", SUITE + "    gain: 1.0\n")])
         self.refused(tmp_path, bag, r"in\.mcap: attachment suite\.yaml: .*:4: parameter 'gain' is unknown")
 
+    def test_topics_without_a_message(self, tmp_path):
+        bag = tmp_path / "in.mcap"
+        with BagWriter(bag) as writer:
+            writer.add_attachment("suite.yaml", SUITE)
+            writer.add_topic("ins/imu", "sensor_msgs/msg/Imu", False)
+            writer.write("compass", imu(START_NS), START_NS)
+        self.refused(tmp_path, bag, r"in\.mcap: no message of ins/imu could be read$")
+
     def test_output_over_the_input(self, tmp_path):
         bag = write_imu_bag(tmp_path / "in.mcap", 5, attachments=[("suite.yaml", SUITE)])
         before = bag.read_bytes()
@@ -269,6 +278,22 @@ class TestCommand:
         assert main([str(tmp_path / "none.mcap"), "--out", str(tmp_path / "out.mcap")]) == 2
         lines = capsys.readouterr().err.splitlines()
         assert lines == [f"replay: {tmp_path / 'none.mcap'}: no such file or folder"]
+
+    def test_a_bag_whose_only_chunk_is_damaged_is_one_line_and_two(self, tmp_path, capsys):
+        bag = write_imu_bag(tmp_path / "in.mcap", 50, attachments=[("suite.yaml", self.SUITE)])
+        file = open_mcap(bag)
+        file.data.stream.close()
+        (place,) = file.chunks
+        data = bytearray(bag.read_bytes())
+        middle = place.offset + place.length // 2
+        data[middle : middle + 200] = bytes(200)
+        bag.write_bytes(data)
+        assert main([str(bag), "--out", str(tmp_path / "out.mcap")]) == 2
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        (line,) = printed.err.splitlines()
+        assert line.startswith(f"replay: {bag}: the bag holds no messages that can be read (in.mcap: the chunk at byte")
+        assert not list(tmp_path.glob("out.mcap*"))
 
     def test_wrong_usage_is_one_line_and_two(self, capsys):
         with pytest.raises(SystemExit) as caught:
