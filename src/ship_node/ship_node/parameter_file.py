@@ -5,6 +5,7 @@ namespaces or with wildcards (``/**``, ``/*/name``); of several that fit, later 
 """
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -117,6 +118,17 @@ def has_section(source: Path | str, node_name: str, wildcards: bool = True) -> b
     """
     _, sections = read_sections(source)
     return any(_fits(section.node, node_name) and (wildcards or "*" not in section.node) for section in sections)
+
+
+def unknown_sections(source: Path | str, node_names: Collection[str]) -> list[str]:
+    """Names of a file's sections that fit none of some nodes, without namespace, in order.
+
+    Raises:
+        BadInput: the file cannot be read or is no parameter file.
+    """
+    _, sections = read_sections(source)
+    strange = [section.node for section in sections if not any(_fits(section.node, name) for name in node_names)]
+    return [node.rpartition("/")[2] for node in strange]
 
 
 def read_plain(source: Path | str) -> ParameterFile:

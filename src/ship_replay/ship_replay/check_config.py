@@ -1,4 +1,4 @@
-"""Says before the voyage what a suite configuration lacks, and what of it does not fit a bag."""
+"""Says before the voyage what a suite configuration lacks."""
 
 import copy
 import dataclasses
@@ -14,18 +14,10 @@ from ship_attitude_star.device_config import MountingConfig
 from ship_attitude_star.star_attitude_config import StarAttitudeConfig
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
 from ship_node.adapter import Adapter
-from ship_node.errors import BadInput as BadNodeInput
-from ship_node.parameter_file import ParameterFile, read
-from ship_replay.bag_reader import Bag
+from ship_node.parameter_file import ParameterFile, has_section, read, unknown_sections
 from ship_replay.bag_suite import nodes_of
+from ship_replay.errors import BadInput
 from ship_replay.message_store import RosbagsFactory
-from ship_replay.topic_names import likely_namespace, relative_topics
-
-_INS_TOPIC = "ins/imu"
-_SENSOR_TOPIC = re.compile(
-    r"(?P<group>star|reference)/(?P<name>[^/]+)/(horizon_attitude|inertial_attitude|observations|solution|imu)"
-)
-_GROUPS = {"star": "star_sensors", "reference": "references"}
 
 
 @dataclass
@@ -68,12 +60,26 @@ def check_file(path: Path, adapter_classes: Sequence[type[Adapter]], findings: F
         The nodes that the file is about and that can be made by it.
 
     Raises:
-        BadInput: the file cannot be read or is no parameter file.
+        BadInput: the file cannot be read, is no parameter file or has a section for none of the nodes.
     """
+    findings.warnings += list(_strange_sections(path, [kind.node_name for kind in adapter_classes]))
     checked = (_checked(path, kind, findings) for kind in nodes_of(path, adapter_classes))
     nodes = [node for node in checked if node is not None]
     findings.warnings += list(_different_mountings(path, nodes))
     return nodes
+
+
+def _strange_sections(path: Path, node_names: Sequence[str]) -> Iterator[str]:
+    """Sections that no node would read, such as one whose name is misspelt."""
+    strange = unknown_sections(path, node_names)
+    expected = ", ".join(f"'{name}'" for name in node_names)
+    if not any(has_section(path, name) for name in node_names):
+        found = ", ".join(f"'{name}'" for name in strange) or "none"
+        raise BadInput(
+            f"{path}: no section for a node of this suite: expected one of {expected} or '/**', found {found}"
+        )
+    for name in strange:
+        yield f"{path}: section '{name}' is no node of this suite: expected one of {expected}"
 
 
 def _checked(path: Path, adapter_class: type[Adapter], findings: Findings) -> CheckedNode | None:
@@ -97,7 +103,7 @@ def _checked(path: Path, adapter_class: type[Adapter], findings: Findings) -> Ch
         return CheckedNode(file, config, adapter_class(config, RosbagsFactory()))
     except ParameterError as problem:
         findings.errors.append(str(file.error(str(problem))))
-    except BadNodeInput as problem:
+    except BadInput as problem:
         findings.errors.append(f"{path}: {problem}")
     return None
 
@@ -115,103 +121,6 @@ def _different_mountings(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[s
                     f"{path}:{line}: parameter 'star_sensors.{id_}.{name}' is {two!r} for "
                     f"{other.adapter.node_name}, but {one!r} for {node.adapter.node_name}"
                 )
-
-
-def check_bag(path: Path, nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings: Findings) -> None:
-    """Check a configuration against the topics of a bag: presence, type, definition, frame_id.
-
-    Args:
-        path: file of the configuration.
-        nodes: what it is about.
-        bag: a bag recorded with the sensors of the voyage.
-        namespace: namespace of the ship in the bag.
-        findings: takes what is found.
-    """
-    found = relative_topics(bag.topics, namespace)
-    given = {topic.topic for node in nodes for topic in node.adapter.outputs}
-    for node in nodes:
-        _check_inputs(path, node, bag, found, given, findings)
-    taken = {topic.topic for node in nodes for topic in node.adapter.inputs}
-    findings.warnings += list(_not_configured([node.config for node in nodes], bag, found, taken | given))
-    findings.warnings += bag.problems
-
-
-def _check_inputs(
-    path: Path, node: CheckedNode, bag: Bag, found: dict[str, str], given: set[str], findings: Findings
-) -> None:
-    """Check what a node takes from a bag; ``given`` are topics that some node gives itself."""
-    readable: dict[str, str] = {}
-    for topic in node.adapter.inputs:
-        place = _place(node.file, path, topic.topic)
-        if topic.topic not in found:
-            if topic.topic in given:
-                continue
-            hint = likely_namespace(bag.topics, [topic.topic])
-            advice = f" (there is one under the namespace '{hint}')" if hint else ""
-            where = findings.errors if topic.required else findings.warnings
-            where.append(f"{place}: topic '{topic.topic}' is not in {bag.path}{advice}")
-            continue
-        type_name = bag.topics[found[topic.topic]]
-        if type_name != topic.type_name:
-            findings.errors.append(
-                f"{place}: topic '{topic.topic}' in {bag.path} is {type_name}: expected {topic.type_name}"
-            )
-            continue
-        findings.errors += [f"{bag.path}: topic '{topic.topic}': {line}" for line in bag.differences.get(type_name, [])]
-        if type_name not in bag.differences:
-            readable[topic.topic] = found[topic.topic]
-    findings.errors += _frame_errors(path, node, bag, readable)
-
-
-def _frame_errors(path: Path, node: CheckedNode, bag: Bag, readable: dict[str, str]) -> Iterator[str]:
-    """Messages that would be refused because their frame_id is not the configured one."""
-    expected = {topic: _frame_id(node.config, topic) for topic in readable}
-    waiting = {readable[topic]: topic for topic, frame in expected.items() if frame}
-    for record in bag.records(waiting) if waiting else ():
-        topic = waiting.pop(record.topic, None)
-        if topic is not None:
-            frame = record.decode().header.frame_id
-            if frame != expected[topic]:
-                name = f"{_section(topic)}.frame_id"
-                yield (
-                    f"{_place(node.file, path, topic, 'frame_id')}: parameter '{name}' = '{expected[topic]}', but "
-                    f"topic '{topic}' in {bag.path} carries frame_id '{frame}'"
-                )
-        if not waiting:
-            break
-
-
-def _frame_id(config: Any, topic: str) -> str:
-    """The frame_id that messages of an input topic must carry; empty for any."""
-    if topic == _INS_TOPIC:
-        return str(config.ins.frame_id)
-    group, *rest = topic.split("/")
-    return str(getattr(config, _GROUPS[group])[rest[0]].frame_id) if group in _GROUPS else ""
-
-
-def _not_configured(configs: Sequence[Any], bag: Bag, found: dict[str, str], known: set[str]) -> Iterator[str]:
-    """Sensors in the bag that the configuration does not use."""
-    for topic in sorted(found.keys() - known):
-        match = _SENSOR_TOPIC.fullmatch(topic)
-        if match is None:
-            continue
-        name, group = match["name"], _GROUPS[match["group"]]
-        if not any(name in getattr(config, group, {}) for config in configs):
-            yield f"{bag.path}: topic '{topic}' has no {group}.{name} in the configuration: not used"
-        elif group == "star_sensors" and not any(t.startswith(f"star/{name}/") for t in known & found.keys()):
-            yield f"{bag.path}: topic '{topic}' is not used: star_sensors.{name}.input is another"
-
-
-def _section(topic: str) -> str:
-    """Dotted name of the parameters about an input topic."""
-    group, *rest = topic.split("/")
-    return f"{_GROUPS[group]}.{rest[0]}" if group in _GROUPS else group
-
-
-def _place(file: ParameterFile, path: Path, topic: str, parameter: str = "") -> str:
-    """File and line that speak of an input topic."""
-    line = file.line_of(f"{_section(topic)}.{parameter}".rstrip("."))
-    return f"{path}:{line}" if line else str(path)
 
 
 def _put_right(values: dict[str, Any], problem: str, descriptions: list[ParameterDescription]) -> bool:

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ship_replay.bag_reader import read_bag
-from ship_replay.check_config import Findings, check_bag, check_file
+from ship_replay.check_bag import check_bag
+from ship_replay.check_config import Findings, check_file
 from ship_replay.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser, run_command
 from ship_replay.replay_command import ADAPTERS
 

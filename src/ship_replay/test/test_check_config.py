@@ -192,6 +192,25 @@ def test_a_sensor_that_is_bolted_elsewhere_for_another_node_is_a_warning(check):
     assert lines[0] == f"warning: suite.yaml:9: {said}"
 
 
+NODES = "expected one of 'ship_attitude', 'star_attitude', 'optical_axis'"
+
+
+def test_a_misspelt_node_is_a_warning(check):
+    code, lines, _ = check(STARS.replace("star_attitude:", "star_atitude:"))
+    assert code == 0
+    warning = f"warning: suite.yaml: section 'star_atitude' is no node of this suite: {NODES}"
+    assert lines == [warning, "suite.yaml: good"]
+    # In a namespace, or for all nodes: these are read.
+    everywhere = "/**:\n  ros__parameters: {lag_s: 1.0}\n"
+    assert check(everywhere + GOOD.replace("ship_attitude:", "/palmer/ship_attitude:")) == (0, ["suite.yaml: good"], [])
+
+
+def test_nothing_but_a_misspelt_node_offers_all_nodes(check):
+    code, lines, (error,) = check(GOOD.replace("ship_attitude:", "star_atitude:"))
+    assert (code, lines) == (2, [])
+    assert error.endswith(f"suite.yaml: no section for a node of this suite: {NODES} or '/**', found 'star_atitude'")
+
+
 def test_observations_that_nobody_takes_are_a_warning(check, tmp_path):
     _, lines, _ = check(STARS, star_bag(tmp_path / "a.mcap", sensor="aft"))
     expected = "topic 'star/aft/observations' has no star_sensors.aft in the configuration: not used"
@@ -202,7 +221,7 @@ def test_observations_that_nobody_takes_are_a_warning(check, tmp_path):
     ("text", "complaint"),
     [
         ("", "suite.yaml: empty"),
-        ("monitor: {ros__parameters: {}}\n", "no section for node 'ship_attitude'"),
+        ("monitor: {ros__parameters: {}}\n", "no section for a node of this suite"),
         ("ship_attitude: [\n", "not YAML"),
     ],
 )
