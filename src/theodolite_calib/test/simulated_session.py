@@ -85,7 +85,15 @@ def sweep(times_s: FloatArray, low_deg: float = 10.0, high_deg: float = 70.0) ->
     )
 
 
-def session(settings: OpticalAxisConfig, seed: int, times_s: FloatArray, encoder: FloatArray) -> Session:
+def session(
+    settings: OpticalAxisConfig,
+    seed: int,
+    times_s: FloatArray,
+    encoder: FloatArray,
+    ship_sigma_n: FloatArray = SHIP_SIGMA_N,
+    swing: float = 1.0,
+    lens_error_m: FloatArray | None = None,
+) -> Session:
     """A session with the errors of a configuration, drawn by a seed.
 
     Args:
@@ -93,6 +101,9 @@ def session(settings: OpticalAxisConfig, seed: int, times_s: FloatArray, encoder
         seed: of all of them.
         times_s: of the sightings, shape (k,).
         encoder: true angles of the encoders, rad, shape (k, 2).
+        ship_sigma_n: of the ship's slow error about North, Up and East, rad, shape (3,).
+        swing: of the ship; 0 for none.
+        lens_error_m: of the principal point N', shape (3,), instead of one drawn.
     """
     rng = np.random.default_rng(seed)
     names, count = list(LIGHTS_DEG), len(times_s)
@@ -102,7 +113,7 @@ def session(settings: OpticalAxisConfig, seed: int, times_s: FloatArray, encoder
     deformation = gauss_markov(
         rng, times_s, np.full(3, settings.deformation.sigma_arcsec * ARCSEC), settings.deformation.time_s
     )
-    ship_error = gauss_markov(rng, times_s, SHIP_SIGMA_N, settings.ship.slow_time_s)
+    ship_error = gauss_markov(rng, times_s, ship_sigma_n, settings.ship.slow_time_s)
     antenna = gauss_markov(rng, times_s, np.full(3, settings.ship_antenna.sigma_m), settings.ship_antenna.time_s)
     common_k = gauss_markov(rng, times_s, np.array([settings.air.sigma]), settings.air.time_s)
     own_k = gauss_markov(rng, times_s, np.full(2, settings.air.light_sigma), settings.air.time_s)
@@ -110,7 +121,8 @@ def session(settings: OpticalAxisConfig, seed: int, times_s: FloatArray, encoder
     rtk = [gauss_markov(rng, times_s, np.full(3, beacon.bias_sigma_m), beacon.bias_time_s) for beacon in beacons]
     rtk_noise = np.array([beacon.sigma_m for beacon in beacons])
     lever_d = settings.lever.vector_m + settings.lever.sigma_m * rng.standard_normal(3)
-    lens_m = settings.telescope.lens.vector_m + settings.telescope.lens.sigma_m * rng.standard_normal(3)
+    drawn_m = settings.telescope.lens.sigma_m * rng.standard_normal(3)
+    lens_m = settings.telescope.lens.vector_m + (drawn_m if lens_error_m is None else lens_error_m)
     parallelism = settings.telescope.parallelism + settings.telescope.parallelism_sigma * rng.standard_normal(3)
     focal_length_m = settings.telescope.focal_length_m
     focal_length_m += settings.telescope.focal_length_sigma_m * rng.standard_normal()
@@ -118,11 +130,10 @@ def session(settings: OpticalAxisConfig, seed: int, times_s: FloatArray, encoder
     encoder_sigma = settings.encoder.sigma_arcsec * ARCSEC
 
     # The INS alone states no covariance: it is configured.
-    stated_n = np.diag(SHIP_SIGMA_N**2) if settings.ship.source == "ship/attitude" else None
+    stated_n = np.diag(ship_sigma_n**2) if settings.ship.source == "ship/attitude" else None
 
-    rotation_nd = rotation_from_angles(
-        np.full(count, 0.7), 0.02 * np.sin(2 * np.pi * times_s / 7.0), 0.05 * np.sin(2 * np.pi * times_s / 11.0)
-    )
+    pitch, roll = swing * 0.02 * np.sin(2 * np.pi * times_s / 7.0), swing * 0.05 * np.sin(2 * np.pi * times_s / 11.0)
+    rotation_nd = rotation_from_angles(np.full(count, 0.7), pitch, roll)
     rotation_nm = (
         rotation_nd
         @ exp_rotation(deformation)
