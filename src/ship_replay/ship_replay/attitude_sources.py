@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.config import StarSensorConfig
+from ship_attitude_star.device_config import MountingConfig
 from ship_estimation.ins_config import InsInputConfig
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.rotations import FloatArray
 from ship_node.stamps import ns_from_stamp
 from ship_replay.attitude_errors import AttitudeErrors, attitude_errors
 from ship_replay.orientations import Orientation
@@ -140,21 +140,24 @@ class InsAttitude(AttitudeSource):
 
 
 class StarAttitude(AttitudeSource):
-    """One star sensor by itself, carried to the deck by its nominal installation."""
+    """One star sensor by itself, carried to the deck by its nominal installation; or the deck by all of them.
 
-    def __init__(self, sensor_id: str, truth: Truth, config: StarSensorConfig) -> None:
+    Args:
+        sensor_id: names the source.
+        truth: what it is compared with.
+        mounting: where the sensor is bolted; None where the messages are of the deck, installation errors included.
+    """
+
+    def __init__(self, sensor_id: str, truth: Truth, mounting: MountingConfig | None) -> None:
         super().__init__(f"star.{sensor_id}", truth)
-        angles = (config.azimuth_deg, config.elevation_deg, config.roll_deg)
-        self._rotation_dv = rotation_from_angles(*np.deg2rad(angles))
-        installation_sigmas_arcsec = (
-            config.installation_sigma_forward_arcsec,
-            config.installation_sigma_up_arcsec,
-            config.installation_sigma_right_arcsec,
-        )
-        self._installation_covariance_v = np.diag(np.square(installation_sigmas_arcsec)) * ARCSEC**2
+        self._rotation_dv = np.eye(3)
+        self._installation_covariance_v = np.zeros((3, 3))
+        if mounting is not None:
+            self._rotation_dv = mounting.rotation_ds
+            self._installation_covariance_v = np.diag(np.square(mounting.installation_sigma_s))
 
     def take(self, message: Any) -> None:
-        """A StarHorizonAttitude."""
+        """A StarHorizonAttitude; one without an attitude (NaN) is left out."""
         stamp_ns = ns_from_stamp(message.header.stamp)
         truth_nd = self._truth.around(stamp_ns)
         angles = (message.azimuth, message.elevation, message.roll)

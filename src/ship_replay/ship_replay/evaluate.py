@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.star_attitude_config import StarAttitudeConfig
 from ship_node.errors import BadInput as BadNodeInput
 from ship_node.parameter_file import has_section, load_config
 from ship_replay.alignment_values import AlignmentValue, alignment_values
@@ -15,7 +16,7 @@ from ship_replay.attitude_sources import PublishedAttitude, Truth
 from ship_replay.bag_reader import Bag, BagRecord, read_bag
 from ship_replay.bag_writer import SUITE_ATTACHMENT
 from ship_replay.errors import BadInput
-from ship_replay.evaluation_sources import sources
+from ship_replay.evaluation_sources import JOINT_SOLUTION, sources
 from ship_replay.innovations import InnovationBook, SourceInnovations
 from ship_replay.orientations import ORIENTATIONS
 from ship_replay.times import NS_PER_S
@@ -28,7 +29,7 @@ _INNOVATION_TOPICS = ("ship/innovation", "theodolite/innovation")
 _ESTIMATES = {"ship/alignment": "alignment", "theodolite/calibration": "calibration"}
 """Topics of what filters estimate besides → what it is called here."""
 _RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)
-_OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), *_RESULTS)
+_OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), JOINT_SOLUTION, *_RESULTS)
 """Topics that another bag than the run's own may have as inputs, or of another run."""
 
 
@@ -96,7 +97,9 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
 def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Evaluation:
     bags = [*others, bag]
     ship = _config(bags, ShipAttitudeConfig, "ship_attitude")
-    collectors = sources(_truths(bags, namespace), ship, _config(bags, OpticalAxisConfig, "optical_axis"))
+    star = _config(bags, StarAttitudeConfig, "star_attitude")
+    theodolite = _config(bags, OpticalAxisConfig, "optical_axis")
+    collectors = sources(_truths(bags, namespace), ship, star, theodolite)
     innovations = InnovationBook()
     last: dict[str, BagRecord] = {}
     for candidate, topics in _reading_plan(bag, others, [*collectors, *_RESULTS], namespace):
@@ -132,11 +135,12 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
 def _reading_plan(bag: Bag, others: list[Bag], topics: list[str], namespace: str) -> list[tuple[Bag, dict[str, str]]]:
     """Which bag serves which topics (name in the bag → relative name).
 
-    Results come from the run's own bag, inputs from the bag that it is held against where that has them.
+    Results come from the run's own bag, inputs from the bag that it is held against where that has them. A sensor's
+    solutions may be either: those of the run come first.
     """
     plan: list[tuple[Bag, dict[str, str]]] = [(candidate, {}) for candidate in [*others, bag]]
     for topic in topics:
-        for candidate, served in plan:
+        for candidate, served in reversed(plan) if topic.endswith("/solution") else plan:
             name = relative_topics(candidate.topics, namespace).get(topic)
             if name is not None and (candidate is bag or topic not in _OF_THE_RUN):
                 served[name] = topic
@@ -165,7 +169,9 @@ def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | Non
         if SUITE_ATTACHMENT in bag.attachments:
             text = bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
             try:
-                return load_config(kind, text, node_name) if has_section(text, node_name) else None
+                # A section for all nodes is ship_attitude's alone, as in a replay (bag_suite.nodes_of).
+                named = has_section(text, node_name, wildcards=kind is ShipAttitudeConfig)
+                return load_config(kind, text, node_name) if named else None
             except BadNodeInput as problem:
                 raise BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}") from problem
     return None

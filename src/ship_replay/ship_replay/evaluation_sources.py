@@ -3,21 +3,32 @@
 from collections.abc import Mapping
 
 from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.device_config import JOINT
+from ship_attitude_star.star_attitude_config import StarAttitudeConfig
 from ship_estimation.ins_config import InsInputConfig
 from ship_replay.attitude_sources import AttitudeSource, InsAttitude, PublishedAttitude, StarAttitude, Truth
 from ship_replay.orientations import POINTING, SHIP_ATTITUDE
 from ship_replay.pointing_sources import EncoderAlone, Pointing
 from theodolite_calib.config import OpticalAxisConfig
 
+JOINT_SOLUTION = f"star/{JOINT}/solution"
+"""Attitude of the deck by the stars of all sensors."""
+
 
 def sources(
-    truths: Mapping[str, Truth], ship: ShipAttitudeConfig | None, theodolite: OpticalAxisConfig | None
+    truths: Mapping[str, Truth],
+    ship: ShipAttitudeConfig | None,
+    star: StarAttitudeConfig | None,
+    theodolite: OpticalAxisConfig | None,
 ) -> dict[str, AttitudeSource]:
-    """Relative topic → what collects its attitudes; star sensors that give one, where placed.
+    """Relative topic → what collects its attitudes.
+
+    A star sensor is one source: by its horizon attitudes where those feed ``ship_attitude``, else by its solutions.
 
     Args:
         truths: by topic of the truth, those that are known.
         ship: configuration of ``ship_attitude``; None where it is not known.
+        star: the same of ``star_attitude``.
         theodolite: the same of ``optical_axis``.
     """
     collectors: dict[str, AttitudeSource] = {}
@@ -26,9 +37,13 @@ def sources(
     if deck is not None:
         ins = InsAttitude(deck, ins_config)
         collectors |= {SHIP_ATTITUDE.topic: PublishedAttitude(deck), "ins/imu": ins}
+        collectors[JOINT_SOLUTION] = StarAttitude(JOINT, deck, None)
+        for sensor_id, solved in (star.star_sensors if star else {}).items():
+            collectors[f"star/{sensor_id}/solution"] = StarAttitude(sensor_id, deck, solved)
         for sensor_id, sensor in (ship.star_sensors if ship else {}).items():
-            if sensor.input in ("horizon_attitude", "solution"):
-                collectors[f"star/{sensor_id}/{sensor.input}"] = StarAttitude(sensor_id, deck, sensor)
+            collectors.pop(f"star/{sensor_id}/solution", None)
+            topic = "horizon_attitude" if sensor.input == "horizon_attitude" else "solution"
+            collectors[f"star/{sensor_id}/{topic}"] = StarAttitude(sensor_id, deck, sensor)
     if axis is not None:
         collectors[POINTING.topic] = Pointing(axis)
         if deck is not None and theodolite is not None:

@@ -107,12 +107,12 @@ def test_ins_alone(tmp_path):
     assert values["ins.nees_mean"] == pytest.approx(0.25)
 
 
-def star_message(stamp_ns, rotation_nv, covariance_enu):
+def star_message(stamp_ns, rotation_nv, covariance_enu, sensor_id="fore"):
     azimuth, elevation, roll = (float(angle) for angle in angles_from_rotation(rotation_nv))
     return FACTORY.make(
         "ship_msgs/msg/StarHorizonAttitude",
-        header=make_header(FACTORY, stamp_ns, "star_fore"),
-        sensor_id="fore",
+        header=make_header(FACTORY, stamp_ns, f"star_{sensor_id}"),
+        sensor_id=sensor_id,
         azimuth=azimuth,
         elevation=elevation,
         roll=roll,
@@ -150,6 +150,58 @@ def test_a_star_sensor_alone_is_carried_to_the_deck_by_its_nominal_installation(
     # 20² sin²40° + 1² cos²40° (up and right alike), and 1 for the noise; level ship: heading is about Up.
     vertical = 400.0 * np.sin(np.deg2rad(40.0)) ** 2 + np.cos(np.deg2rad(40.0)) ** 2 + 1.0
     assert values["star.fore.heading.sigma_arcsec"] == pytest.approx(np.sqrt(vertical))
+
+
+STAR_SUITE = """\
+star_attitude:
+  ros__parameters:
+    star_sensors:
+      fore:
+        azimuth_deg: 30.0
+        elevation_deg: 40.0
+        roll_deg: 5.0
+        camera: {focal_length_m: 0.05, pixel_pitch_m: 5.5e-6}
+"""
+
+
+def write_solutions(path, error_arcsec, truth=True):
+    """Solutions of the sensor fore and of all sensors, their heading wrong; between them one without an attitude."""
+    rotation_dv = rotation_from_angles(*np.deg2rad([30.0, 40.0, 5.0]))
+    reported_nd = rotation_from_angles(1.0 + error_arcsec * ARCSEC, 0.0, 0.0)
+    with BagWriter(path) as bag:
+        bag.add_attachment("suite.yaml", STAR_SUITE)
+        for number in range(3):
+            stamp_ns = START_NS + number * 100_000_000
+            if truth:
+                bag.write("truth/attitude", ship_attitude(stamp_ns, 1.0), stamp_ns)
+            hidden = np.nan if number == 1 else 1.0
+            for sensor_id, rotation_nb in (("fore", reported_nd @ rotation_dv), ("joint", reported_nd)):
+                message = star_message(stamp_ns, rotation_nb, np.diag([2.0, 3.0, 4.0]) ** 2 * ARCSEC**2, sensor_id)
+                message.azimuth *= hidden
+                message.rotation_covariance = message.rotation_covariance * hidden
+                message.status = 3 if number == 1 else 0
+                bag.write(f"star/{sensor_id}/solution", message, stamp_ns)
+    return path
+
+
+def test_solutions_of_the_stars(tmp_path):
+    values = evaluate(write_solutions(tmp_path / "a.mcap", 7.0)).flat()
+    for source in ("star.fore", "star.joint"):
+        assert values[f"{source}.samples"] == 2
+        assert values[f"{source}.heading.bias_arcsec"] == pytest.approx(7.0, abs=1e-6)
+    # About Up: what the message says; of the sensor alone the installation besides, worked out as above.
+    installation = (20.0 * np.sin(np.deg2rad(40.0))) ** 2 + np.cos(np.deg2rad(40.0)) ** 2
+    assert values["star.joint.heading.sigma_arcsec"] == pytest.approx(4.0)
+    assert values["star.fore.heading.sigma_arcsec"] == pytest.approx(np.sqrt(16.0 + installation))
+    assert values["star.joint.nees_mean"] == pytest.approx(49.0 / 16.0, abs=1e-4)
+
+
+def test_solutions_of_the_run_come_before_those_of_another_bag(tmp_path):
+    recorded = write_solutions(tmp_path / "recorded.mcap", 5.0)
+    replayed = write_solutions(tmp_path / "replayed.mcap", 2.0, truth=False)
+    values = evaluate(replayed, against=recorded).flat()
+    assert values["star.fore.heading.bias_arcsec"] == pytest.approx(2.0, abs=1e-6)
+    assert values["star.joint.heading.bias_arcsec"] == pytest.approx(2.0, abs=1e-6)
 
 
 def test_truth_and_inputs_from_another_bag(tmp_path):
