@@ -49,11 +49,15 @@ def attitude_table(evaluation: Evaluation) -> Table:
 
 
 def innovation_table(evaluation: Evaluation) -> Table:
-    """Per source and component of the residual: mean, deviation, predicted sigma; NIS and counts per source."""
+    """Per source and component of the residual: mean, deviation, predicted sigma; NIS and counts per source.
+
+    The counts are of different things: an exposure is one measurement, but each star left out of it is one refused.
+    """
     table = Table(title="Measurement - prediction, arcseconds")
     for column in ("source", "component"):
         table.add_column(column)
-    for column in ("mean", "deviation", "predicted σ", "NIS (degrees)", "minutes in band", "accepted", "refused"):
+    shown = "mean", "deviation", "predicted σ", "NIS (degrees)", "minutes in band"
+    for column in (*shown, "accepted (measurements)", "refused (messages, stars)"):
         table.add_column(column, justify="right")
     for source, innovations in evaluation.innovations.items():
         values = innovations.statistics()

@@ -13,6 +13,7 @@ from ship_replay.bag_writer import BagWriter
 from ship_replay.errors import BadInput
 from ship_replay.evaluate import evaluate
 from ship_replay.evaluate_command import main
+from ship_replay.evaluation_tables import innovation_table
 
 SECOND_NS = 1_000_000_000
 SUITE = """\
@@ -301,6 +302,19 @@ class TestCommand:
         assert "fused" in printed
         assert json.loads((tmp_path / "a.json").read_text())["fused.heading.rms_arcsec"] == pytest.approx(1.0)
         assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+    def test_the_table_says_what_its_counts_are_of(self, tmp_path):
+        """One exposure that is used without two of its stars: one measurement, two stars."""
+        bag = tmp_path / "a.mcap"
+        with BagWriter(bag) as writer:
+            exposure = innovation(START_NS, "star.fore", [ARCSEC] * 3, [ARCSEC] * 3, 3.0)
+            star = innovation(START_NS, "star.fore", [ARCSEC] * 2, [ARCSEC] * 2, 2.0, False, 14, ("up", "right"))
+            for message in (exposure, star, star):
+                writer.write("ship/innovation", message, START_NS)
+        table = innovation_table(evaluate(bag))
+        counts = {str(column.header): next(iter(column.cells)) for column in table.columns[-2:]}
+        assert counts["accepted (measurements)"] == "1"
+        assert counts["refused (messages, stars)"] == "2 (misidentified 2)"
 
     def test_the_figure_is_the_same_each_time(self, tmp_path):
         bag = write_innovations(tmp_path / "a.mcap")
