@@ -1,7 +1,7 @@
 """Says before the voyage what of a suite configuration does not fit a bag recorded with its sensors."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,30 +29,46 @@ def check_bag(path: Path, nodes: Sequence[CheckedNode], bag: Bag, namespace: str
     """
     found = relative_topics(bag.topics, namespace)
     given = {topic.topic for node in nodes for topic in node.adapter.outputs}
+    _check_presence(path, nodes, bag, found.keys() | given, findings)
     for node in nodes:
-        _check_inputs(path, node, bag, found, given, findings)
+        _check_inputs(path, node, bag, found, findings)
+    # What is wrong with the bag is wrong for each node that takes it.
+    findings.errors = list(dict.fromkeys(findings.errors))
     taken = {topic.topic for node in nodes for topic in node.adapter.inputs}
     findings.warnings += list(_not_configured([node.config for node in nodes], bag, found, taken | given))
     findings.warnings += bag.problems
 
 
-def _check_inputs(
-    path: Path, node: CheckedNode, bag: Bag, found: dict[str, str], given: set[str], findings: Findings
+def _check_presence(
+    path: Path, nodes: Sequence[CheckedNode], bag: Bag, present: Collection[str], findings: Findings
 ) -> None:
-    """Check what a node takes from a bag; ``given`` are topics that some node gives itself."""
+    """Each input that is not among the topics in the bag or given by a node: once, with the nodes that take it."""
+    absent: dict[str, list[tuple[CheckedNode, bool]]] = {}
+    for node in nodes:
+        for topic in node.adapter.inputs:
+            if topic.topic not in present:
+                absent.setdefault(topic.topic, []).append((node, topic.required))
+    for name, takers in absent.items():
+        needing = [node.adapter.node_name for node, required in takers if required]
+        optional = [node.adapter.node_name for node, required in takers if not required]
+        roles = ("needed by", needing), ("optional for", optional)
+        whose = ", ".join(f"{role} {' and '.join(names)}" for role, names in roles if names)
+        hint = likely_namespace(bag.topics, [name])
+        advice = f" (there is one under the namespace '{hint}')" if hint else ""
+        place = _place(takers[0][0].file, path, name)
+        where = findings.errors if needing else findings.warnings
+        where.append(f"{place}: topic '{name}' is not in {bag.path}: {whose}{advice}")
+
+
+def _check_inputs(path: Path, node: CheckedNode, bag: Bag, found: dict[str, str], findings: Findings) -> None:
+    """Check what a node takes from a bag."""
     readable: dict[str, str] = {}
     for topic in node.adapter.inputs:
-        place = _place(node.file, path, topic.topic)
         if topic.topic not in found:
-            if topic.topic in given:
-                continue
-            hint = likely_namespace(bag.topics, [topic.topic])
-            advice = f" (there is one under the namespace '{hint}')" if hint else ""
-            where = findings.errors if topic.required else findings.warnings
-            where.append(f"{place}: topic '{topic.topic}' is not in {bag.path}{advice}")
             continue
         type_name = bag.topics[found[topic.topic]]
         if type_name != topic.type_name:
+            place = _place(node.file, path, topic.topic)
             findings.errors.append(
                 f"{place}: topic '{topic.topic}' in {bag.path} is {type_name}: expected {topic.type_name}"
             )

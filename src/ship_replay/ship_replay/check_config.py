@@ -14,7 +14,7 @@ from ship_attitude_star.device_config import MountingConfig
 from ship_attitude_star.star_attitude_config import StarAttitudeConfig
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
 from ship_node.adapter import Adapter
-from ship_node.parameter_file import ParameterFile, has_section, read, unknown_sections
+from ship_node.parameter_file import ParameterFile, has_section, quoted_parameter, read, unknown_sections
 from ship_replay.bag_suite import nodes_of
 from ship_replay.errors import BadInput
 from ship_replay.message_store import RosbagsFactory
@@ -87,12 +87,14 @@ def _checked(path: Path, adapter_class: type[Adapter], findings: Findings) -> Ch
     file = read(path, adapter_class.node_name)
     values = copy.deepcopy(file.values)
     descriptions = list(describe(kind))
+    told: set[str] = set()
     while True:
         try:
             config = build(kind, values)
             break
         except ParameterError as problem:
             findings.errors.append(str(file.error(str(problem))))
+            told.add(quoted_parameter(str(problem)))
             if not _put_right(values, str(problem), descriptions):
                 return None
     if isinstance(config, ShipAttitudeConfig) and not config.star_sensors and not config.references:
@@ -102,7 +104,9 @@ def _checked(path: Path, adapter_class: type[Adapter], findings: Findings) -> Ch
     try:
         return CheckedNode(file, config, adapter_class(config, RosbagsFactory()))
     except ParameterError as problem:
-        findings.errors.append(str(file.error(str(problem))))
+        # A value that was taken out above is missing here: told already.
+        if told.isdisjoint(re.findall(r"'([^']+)'", str(problem))):
+            findings.errors.append(str(file.error(str(problem))))
     except BadInput as problem:
         findings.errors.append(f"{path}: {problem}")
     return None
@@ -129,17 +133,17 @@ def _put_right(values: dict[str, Any], problem: str, descriptions: list[Paramete
     Returns:
         Whether anything changed: if not, the same problem would come again.
     """
-    quoted = re.search(r"'([^'\[]+)", problem)
-    if quoted is None:
+    quoted = quoted_parameter(problem)
+    if not quoted:
         return False
-    *groups, leaf = quoted[1].split(".")
+    *groups, leaf = quoted.split(".")
     level = values
     for group in groups:
         level = level.setdefault(group, {})
     removed = level.pop(leaf, None) is not None
     for description in descriptions:
         pattern = re.escape(description.name).replace("<id>", r"[^.]+")
-        if description.default is None and re.fullmatch(pattern, quoted[1]):
+        if description.default is None and re.fullmatch(pattern, quoted):
             level[leaf] = _allowed(description)
             return True
     return removed

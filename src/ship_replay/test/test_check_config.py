@@ -90,13 +90,14 @@ def test_wrong_frame_id(check, tmp_path):
 def test_required_topic_missing(check, tmp_path):
     code, lines, _ = check(GOOD, write_bag(tmp_path / "a.mcap", topics=("reference/b/imu",)))
     assert code == 2
-    assert lines == ["error: suite.yaml:4: topic 'ins/imu' is not in a.mcap"]
+    assert lines == ["error: suite.yaml:4: topic 'ins/imu' is not in a.mcap: needed by ship_attitude"]
 
 
 def test_sensor_without_a_topic_is_a_warning(check, tmp_path):
     code, lines, _ = check(GOOD, write_bag(tmp_path / "a.mcap", topics=("ins/imu",)))
     assert code == 0
-    assert lines == ["warning: suite.yaml:7: topic 'reference/b/imu' is not in a.mcap", "suite.yaml: good for a.mcap"]
+    warning = "warning: suite.yaml:7: topic 'reference/b/imu' is not in a.mcap: optional for ship_attitude"
+    assert lines == [warning, "suite.yaml: good for a.mcap"]
 
 
 def test_topic_without_a_configuration_is_a_warning(check, tmp_path):
@@ -120,7 +121,7 @@ def test_a_bag_in_a_namespace(check, tmp_path):
     bag = write_bag(tmp_path / "a.mcap", prefix="/palmer/")
     code, lines, _ = check(GOOD, bag)
     assert code == 2
-    expected = "topic 'ins/imu' is not in a.mcap (there is one under the namespace 'palmer')"
+    expected = "topic 'ins/imu' is not in a.mcap: needed by ship_attitude (there is one under the namespace 'palmer')"
     assert lines[0] == f"error: suite.yaml:4: {expected}"
     assert check(GOOD, bag, "--namespace", "palmer")[0] == 0
 
@@ -169,7 +170,7 @@ def star_bag(path, frame_id="star_fore", sensor="fore"):
 def test_each_node_of_the_suite_is_checked(check, tmp_path):
     code, lines, _ = check(STARS, star_bag(tmp_path / "a.mcap", frame_id="camera"))
     assert code == 2
-    assert lines[0] == "error: suite.yaml: topic 'gnss/fix' is not in a.mcap"
+    assert lines[0] == "error: suite.yaml: topic 'gnss/fix' is not in a.mcap: needed by star_attitude"
     expected = "parameter 'star_sensors.fore.frame_id' = 'star_fore', but topic 'star/fore/observations' in a.mcap"
     assert lines[1] == f"error: suite.yaml:11: {expected} carries frame_id 'camera'"
     # What star_attitude gives need not be in the bag.
@@ -183,6 +184,25 @@ def test_a_camera_that_is_missing_is_told_without_a_bag(check):
     code, lines, _ = check(text)
     assert code == 2
     assert lines[0].startswith("error: suite.yaml:4: parameters 'star_sensors.fore.camera.focal_length_m'")
+
+
+def test_a_topic_that_two_nodes_miss_is_told_once_with_both(check, tmp_path):
+    camera = "camera: {focal_length_m: 0.05, pixel_pitch_m: 5.5e-6}"
+    text = STARS.replace("input: solution}", f"input: observations, {camera}}}")
+    _, lines, _ = check(text, star_bag(tmp_path / "a.mcap"))
+    told = [line for line in lines if "gnss/fix" in line]
+    assert told == ["error: suite.yaml: topic 'gnss/fix' is not in a.mcap: needed by ship_attitude and star_attitude"]
+
+
+def test_a_camera_out_of_range_is_told_once(check):
+    """Without the value there would be no camera: no second complaint about that."""
+    text = STARS.partition("star_attitude:")[0].replace(
+        "input: solution}", "input: observations, camera: {focal_length_m: 50.0, pixel_pitch_m: 5.5e-6}}"
+    )
+    code, lines, _ = check(text)
+    assert code == 2
+    (line,) = lines
+    assert line.startswith("error: suite.yaml:4: parameter 'star_sensors.fore.camera.focal_length_m' = 50.0 m is")
 
 
 def test_a_sensor_that_is_bolted_elsewhere_for_another_node_is_a_warning(check):
