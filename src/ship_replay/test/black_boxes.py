@@ -1,17 +1,17 @@
 """Black boxes made without DDS, by what a live node uses to make them; and copies of them with one thing changed."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import yaml
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from rclpy.serialization import deserialize_message
 
 from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_attitude_star.config import ShipAttitudeConfig
 from ship_estimation.parameters import ParameterError
 from ship_node.adapter_calls import AdapterCalls
 from ship_node.black_box import BlackBox
@@ -21,11 +21,33 @@ from ship_node.parameter_file import load_config
 from ship_node.tick_grid import TickGrid
 from ship_replay.bag_reader import read_bag
 from ship_replay.bag_writer import SUITE_ATTACHMENT
+from theodolite_calib.adapter import OpticalAxisAdapter
 
-DEMO = Path(__file__).parents[3] / "bags" / "demo.mcap"
+BAGS = Path(__file__).parents[3] / "bags"
 LENGTH_NS = 8_000_000_000
 BOX_FORMAT = "1"
 Record = Schema | Channel | Message | Attachment | Metadata
+
+
+@dataclass(frozen=True)
+class BoxedNode:
+    """A node that is put into a box.
+
+    Attributes:
+        adapter_class: what it runs.
+        bag: what it hears.
+        file_parameter: names its saved file.
+        noise_change: a live change of one parameter.
+    """
+
+    adapter_class: Any
+    bag: Path
+    file_parameter: str
+    noise_change: Mapping[str, float]
+
+
+SHIP_ATTITUDE = BoxedNode(ShipAttitudeAdapter, BAGS / "demo.mcap", "alignment_file", {"ins.white_sigma_arcsec": 2.0})
+OPTICAL_AXIS = BoxedNode(OpticalAxisAdapter, BAGS / "theodolite.mcap", "calibration_file", {"telescope.sigma_m": 2e-6})
 
 
 class Nobody:
@@ -35,19 +57,21 @@ class Nobody:
         """Tell nobody."""
 
 
-def make_box(path: Path, alignment_path: Path, close: bool = True) -> BlackBox:
-    """Eight seconds of the demo bag, with all that can happen to a node; the clock goes back after five."""
-    with read_bag(DEMO) as bag:
-        text = bag.attachments[SUITE_ATTACHMENT].decode().rstrip() + f"\n    alignment_file: {alignment_path}\n"
-        config = load_config(ShipAttitudeConfig, text, "ship_attitude")
+def make_box(path: Path, saved_path: Path, close: bool = True, node: BoxedNode = SHIP_ATTITUDE) -> BlackBox:
+    """Eight seconds of a bag, with all that can happen to a node; the clock goes back after five."""
+    name = node.adapter_class.node_name
+    with read_bag(node.bag) as bag:
+        suite = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
+        suite[name]["ros__parameters"][node.file_parameter] = str(saved_path)
+        config = load_config(node.adapter_class.config_type, yaml.safe_dump(suite), name)
         files = NotedFiles()
-        adapter = ShipAttitudeAdapter(config, RosidlFactory(), files)
+        adapter = node.adapter_class(config, RosidlFactory(), files)
         kinds = {topic.topic: message_class(topic.type_name) for topic in adapter.inputs}
         start_ns = bag.start_ns or 0
         records = [r for r in bag.records(kinds) if r.log_time_ns < start_ns + LENGTH_NS]
     box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print)
     calls = AdapterCalls(adapter, {output.topic: Nobody() for output in adapter.outputs}, files, box)
-    plan = _plan(calls)
+    plan = _plan(calls, node)
     planned = len(plan)
     grid = TickGrid()
     for record in [*records, *records[:300]]:
@@ -66,7 +90,7 @@ def make_box(path: Path, alignment_path: Path, close: bool = True) -> BlackBox:
     return box
 
 
-def _plan(calls: AdapterCalls) -> list[tuple[int, Callable[[int], Any]]]:
+def _plan(calls: AdapterCalls, node: BoxedNode) -> list[tuple[int, Callable[[int], Any]]]:
     second = 1_000_000_000
 
     def refused(now_ns: int) -> None:
@@ -80,7 +104,7 @@ def _plan(calls: AdapterCalls) -> list[tuple[int, Callable[[int], Any]]]:
         (1 * second, lambda ns: calls.set_parameters({"gate.probability": 0.99}, ns)),
         (2 * second, refused),
         (2 * second, lambda ns: calls.note_refusal({"gate.probability": 5.0}, "out of its range", ns)),
-        (3 * second, lambda ns: calls.set_parameters({"ins.white_sigma_arcsec": 2.0}, ns)),
+        (3 * second, lambda ns: calls.set_parameters(node.noise_change, ns)),
         (4 * second, lambda ns: calls.service("save_alignment", ns)),
         (5 * second, lambda ns: calls.service("reset", ns)),
         (6 * second, lambda ns: calls.service("load_alignment", ns)),

@@ -1,11 +1,12 @@
 """replay --verify on black boxes: whole, changed in one bit, cut, damaged, of others."""
 
 import json
+import re
 import struct
 from dataclasses import replace
 
 import pytest
-from black_boxes import BOX_FORMAT, changed_copy, make_box
+from black_boxes import BOX_FORMAT, OPTICAL_AXIS, changed_copy, make_box
 from mcap.records import Attachment, Message, Metadata, Schema
 
 from ship_replay.bag_file import open_mcap
@@ -49,6 +50,20 @@ def test_a_whole_box_is_equal_to_the_last_bit(box, capsys):
     assert "outputs are equal to the last bit" in out
     assert "verified up to there" not in out
     assert "note" not in out
+
+
+def test_a_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
+    box = make_box(tmp_path / "box.mcap", tmp_path / "calibration.yaml", node=OPTICAL_AXIS).path
+    code, out, _ = verify(capsys, box)
+    assert code == 0, out
+    for used in ("clock jump back 1", "parameters 3", "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
+        assert used in out
+    # 8 s at 50 Hz, and what is heard again after the clock went back.
+    pointings = int(re.search(r"theodolite/pointing (\d+)", out).group(1))
+    assert pointings > 400
+    assert "outputs are equal to the last bit" in out
+    text = (tmp_path / "calibration.yaml").read_text()
+    assert text.startswith("format: optical_axis calibration")
 
 
 def test_the_saved_file_is_not_written_again(box, capsys):
