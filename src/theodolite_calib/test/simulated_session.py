@@ -5,7 +5,9 @@ Gauss–Markov, axis errors uniform in size and of either sign. Two lights 2 km 
 the main axis, [W18].
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -93,6 +95,7 @@ def session(
     ship_sigma_n: FloatArray = SHIP_SIGMA_N,
     swing: float = 1.0,
     lens_error_m: FloatArray | None = None,
+    lights_deg: Mapping[str, tuple[float, float]] = MappingProxyType(LIGHTS_DEG),
 ) -> Session:
     """A session with the errors of a configuration, drawn by a seed.
 
@@ -104,9 +107,10 @@ def session(
         ship_sigma_n: of the ship's slow error about North, Up and East, rad, shape (3,).
         swing: of the ship; 0 for none.
         lens_error_m: of the principal point N', shape (3,), instead of one drawn.
+        lights_deg: by name, to the right of and above the main axis.
     """
     rng = np.random.default_rng(seed)
-    names, count = list(LIGHTS_DEG), len(times_s)
+    names, count = list(lights_deg), len(times_s)
     sigma_axes = settings.axes.sigma
     size = rng.uniform(10.0, 40.0, 7) * rng.choice([-1.0, 1.0], 7) * sigma_axes / AXIS_SIGMA_ARCSEC
     axes = settings.axes.values + size
@@ -116,7 +120,7 @@ def session(
     ship_error = gauss_markov(rng, times_s, ship_sigma_n, settings.ship.slow_time_s)
     antenna = gauss_markov(rng, times_s, np.full(3, settings.ship_antenna.sigma_m), settings.ship_antenna.time_s)
     common_k = gauss_markov(rng, times_s, np.array([settings.air.sigma]), settings.air.time_s)
-    own_k = gauss_markov(rng, times_s, np.full(2, settings.air.light_sigma), settings.air.time_s)
+    own_k = gauss_markov(rng, times_s, np.full(len(names), settings.air.light_sigma), settings.air.time_s)
     beacons = [settings.beacons[name].rtk for name in names]
     rtk = [gauss_markov(rng, times_s, np.full(3, beacon.bias_sigma_m), beacon.bias_time_s) for beacon in beacons]
     rtk_noise = np.array([beacon.sigma_m for beacon in beacons])
@@ -140,8 +144,8 @@ def session(
         @ main_axis_rotation(AxisErrors.from_vector(axes), encoder[:, 0], encoder[:, 1])
     )
     rotation_nt = rotation_nm @ rotation_from_angles(*parallelism).T
-    right, up = np.tan(np.deg2rad(np.array(list(LIGHTS_DEG.values())))).T
-    around_t = np.stack([np.ones(2), up, right], axis=-1)
+    right, up = np.tan(np.deg2rad(np.array(list(lights_deg.values())))).T
+    around_t = np.stack([np.ones_like(up), up, right], axis=-1)
     around_t /= np.linalg.norm(around_t, axis=-1, keepdims=True)
     direction_n = around_t @ np.swapaxes(rotation_nt, -1, -2)
 
@@ -154,20 +158,20 @@ def session(
         seen_n = light_n + (coefficient * DISTANCE_M**2 / (2 * EARTH_RADIUS_M))[:, None] * np.array([0.0, 1.0, 0.0])
         seen_t = seen_n @ rotation_nt[k]
         point_m = -focal_length_m * seen_t[:, [2, 1]] / seen_t[:, :1]
-        point_m += settings.telescope.sigma_m * rng.standard_normal((2, 2))
+        point_m += settings.telescope.sigma_m * rng.standard_normal((len(names), 2))
         measured_n = baseline_n - antenna[k] - np.array([bias[k] for bias in rtk])
-        measured_n += rtk_noise[:, None] * rng.standard_normal((2, 3))
+        measured_n += rtk_noise[:, None] * rng.standard_normal((len(names), 3))
         turn = ship_error[k] + white * rng.standard_normal(3)
         sightings.append(
             Sighting(
                 START_NS + round(times_s[k] * SECOND_NS),
                 tuple(names),
-                Image(point_m, np.full(2, settings.telescope.sigma_m)),
+                Image(point_m, np.full(len(names), settings.telescope.sigma_m)),
                 Lights(
                     measured_n,
                     rtk_noise[:, None, None] ** 2 * np.eye(3),
-                    np.broadcast_to(np.eye(3), (2, 3, 3)),
-                    np.zeros((2, 3, 3)),
+                    np.broadcast_to(np.eye(3), (len(names), 3, 3)),
+                    np.zeros((len(names), 3, 3)),
                 ),
                 ShipAt(exp_rotation(turn).T @ rotation_nd[k], np.zeros(3), stated_n, white**2),
                 EncoderAt(*(encoder[k] + encoder_sigma * rng.standard_normal(2)).tolist(), encoder_sigma**2),

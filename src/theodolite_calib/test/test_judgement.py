@@ -1,0 +1,114 @@
+"""Which sightings are used: three lights of which one is wrong, runs of disagreement, gates re-opened."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_session import LIGHTS_DEG, config, session, sweep
+
+from ship_estimation.refusals import Reason
+from ship_geometry.rotations import ARCSEC
+from theodolite_calib.calibration_filter import CalibrationFilter
+from theodolite_calib.samples import Exposure
+from theodolite_calib.sighting import Image
+from theodolite_calib.sighting_at import Sighting
+from theodolite_calib.sighting_step import SightingStep
+
+THREE_DEG = {**LIGHTS_DEG, "charlie": (-2.0, 2.5)}
+CHARLIE = {"beacons__charlie__rtk__bias_sigma_m": 0.0}
+TIMES_S = np.arange(0.0, 30.0)
+
+
+def shifted(sighting: Sighting, shift_arcsec: np.ndarray) -> Sighting:
+    """Lights moved on the detector, arcseconds, shape (N, 2)."""
+    image = Image(sighting.image.point_m + 0.1 * ARCSEC * shift_arcsec, sighting.image.sigma_m)
+    return replace(sighting, image=image)
+
+
+def exposure(sighting: Sighting) -> Exposure:
+    return Exposure(sighting.time_ns, ())
+
+
+@pytest.fixture(name="three")
+def _three():
+    settings = config(**CHARLIE)
+    step = SightingStep(settings, CalibrationFilter(settings))
+    given = session(settings, 2, TIMES_S, sweep(TIMES_S), lights_deg=THREE_DEG).sightings
+    state = CalibrationFilter(settings).initial_state()
+    for sighting in given[:-1]:
+        state, decision = step(state, sighting, exposure(sighting))
+        assert decision.accepted
+    return step, state, given[-1]
+
+
+@pytest.mark.parametrize("wrong", range(3))
+def test_of_three_lights_the_wrong_one_is_left_out(three, wrong: int) -> None:
+    step, state, last = three
+    shift = np.zeros((3, 2))
+    shift[wrong] = [90.0, -60.0]
+    after, decision = step(state, shifted(last, shift), exposure(last))
+    ((name, refusal),) = decision.lights_refused
+    assert name == last.names[wrong]
+    assert refusal.reason is Reason.LIGHT_CONFLICT
+    assert decision.accepted
+    assert decision.reason is Reason.NONE
+    others = [row for row in range(3) if row != wrong]
+    alone, _ = step(state, last.chosen(others), exposure(last))
+    assert after.mean.tobytes() == alone.mean.tobytes()
+    assert after.light_count == 2
+
+
+def test_two_wrong_of_three_leave_none(three) -> None:
+    step, state, last = three
+    after, decision = step(state, shifted(last, np.array([[90.0, 0.0], [0.0, -120.0], [0.0, 0.0]])), exposure(last))
+    assert after is state
+    assert decision.reason is Reason.LIGHT_CONFLICT
+    assert not decision.accepted
+
+
+def test_three_names_in_a_circle_are_put_right(three) -> None:
+    step, state, last = three
+    turned = replace(last, image=Image(last.image.point_m[[1, 2, 0]], last.image.sigma_m))
+    after, decision = step(state, turned, exposure(last))
+    assert decision.accepted
+    assert decision.reason is Reason.LIGHT_CONFLICT
+    assert after.mean.tobytes() == step(state, last, exposure(last))[0].mean.tobytes()
+
+
+def off_for_good(**gate: float):
+    """States and decisions of sightings after the mount has slipped by 600"."""
+    settings = config(**gate)
+    filter_ = CalibrationFilter(settings)
+    step, state, found = SightingStep(settings, filter_), filter_.initial_state(), []
+    times_s = np.arange(0.0, 60.0)
+    for k, sighting in enumerate(session(settings, 4, times_s, sweep(times_s)).sightings):
+        encoder = sighting.encoder
+        if k >= 30:
+            encoder = replace(encoder, azimuth=encoder.azimuth + 600.0 * ARCSEC)
+        state, decision = step(state, replace(sighting, encoder=encoder), exposure(sighting))
+        found.append((state, decision))
+    return found
+
+
+def test_a_run_of_disagreement_is_a_conflict_and_the_estimate_is_held() -> None:
+    found = off_for_good()
+    reasons = [decision.reason for _, decision in found]
+    assert reasons[:30] == [Reason.NONE] * 30
+    assert reasons[30:39] == [Reason.GATE] * 9
+    assert set(reasons[39:]) == {Reason.ATTITUDE_CONFLICT}
+    assert found[-1][1].text.startswith("30 refusals in a row: the lights and the encoders with the ship's attitude")
+    assert found[-1][0].mean.tobytes() == found[29][0].mean.tobytes()
+    assert [state.refusals for state, _ in found[28:33]] == [0, 0, 1, 2, 3]
+
+
+def test_where_configured_the_gate_is_opened_again() -> None:
+    found = off_for_good(gate__reopen_after=10, gate__reopen_factor=1e4)
+    reasons = [decision.reason for _, decision in found]
+    assert "gate re-opened: covariance times 10000" in found[39][1].text
+    assert set(reasons[45:]) == {Reason.NONE}
+    # The slip is in the zero point now, or in the deformation.
+    settings = config()
+    model = CalibrationFilter(settings).model
+    moved = found[-1][0].mean - found[29][0].mean
+    turned = moved[model.slices["axes"]][0] + moved[model.slices["deformation"]][1]
+    assert turned / ARCSEC == pytest.approx(600.0, abs=30.0)

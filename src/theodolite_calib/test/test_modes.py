@@ -1,0 +1,84 @@
+"""What the pointing rests on and what it is worth: a ship that coasts, the INS alone."""
+
+import numpy as np
+from adapter_runs import FACTORY, Arrival, changed_where
+from small_session import (
+    BEACONS,
+    SHIP,
+    clean_run,
+    drive,
+    error_in_sigmas,
+    new_adapter,
+    session,
+)
+
+from ship_msgs.msg import OpticalAxisPointing, ShipAttitude
+from theodolite_calib.samples import Mode, Status
+
+# The time offset of 5 ms alone is 36" at 2°/s.
+INS = {"ship__source": "ins/imu", "ins__time_offset_sigma_s": 0.0}
+
+
+def test_modes_and_statuses_are_those_of_the_messages() -> None:
+    for mode in Mode:
+        assert getattr(OpticalAxisPointing, mode.name) == mode
+    for status in Status:
+        assert getattr(OpticalAxisPointing, status.name) == getattr(ShipAttitude, status.name) == status
+
+
+def test_a_ship_that_coasts_or_is_degraded() -> None:
+    def status(value: int):
+        return lambda message: setattr(message, "status", value)
+
+    coasting = drive(new_adapter(), changed_where(session(), lambda a: a.topic == SHIP, status(1)))
+    assert {m.status for m in coasting.pointings[20:]} == {Status.VALID}  # the lights hold it
+    degraded = drive(new_adapter(), changed_where(session(), lambda a: a.topic == SHIP, status(2)))
+    assert {m.status for m in degraded.pointings[20:]} == {Status.DEGRADED}
+    assert degraded.state() == coasting.state() == clean_run().state()
+
+
+def ins_alone() -> tuple[Arrival, ...]:
+    """The ship's attitude as an INS says it."""
+    zero = FACTORY.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+    return tuple(
+        Arrival(
+            "ins/imu",
+            FACTORY.make(
+                "sensor_msgs/msg/Imu",
+                header=a.message.header,
+                orientation=a.message.orientation,
+                orientation_covariance=np.zeros(9),
+                angular_velocity=zero,
+                angular_velocity_covariance=np.zeros(9),
+                linear_acceleration=zero,
+                linear_acceleration_covariance=np.zeros(9),
+            ),
+            a.receive_ns,
+        )
+        if a.topic == SHIP
+        else a
+        for a in session()
+    )
+
+
+def test_without_a_fused_attitude_the_ins_serves_with_its_configured_errors() -> None:
+    run = drive(new_adapter(**INS), ins_alone())
+    assert run.pointings[-1].status == Status.VALID
+    assert run.health("ins/imu").accepted == 120
+    assert max(error_in_sigmas(m) for m in run.pointings[20:]) < 4.0
+    dark = tuple(a for a in ins_alone() if a.topic != BEACONS)
+    alone = drive(new_adapter(**INS), dark).pointings[-1]
+    fused = drive(new_adapter(), tuple(a for a in session() if a.topic != BEACONS)).pointings[-1]
+    # 72" in heading and 10" in each tilt more.
+    added = np.trace(np.reshape(alone.rotation_covariance, (3, 3)) - np.reshape(fused.rotation_covariance, (3, 3)))
+    arcsec = np.pi / (180.0 * 3600.0)
+    assert 70.0 < np.sqrt(added) / arcsec < 78.0
+
+
+def test_the_telescope_is_told_while_it_sees_lights() -> None:
+    pointing = clean_run().pointings[-1]
+    # Parallel to the main axis here.
+    assert abs(pointing.telescope_azimuth - pointing.azimuth) < 1e-9
+    assert abs(pointing.telescope_elevation - pointing.elevation) < 1e-9
+    assert pointing.header.frame_id == "theodolite_main"
+    assert pointing.light_count == 2

@@ -1,0 +1,60 @@
+"""The ship's error when its stated covariance changes at once."""
+
+import numpy as np
+import pytest
+
+from ship_geometry.rotations import ARCSEC
+from theodolite_calib.ship_error import ship_error_step, with_step
+
+
+def covariance(north: float, up: float, east: float) -> np.ndarray:
+    return np.diag((ARCSEC * np.array([north, up, east])) ** 2)
+
+
+def test_small_changes_are_left_to_the_process() -> None:
+    assert ship_error_step(covariance(1.4, 1.8, 1.4), covariance(1.6, 1.7, 1.9)) is None
+
+
+def test_stars_come_what_is_left_is_what_a_kalman_update_leaves() -> None:
+    """Heading from 72" to 20": drawn errors, updated by a measurement that does just that."""
+    before, after = 72.0, 20.0
+    step = ship_error_step(covariance(10.0, before, 10.0), covariance(10.0, after, 10.0))
+    assert step is not None
+    rng = np.random.default_rng(6)
+    error = before * rng.standard_normal(200_000)
+    noise_variance = 1.0 / (1.0 / after**2 - 1.0 / before**2)
+    gain = before**2 / (before**2 + noise_variance)
+    left = (1.0 - gain) * error + gain * np.sqrt(noise_variance) * rng.standard_normal(error.size)
+    assert np.std(left) == pytest.approx(after, rel=0.01)
+    assert step.kept == pytest.approx([1.0, np.mean(left * error) / before**2, 1.0], rel=0.03)
+    new = np.sqrt(np.diagonal(step.new_n)) / ARCSEC
+    assert new == pytest.approx([0.0, np.sqrt(after**2 - (step.kept[1] * before) ** 2), 0.0], abs=1e-6)
+
+
+def test_stars_go_all_of_the_error_stays_and_more_comes() -> None:
+    step = ship_error_step(covariance(1.4, 1.8, 1.4), covariance(3.0, 5.0, 1.4))
+    assert step is not None
+    assert step.kept.tolist() == [1.0, 1.0, 1.0]
+    assert np.diagonal(step.new_n) / ARCSEC**2 == pytest.approx([9.0 - 1.96, 25.0 - 3.24, 0.0])
+
+
+def test_the_first_covariance_is_all_new() -> None:
+    step = ship_error_step(np.zeros((3, 3)), covariance(1.4, 1.8, 1.4))
+    assert step is not None
+    assert step.new_n == pytest.approx(covariance(1.4, 1.8, 1.4), abs=1e-30)
+
+
+def test_state_and_parts_take_the_step_and_nothing_is_changed_in_place() -> None:
+    step = ship_error_step(covariance(10.0, 72.0, 10.0), covariance(2.0, 2.0, 2.0))
+    assert step is not None
+    root = np.random.default_rng(7).standard_normal((2, 5, 5))
+    parts, mean = root @ root.transpose(0, 2, 1), np.arange(1.0, 6.0)
+    before = parts.copy(), mean.copy()
+    after_mean, after = with_step(mean, parts, slice(1, 4), 1, step)
+    keep = np.diag([1.0, *step.kept, 1.0])
+    expected = keep @ parts @ keep
+    expected[1, 1:4, 1:4] += step.new_n
+    assert after == pytest.approx(expected)
+    assert after_mean == pytest.approx(keep @ mean)
+    assert (parts == before[0]).all()
+    assert (mean == before[1]).all()
