@@ -22,6 +22,7 @@ from ship_node.adapter_calls import AdapterCalls
 from ship_node.black_box import BlackBox
 from ship_node.files import NotedFiles
 from ship_node.message_factory import RosidlFactory
+from ship_node.stamps import ns_from_stamp
 from ship_node.tick_grid import TickGrid
 from ship_replay.bag_reader import BagRecord, read_bag
 from ship_replay.bag_writer import SUITE_ATTACHMENT, BagWriter
@@ -34,7 +35,8 @@ from ship_replay.simulation.suite import star_attitude_configuration
 from ship_replay.simulation.to_messages import messages
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "src" / "ship_attitude_star" / "test"))
+for package in ("ship_node", "ship_attitude_star"):
+    sys.path.insert(0, str(ROOT / "src" / package / "test"))
 
 import small_voyage  # noqa: E402  the ship of the package's own tests
 import star_voyage  # noqa: E402
@@ -167,12 +169,12 @@ def test_the_joint_solution_errs_as_its_covariance_says_over_many_voyages() -> N
         for topic, message, log_time_ns in messages(simulate(scenario, seed), RosbagsFactory()):
             if topic == "truth/attitude":
                 rotation_nd = rotation_from_angles(message.heading, message.pitch, message.roll)
-                truth[small_voyage.stamp_of(message)] = rotation_nd
+                truth[ns_from_stamp(message.header.stamp)] = rotation_nd
             elif topic in topics:
                 given = adapter.handle(topic, message, log_time_ns)
                 joint += [solved for name, solved in given if name == "star/joint/solution"]
         last = joint[-1]
-        error = log_rotation(truth[small_voyage.stamp_of(last)] @ star_voyage.solution_rotation(last).T)
+        error = log_rotation(truth[ns_from_stamp(last.header.stamp)] @ star_voyage.solution_rotation(last).T)
         nees.append(normalized_error_squared(error, horizon_covariance(last.rotation_covariance.reshape(3, 3))))
     low, high = mean_nees_band(SEEDS, 3)
     assert low < np.mean(nees) < high
@@ -228,7 +230,7 @@ def test_live_over_dds_it_gives_the_same_and_its_box_says_so(
 
 
 def stamp(record: BagRecord) -> int:
-    return small_voyage.stamp_of(record.decode())
+    return ns_from_stamp(record.decode().header.stamp)
 
 
 def attitude(record: BagRecord) -> np.ndarray:
