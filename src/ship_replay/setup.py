@@ -37,6 +37,7 @@ setup(
             "record = ship_replay.record_command:main",
             "evaluate = ship_replay.evaluate_command:main",
             "check_config = ship_replay.check_config_command:main",
+            "axis_sightings = ship_replay.axis_sightings_command:main",
             "calibrate_installation = ship_replay.calibrate_installation_command:main",
             "import_nmea = ship_replay.import_nmea_command:main",
         ],

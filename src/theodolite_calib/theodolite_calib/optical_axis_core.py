@@ -19,6 +19,7 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.encoder_watch import EncoderWatch
 from theodolite_calib.pointing_estimate import PointingSource, no_pointing
 from theodolite_calib.samples import BaselineSample, Decision, EncoderSample, Exposure, Outcome, ShipSample
+from theodolite_calib.sighting_at import Sighting
 from theodolite_calib.sighting_inputs import SightingInputs, insert
 from theodolite_calib.sighting_step import SightingStep
 
@@ -140,6 +141,10 @@ class OpticalAxisCore:
         return self._log.state
 
     # -- time order -----------------------------------------------------------------------------------------
+
+    def sighting(self, exposure: Exposure) -> Sighting | None:
+        """An exposure within ``lag_s`` with all that belongs to it; None where that is not there."""
+        return self._inputs.assemble(exposure).sighting
 
     def _take_models(self, config: OpticalAxisConfig) -> None:
         self.filter = CalibrationFilter(config)
