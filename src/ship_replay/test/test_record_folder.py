@@ -232,8 +232,9 @@ class TestLive:
         assert len(told["relative_file_paths"]) > 3
         assert told["message_count"] == len(rosbags_times(folder)) == 1500
         # What the publisher offered, as far as DDS tells it.
-        (profile,) = told["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
-        assert (profile["reliability"], profile["durability"]) == ("reliable", "volatile")
+        profiles = told["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
+        # A publisher of the test before may still be known to DDS.
+        assert ("reliable", "volatile") in {(profile["reliability"], profile["durability"]) for profile in profiles}
 
     def test_a_killed_folder_is_recovered(self, tmp_path):
         folder = tmp_path / "voyage"
