@@ -42,7 +42,8 @@ def read_sightings(path: Path) -> Sightings:
     """
     readers = {".csv": _csv_rows, ".yaml": _yaml_rows, ".yml": _yaml_rows}
     if path.suffix.lower() not in readers:
-        raise BadInput(f"{path}: sightings are read from .csv, .yaml or .yml")
+        hint = "; `ship_replay axis_sightings` makes a table of a bag" if path.suffix.lower() == ".mcap" else ""
+        raise BadInput(f"{path}: sightings are read from .csv, .yaml or .yml{hint}")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
