@@ -35,6 +35,7 @@ class Reason(enum.IntEnum):
     BELOW_HORIZON = 25
     UNIDENTIFIED = 26
     UNKNOWN_SENSOR = 27
+    CLOCK = 28
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ship_estimation.refusals import Reason
+from ship_msgs.msg import Innovation
 from ship_node.message_checks import (
     Refused,
     covariance_3x3,
@@ -134,3 +136,9 @@ def test_numbers_and_vectors_must_be_finite():
     np.testing.assert_array_equal(finite_vector(vector, "angular_velocity"), [1.0, 2.0, 3.0])
     vector.y = math.inf
     assert refusal(finite_vector, vector, "angular_velocity").reason == "non_finite"
+
+
+def test_mend_13_every_reason_is_a_constant_of_the_message_and_keeps_its_number():
+    constants = {name: getattr(Innovation, name) for name in dir(Innovation) if name.isupper() and name != "SLOT_TYPES"}
+    assert {reason.name: reason.value for reason in Reason} == constants
+    assert (Reason.OVERFLOW, Reason.UNKNOWN_SENSOR, Reason.CLOCK) == (18, 27, 28)
