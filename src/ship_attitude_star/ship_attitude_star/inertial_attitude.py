@@ -12,7 +12,7 @@ import numpy as np
 from ship_attitude_star.samples import AttitudeMeasurement
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_estimation.refusals import Refusal
-from ship_geometry.refraction import elevation_of
+from ship_geometry.refraction import elevation_of, lifting_axis
 from ship_geometry.rotations import FloatArray, exp_rotation
 
 
@@ -57,9 +57,7 @@ def in_horizon(inertial: InertialAttitude, watch: SkyWatch) -> AttitudeMeasureme
     angle, sigma = watch.sky.refraction_at(elevation, air)
     if not np.isfinite(angle):
         return watch.sky.too_low(elevation)
-    # Lifting turns about the level axis on the left of the direction: forward × Up.
-    level = np.array([-forward[2], 0.0, forward[0]])
-    lift = level / np.linalg.norm(level)
+    lift = lifting_axis(forward)
     shared_n = np.column_stack([sigma * lift, watch.sky.turns(time_ns, place).T])
     return AttitudeMeasurement(
         inertial.source,

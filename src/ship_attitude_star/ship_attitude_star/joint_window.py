@@ -42,9 +42,11 @@ class JointWindow(Generic[Item]):
         self._last_ns: int | None = None
 
     def add(self, item: Item) -> bool:
-        """Take an item; False where the group of its time is closed."""
+        """Take an item, in the place of another one of its stamp; False where the group of its time is closed."""
         if self._last_ns is not None and item.time_ns <= self._last_ns:
             return False
+        key = item.time_ns, item.source
+        self._items = [other for other in self._items if (other.time_ns, other.source) != key]
         self._items.append(item)
         self._items.sort(key=lambda other: (other.time_ns, other.source))
         return True

@@ -136,7 +136,8 @@ class ShipFilter:
             gate=chi_square_gate(self._gate.probability, len(linear.residual)),
             stars_refused=compared.stars_refused,
         )
-        if nis > decision.gate:
+        # Written so that NaN fails.
+        if not nis <= decision.gate:
             # Not even the prediction is kept: the state stays, to the last bit, as without this measurement.
             # The deck as the measurement has it: the predicted deck turned as the predicted device must be.
             measured_nd = compared.rotation_nv @ predicted.rotation_nv.T @ ins.rotation_nd

@@ -21,6 +21,8 @@ from ship_geometry.star_directions import RefreshedSky, StarPositions
 SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position")
 """Error source of each column of :attr:`ApparentStars.shared_n`: of two for the position, one is north."""
 
+_TINY = 1e-300
+
 EARTH_ROTATION_RATE = 15.041 * ARCSEC
 """Angle by which the sky turns in a second of UT1, rad."""
 
@@ -132,6 +134,7 @@ def position_turns(place: Place) -> FloatArray:
 def _upward(direction_n: FloatArray) -> FloatArray:
     """Unit vectors across directions in which elevation grows, shape (..., 3)."""
     horizontal = np.hypot(direction_n[..., 0], direction_n[..., 2])
-    upward = direction_n * (-direction_n[..., 1] / horizontal)[..., None]
+    # At the zenith itself elevation grows nowhere: the vector is the little that is horizontal, and not NaN.
+    upward = direction_n * (-direction_n[..., 1] / np.maximum(horizontal, _TINY))[..., None]
     upward[..., 1] = horizontal
     return upward

@@ -4,7 +4,7 @@ Knows no ROS, no files, no clock. Each exposure gives the attitude of its sensor
 within ``lag_s``; exposures of different sensors near in time give the attitude of the deck, in order of time.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -87,18 +87,19 @@ class StarCore:
         return refusal
 
     def add_exposure(self, exposure: StarExposure, refused: tuple[RefusedStar, ...] = ()) -> StarOutcome:
-        """The stars of a sensor.
+        """The stars of a sensor; of two exposures of one stamp that whose bytes sort first holds.
 
         Args:
             exposure: the stars.
             refused: further stars of the message that cannot be used.
         """
         refusal = self._refusal(exposure)
-        if refusal is not None:
+        if refusal is not None and refusal.reason is not Reason.CONFLICT:
             return StarOutcome(refusal)
-        self._taken[exposure.source].insert(exposure.time_ns, exposure)
-        self._waiting.append(_Waiting(exposure, refused))
-        outcome = StarOutcome()
+        if self._taken[exposure.source].insert(exposure.time_ns, exposure) is None:
+            return StarOutcome(refusal)
+        self._wait(_Waiting(exposure, refused))
+        outcome = StarOutcome(refusal)
         self._advance(exposure.time_ns, outcome)
         return outcome
 
@@ -120,12 +121,19 @@ class StarCore:
         taken = self._taken[exposure.source]
         refusal = taken.refusal(exposure.time_ns, exposure)
         if refusal is not None and refusal.reason is Reason.CONFLICT:
-            # Its solution is out: whoever uses that must not get another one for the same moment.
-            text = "the same stamp with other stars: do two sensors publish on one topic? The first is used"
-            return Refusal(Reason.CONFLICT, text)
+            return replace(refusal, text=f"{refusal.text}; do two sensors publish on one topic?")
         if refusal is None and (not taken.times or exposure.time_ns > taken.times[-1]):
             return self._guards.check_exposure(exposure, self._ins.newest)
         return refusal
+
+    def _wait(self, new: _Waiting) -> None:
+        """Put an exposure among those to be solved, in the place of a refused one of its stamp where that waits too."""
+        key = new.exposure.source, new.exposure.time_ns
+        for index, old in enumerate(self._waiting):
+            if (old.exposure.source, old.exposure.time_ns) == key:
+                self._waiting[index] = new
+                return
+        self._waiting.append(new)
 
     def _too_late(self, time_ns: int) -> bool:
         return time_ns < self._newest_ns - self._lag_ns

@@ -127,8 +127,10 @@ class Judgement:
 
     @property
     def probability(self) -> float:
-        """Of a chi² as large by chance; 1 where nothing is left to disagree."""
-        return float(chdtrc(self.degrees, max(self.chi_square, 0.0))) if self.degrees > 0 else 1.0
+        """Of a chi² as large by chance; 1 where nothing is left to disagree, NaN where chi² is."""
+        if self.degrees <= 0 and np.isfinite(self.chi_square):
+            return 1.0
+        return float(chdtrc(max(self.degrees, 1), np.maximum(self.chi_square, 0.0)))
 
 
 def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:

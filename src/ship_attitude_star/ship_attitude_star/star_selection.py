@@ -117,7 +117,8 @@ def _unambiguous(fit: StarFit, members: BoolArray, prior_information: FloatArray
         both[outsider] = True
         judgement = fit.judge(both, prior_information)
         without_one = judgement.chi_square - fit.gain_by_leaving_out(judgement, both)
-        kept[np.flatnonzero(both)[without_one < limit]] = False
+        # Written so that NaN, which nobody can judge, leaves no star in.
+        kept[np.flatnonzero(both)[~(without_one >= limit)]] = False
     return kept
 
 

@@ -1,6 +1,7 @@
 """What star_attitude cannot use: the reason, where it is told, and that all else comes out as without it."""
 
 import functools
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -244,12 +245,27 @@ def test_the_same_exposure_again_is_dropped() -> None:
     assert run.reasons(FORE) == {"duplicate": 1}
 
 
-def test_two_sensors_on_one_topic_are_told() -> None:
+@pytest.mark.parametrize("apart_ns", [20_000_000, 200_000_000], ids=["joint solution open", "joint solution out"])
+def test_mend_08_of_two_exposures_of_one_stamp_the_same_one_holds_in_either_order(apart_ns: int) -> None:
     index = index_at(voyage(), FORE, MOMENT_S)
-    run = sail(added(voyage(), index, star(0, u=17.0), voyage()[index].receive_ns + 20_000_000))
-    assert results(run) == results(clean_run())
-    assert run.reasons(FORE) == {"conflict": 1}
-    assert "do two sensors publish on one topic?" in innovations(run, Reason.CONFLICT)[0].reason_text
+    mine = voyage()[index]
+    pair = mine, changed_copy(mine, star(0, u=17.0))
+    runs = []
+    for first, second in itertools.permutations(pair):
+        second = replace(second, receive_ns=mine.receive_ns + apart_ns)
+        runs.append(sail(in_order((*without(voyage(), index), first, second))))
+    for run in runs:
+        (told,) = innovations(run, Reason.CONFLICT)
+        assert "sort first is kept; do two sensors publish on one topic?" in told.reason_text
+        assert run.reasons(FORE)["conflict"] == 1
+    # The last solution of a stamp holds, and every joint one where it was still to be made.
+    held = [{stamp_of(message): exactly(message) for message in run.messages(FORE_SOLUTION)} for run in runs]
+    assert held[0] == held[1]
+    assert sorted(len(run.messages(FORE_SOLUTION)) - len(held[0]) for run in runs) == [0, 1]
+    joint = [[exactly(message) for message in run.messages("star/joint/solution")] for run in runs]
+    assert (joint[0] == joint[1]) == (apart_ns < 64_000_000)
+    late = sorted(run.reasons(FORE).get("late", 0) for run in runs)
+    assert late == ([0, 0] if apart_ns < 64_000_000 else [0, 1])
 
 
 def test_a_fix_with_the_same_stamp_and_another_place_is_told() -> None:

@@ -10,7 +10,7 @@ from scipy.stats import poisson
 from star_scenes import SIGMA, Scene, attitude_error, draw_scene
 
 from ship_attitude_star.samples import Reason
-from ship_attitude_star.star_fit import SightedStars, linearized
+from ship_attitude_star.star_fit import Judgement, SightedStars, linearized
 from ship_attitude_star.star_selection import AttitudePrior, select
 from ship_attitude_star.star_solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
@@ -25,6 +25,21 @@ EPOCHS = int(os.environ.get("STAR_EPOCHS", "400"))
 
 def nees(scene: Scene, solution) -> float:
     return float(normalized_error_squared(attitude_error(scene, solution.rotation_nb), solution.covariance_n))
+
+
+def test_mend_08_a_star_that_is_no_number_is_in_no_choice():
+    stars = draw_scene(np.random.default_rng(8), (6, 6)).stars
+    measured_b = stars.measured_b.copy()
+    measured_b[2, 1] = np.nan
+    assert np.isnan(Judgement(np.eye(3), np.eye(3), np.zeros(3), np.nan, -1).probability)
+    assert np.isnan(Judgement(np.eye(3), np.eye(3), np.zeros(3), np.nan, 3).probability)
+    prior = AttitudePrior(np.eye(3), np.eye(3) * ARCSEC**2)
+    for given in (None, prior):
+        try:
+            members = select(replace(stars, measured_b=measured_b), given).members
+        except np.linalg.LinAlgError:
+            continue
+        assert not members[2]
 
 
 @pytest.mark.parametrize("counts", [(8, 8), (2, 2), (1, 1)])

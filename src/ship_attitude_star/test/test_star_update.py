@@ -18,7 +18,7 @@ from star_sky import (
 from ship_attitude_star.identification import identified
 from ship_attitude_star.inertial_attitude import InertialAttitude
 from ship_attitude_star.measurement_models import predict_attitude
-from ship_attitude_star.samples import Reason
+from ship_attitude_star.samples import AttitudeMeasurement, Reason
 from ship_attitude_star.ship_core import ShipAttitudeCore
 from ship_attitude_star.ship_filter import ShipFilter
 from ship_attitude_star.sky_inputs import PositionFix
@@ -124,6 +124,22 @@ def test_stars_that_agree_against_the_ins_are_a_conflict_with_a_hint(watch):
     )
     assert decision.reason is Reason.ATTITUDE_CONFLICT
     assert "90" in decision.text
+
+
+@pytest.mark.parametrize("field", ["rotation_nv", "noise_v"])
+def test_mend_08_what_is_no_number_passes_no_gate(field):
+    config = configuration()
+    ship_filter = ShipFilter(config)
+    rotation_ns = ROTATION_ND @ ship_filter.devices["star.fore"].rotation_dv0
+    good = AttitudeMeasurement("star.fore", TIME_NS, rotation_ns, np.diag((np.array([20.0, 3.0, 3.0]) * ARCSEC) ** 2))
+    before = ship_filter.initial_state()
+    values = getattr(good, field).copy()
+    values[1, 1] = np.nan
+    after, decision = ship_filter.step(before, replace(good, **{field: values}), ins_track(), None)
+    assert decision.reason in (Reason.GATE, Reason.BAD_COVARIANCE)
+    assert after.mean.tobytes() == before.mean.tobytes()
+    assert after.parts.tobytes() == before.parts.tobytes()
+    assert ship_filter.step(after, good, ins_track(), None)[1].accepted
 
 
 def test_no_fix_and_no_earth_orientation_are_named(ship_filter, watch):

@@ -139,6 +139,15 @@ def lifted(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
     return result
 
 
+def lifting_axis(direction_n: FloatArray) -> FloatArray:
+    """The level unit vector about which a direction (N, U, E), shape (3,), turns upwards: direction × Up.
+
+    Zero at the zenith itself, where no turn is upwards.
+    """
+    level = np.array([-direction_n[2], 0.0, direction_n[0]])
+    return level / max(float(np.hypot(direction_n[0], direction_n[2])), _TINY)
+
+
 def elevation_of(direction_n: FloatArray) -> FloatArray:
     """Elevation (rad) of directions (N, U, E), shape (..., 3)."""
     return np.arctan2(direction_n[..., 1], np.hypot(direction_n[..., 0], direction_n[..., 2]))

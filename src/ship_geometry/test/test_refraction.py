@@ -4,8 +4,8 @@ import erfa
 import numpy as np
 import pytest
 
-from ship_geometry.refraction import Weather, elevation_of, lifted, refraction
-from ship_geometry.rotations import ARCSEC, angle_between
+from ship_geometry.refraction import Weather, elevation_of, lifted, lifting_axis, refraction
+from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation
 
 PAPER = Weather(pressure_hpa=1008.3, temperature_c=28.2)
 
@@ -118,3 +118,15 @@ def test_lifting_turns_towards_the_zenith_only():
 def test_weather_in_other_units_is_refused(field, value):
     with pytest.raises(ValueError, match=f"{field} is .*: expected"):
         replace(PAPER, **{field: value})
+
+
+@pytest.mark.filterwarnings("error")
+def test_mend_08_lifting_is_regular_at_the_zenith():
+    assert lifting_axis(np.array([0.0, 1.0, 0.0])).tolist() == [0.0, 0.0, 0.0]
+    near = np.array([1e-200, 1.0, 0.0])
+    assert lifting_axis(near) == pytest.approx([0.0, 0.0, 1.0])
+    low = np.array([0.6, 0.0, 0.8])
+    axis = lifting_axis(low)
+    turned = exp_rotation(1e-3 * axis) @ low
+    assert elevation_of(turned) == pytest.approx(1e-3)
+    assert lifted(low, np.array(1e-3)) == pytest.approx(turned)

@@ -90,6 +90,25 @@ def off_for_good(**gate: float):
     return found
 
 
+@pytest.mark.parametrize("row", range(3))
+def test_mend_08_a_light_that_is_no_number_passes_no_gate(three, row: int) -> None:
+    step, state, last = three
+    for field in ("point_m", "sigma_m"):
+        values = np.array(getattr(last.image, field), dtype=float)
+        values[row] = np.nan
+        wrong = replace(last, image=replace(last.image, **{field: values}))
+        assert_no_part(step, state, wrong, row)
+
+
+def assert_no_part(step, state, wrong: Sighting, row: int) -> None:
+    for sighting in (wrong, wrong.chosen([row]), wrong.chosen([row, (row + 1) % 3])):
+        after, decision = step(state, sighting, exposure(sighting))
+        assert np.isfinite(after.mean).all()
+        assert np.isfinite(after.parts).all()
+        used = [name for name in sighting.names if name not in {name for name, _ in decision.lights_refused}]
+        assert not decision.accepted or wrong.names[row] not in used
+
+
 def test_a_run_of_disagreement_is_a_conflict_and_the_estimate_is_held() -> None:
     found = off_for_good()
     reasons = [decision.reason for _, decision in found]

@@ -98,7 +98,7 @@ def _fitted(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFi
     if len(sightings.labels) < terms:
         raise BadInput(f"{path}: {len(sightings.labels)} sightings for {terms} terms: expected at least {terms}")
     result = fit(sightings, fixed)
-    if result.scale > _MOST_SCATTER:
+    if not result.scale <= _MOST_SCATTER:
         raise BadInput(
             f"{path}: the sightings scatter by {np.rad2deg(result.scale):.1f} deg about any axis errors: expected "
             "offsets [deg] of one theodolite, true direction minus encoder"

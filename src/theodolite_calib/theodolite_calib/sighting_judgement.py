@@ -63,7 +63,8 @@ class SightingJudge:
 
     def _passes(self, comparison: Comparison) -> bool:
         residual, covariance = comparison.measurement.residual, comparison.covariance
-        if comparison.nis > chi_square_gate(self._gate.probability, len(residual)):
+        # Written so that NaN fails.
+        if not comparison.nis <= chi_square_gate(self._gate.probability, len(residual)):
             return False
         if len(residual) == 2:
             return True

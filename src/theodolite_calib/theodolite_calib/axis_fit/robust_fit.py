@@ -81,7 +81,7 @@ class AxisFit:
     @property
     def outliers(self) -> NDArray[np.bool_]:
         """Which sightings are off by more than :data:`OUTLIER_AT` scales, shape (n,)."""
-        return sizes(self.residuals) > OUTLIER_AT * self.scale
+        return ~(sizes(self.residuals) <= OUTLIER_AT * self.scale)
 
 
 def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
