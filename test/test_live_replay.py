@@ -168,7 +168,8 @@ def run_live(node: Node, path: Path, folder: Path) -> Outcome:
 def with_file(bag, node_name: str, parameter: str, path: Path) -> str:
     """The attached configuration with a file of our own for what the node saves."""
     document = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT])
-    document[node_name]["ros__parameters"][parameter] = str(path)
+    (section,) = (parameters for name, parameters in document.items() if name.endswith(node_name))
+    section["ros__parameters"][parameter] = str(path)
     return yaml.safe_dump(document)
 
 

@@ -17,6 +17,11 @@ declares it. A parameter marked *live* may be changed while the node runs (`ros2
 start. An unknown parameter, or one out of its range, stops the node at the start and is refused later, each time with
 the reason.
 
+A parameter file holds a section for each node. `/**/ship_attitude:` is for the node of that name in every namespace,
+`/**:` for all nodes; `ship_attitude:` alone fits the node without a namespace and no other. A file in which no section
+fits the node, but one has (nearly) its name, ends the node at the start with both names; a file about other nodes is a
+warning. `check_config` and `replay` judge names in the same way.
+
 Every node has `black_box` besides: a file (`.mcap`) or folder that takes everything the node uses and gives, in that
 order; `replay BOX.mcap --verify` runs it again to the last bit. A file that is there is kept: the next box is
 `BOX_2.mcap`.

@@ -7,7 +7,7 @@ time of the single-threaded one, and messages of all topics are handled in the o
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
@@ -33,7 +33,7 @@ from ship_node.errors import BadInput
 from ship_node.files import NotedFiles
 from ship_node.guard import Guard
 from ship_node.message_factory import RosidlFactory, message_class
-from ship_node.parameter_file import quoted_parameter, read_whatever_fits
+from ship_node.parameter_file import misfit, quoted_parameter, read_whatever_fits
 from ship_node.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.ros_parameters import NodeParameters, ParameterNode
 from ship_node.tick_grid import TickGrid
@@ -62,16 +62,19 @@ class LiveNode:
         parameter_files: files given on the command line, to say where a bad parameter stands.
 
     Raises:
-        BadInput: a parameter is unknown, of the wrong type, out of its range or missing.
+        BadInput: a parameter is unknown, of the wrong type, out of its range or missing; or a file is hardly meant for
+            another node, but has no section that fits this one.
     """
 
     def __init__(self, adapter_class: type[Adapter], context: Context, parameter_files: tuple[Path, ...] = ()) -> None:
         self.node: Node = ParameterNode(adapter_class.node_name, context=context)
         queue_clock(self.node)
+        self._full_name = self.node.get_fully_qualified_name()
         self._context = context
         self._factory = RosidlFactory()
         self._guard = Guard(self.node.get_logger(), time.monotonic_ns)
         try:
+            self._judge(parameter_files)
             self._parameters = NodeParameters(self.node, adapter_class.config_type)
             files = NotedFiles()
             self.adapter = adapter_class(self._parameters.config, self._factory, files)
@@ -80,7 +83,7 @@ class LiveNode:
             self._box = self._open_box()
         except (ParameterError, BadInput) as error:
             self.node.destroy_node()
-            raise _with_line(error, parameter_files, adapter_class.node_name) from error
+            raise _with_line(error, parameter_files, self._full_name) from error
         self._calls = AdapterCalls(self.adapter, self._publishers, files, self._box)
         self._parameters.give_changes_to(self._calls, self._now_ns)
         self._grid = TickGrid()
@@ -106,6 +109,12 @@ class LiveNode:
         self._executor.remove_node(self.node)
         self._executor.shutdown()
         self.node.destroy_node()
+
+    def _judge(self, parameter_files: Iterable[Path]) -> None:
+        """Refuse a file whose sections were meant for this node but do not fit it: rcl leaves them out silently."""
+        for path in parameter_files:
+            if warning := misfit(path, self._full_name):
+                self.node.get_logger().warning(warning)
 
     def _create_publisher(self, output: OutputTopic) -> Publisher:
         kind, qos = message_class(output.type_name), output_qos(output)
@@ -241,10 +250,10 @@ def _outputs(adapter: Adapter) -> tuple[OutputTopic, ...]:
     return (*others, diagnostics)
 
 
-def _with_line(error: ValueError, parameter_files: tuple[Path, ...], node_name: str) -> BadInput:
+def _with_line(error: ValueError, parameter_files: tuple[Path, ...], node: str) -> BadInput:
     """The error with the file that gives the parameter, and its line; the last one of several."""
     text = str(error)
     parameter = quoted_parameter(text)
-    files = [read_whatever_fits(path, node_name) for path in reversed(parameter_files)]
+    files = [read_whatever_fits(path, node) for path in reversed(parameter_files)]
     naming = [file for file in files if parameter in file.lines] or [file for file in files if file.line_of(parameter)]
     return naming[0].error(text) if naming else BadInput(text)

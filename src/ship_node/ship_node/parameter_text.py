@@ -5,6 +5,7 @@ from typing import Any
 import yaml
 
 from ship_estimation.parameters import flatten, nest
+from ship_node.parameter_file import anywhere
 from ship_node.parameter_yaml import PARAMETERS_KEY
 
 
@@ -16,11 +17,11 @@ _Dumper.add_representer(str, lambda dumper, text: dumper.represent_scalar("tag:y
 
 
 def parameter_text(node_name: str, config: Any) -> str:
-    """A parameter file that gives a node this very configuration, all defaults written out.
+    """A parameter file that gives a node this very configuration, in whatever namespace, all defaults written out.
 
     Args:
         node_name: name without namespace.
         config: a dataclass in the style of :mod:`ship_estimation.parameters`.
     """
-    document = {node_name: {PARAMETERS_KEY: nest(flatten(config))}}
+    document = {anywhere(node_name): {PARAMETERS_KEY: nest(flatten(config))}}
     return yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1_000_000)

@@ -15,6 +15,7 @@ from ship_node.errors import BadInput
 
 PARAMETERS_KEY = "ros__parameters"
 
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NULL = re.compile(r"~|null|Null|NULL|$")
 _BOOLEAN = re.compile(r"yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF")
 _INTEGER = re.compile(r"[-+]?(0x[0-9a-fA-F]+|[0-9]+)")
@@ -28,10 +29,12 @@ class Section:
     Attributes:
         node: ``/NAMESPACE/NAME``, wildcards as written.
         parameters: value and line (from 1) by dotted name.
+        line: where its name stands.
     """
 
     node: str
     parameters: dict[str, tuple[Any, int]]
+    line: int = 1
 
 
 def read_sections(source: Path | str) -> tuple[str, list[Section]]:
@@ -88,14 +91,28 @@ def _root(name: str, text: str) -> yaml.Node | None:
         raise BadInput(f"{name}: not YAML: {str(error).splitlines()[0]}") from error
 
 
-def _sections(name: str, node: yaml.Node, path: str) -> Iterator[Section]:
+def _sections(name: str, node: yaml.Node, path: str, path_line: int = 1) -> Iterator[Section]:
     for key, line, value in _entries(name, node, path or "the file"):
         if key == PARAMETERS_KEY:
             if not path:
                 raise BadInput(f"{name}:{line}: '{PARAMETERS_KEY}' must stand below the name of a node")
-            yield Section(path, dict(_parameters(name, value, "")))
+            yield Section(_node_name(name, path_line, path), dict(_parameters(name, value, "")), path_line)
         else:
-            yield from _sections(name, value, f"{path}/{key.strip('/')}")
+            # Names are put together as rcl does: a slash between them unless the first one ends with it.
+            joined = f"{path}{'' if not path or path.endswith('/') else '/'}{key}"
+            yield from _sections(name, value, joined, line)
+
+
+def _node_name(name: str, line: int, path: str) -> str:
+    """The full name of a section; what rcl would not take at the start of a node is refused."""
+    full = path if path.startswith("/") else f"/{path}"
+    for part in full[1:].split("/"):
+        if part not in ("*", "**") and not _NAME.fullmatch(part):
+            raise BadInput(
+                f"{name}:{line}: section '{path}' is no name of a node: expected letters, digits and _ between single "
+                "slashes, or * for any one part and ** for any number of them"
+            )
+    return full
 
 
 def _parameters(name: str, node: yaml.Node, prefix: str) -> Iterator[tuple[str, tuple[Any, int]]]:

@@ -82,3 +82,41 @@ def test_signal_ends_the_node_cleanly(number):
         rest = process.stderr.read()
         assert process.wait(timeout=30) == 0
         assert rest == ""
+
+
+RELAY_FILE = "{section}:\n  ros__parameters: {{frame_id: ins}}\n"
+
+
+@pytest.mark.parametrize(
+    ("section", "remaps", "node"),
+    [
+        ("relay", ["-r", "__ns:=/aurora"], "/aurora/relay"),
+        ("/**/relay", ["-r", "__node:=relay_2"], "/relay_2"),
+        ("/**/relai", ["-r", "relay:__ns:=/aurora"], "/aurora/relay"),
+    ],
+)
+def test_mend_12_a_file_that_misses_the_node_exits_2_with_both_names(tmp_path, section, remaps, node):
+    path = tmp_path / "suite.yaml"
+    path.write_text(RELAY_FILE.format(section=section))
+    result = run_relay("--ros-args", "--params-file", str(path), *remaps)
+    assert result.returncode == 2
+    full = section if section.startswith("/") else f"/{section}"
+    assert result.stderr.startswith(f"relay: {path}:1: section '{full}' does not fit node '{node}': name it '/**/relay")
+    assert result.stderr.count("\n") == 1
+
+
+def test_mend_12_a_file_about_other_nodes_is_one_warning_and_each_file_is_judged_by_itself(tmp_path):
+    """The second file is what ros2 launch writes of inline parameters: it fits."""
+    other, inline = tmp_path / "other.yaml", tmp_path / "inline.yaml"
+    other.write_text(RELAY_FILE.format(section="/**/radar"))
+    inline.write_text(RELAY_FILE.format(section="/**"))
+    arguments = ["--ros-args", "--params-file", str(other), "--params-file", str(inline), "-r", "__ns:=/aurora"]
+    last = ["-p", "qos_overrides./absent.subscription.depth:=1"]
+    with subprocess.Popen([*RELAY, *arguments, *last], stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        warning = f"{other}: nothing in it is for node '/aurora/relay', its sections are '/**/radar'"
+        assert warning in process.stderr.readline()
+        assert "names no topic and policy" in process.stderr.readline()
+        process.terminate()
+        assert process.stderr.read() == ""
+        assert process.wait(timeout=30) == 0

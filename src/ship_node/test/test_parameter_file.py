@@ -2,10 +2,16 @@ import math
 from dataclasses import dataclass
 
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
 
 from ship_estimation.parameters import parameter, section
 from ship_node.errors import BadInput
-from ship_node.parameter_file import load, load_config, read, read_whatever_fits
+from ship_node.parameter_file import anywhere, full_name, load, load_config, misfit, read, read_whatever_fits
+
+RCLError = rclpy_implementation.RCLError
 
 
 @dataclass(frozen=True)
@@ -26,20 +32,128 @@ def test_file_and_text_give_the_same(tmp_path):
     assert load(path, "ship") == load(str(path), "ship") == load(text, "ship") == {"gate": {"probability": 0.9}}
 
 
+RUNS = "/ship", "/fleet/ship", "/fleet/blue/ship"
+"""Full names of three nodes."""
+
+
+@pytest.mark.live
+@pytest.mark.xdist_group("dds")
 @pytest.mark.parametrize(
-    "node", ["ship", "/ship", "/fleet/ship", "'/**'", "'/*'", "/*/ship", "/**/ship", "/fleet/**", "fleet:\n  /ship"]
+    ("section", "fits"),
+    [
+        ("ship", "/ship"),
+        ("/ship", "/ship"),
+        ("/**", "/ship /fleet/ship /fleet/blue/ship"),
+        ("**", "/ship /fleet/ship /fleet/blue/ship"),
+        ("/*", "/ship"),
+        ("/**/ship", "/ship /fleet/ship /fleet/blue/ship"),
+        ("**/ship", "/ship /fleet/ship /fleet/blue/ship"),
+        ("/*/ship", "/fleet/ship"),
+        ("fleet/ship", "/fleet/ship"),
+        ("/fleet/**", "/fleet/ship /fleet/blue/ship"),
+        ("/fleet/*", "/fleet/ship"),
+        ("/fleet/*/ship", "/fleet/blue/ship"),
+        ("/fleet/**/ship", "/fleet/ship /fleet/blue/ship"),
+        ("/**/fleet/ship", "/fleet/ship"),
+        ("/*/**", "/ship /fleet/ship /fleet/blue/ship"),
+        ("/fleet: ship", "/fleet/ship"),
+        ("/fleet/: ship", "/fleet/ship"),
+        ("/fleet/: blue: ship", "/fleet/blue/ship"),
+        ("/**: ship", "/ship /fleet/ship /fleet/blue/ship"),
+        ("/boat", ""),
+        ("/**/boat", ""),
+        ("/ship/boat", ""),
+        ("/navy/**", ""),
+    ],
 )
-def test_ways_to_name_a_node(node):
-    indent = "    " if "\n" in node else "  "
-    assert load(f"{node}:\n{indent}ros__parameters: {{lag_s: 1.5}}\n", "ship") == {"lag_s": 1.5}
+def test_mend_12_sections_fit_the_nodes_that_rcl_gives_them_to(tmp_path, section, fits):
+    """Held against rcl itself."""
+    path = tmp_path / "suite.yaml"
+    path.write_text(in_section(section, "lag_s: 1.5"))
+    expected = {node: {"lag_s": 1.5} if node in fits.split() else {} for node in RUNS}
+    assert {node: read_whatever_fits(path, node).values for node in RUNS} == expected
+    assert {node: given_by_rcl(path, node) for node in RUNS} == expected
 
 
-@pytest.mark.parametrize("node", ["boat", "/ship/boat", "ships", "/**/boat"])
-def test_section_of_another_node_does_not_fit(node):
-    with pytest.raises(BadInput) as caught:
-        load(f"{node}:\n  ros__parameters: {{lag_s: 1.5}}\n", "ship")
-    found = node if node.startswith("/") else "/" + node
-    assert str(caught.value).endswith(f"no section for node 'ship': expected 'ship' or '/**', found '{found}'")
+def in_section(section, parameters):
+    """A parameter file; ``: `` in the name of the section nests it."""
+    names = section.split(": ")
+    return "".join(f"{{'{name}': " for name in names) + f"{{ros__parameters: {{{parameters}}}}}" + "}" * len(names)
+
+
+def given_by_rcl(path, node):
+    """What a node of that full name is given of a file."""
+    context = Context()
+    namespace, _, name = node.rpartition("/")
+    remaps = ["-r", f"__ns:={namespace or '/'}", "-r", f"__node:={name}"]
+    rclpy.init(args=["x", "--ros-args", "--params-file", str(path), *remaps], context=context)
+    live = Node("x", context=context, enable_rosout=False, start_parameter_services=False)
+    overrides = {parameter: value.value for parameter, value in live._parameter_overrides.items()}
+    live.destroy_node()
+    context.shutdown()
+    return overrides
+
+
+@pytest.mark.parametrize("section", ["/sh*", "ship/", "/a//ship", "/**ship", "a-b/ship", "/7/ship", "/a: /ship"])
+def test_mend_12_names_that_rcl_refuses_are_refused_with_their_line(tmp_path, section):
+    path = tmp_path / "suite.yaml"
+    path.write_text("# a ship\n" + in_section(section, "x: 1"))
+    with pytest.raises(BadInput, match=r"suite\.yaml:2: section '.*' is no name of a node: expected letters, digits"):
+        read_whatever_fits(path, "/ship")
+    with pytest.raises(RCLError):
+        rclpy.init(args=["x", "--ros-args", "--params-file", str(path)], context=Context())
+
+
+AURORA = "/aurora/ship_attitude"
+
+
+@pytest.mark.parametrize(
+    ("section", "node", "advice"),
+    [
+        ("ship_attitude", AURORA, ", or run the node without a namespace"),
+        ("/palmer/ship_attitude", AURORA, ", or run the node in namespace '/palmer'"),
+        ("/palmer/**/ship_attitude", AURORA, ""),
+        ("/aurora/ship_atitude", AURORA, ""),
+        ("ShipAttitude", "/ship_attitude", ""),
+        ("ship_attitude_node", "/ship_attitude", ""),
+        ("ship_attitude", "/ship_attitude_2", ""),
+    ],
+)
+def test_mend_12_a_section_meant_for_the_node_that_does_not_fit_is_refused_with_both_names(section, node, advice):
+    text = f"/**/star_attitude: {{ros__parameters: {{x: 1}}}}\n{section}: {{ros__parameters: {{x: 1}}}}\n"
+    name = node.rpartition("/")[2]
+    said = f"configuration:2: section '/{section.lstrip('/')}' does not fit node '{node}': name it '/**/{name}' to fit "
+    for reading in (misfit, read):
+        with pytest.raises(BadInput) as caught:
+            reading(text, node)
+        assert str(caught.value) == f"{said}in every namespace{advice}"
+
+
+def test_mend_12_a_file_about_other_nodes_is_a_warning():
+    text = "/**/star_attitude: {ros__parameters: {x: 1}}\n/ship: {ros__parameters: {x: 1}}\n"
+    said = f"nothing in it is for node '{AURORA}', its sections are '/**/star_attitude', '/ship'"
+    assert misfit(text, AURORA) == f"configuration: {said}"
+    with pytest.raises(BadInput, match="no section for node 'ship_attitude'"):
+        read(text, AURORA)
+
+
+def test_mend_12_a_section_for_all_nodes_fits():
+    """What ros2 launch writes for inline parameters; where a section of the node's name misses it, that is said."""
+    inline = "/**: {ros__parameters: {lag_s: 1.0}}\n"
+    assert misfit(inline, AURORA) == ""
+    assert misfit(f"{inline}/**/ship_attitude: {{ros__parameters: {{x: 1}}}}\n", AURORA) == ""
+    missed = f"{inline}ship_attitude: {{ros__parameters: {{x: 1}}}}\n"
+    assert misfit(missed, AURORA).startswith(f"configuration:2: section '/ship_attitude' does not fit node '{AURORA}'")
+    fleet = f"{inline}/a/ship_attitude: {{ros__parameters: {{x: 1}}}}\n{AURORA}: {{ros__parameters: {{x: 2}}}}\n"
+    assert misfit(fleet, AURORA) == ""
+    assert load(fleet, AURORA) == {"lag_s": 1.0, "x": 2}
+
+
+def test_a_node_that_ran_in_whatever_namespace():
+    for node in ("ship", "/a/ship", "/**"):
+        assert load(f"{node}: {{ros__parameters: {{x: 1}}}}\n", anywhere("ship")) == {"x": 1}
+    names = [full_name("ship", namespace) for namespace in ("", "/", "a", "/a/b/")]
+    assert names == ["/ship", "/ship", "/a/ship", "/a/b/ship"]
 
 
 def test_later_sections_override_earlier_ones_parameter_by_parameter():
@@ -123,10 +237,10 @@ def test_bad_files_are_refused_with_name_and_line(tmp_path, body, line, text):
     [
         ("\n", "configuration: empty: expected a section"),
         ("ros__parameters:\n  a: 1\n", "configuration:1: 'ros__parameters' must stand below the name of a node"),
-        ("ship:\n  lag_s: 2\n", "configuration:2: /ship/lag_s: expected 'name: value' entries, got a single value (2)"),
+        ("ship:\n  lag_s: 2\n", "configuration:2: ship/lag_s: expected 'name: value' entries, got a single value (2)"),
         (
-            "a/ship:\n  ros__parameters: {x: 1}\nb/ship:\n  ros__parameters: {x: 2}\n",
-            "sections /a/ship and /b/ship both",
+            "ship:\n  ros__parameters: {x: 1}\n/ship/:\n  ros__parameters: {x: 2}\n",
+            "configuration:3: section '/ship/' is no name of a node",
         ),
         ("a: \x00\n", "configuration: not YAML"),
         ("ship:\n  ros__parameters: &a {b: *a}\n", "configuration: nested too deeply, or a group that holds itself"),
@@ -149,6 +263,12 @@ def test_file_that_cannot_be_read(tmp_path):
 
 def test_file_about_other_nodes_may_say_nothing():
     assert read_whatever_fits("boat:\n  ros__parameters: {x: 1}\n", "ship").values == {}
+
+
+def test_sections_of_several_namespaces_fit_a_node_of_any():
+    text = "a/ship:\n  ros__parameters: {x: 1}\nb/ship:\n  ros__parameters: {x: 2}\n"
+    with pytest.raises(BadInput, match="sections /a/ship and /b/ship both fit node 'ship': keep one"):
+        read(text, anywhere("ship"))
 
 
 def test_configuration_is_built_and_checked():

@@ -6,6 +6,7 @@ from typing import Any
 
 from ship_node.adapter import Adapter
 from ship_node.message_factory import MessageFactory
+from ship_node.parameter_file import full_name
 from ship_node.topics import InputTopic, OutputTopic, Published
 from ship_replay.bag_reader import Bag
 from ship_replay.bag_suite import suite_config, suite_nodes
@@ -85,7 +86,7 @@ def suite_chain(
         adapter_classes: nodes that are known; see :func:`suite_nodes`.
         factory: makes their messages.
         config_path: suite configuration; None takes the one attached to the bag.
-        namespace: namespace of the ship in the bag.
+        namespace: namespace of the ship in the bag, and so of its nodes.
         linked: see :class:`AdapterChain`.
 
     Returns:
@@ -94,10 +95,11 @@ def suite_chain(
     Raises:
         BadInput: the configuration does not serve.
     """
-    meant = suite_nodes(bag, adapter_classes, config_path)
+    meant = suite_nodes(bag, adapter_classes, config_path, namespace)
     found, adapters, left_out = relative_topics(bag.topics, namespace), [], []
     for kind in meant:
-        adapter = kind(suite_config(bag, kind, config_path), factory)
+        config = suite_config(bag, kind, config_path, full_name(kind.node_name, namespace))
+        adapter = kind(config, factory)
         devices = [topic.topic for topic in adapter.inputs if topic.topic.startswith(_DEVICE_PREFIXES)]
         if kind is not meant[0] and not found.keys() & devices:
             wanted = ", ".join(devices) or "the devices that it needs"

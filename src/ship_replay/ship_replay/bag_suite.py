@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ship_node.adapter import Adapter
-from ship_node.parameter_file import has_section, load_config
+from ship_node.parameter_file import full_name, has_section, load_config, misfit
 from ship_replay.bag_reader import Bag
 from ship_replay.bag_writer import SUITE_ATTACHMENT
 from ship_replay.errors import BadInput
@@ -27,23 +27,29 @@ def suite_text(bag: Bag, config_path: Path | None) -> str:
     return bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
 
 
-def suite_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None) -> Any:
+def suite_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, node: str) -> Any:
     """The node's configuration: of the file, else of the one attached to the bag.
+
+    Args:
+        bag: the bag.
+        adapter_class: of the node.
+        config_path: configuration; None takes the one attached to the bag.
+        node: its full name, by which sections fit (:mod:`ship_node.parameter_file`).
 
     Raises:
         BadInput: there is none, or it is not one of this node; names the parameter.
     """
     if config_path is not None:
-        return load_config(adapter_class.config_type, config_path, adapter_class.node_name)
+        return load_config(adapter_class.config_type, config_path, node)
     text = suite_text(bag, None)
     try:
-        return load_config(adapter_class.config_type, text, adapter_class.node_name)
+        return load_config(adapter_class.config_type, text, node)
     except BadInput as problem:
         raise _attached(bag, problem) from problem
 
 
 def suite_nodes(
-    bag: Bag, adapter_classes: Sequence[type[Adapter]], config_path: Path | None
+    bag: Bag, adapter_classes: Sequence[type[Adapter]], config_path: Path | None, namespace: str = ""
 ) -> tuple[type[Adapter], ...]:
     """The nodes that the configuration is about; see :func:`nodes_of`.
 
@@ -51,20 +57,23 @@ def suite_nodes(
         bag: the bag.
         adapter_classes: nodes that are known, the main one first.
         config_path: configuration; None takes the one attached to the bag.
+        namespace: of the nodes.
 
     Raises:
-        BadInput: there is none, or it is no parameter file.
+        BadInput: there is none, it is no parameter file, or one of its sections fits no node but was meant for one.
     """
     if config_path is not None:
-        return nodes_of(config_path, adapter_classes)
+        return _judged_nodes(config_path, adapter_classes, namespace)
     try:
-        return nodes_of(suite_text(bag, None), adapter_classes)
+        return _judged_nodes(suite_text(bag, None), adapter_classes, namespace)
     except BadInput as problem:
         raise _attached(bag, problem) from problem
 
 
-def nodes_of(source: Path | str, adapter_classes: Sequence[type[Adapter]]) -> tuple[type[Adapter], ...]:
-    """The nodes that a configuration (a path, or the text itself) is about.
+def nodes_of(
+    source: Path | str, adapter_classes: Sequence[type[Adapter]], namespace: str = ""
+) -> tuple[type[Adapter], ...]:
+    """The nodes in a namespace that a configuration (a path, or the text itself) is about.
 
     The first of those known is the main one: a section for all nodes (``/**``) is its too, and it is meant where no
     node is named at all. The others must be named.
@@ -73,10 +82,20 @@ def nodes_of(source: Path | str, adapter_classes: Sequence[type[Adapter]]) -> tu
         BadInput: it is no parameter file.
     """
     main, *others = adapter_classes
-    meant = [kind for kind in others if has_section(source, kind.node_name, wildcards=False)]
-    if not meant or has_section(source, main.node_name):
+    names = {kind: full_name(kind.node_name, namespace) for kind in adapter_classes}
+    meant = [kind for kind in others if has_section(source, names[kind], wildcards=False)]
+    if not meant or has_section(source, names[main]):
         meant.insert(0, main)
     return tuple(meant)
+
+
+def _judged_nodes(
+    source: Path | str, adapter_classes: Sequence[type[Adapter]], namespace: str
+) -> tuple[type[Adapter], ...]:
+    for kind in adapter_classes:
+        # That a file says nothing of some nodes is no fault of it.
+        misfit(source, full_name(kind.node_name, namespace))
+    return nodes_of(source, adapter_classes, namespace)
 
 
 def _attached(bag: Bag, problem: BadInput) -> BadInput:

@@ -8,6 +8,7 @@ from typing import Any
 from ship_estimation.parameters import flatten
 from ship_node.adapter import Adapter
 from ship_node.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT
+from ship_node.parameter_file import anywhere, full_name
 from ship_node.versions import versions
 from ship_replay.bag_reader import Bag
 from ship_replay.bag_suite import suite_config
@@ -50,7 +51,10 @@ def box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None,
             parameters are not those of this node.
     """
     _check_versions(bag, adapter_class, config_path, notes)
-    config = suite_config(bag, adapter_class, config_path)
+    name = adapter_class.node_name
+    # Its own parameters are this node's, wherever it ran; a file must fit it as it would have then.
+    node = anywhere(name) if config_path is None else full_name(name, bag.metadata[METADATA].get("namespace", ""))
+    config = suite_config(bag, adapter_class, config_path, node)
     if config_path is not None:
         changes = _changes(bag, config, adapter_class)
         notes.append(f"replayed with {config_path} instead of the box's own parameters{changes}")
@@ -119,7 +123,7 @@ def _differing(there: dict[str, Any], here: dict[str, Any]) -> str:
 def _changes(bag: Bag, config: Any, adapter_class: type[Adapter]) -> str:
     """The parameters that are not those of the box, where it still holds them."""
     try:
-        own, now = flatten(suite_config(bag, adapter_class, None)), flatten(config)
+        own, now = flatten(suite_config(bag, adapter_class, None, anywhere(adapter_class.node_name))), flatten(config)
     except BadInput:
         return ""
     names = sorted(name for name in own.keys() | now.keys() if own.get(name) != now.get(name))

@@ -14,7 +14,16 @@ from ship_attitude_star.device_config import MountingConfig
 from ship_attitude_star.star_attitude_config import StarAttitudeConfig
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
 from ship_node.adapter import Adapter
-from ship_node.parameter_file import ParameterFile, has_section, quoted_parameter, read, unknown_sections
+from ship_node.parameter_file import (
+    ParameterFile,
+    anywhere,
+    full_name,
+    has_section,
+    misfit,
+    quoted_parameter,
+    read,
+    unknown_sections,
+)
 from ship_replay.bag_suite import nodes_of
 from ship_replay.errors import BadInput
 from ship_replay.message_store import RosbagsFactory
@@ -48,13 +57,16 @@ class CheckedNode:
     adapter: Adapter
 
 
-def check_file(path: Path, adapter_classes: Sequence[type[Adapter]], findings: Findings) -> list[CheckedNode]:
+def check_file(
+    path: Path, adapter_classes: Sequence[type[Adapter]], findings: Findings, namespace: str = ""
+) -> list[CheckedNode]:
     """Check the parameters of a file, all of them.
 
     Args:
         path: the file.
         adapter_classes: nodes that are known; see :func:`nodes_of`.
         findings: takes what is found.
+        namespace: of the nodes: sections are held against their full names, as rcl does.
 
     Returns:
         The nodes that the file is about and that can be made by it.
@@ -62,29 +74,40 @@ def check_file(path: Path, adapter_classes: Sequence[type[Adapter]], findings: F
     Raises:
         BadInput: the file cannot be read, is no parameter file or has a section for none of the nodes.
     """
-    findings.warnings += list(_strange_sections(path, [kind.node_name for kind in adapter_classes]))
-    checked = (_checked(path, kind, findings) for kind in nodes_of(path, adapter_classes))
+    names = {kind: full_name(kind.node_name, namespace) for kind in adapter_classes}
+    misfits = [problem for name in names.values() for problem in _misfit(path, name)]
+    findings.errors += misfits
+    strange = unknown_sections(path, names.values())
+    if not misfits and not any(has_section(path, name) for name in names.values()):
+        found = ", ".join(f"'{name}'" for name in strange) or "none"
+        raise BadInput(f"{path}: no section for a node of this suite: {_expected(adapter_classes)}, found {found}")
+    if not misfits:
+        told = _expected(adapter_classes)
+        findings.warnings += [f"{path}: section '{name}' fits no node of this suite: {told}" for name in strange]
+    named = [kind for kind in nodes_of(path, adapter_classes, namespace) if has_section(path, names[kind])]
+    checked = (_checked(path, kind, names[kind], findings) for kind in named)
     nodes = [node for node in checked if node is not None]
     findings.warnings += list(_different_mountings(path, nodes))
     return nodes
 
 
-def _strange_sections(path: Path, node_names: Sequence[str]) -> Iterator[str]:
-    """Sections that no node would read, such as one whose name is misspelt."""
-    strange = unknown_sections(path, node_names)
-    expected = ", ".join(f"'{name}'" for name in node_names)
-    if not any(has_section(path, name) for name in node_names):
-        found = ", ".join(f"'{name}'" for name in strange) or "none"
-        raise BadInput(
-            f"{path}: no section for a node of this suite: expected one of {expected} or '/**', found {found}"
-        )
-    for name in strange:
-        yield f"{path}: section '{name}' is no node of this suite: expected one of {expected}"
+def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:
+    names = ", ".join(f"'{anywhere(kind.node_name)}'" for kind in adapter_classes)
+    return f"expected one of {names} or '/**'"
 
 
-def _checked(path: Path, adapter_class: type[Adapter], findings: Findings) -> CheckedNode | None:
+def _misfit(path: Path, name: str) -> list[str]:
+    """The section that does not fit a node but was hardly meant for another: the node would not start."""
+    try:
+        misfit(path, name)
+    except BadInput as problem:
+        return [str(problem)]
+    return []
+
+
+def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Findings) -> CheckedNode | None:
     kind = adapter_class.config_type
-    file = read(path, adapter_class.node_name)
+    file = read(path, name)
     values = copy.deepcopy(file.values)
     descriptions = list(describe(kind))
     told: set[str] = set()

@@ -29,13 +29,13 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "bag", type=Path, nargs="?", metavar="BAG", help=".mcap file or rosbag2 folder to check against"
     )
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    parser.add_argument("--namespace", default="", help="namespace of the ship's nodes, and of its topics in the bag")
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
     findings = Findings()
-    nodes = check_file(options.config, ADAPTERS, findings)
+    nodes = check_file(options.config, ADAPTERS, findings, options.namespace)
     if options.bag is not None and nodes:
         with read_bag(options.bag) as bag:
             check_bag(options.config, nodes, bag, options.namespace, findings)

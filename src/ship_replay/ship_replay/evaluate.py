@@ -9,7 +9,7 @@ from typing import TypeVar
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude_config import StarAttitudeConfig
 from ship_node.errors import BadInput as BadNodeInput
-from ship_node.parameter_file import has_section, load_config
+from ship_node.parameter_file import anywhere, has_section, load_config
 from ship_replay.alignment_values import AlignmentValue, alignment_values
 from ship_replay.attitude_errors import AttitudeErrors
 from ship_replay.attitude_sources import PublishedAttitude, Truth
@@ -170,8 +170,9 @@ def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | Non
             text = bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
             try:
                 # A section for all nodes is ship_attitude's alone, as in a replay (bag_suite.nodes_of).
-                named = has_section(text, node_name, wildcards=kind is ShipAttitudeConfig)
-                return load_config(kind, text, node_name) if named else None
+                node = anywhere(node_name)
+                named = has_section(text, node, wildcards=kind is ShipAttitudeConfig)
+                return load_config(kind, text, node) if named else None
             except BadNodeInput as problem:
                 raise BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}") from problem
     return None

@@ -31,7 +31,7 @@ _EARLIEST_S = 0.3
 _LATEST_S = 2.5
 _START_S = 30.0
 _WARM_UP_S = 0.1
-_SUITE = "ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n"
+_SUITE = "/**/ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n"
 
 
 @dataclass(frozen=True)

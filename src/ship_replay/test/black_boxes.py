@@ -62,7 +62,8 @@ def make_box(path: Path, saved_path: Path, close: bool = True, node: BoxedNode =
     name = node.adapter_class.node_name
     with read_bag(node.bag) as bag:
         suite = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
-        suite[name]["ros__parameters"][node.file_parameter] = str(saved_path)
+        (section,) = (parameters for node_name, parameters in suite.items() if node_name.endswith(name))
+        section["ros__parameters"][node.file_parameter] = str(saved_path)
         config = load_config(node.adapter_class.config_type, yaml.safe_dump(suite), name)
         files = NotedFiles()
         adapter = node.adapter_class(config, RosidlFactory(), files)

@@ -160,7 +160,7 @@ def test_an_installation_far_from_the_configured_one_needs_a_wider_prior(tmp_pat
 
     def believed(text: str) -> str:
         suite = yaml.safe_load(text)
-        for sensor in suite["ship_attitude"]["ros__parameters"]["star_sensors"].values():
+        for sensor in suite["/**/ship_attitude"]["ros__parameters"]["star_sensors"].values():
             sensor |= {f"installation_sigma_{axis}_arcsec": 20.0 for axis in ("forward", "up", "right")}
         return yaml.safe_dump(suite)
 
@@ -185,7 +185,7 @@ def test_a_saved_alignment_does_not_count_again(tmp_path, capsys):
 
     def with_file(text: str) -> str:
         suite = yaml.safe_load(text)
-        suite["ship_attitude"]["ros__parameters"]["alignment_file"] = str(first.alignment)
+        suite["/**/ship_attitude"]["ros__parameters"]["alignment_file"] = str(first.alignment)
         return yaml.safe_dump(suite)
 
     (tmp_path / "again").mkdir()
@@ -203,7 +203,7 @@ def test_every_input_of_a_star_sensor_serves(tmp_path, capsys, source):
 
     def by_solution(text: str) -> str:
         suite = yaml.safe_load(text)
-        suite["ship_attitude"]["ros__parameters"]["star_sensors"]["fore"]["input"] = "solution"
+        suite["/**/ship_attitude"]["ros__parameters"]["star_sensors"]["fore"]["input"] = "solution"
         return yaml.safe_dump(suite)
 
     scenario = replace(stars, duration_s=15.0, ins=replace(stars.ins, rate_hz=20.0), star_sensors=sensors)
@@ -255,14 +255,14 @@ def test_a_configuration_that_does_not_serve_is_refused(tmp_path, capsys, change
     write_session(bag, session(STILL, duration_s=3.0), suite=None)
     configuration = suite_configuration(session(STILL))
     configuration["star_sensors"]["fore"] |= change
-    config.write_text(yaml.safe_dump({"ship_attitude": {"ros__parameters": configuration}}))
+    config.write_text(yaml.safe_dump({"/**/ship_attitude": {"ros__parameters": configuration}}))
     assert text in refused(capsys, bag, "--out", tmp_path / "alignment.yaml", "--config", config)
 
 
 def test_a_configuration_without_star_sensors_is_refused(tmp_path, capsys):
     bag, config = tmp_path / "session.mcap", tmp_path / "suite.yaml"
     write_session(bag, session(STILL, duration_s=3.0))
-    config.write_text("ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}")
+    config.write_text("/**/ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}")
     line = refused(capsys, bag, "--out", tmp_path / "alignment.yaml", "--config", config)
     assert "the configuration has no star_sensors: there is nothing to calibrate" in line
 

@@ -119,11 +119,32 @@ def test_wrong_type(check, tmp_path):
 
 def test_a_bag_in_a_namespace(check, tmp_path):
     bag = write_bag(tmp_path / "a.mcap", prefix="/palmer/")
-    code, lines, _ = check(GOOD, bag)
+    text = GOOD.replace("ship_attitude:", "/**/ship_attitude:")
+    code, lines, _ = check(text, bag)
     assert code == 2
     expected = "topic 'ins/imu' is not in a.mcap: needed by ship_attitude (there is one under the namespace 'palmer')"
     assert lines[0] == f"error: suite.yaml:4: {expected}"
-    assert check(GOOD, bag, "--namespace", "palmer")[0] == 0
+    assert check(text, bag, "--namespace", "palmer")[0] == 0
+
+
+def test_mend_12_names_are_judged_as_a_node_would(check, tmp_path):
+    """A section without wildcard fits in no namespace, one of a namespace not outside of it: a node would end."""
+    bag = write_bag(tmp_path / "a.mcap", prefix="/palmer/")
+    code, lines, _ = check(GOOD, bag, "--namespace", "palmer")
+    assert code == 2
+    advice = "name it '/**/ship_attitude' to fit in every namespace, or run the node"
+    misfit = f"error: suite.yaml:1: section '/ship_attitude' does not fit node '/palmer/ship_attitude': {advice}"
+    assert lines[0] == f"{misfit} without a namespace"
+    code, lines, _ = check(GOOD.replace("ship_attitude:", "/palmer/ship_attitude:"))
+    misfit = f"error: suite.yaml:1: section '/palmer/ship_attitude' does not fit node '/ship_attitude': {advice}"
+    assert (code, lines) == (2, [f"{misfit} in namespace '/palmer'"])
+    everywhere = "/**:\n  ros__parameters: {lag_s: 1.0}\n"
+    in_palmer = everywhere + GOOD.replace("ship_attitude:", "/palmer/ship_attitude:")
+    assert check(in_palmer, bag, "--namespace", "/palmer/")[:2] == (0, ["suite.yaml: good for a.mcap"])
+    # As a node says it: the first section fits, so this is no error.
+    code, lines, _ = check(in_palmer)
+    assert code == 0
+    assert lines[0].startswith("warning: suite.yaml: section '/palmer/ship_attitude' fits no node of this suite")
 
 
 def test_the_ins_alone_is_a_warning(check):
@@ -212,23 +233,28 @@ def test_a_sensor_that_is_bolted_elsewhere_for_another_node_is_a_warning(check):
     assert lines[0] == f"warning: suite.yaml:9: {said}"
 
 
-NODES = "expected one of 'ship_attitude', 'star_attitude', 'optical_axis'"
+NODES = "expected one of '/**/ship_attitude', '/**/star_attitude', '/**/optical_axis' or '/**'"
 
 
-def test_a_misspelt_node_is_a_warning(check):
+def test_mend_12_a_misspelt_node_is_an_error(check):
+    """The node itself refuses such a file."""
+    misfit = "section '/star_atitude' does not fit node '/star_attitude': name it '/**/star_attitude' to fit in every"
     code, lines, _ = check(STARS.replace("star_attitude:", "star_atitude:"))
-    assert code == 0
-    warning = f"warning: suite.yaml: section 'star_atitude' is no node of this suite: {NODES}"
-    assert lines == [warning, "suite.yaml: good"]
-    # In a namespace, or for all nodes: these are read.
-    everywhere = "/**:\n  ros__parameters: {lag_s: 1.0}\n"
-    assert check(everywhere + GOOD.replace("ship_attitude:", "/palmer/ship_attitude:")) == (0, ["suite.yaml: good"], [])
+    assert code == 2
+    assert len(lines) == 1
+    assert lines[0].startswith(f"error: suite.yaml:5: {misfit}")
+    code, lines, _ = check(GOOD.replace("ship_attitude:", "star_atitude:"))
+    assert code == 2
+    assert lines[0].startswith(f"error: suite.yaml:1: {misfit}")
 
 
-def test_nothing_but_a_misspelt_node_offers_all_nodes(check):
-    code, lines, (error,) = check(GOOD.replace("ship_attitude:", "star_atitude:"))
+def test_a_section_of_a_node_that_is_not_ours_is_a_warning(check):
+    code, lines, _ = check(GOOD + "radar:\n  ros__parameters: {gain: 1.0}\n")
+    warning = f"warning: suite.yaml: section '/radar' fits no node of this suite: {NODES}"
+    assert (code, lines) == (0, [warning, "suite.yaml: good"])
+    code, lines, (error,) = check("radar:\n  ros__parameters: {gain: 1.0}\n")
     assert (code, lines) == (2, [])
-    assert error.endswith(f"suite.yaml: no section for a node of this suite: {NODES} or '/**', found 'star_atitude'")
+    assert error.endswith(f"suite.yaml: no section for a node of this suite: {NODES}, found '/radar'")
 
 
 def test_observations_that_nobody_takes_are_a_warning(check, tmp_path):

@@ -21,7 +21,7 @@ from ship_replay.replay import replay
 from ship_replay.replay_command import main
 
 TICK_NS = 100_000_000
-SUITE = "tiny:\n  ros__parameters:\n    error_arcsec: 2.0\n"
+SUITE = "/**/tiny:\n  ros__parameters:\n    error_arcsec: 2.0\n"
 
 
 @dataclass(frozen=True)

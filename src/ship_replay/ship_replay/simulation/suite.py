@@ -9,6 +9,7 @@ from ship_attitude_star.config import InsConfig, ReferenceConfig, StarSensorConf
 from ship_attitude_star.star_attitude_config import ObservingSensorConfig
 from ship_attitude_star.star_config import CameraConfig
 from ship_estimation.ins_config import InsInputConfig
+from ship_node.parameter_file import anywhere
 from ship_replay.simulation.device_messages import INS_FRAME, star_frame
 from ship_replay.simulation.scenario import Scenario, StarSensor
 from ship_replay.simulation.shared_parameters import shared
@@ -54,14 +55,15 @@ def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
 
 
 def suite_yaml(scenario: Scenario) -> str:
-    """The same as ROS 2 parameter file of all nodes that the scenario has inputs for."""
+    """The same as ROS 2 parameter file, for whatever namespace, of all nodes that the scenario has inputs for."""
     # Where the fused attitude is in the bag already, ship_attitude has nothing to do.
     nodes = {} if scenario.fused_attitude.written else {"ship_attitude": suite_configuration(scenario)}
     if scenario.theodolite.aboard:
         nodes["optical_axis"] = optical_axis_configuration(scenario)
     if any(sensor.output == "observations" for sensor in scenario.star_sensors.values()):
         nodes["star_attitude"] = star_attitude_configuration(scenario)
-    return yaml.safe_dump({node: {"ros__parameters": values} for node, values in nodes.items()}, sort_keys=False)
+    sections = {anywhere(node): {"ros__parameters": values} for node, values in nodes.items()}
+    return yaml.safe_dump(sections, sort_keys=False)
 
 
 def _ins(scenario: Scenario, parameters: type) -> dict[str, Any]:
