@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from ship_attitude_star import alignment_file, messages_out
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.diagnosis import attitude_status, conflict_statuses
+from ship_attitude_star.diagnosis import attitude_status, conflict_statuses, start_warnings
 from ship_attitude_star.samples import AttitudeEstimate, Decision, Outcome, Status
 from ship_attitude_star.ship_core import ShipAttitudeCore
 from ship_attitude_star.ship_inputs import ShipInputs
@@ -66,6 +66,7 @@ class ShipAttitudeAdapter:
         self._topics = {source: topic for topic, source in self._inputs.sources.items()}
         self.inputs: tuple[InputTopic, ...] = self._inputs.topics
         self.health = InputHealthBook(self.inputs)
+        self.start_warnings = start_warnings(config)
         self._saved = self._read_alignment_at_start()
         self._alignment_messages: list[str] = []
         self._latest: AttitudeEstimate | None = None
@@ -213,7 +214,7 @@ class ShipAttitudeAdapter:
         level = Level.WARN if self._alignment_messages else Level.OK
         text = "; ".join(self._alignment_messages) or "as configured or saved"
         return [
-            attitude_status(self._latest, self._clock_jumps),
+            attitude_status(self._latest, self._clock_jumps, self.start_warnings),
             DiagnosticStatus("alignment", level, text),
             *conflict_statuses(self._conflicts),
         ]

@@ -1,7 +1,8 @@
 """What the diagnostics say of the attitude itself, in words for the watch."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.samples import AttitudeEstimate, Decision, Status
 from ship_node.diagnostics import Level
 from ship_node.diagnostics import Status as DiagnosticStatus
@@ -14,13 +15,31 @@ _WORDS = {
 }
 
 
-def attitude_status(estimate: AttitudeEstimate | None, clock_jumps: int) -> DiagnosticStatus:
-    """State of the published attitude."""
+def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:
+    """What a configuration lacks, for the log at the start and for the diagnostics ever after."""
+    if config.star_sensors or config.references:
+        return ()
+    lacking = "no star_sensors and no references are configured"
+    return (f"{lacking}: the attitude will be the INS's alone, DEGRADED, horizon GRAVITY",)
+
+
+def attitude_status(
+    estimate: AttitudeEstimate | None, clock_jumps: int, lacking: Sequence[str] = ()
+) -> DiagnosticStatus:
+    """State of the published attitude.
+
+    Args:
+        estimate: the last one.
+        clock_jumps: how often the clock went back.
+        lacking: what the configuration lacks (:func:`start_warnings`).
+    """
     values = {"clock jumps back": str(clock_jumps)}
     if estimate is None:
-        return DiagnosticStatus("attitude", Level.WARN, "no INS sample yet", values)
+        return DiagnosticStatus("attitude", Level.WARN, "; ".join(["no INS sample yet", *lacking]), values)
     level, text = _WORDS[estimate.status]
-    if estimate.status is Status.DEGRADED:
+    if estimate.status is Status.DEGRADED and lacking and "ins" in estimate.sources:
+        text += f": {'; '.join(lacking)}"
+    elif estimate.status is Status.DEGRADED:
         text += ": INS alone, no star yet" if "ins" in estimate.sources else ": INS gone, stars alone"
     values |= {"sources": ", ".join(estimate.sources), "star age (s)": f"{estimate.star_age_s:.1f}"}
     return DiagnosticStatus("attitude", level, text, values)

@@ -64,6 +64,9 @@ class StarAttitudeAdapter:
             OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE),
         )
         self.health = InputHealthBook(self.inputs)
+        self.start_warnings: tuple[str, ...] = ()
+        if not config.star_sensors:
+            self.start_warnings = ("no star_sensors are configured: there is nothing to solve",)
         self._latest: dict[str, Solved] = {}
         self._budget_due: Solved | None = None
         self._slow_due_ns: int | None = None

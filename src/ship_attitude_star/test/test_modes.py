@@ -11,11 +11,14 @@ from geometry_msgs.msg import Quaternion
 from scipy.spatial.transform import Rotation
 from small_voyage import FORE, INS, STARBOARD, Run, attitude, clean_run, drive, new_adapter, quaternion_message, voyage
 
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.samples import Horizon, Reason, Status
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.ros_axes import FRD_FROM_DEVICE, NED_FROM_HORIZON, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation, wrap_pi
 from ship_msgs.msg import Innovation, ShipAttitude
+from ship_node.message_factory import RosidlFactory
 
 
 def cut(arrivals: tuple[Arrival, ...], from_s: float, until_s: float, *topics: str) -> tuple[Arrival, ...]:
@@ -233,6 +236,19 @@ def test_nothing_at_all_is_invalid_not_silent() -> None:
         run.published += [(now_ns, *item) for item in run.adapter.tick(now_ns)]
     assert {m.status for m in outputs(run)} == {Status.INVALID}
     assert run.diagnostics(f"input {INS}", START_NS, START_NS + 6 * SECOND_NS)[-1][0] == 2
+
+
+def test_mend_12_without_any_sensor_the_ins_passes_through_and_the_diagnostics_say_so() -> None:
+    run = drive(ShipAttitudeAdapter(ShipAttitudeConfig(), RosidlFactory()), [a for a in voyage() if a.topic == INS])
+    assert len(outputs(run)) > 100
+    assert {(m.status, m.horizon) for m in outputs(run)} == {(Status.DEGRADED, Horizon.GRAVITY)}
+    for message in outputs(run)[::20]:
+        assert_honest(message)
+    lacking = "no star_sensors and no references are configured"
+    lacking += ": the attitude will be the INS's alone, DEGRADED, horizon GRAVITY"
+    assert run.adapter.start_warnings == (lacking,)
+    level, text = run.diagnostics("attitude", START_NS, START_NS + 5 * SECOND_NS)[-1]
+    assert (level, text) == (1, f"DEGRADED: {lacking}")
 
 
 # -- clocks -------------------------------------------------------------------------------------------------

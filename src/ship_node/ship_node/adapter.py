@@ -27,8 +27,8 @@ class Adapter(Protocol):
     """One per node; the first line of its docstring is what ``--help`` says that the node does.
 
     All times are integer ns. Files are read and written through ``files`` alone, so that a black box can hold what was
-    read. ``health`` is fed by the adapter and, with what only the middleware knows, by the
-    shell; the adapter publishes it in :meth:`tick`.
+    read. ``health`` is fed by the adapter and, with what only the middleware knows, by the shell; the adapter publishes
+    it in :meth:`tick`. ``start_warnings`` say what the configuration lacks, one line each.
     """
 
     node_name: ClassVar[str]
@@ -37,6 +37,7 @@ class Adapter(Protocol):
     inputs: tuple[InputTopic, ...]
     outputs: tuple[OutputTopic, ...]
     health: InputHealthBook
+    start_warnings: tuple[str, ...]
 
     def __init__(self, config: Any, factory: MessageFactory, files: Files = DISK) -> None: ...
 

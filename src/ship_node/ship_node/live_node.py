@@ -91,6 +91,8 @@ class LiveNode:
         self._before_clock: deque[tuple[str, bytes]] = deque(maxlen=sum(i.depth for i in self.adapter.inputs))
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
+        for warning in self.adapter.start_warnings:
+            self.node.get_logger().warning(warning)
         self._warn_of_unused_overrides()
         self._create_clocks()
         self._executor = EventsExecutor(context=context)

@@ -63,6 +63,7 @@ class RelayAdapter:
             OutputTopic("ship/calibration", "ship_msgs/msg/AlignmentState", latched=True),
         )
         self.health = InputHealthBook(self.inputs)
+        self.start_warnings: tuple[str, ...] = ()
         self.changes: dict[str, Any] = {}
         self.ticks: list[int] = []
         self.resets: list[int] = []

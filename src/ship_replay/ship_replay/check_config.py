@@ -9,9 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.device_config import MountingConfig
-from ship_attitude_star.star_attitude_config import StarAttitudeConfig
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
 from ship_node.adapter import Adapter
 from ship_node.parameter_file import (
@@ -120,12 +118,10 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
             told.add(quoted_parameter(str(problem)))
             if not _put_right(values, str(problem), descriptions):
                 return None
-    if isinstance(config, ShipAttitudeConfig) and not config.star_sensors and not config.references:
-        findings.warnings.append(f"{path}: no star_sensors and no references: the attitude will be the INS's alone")
-    if isinstance(config, StarAttitudeConfig) and not config.star_sensors:
-        findings.warnings.append(f"{path}: no star_sensors: {adapter_class.node_name} has nothing to solve")
     try:
-        return CheckedNode(file, config, adapter_class(config, RosbagsFactory()))
+        adapter = adapter_class(config, RosbagsFactory())
+        findings.warnings += [f"{path}: {warning}" for warning in adapter.start_warnings]
+        return CheckedNode(file, config, adapter)
     except ParameterError as problem:
         # A value that was taken out above is missing here: told already.
         if told.isdisjoint(re.findall(r"'([^']+)'", str(problem))):

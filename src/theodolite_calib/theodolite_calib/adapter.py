@@ -60,6 +60,7 @@ class OpticalAxisAdapter:
         self._inputs = AxisInputs(config, self.core)
         self.inputs: tuple[InputTopic, ...] = self._inputs.topics
         self.health = InputHealthBook(self.inputs)
+        self.start_warnings: tuple[str, ...] = ()
         self._saved = self._read_calibration_at_start()
         self._calibration_messages: list[str] = []
         self._latest: PointingEstimate | None = None
