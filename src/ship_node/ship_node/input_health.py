@@ -73,6 +73,18 @@ class InputHealthBook:
         """
         self._records[topic].add_rejected(reason, text, receive_ns, stamp_ns)
 
+    def overflowed(self, topic: str, count: int, why: str, now_ns: int) -> None:
+        """So many messages came and were not looked at: they were beyond a bound.
+
+        Args:
+            topic: the topic that they came on.
+            count: how many.
+            why: which bound, for people.
+            now_ns: when that is told.
+        """
+        self._start(now_ns)
+        self._records[topic].add_overflow(count, why, now_ns)
+
     def noted(self, topic: str, reason: str) -> None:
         """Something about a message is worth a count, although it may be used, as ``covariance_unknown``."""
         self._records[topic].reasons[reason] += 1

@@ -72,6 +72,14 @@ class InputRecord:
             delay_s = (receive_ns - stamp_ns) * 1e-9
             self.late_delays[sum(delay_s > edge for edge in LATE_EDGES_S)] += 1
 
+    def add_overflow(self, count: int, why: str, now_ns: int) -> None:
+        """Messages were cut; that says nothing about those that were looked at."""
+        self.received += count
+        self.rejected += count
+        self.reasons["overflow"] += count
+        self.last_refusal_ns, self.last_refusal = now_ns, "overflow"
+        self.last_text = f"{self.reasons['overflow']} messages cut, the last {why}"
+
     @property
     def mean_period_ns(self) -> float:
         """Mean time between arrivals, NaN before three came.

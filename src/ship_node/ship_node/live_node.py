@@ -1,12 +1,13 @@
 """An adapter in a live rclpy node: its inputs, ticks, services and parameters.
 
 Nothing that an adapter raises ends the node (:mod:`ship_node.guard`). Ticks fall on the same grid of the node's
-clock as in replay (:mod:`ship_node.tick_grid`). The events executor is spun by ``spin_once``: half the processor
-time of the single-threaded one, and messages of all topics are handled in the order in which they came.
+clock as in replay (:mod:`ship_node.tick_grid`). The events executor takes half the processor time of the
+single-threaded one and hears of messages of all topics in the order in which they came; but its queue of events has
+no bound, and timers wait in it behind all the rest. So callbacks only put messages into an inbox that has one
+(:mod:`ship_node.inbox`), and the adapter gets one of them whenever no event is left.
 """
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -32,6 +33,7 @@ from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level, St
 from ship_node.errors import BadInput
 from ship_node.files import NotedFiles
 from ship_node.guard import Guard
+from ship_node.inbox import Arrival, Inbox
 from ship_node.message_factory import RosidlFactory, message_class
 from ship_node.parameter_file import misfit, quoted_parameter, read_whatever_fits
 from ship_node.qos import input_qos, output_qos, overridable, overrides_checked
@@ -40,6 +42,9 @@ from ship_node.tick_grid import TickGrid
 from ship_node.topics import InputTopic, OutputTopic
 
 SPIN_TIMEOUT_S = 0.1
+MOST_EVENTS = 1000
+"""Events taken from the executor between two messages given to the adapter; a flood must not stop the work."""
+
 WATCH_PERIOD_S = 1.0
 CLOCK_WATCHDOG_S = 5.0
 JUMP_BACK = Duration(nanoseconds=-100_000_000)
@@ -68,8 +73,9 @@ class LiveNode:
 
     def __init__(self, adapter_class: type[Adapter], context: Context, parameter_files: tuple[Path, ...] = ()) -> None:
         self.node: Node = ParameterNode(adapter_class.node_name, context=context)
-        queue_clock(self.node)
         self._full_name = self.node.get_fully_qualified_name()
+        self._event_came = False
+        queue_clock(self.node, self._note_event)
         self._context = context
         self._factory = RosidlFactory()
         self._guard = Guard(self.node.get_logger(), time.monotonic_ns)
@@ -85,10 +91,10 @@ class LiveNode:
             self.node.destroy_node()
             raise _with_line(error, parameter_files, self._full_name) from error
         self._calls = AdapterCalls(self.adapter, self._publishers, files, self._box)
-        self._parameters.give_changes_to(self._calls, self._now_ns)
+        self._parameters.give_changes_to(self._calls, self._now_ns, self._handle_all)
         self._grid = TickGrid()
         self._last_ns = 0
-        self._before_clock: deque[tuple[str, bytes]] = deque(maxlen=sum(i.depth for i in self.adapter.inputs))
+        self._inbox = Inbox({i.topic: i.depth for i in self.adapter.inputs})
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
         for warning in self.adapter.start_warnings:
@@ -101,7 +107,8 @@ class LiveNode:
     def spin(self, stop: Callable[[], bool]) -> None:
         """Work until ``stop()`` or until the context ends."""
         while not stop() and self._context.ok():
-            self._guard.call("executor", self._executor.spin_once, SPIN_TIMEOUT_S)
+            self._take_events()
+            self._guard.call("work", self._work)
 
     def close(self) -> None:
         """Finish the black box and give everything back to the middleware."""
@@ -158,7 +165,7 @@ class LiveNode:
         """The tick on the node's clock, the watch on a clock that never stops, and the reset when time goes back."""
         clock = self.node.get_clock()
         self._start_steady_s = time.monotonic()
-        self.node.create_timer(TICK_PERIOD_NS * 1e-9, partial(self._guard.call, "tick", self._advance))
+        self.node.create_timer(TICK_PERIOD_NS * 1e-9, self._note_event)
         self.node.create_timer(
             WATCH_PERIOD_S,
             partial(self._guard.call, "watch", self._watch),
@@ -174,34 +181,55 @@ class LiveNode:
             if name.startswith("qos_overrides.") and not self.node.has_parameter(name):
                 self.node.get_logger().warning(f"parameter '{name}' names no topic and policy of this node")
 
+    def _take_events(self) -> None:
+        """Call back for what happened until nothing is left; wait a while only where nothing else is to do."""
+        timeout_s = 0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S
+        for _ in range(MOST_EVENTS):
+            self._event_came = False
+            self._guard.call("executor", self._executor.spin_once, timeout_s)
+            if not self._event_came:
+                return
+            timeout_s = 0.0
+
+    def _note_event(self) -> None:
+        self._event_came = True
+
     def _on_message(self, topic: str, data: bytes) -> None:
-        now_ns = self._advance()
-        if now_ns:
-            self._handle(topic, data, now_ns)
-            return
-        if len(self._before_clock) == self._before_clock.maxlen:
-            self.adapter.health.lost(self._before_clock[0][0], 1)
-        self._before_clock.append((topic, data))
+        self._note_event()
+        self._inbox.put(Arrival(topic, data, self._now_ns()))
+
+    def _work(self) -> None:
+        """Give the adapter the next message at the time at which it came, or where none waits the time now."""
+        if not self._inbox:
+            self._advance(self._now_ns())
+        elif self._now_ns():
+            arrival = self._inbox.take()
+            now_ns = arrival.now_ns or self._now_ns()
+            self._advance(now_ns)
+            self._guard.call(arrival.topic, self._handle, arrival.topic, arrival.data, now_ns)
+
+    def _handle_all(self) -> None:
+        """Give the adapter all that waits: what is asked of it next comes after that."""
+        while self._inbox and self._now_ns():
+            self._work()
 
     def _handle(self, topic: str, data: bytes, now_ns: int) -> None:
         self._calls.handle(topic, data, deserialize_message(data, self._subscriptions[topic].msg_type), now_ns)
 
-    def _advance(self) -> int:
-        """Tick up to now, which is returned (ns); 0 while the node waits for its first /clock."""
-        now_ns = self._now_ns()
+    def _advance(self, now_ns: int) -> None:
+        """Tick up to now; 0 while the node waits for its first /clock."""
         if now_ns == 0:
-            return 0
+            return
         if self._last_ns and now_ns - self._last_ns > LONGEST_CATCH_UP_NS:
             self._grid.restart(now_ns)
         self._last_ns = now_ns
         for tick_ns in self._grid.due(now_ns):
             self._guard.call("tick", self._calls.tick, tick_ns)
-        while self._before_clock:
-            topic, data = self._before_clock.popleft()
-            self._guard.call(topic, self._handle, topic, data, now_ns)
-        return now_ns
+        for (topic, why), count in self._inbox.take_cuts().items():
+            self.adapter.health.overflowed(topic, count, why, now_ns)
 
     def _on_jump_back(self, jump: TimeJump) -> None:
+        self._handle_all()
         now_ns = self._now_ns()
         self.node.get_logger().warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: starting anew")
         self._grid.restart(now_ns)
@@ -209,6 +237,7 @@ class LiveNode:
         self._calls.clock_jumped_back(now_ns)
 
     def _serve(self, name: str, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._handle_all()
         now_ns = self._now_ns()
         result: ServiceResult | None = ServiceResult(False, "the clock has not started: no /clock came yet")
         if now_ns:
@@ -224,10 +253,12 @@ class LiveNode:
         self.node.get_logger().error(f"incompatible QoS: {text}")
 
     def _on_lost(self, topic: str, event: QoSMessageLostInfo) -> None:
+        self._note_event()
         self.adapter.health.lost(topic, event.total_count_change)
 
     def _watch(self) -> None:
         """What time does not bring: publishers of the inputs, a clock that never starts, exceptions."""
+        self._note_event()
         for topic, subscription in self._subscriptions.items():
             self.adapter.health.publisher_count(topic, self.node.count_publishers(subscription.topic_name))
         statuses = [self._guard.status(), self._clock_status(), self._parameters.status()]

@@ -70,15 +70,19 @@ class NodeParameters:
             # The override is in the value already, as a float where the file had an integer.
             node.declare_parameter(name, value, _descriptor(self._descriptions[name]), ignore_override=True)
 
-    def give_changes_to(self, calls: AdapterCalls, now_ns: Callable[[], int]) -> None:
+    def give_changes_to(
+        self, calls: AdapterCalls, now_ns: Callable[[], int], before_change: Callable[[], None]
+    ) -> None:
         """From now on give live changes to the adapter; what it raises refuses them with that reason.
 
         Args:
             calls: of the adapter.
             now_ns: the node's time.
+            before_change: what is done first: a change takes its turn behind the messages that came before it.
         """
         self._calls = calls
         self._now_ns = now_ns
+        self._before_change = before_change
         self._node.add_on_set_parameters_callback(self._set)
         self._node.change = self._change
 
@@ -94,6 +98,7 @@ class NodeParameters:
         self, parameters: list[Parameter], take: Callable[[list[Parameter]], SetParametersResult]
     ) -> SetParametersResult:
         """Take a request, or refuse it with a reason that log, diagnostics and black box keep."""
+        self._before_change()
         asked = {p.name: _plain(p.value) for p in parameters}
         self._adapter_was_asked = False
         try:

@@ -11,9 +11,11 @@ from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from relay_adapter import EXPLOSIVE_FRAME
 from std_srvs.srv import Trigger
 
+from ship_node.inbox import LARGEST_MESSAGE_BYTES
 from ship_node.stamps import ns_from_stamp
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
@@ -139,6 +141,46 @@ def test_quality_of_service_as_the_contract_says(live_relay):
     assert calibration.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
 
+def test_mend_18_a_flood_stops_neither_ticks_nor_what_comes_after_it(live_relay):
+    relay = live_relay()
+    handle, depth = relay.adapter.handle, relay.adapter.inputs[0].depth
+
+    def handle_slowly(*arguments):
+        time.sleep(0.002)
+        return handle(*arguments)
+
+    relay.adapter.handle = handle_slowly
+    publisher = relay.imu_publisher(ReliabilityPolicy.BEST_EFFORT)
+    old = serialize_message(imu_message(10**9))
+    ticks_before = len(relay.adapter.ticks)
+    end_s = time.monotonic() + 1.5
+    while time.monotonic() < end_s:
+        for _ in range(10):
+            publisher.publish(old)
+        time.sleep(0.001)
+    # An event for each of thousands of messages would now wait before them.
+    assert len(relay.adapter.ticks) - ticks_before >= 5
+    handled = len(relay.adapter.handled)
+    relay.wait_until(lambda: len(relay.live._inbox) == 0)
+    assert len(relay.adapter.handled) - handled <= 3 * depth
+    relay.wait_until(lambda: "reason overflow" in {v.key for v in relay.diagnostics["relay: input ins/imu"].values})
+    latest_ns = time.time_ns()
+    publisher.publish(imu_message(latest_ns))
+    relay.wait_until(lambda: ns_from_stamp(relay.attitudes[-1].header.stamp) == latest_ns)
+
+
+def test_mend_18_a_message_too_large_to_decode_is_counted_and_harms_nothing(live_relay):
+    relay = live_relay(*RELIABLE_INPUT)
+    publisher = relay.imu_publisher()
+    publisher.publish(imu_message(time.time_ns(), "x" * 2 * LARGEST_MESSAGE_BYTES))
+    publisher.publish(imu_message(time.time_ns()))
+    relay.wait_until(lambda: len(relay.attitudes) == 1)
+    name = "relay: input ins/imu"
+    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.WARN))
+    assert "refused, overflow: 1 messages cut, the last larger than" in relay.diagnostics[name].message
+    assert len(relay.adapter.handled) == 1
+
+
 def test_bag_time_ticks_on_the_grid_and_a_jump_back_starts_anew_once(live_relay):
     relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
     set_time = relay.clock_publisher()
@@ -173,7 +215,7 @@ def test_messages_before_the_first_clock_wait_for_it(live_relay):
     publisher = relay.imu_publisher()
     for stamp_s in (999, 1000):
         publisher.publish(imu_message(stamp_s * 1_000_000_000))
-    relay.wait_until(lambda: len(relay.live._before_clock) == 2)
+    relay.wait_until(lambda: len(relay.live._inbox) == 2)
     assert relay.adapter.ticks == []
     assert not relay.call(Trigger, "reset", Trigger.Request()).success
     relay.clock_publisher()(1000.0)
