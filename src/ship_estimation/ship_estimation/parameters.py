@@ -8,12 +8,15 @@ and ``dict[str, Dataclass]`` (one entry per sensor id) give dotted names such as
 
 import dataclasses
 import math
+import re
 import types
 import typing
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar
 
 Config = TypeVar("Config")
+
+_ID = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 class ParameterError(ValueError):
@@ -87,8 +90,14 @@ def section(kind: type) -> Any:
     return dataclasses.field(default_factory=kind)
 
 
-def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "") -> Config:
+def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", placeholder: str = "") -> Config:
     """A checked configuration from a nested mapping.
+
+    Args:
+        kind: the dataclass.
+        values: nested mapping.
+        prefix: what stands before the names in messages.
+        placeholder: the one id that need not be one: it stands for all of them in a help text.
 
     Raises:
         ParameterError: names the parameter, its value, its unit and what is allowed.
@@ -108,9 +117,12 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "") -> Co
             group = values.get(name, {})
             if not isinstance(group, Mapping):
                 raise ParameterError(f"parameter '{full_name}' must be a group of parameters, got {group!r}")
-            arguments[name] = {key: build(entry, group[key], f"{full_name}.{key}.") for key in sorted(group)}
+            arguments[name] = {
+                key: build(entry, group[key], f"{full_name}.{key}.", placeholder)
+                for key in _ids(full_name, group, placeholder)
+            }
         elif dataclasses.is_dataclass(hints[name]):
-            arguments[name] = build(hints[name], values.get(name, {}), full_name + ".")
+            arguments[name] = build(hints[name], values.get(name, {}), full_name + ".", placeholder)
         elif name in values:
             arguments[name] = _checked(full_name, values[name], hints[name], field.metadata)
         elif field.default is dataclasses.MISSING:
@@ -190,6 +202,21 @@ def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
                 raise ParameterError(f"parameter '{name}': '{group}' is a value, not a group")
         level[leaf] = value
     return nested
+
+
+def _ids(name: str, group: Mapping[Any, Any], placeholder: str) -> list[str]:
+    """The ids of a group of devices, in order.
+
+    Raises:
+        ParameterError: an id could not be part of a topic's name, which is what becomes of it.
+    """
+    for id_ in group:
+        if not (isinstance(id_, str) and (id_ == placeholder or _ID.fullmatch(id_))):
+            raise ParameterError(
+                f"parameter '{name}.{id_}': {id_!r} cannot be an id: expected letters, digits and _, no digit first, "
+                "for it becomes part of the names of topics"
+            )
+    return sorted(group)
 
 
 def _mapping_entry(hint: Any) -> type | None:

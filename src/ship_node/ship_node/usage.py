@@ -28,7 +28,8 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
     """
     name = adapter_class.node_name
     descriptions = list(describe(adapter_class.config_type))
-    adapter = adapter_class(build(adapter_class.config_type, _example_values(descriptions)), factory)
+    config = build(adapter_class.config_type, _example_values(descriptions), placeholder="<id>")
+    adapter = adapter_class(config, factory)
     return "\n".join(
         [
             f"usage: {package} {name} [--help] [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]",

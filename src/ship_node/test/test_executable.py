@@ -57,6 +57,7 @@ def test_bad_start_exits_2_with_one_line(arguments, line):
     [
         ("gate:\n      probability: 3.0", 4, "parameter 'gate.probability' = 3.0 is out of its range [0.5, 1.0]"),
         ("gate: {probability: 1.0", 4, "not YAML: expected ',' or '}'"),
+        ("sensors: {fore mast: {elevation_deg: 45.0}}", 3, "parameter 'sensors.fore mast': 'fore mast' cannot be"),
         ("gate.probabilty: 0.9", 3, "parameter 'gate.probabilty' is unknown: expected one of bias_deg, count"),
         ("qos_overrides:\n      /ins/imu: {subscription: {reliability: sure}}", 4, "parameter 'qos_overrides./ins/i"),
         ("qos_overrides:\n      /ins/imu: {subscription: {depth: 0}}", 4, "parameter 'qos_overrides./ins/imu': "),

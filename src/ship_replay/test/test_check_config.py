@@ -277,3 +277,14 @@ def test_no_parameter_file_is_one_line_and_two(check, text, complaint):
     assert lines == []
     assert len(errors) == 1
     assert complaint in errors[0]
+
+
+@pytest.mark.parametrize("id_", ["fore mast", "fore-mast", "1", "före", "fore/mast"])
+def test_mend_15_an_id_that_no_topic_can_have_is_an_error(check, id_):
+    """A node with such a sensor ended with a traceback: invalid topic name."""
+    text = STARS.replace("      fore:", f"      '{id_}':")
+    code, lines, _ = check(text)
+    assert code == 2
+    said = f"error: suite.yaml:4: parameter 'star_sensors.{id_}': '{id_}' cannot be an id: expected letters, digits and"
+    assert lines[0].startswith(said)
+    assert "Traceback" not in "".join(lines)

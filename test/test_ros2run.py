@@ -1,0 +1,32 @@
+"""./ros2run, which stands in for ``ros2 run`` where ros2cli is not installed."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def ros2run(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([root / "ros2run", *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_alone_it_lists_packages_and_their_executables() -> None:
+    alone = ros2run(ROOT)
+    assert (alone.returncode, alone.stderr) == (0, "")
+    usage, _, *lines = alone.stdout.splitlines()
+    assert usage.startswith("usage: ros2run PACKAGE EXECUTABLE")
+    listed = dict(line.split(": ") for line in lines)
+    assert {"ship_attitude", "star_attitude"} <= set(listed["ship_attitude_star"].split())
+    assert {"replay", "check_config", "simulate"} <= set(listed["ship_replay"].split())
+    assert "optical_axis" in listed["theodolite_calib"].split()
+    assert "ship_geometry" not in listed
+    assert ros2run(ROOT, "--help").stdout == alone.stdout
+
+
+def test_before_the_first_build_the_list_says_how_to_get_one_and_builds_nothing(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "ros2run", tmp_path)
+    alone = ros2run(tmp_path)
+    assert (alone.returncode, alone.stderr) == (0, "")
+    assert alone.stdout.splitlines()[-1].startswith("nothing is built yet: 'make setup'")
+    assert [path.name for path in tmp_path.iterdir()] == ["ros2run"]
