@@ -9,7 +9,7 @@ from ship_attitude_star.alignment import AlignmentPrior
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 from ship_node.files import DISK, Files
-from ship_node.saved_document import SavedFormat, finite_numbers, joint_covariance, section
+from ship_node.saved_document import SavedFormat, finite_numbers, joint_covariance, section, stamp_ns, texts
 
 FORMAT = "ship_attitude alignment"
 VERSION = 1
@@ -76,15 +76,15 @@ def _prior(document: dict[str, Any]) -> AlignmentPrior:
     """What the document says; a ValueError names the section that cannot be used."""
     rotations_dv = section(document, "installation", _rotations)
     time_offsets_s = section(document, "time_offset_s", finite_numbers)
-    names = section(document, "covariance_of", tuple)
+    names = section(document, "covariance_of", _names)
     known = {f"{device}.installation": 3 for device in rotations_dv} | dict.fromkeys(time_offsets_s, 1)
     for name in names:
         if name not in known:
             raise ValueError(f"'covariance_of': {name!r} is neither in 'installation' nor in 'time_offset_s'")
     size = sum(known[name] for name in names)
     return AlignmentPrior(
-        time_ns=section(document, "time_ns", int),
-        serials=section(document, "serials", lambda serials: {str(k): str(v) for k, v in serials.items()}),
+        time_ns=section(document, "time_ns", stamp_ns),
+        serials=section(document, "serials", texts),
         rotations_dv=rotations_dv,
         time_offsets_s=time_offsets_s,
         names=names,
@@ -92,9 +92,16 @@ def _prior(document: dict[str, Any]) -> AlignmentPrior:
     )
 
 
+def _names(listed: list[Any]) -> tuple[str, ...]:
+    names = tuple(name for name in listed if isinstance(name, str))
+    if not isinstance(listed, list) or len(set(names)) != len(listed):
+        raise ValueError("expected a list of names, each once")
+    return names
+
+
 def _rotations(installation: dict[str, Any]) -> dict[str, FloatArray]:
     rotations = {}
     for name, angles in installation.items():
         angles_deg = finite_numbers({f"{name} {key}": angles[key] for key in _ANGLES})
-        rotations[name] = rotation_from_angles(*np.deg2rad(list(angles_deg.values())))
+        rotations[str(name)] = rotation_from_angles(*np.deg2rad(list(angles_deg.values())))
     return rotations

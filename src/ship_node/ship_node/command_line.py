@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from ship_estimation.parameters import ParameterError
-from ship_node.errors import BadInput
+from ship_node.errors import BadInput, one_line
 
 EXIT_DONE = 0
 EXIT_BOUND_NOT_MET = 1
@@ -38,5 +38,5 @@ def run_command(
         reason = str(problem)
     except OSError as problem:
         reason = f"{problem.filename}: {problem.strerror}" if problem.filename else str(problem)
-    sys.stderr.write(f"{parser.prog}: {' '.join(reason.split())}\n")
+    sys.stderr.write(f"{parser.prog}: {one_line(reason)}\n")
     return EXIT_BAD_INPUT

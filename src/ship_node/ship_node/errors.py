@@ -1,5 +1,15 @@
-"""The package's one exception for bad input."""
+"""The package's one exception for bad input, and how what it says is shown."""
+
+_LONGEST_LINE = 2000
 
 
 class BadInput(ValueError):
     """A file, an argument or a parameter cannot be used; the text is one line that says which, and why."""
+
+
+def one_line(text: str) -> str:
+    """A text for the terminal in one line of bounded length: what a file holds may be in it, control characters too."""
+    line = " ".join(text.split())
+    if len(line) > _LONGEST_LINE:
+        line = f"{line[:_LONGEST_LINE]} … ({len(line)} characters)"
+    return "".join(character if character.isprintable() else f"\\x{ord(character):02x}" for character in line)

@@ -104,7 +104,7 @@ def read(source: Path | str, node: str) -> ParameterFile:
     """The parameters of a node with their lines.
 
     Args:
-        source: a path; a ``str`` that holds a line break is the text itself.
+        source: a path; a ``str`` is the text itself, whatever it holds.
         node: full name (:func:`full_name`), a name alone for one without namespace, or :func:`anywhere`.
 
     Raises:

@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from ship_node.errors import BadInput
+from ship_node.yaml_text import composed
 
 PARAMETERS_KEY = "ros__parameters"
 
@@ -19,6 +20,8 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NULL = re.compile(r"~|null|Null|NULL|$")
 _BOOLEAN = re.compile(r"yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF")
 _INTEGER = re.compile(r"[-+]?(0x[0-9a-fA-F]+|[0-9]+)")
+_LONGEST_INTEGER = 19
+_FIRST_TOO_LARGE = 2**63
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 
@@ -41,19 +44,16 @@ def read_sections(source: Path | str) -> tuple[str, list[Section]]:
     """Name of the source for messages, and its sections in order, nested namespaces resolved.
 
     Args:
-        source: a path; a ``str`` that holds a line break is the text itself.
+        source: a path; a ``str`` is the text itself, whatever it holds.
 
     Raises:
         BadInput: the file cannot be read or is no parameter file; names file, line and key.
     """
     name, text = _text(source)
-    try:
-        root = _root(name, text)
-        if root is None:
-            raise BadInput(f"{name}: empty: expected a section 'NODE: {{{PARAMETERS_KEY}: ...}}'")
-        return name, list(_sections(name, root, ""))
-    except RecursionError as error:
-        raise BadInput(f"{name}: nested too deeply, or a group that holds itself by an alias") from error
+    root = composed(name, text)
+    if root is None:
+        raise BadInput(f"{name}: empty: expected a section 'NODE: {{{PARAMETERS_KEY}: ...}}'")
+    return name, list(_sections(name, root, ""))
 
 
 def read_plain_section(source: Path | str) -> tuple[str, Section]:
@@ -63,32 +63,22 @@ def read_plain_section(source: Path | str) -> tuple[str, Section]:
         BadInput: the file cannot be read or is no mapping; names file, line and key.
     """
     name, text = _text(source)
-    root = _root(name, text)
+    root = composed(name, text)
     if not isinstance(root, yaml.MappingNode):
         raise BadInput(f"{name}:1: expected 'name: value' entries, the file holds none")
     return name, Section("", dict(_parameters(name, root, "")))
 
 
 def _text(source: Path | str) -> tuple[str, str]:
-    if isinstance(source, str) and "\n" in source:
+    # A text, as an attachment of a bag, is never taken for the name of a file: it would read any file there is.
+    if isinstance(source, str):
         return "configuration", source
     try:
-        return str(source), Path(source).read_text(encoding="utf-8")
+        return str(source), source.read_text(encoding="utf-8")
     except OSError as error:
         raise BadInput(f"{source}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise BadInput(f"{source}: is not a text file (UTF-8): expected a ROS 2 parameter file") from error
-
-
-def _root(name: str, text: str) -> yaml.Node | None:
-    try:
-        return yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        where = f":{mark.line + 1}" if mark else ""
-        raise BadInput(f"{name}{where}: not YAML: {error.problem or error.context}") from error
-    except yaml.YAMLError as error:
-        raise BadInput(f"{name}: not YAML: {str(error).splitlines()[0]}") from error
 
 
 def _sections(name: str, node: yaml.Node, path: str, path_line: int = 1) -> Iterator[Section]:
@@ -161,10 +151,19 @@ def _value(name: str, node: yaml.Node, parameter: str) -> Any:
     if _BOOLEAN.fullmatch(text):
         return text.lower() in ("yes", "true", "on")
     if _INTEGER.fullmatch(text):
-        return int(text, 16) if "x" in text else int(text)
+        return _integer(text, where)
     if _FLOAT.fullmatch(text):
         return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
     return text
+
+
+def _integer(text: str, where: str) -> int:
+    """A number that ROS can hold; of thousands of digits not even the value is asked for."""
+    digits = text.lstrip("+-0x")
+    value = int(text, 16 if "x" in text else 10) if len(digits) <= _LONGEST_INTEGER else _FIRST_TOO_LARGE
+    if not -_FIRST_TOO_LARGE <= value < _FIRST_TOO_LARGE:
+        raise BadInput(f"{where} is a number of {len(digits)} digits: expected one of 64 bits")
+    return value
 
 
 def _kind(node: yaml.Node) -> str:

@@ -1,6 +1,6 @@
 """What a node saves for its next start: YAML that people can read, written atomically, with format and version."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,8 +11,11 @@ import yaml
 
 from ship_node.errors import BadInput
 from ship_node.files import DISK, Files
+from ship_node.yaml_text import plain_data
 
 _ROUNDING = 1e-6
+# Seconds of a stamp in a message are a signed 32-bit number.
+_END_OF_TIME_NS = 2**31 * 1_000_000_000
 
 Content = TypeVar("Content")
 
@@ -77,14 +80,15 @@ class SavedFormat:
 
     def _parsed(self, path: Path, content: bytes, read: Callable[[dict[str, Any]], Content]) -> Content:
         try:
-            document = yaml.safe_load(content.decode())
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise BadInput(f"{path}: not a YAML file: {' '.join(str(error).split())}") from error
+            document = plain_data(str(path), content.decode())
+        except UnicodeDecodeError as error:
+            raise BadInput(f"{path}: not a text in UTF-8: {error.reason} at byte {error.start}") from error
         article = "an" if self.what[0] in "aeiou" else "a"
         if not isinstance(document, dict) or document.get("format") != self.format:
             raise BadInput(f"{path}: not {article} {self.what}: expected 'format: {self.format}'")
         if document.get("version") != self.version:
-            raise BadInput(f"{path}: version {document.get('version')!r} of the {self.what}: expected {self.version}")
+            found = f"{document.get('version')!r:.40}"
+            raise BadInput(f"{path}: version {found} of the {self.what}: expected {self.version}")
         try:
             return read(document)
         except ValueError as error:
@@ -105,6 +109,29 @@ def section(document: dict[str, Any], key: str, read: Callable[[Any], Content]) 
         raise ValueError(f"'{key}': {error}") from error
 
 
+def stamp_ns(value: Any) -> int:
+    """A time in nanoseconds.
+
+    Raises:
+        ValueError: it is none that a message can carry.
+    """
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _END_OF_TIME_NS:
+        raise ValueError("expected a whole number of nanoseconds since 1970")
+    return value
+
+
+def texts(values: Mapping[Any, Any]) -> dict[str, str]:
+    """Texts by name.
+
+    Raises:
+        ValueError: one is a list or a group.
+    """
+    for name, value in values.items():
+        if isinstance(value, (list, dict)):
+            raise ValueError(f"{name} is a list or a group: expected a text")
+    return {str(name): str(value) for name, value in values.items()}
+
+
 def finite_numbers(values: dict[str, Any]) -> dict[str, float]:
     """Numbers by name.
 
@@ -112,8 +139,8 @@ def finite_numbers(values: dict[str, Any]) -> dict[str, float]:
         ValueError: one is NaN, infinite or no number.
     """
     for name, value in values.items():
-        if not np.isfinite(float(value)):
-            raise ValueError(f"{name} is {value}: expected a finite number")
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(float(value)):
+            raise ValueError(f"{name} is {value!r:.40}: expected a finite number")
     return {str(name): float(value) for name, value in values.items()}
 
 
@@ -123,6 +150,8 @@ def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float
     Raises:
         ValueError: wrong shape, not finite, not symmetric or not positive semidefinite.
     """
+    if not isinstance(rows, list):
+        raise ValueError(f"expected {size} x {size} finite numbers")
     covariance = np.array(rows, dtype=float)
     if covariance.shape != (size, size) or not np.all(np.isfinite(covariance)):
         raise ValueError(f"shape {covariance.shape}: expected {size} x {size} finite numbers")

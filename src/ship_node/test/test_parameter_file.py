@@ -29,7 +29,44 @@ def test_file_and_text_give_the_same(tmp_path):
     text = "ship:\n  ros__parameters:\n    gate: {probability: 0.9}\n"
     path = tmp_path / "suite.yaml"
     path.write_text(text)
-    assert load(path, "ship") == load(str(path), "ship") == load(text, "ship") == {"gate": {"probability": 0.9}}
+    assert load(path, "ship") == load(text, "ship") == {"gate": {"probability": 0.9}}
+
+
+def test_mend_25_a_text_is_never_taken_for_a_path(tmp_path):
+    """An attachment without a line break named any file, which was read, and its lines shown."""
+    (tmp_path / "secret").write_text("root: $6$hash\n")
+    with pytest.raises(BadInput) as caught:
+        load(str(tmp_path / "secret"), "ship")
+    assert "configuration:1: the file: expected 'name: value' entries" in str(caught.value)
+    assert "hash" not in str(caught.value)
+    assert load("ship: {ros__parameters: {a: 1}}", "ship") == {"a": 1}
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("\x00" * 5000, "configuration: not YAML"),
+        (f"ship: {{ros__parameters: {{a: {'9' * 5000}}}}}", "parameter 'a' is a number of 5000 digits"),
+        (f"ship: {{ros__parameters: {{a: -0x{'f' * 5000}}}}}", "parameter 'a' is a number of 5000 digits"),
+        (f"ship: {{ros__parameters: {{a: {2**63}}}}}", "parameter 'a' is a number of 19 digits: expected one of 64"),
+        ("ship:\n  ros__parameters:\n    a: " + "[" * 100_000, "configuration: nested too deeply"),
+        ("ship: {ros__parameters: " + "{a: " * 60 + "1" + "}" * 61, "configuration: nested too deeply"),
+        ("a: 1\n" * 1_000_000, "configuration: 5000000 characters: expected a text of at most"),
+        (
+            "a0: &a0 {x: 1}\n"
+            + "".join(f"a{n}: &a{n} {{{', '.join(f'k{k}: *a{n - 1}' for k in range(9))}}}\n" for n in range(1, 12))
+            + "ship: {ros__parameters: {x: *a11}}\n",
+            "configuration: its aliases unfold to more than 1000000 values",
+        ),
+    ],
+    ids=["NUL", "digits", "hexadecimal", "65 bits", "nested list", "nested groups", "long", "aliases"],
+)
+def test_mend_25_what_unfolds_without_end_is_one_line(text, complaint):
+    with pytest.raises(BadInput) as caught:
+        load(text, "ship")
+    assert complaint in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 200
 
 
 RUNS = "/ship", "/fleet/ship", "/fleet/blue/ship"

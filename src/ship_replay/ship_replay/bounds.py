@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from ship_node.yaml_text import composed, data_of
 from ship_replay.errors import BadInput
 
 SKIP_KEY = "skip_s"
@@ -56,17 +57,15 @@ def read_bounds(path: Path) -> Bounds:
         BadInput: names the file, the line, the key and what was expected.
     """
     try:
-        root = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+        root = composed(str(path), path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as problem:
         raise BadInput(f"{path}: cannot be read: {problem}") from problem
-    except yaml.YAMLError as problem:
-        raise BadInput(f"{path}: not YAML: {problem}") from problem
     if not isinstance(root, yaml.MappingNode):
         raise BadInput(f"{path}: expected lines such as 'fused.heading.rms_arcsec: {{max: 3.0}}'")
     skip_s, limits = 0.0, {}
     for key_node, value_node in root.value:
         key, where = str(key_node.value), f"{path}:{key_node.start_mark.line + 1}: '{key_node.value}'"
-        value = yaml.SafeLoader("").construct_object(value_node, deep=True)
+        value = data_of(str(path), value_node)
         if key in limits:
             raise BadInput(f"{where} was given before")
         if key == SKIP_KEY:
@@ -102,5 +101,5 @@ def _limits(value: Any, where: str) -> tuple[float, float]:
 
 def _number(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise BadInput(f"{where}: expected a number, got {value!r}")
+        raise BadInput(f"{where}: expected a number, got {value!r:.40}")
     return float(value)

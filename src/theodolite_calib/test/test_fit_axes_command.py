@@ -172,7 +172,7 @@ GOOD = "".join(ROW.format(number, 10.0 * number, 2.0 * number) for number in ran
             + "".join(f"{k},{9 * k},{8 * k},{30 + (-1) ** k * 9},{(-1) ** k * 7}\n" for k in range(1, 11)),
             "scatter by [0-9.]+ deg about any axis errors: expected offsets",
         ),
-        ("s.yaml", "sightings: [\n", "not a YAML file"),
+        ("s.yaml", "sightings: [\n", "not YAML"),
         ("s.yaml", "rows: []\n", "expected 'sightings:' with a list"),
         ("s.yaml", "sightings: [3]\n", "sighting 1: expected encoder_azimuth_deg, .* got 3"),
         ("s.yml", "sightings: [{encoder_azimuth_deg: 3.0}]\n", "sighting 1: columns missing: encoder_elevation_deg"),

@@ -7,7 +7,7 @@ import numpy as np
 
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.files import DISK, Files
-from ship_node.saved_document import SavedFormat, finite_numbers, joint_covariance, section
+from ship_node.saved_document import SavedFormat, finite_numbers, joint_covariance, section, stamp_ns
 from theodolite_calib.calibration import SAVED_NAMES, CalibrationPrior
 
 _SAVED = SavedFormat("optical_axis calibration", 1, "calibration")
@@ -59,7 +59,7 @@ def _prior(document: dict[str, Any]) -> CalibrationPrior:
     """What the document says; a ValueError names the section that cannot be used."""
     size = len(SAVED_NAMES)
     return CalibrationPrior(
-        time_ns=section(document, "time_ns", int),
+        time_ns=section(document, "time_ns", stamp_ns),
         serial=section(document, "serial", str),
         telescope_id=section(document, "telescope_id", str),
         values=section(document, "values", _values),
@@ -69,4 +69,9 @@ def _prior(document: dict[str, Any]) -> CalibrationPrior:
 
 def _values(given: dict[str, Any]) -> FloatArray:
     numbers = finite_numbers({key: given[key] for key in _KEYS.values()})
+    if not numbers[_KEYS["focal_length"]] > 0.0:
+        raise ValueError(f"{_KEYS['focal_length']} is {numbers[_KEYS['focal_length']]:g}: expected more than 0")
+    for key, number in numbers.items():
+        if key != _KEYS["focal_length"] and not abs(number) * ARCSEC <= np.pi:
+            raise ValueError(f"{key} is {number:g}: expected an angle within half a turn")
     return _UNITS * np.array(list(numbers.values()))

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from ship_node.errors import BadInput
+from ship_node.yaml_text import plain_data
 from theodolite_calib.axis_fit.sightings import Sightings, directions
 
 COLUMNS = {
@@ -72,17 +72,14 @@ def _csv_rows(path: Path, text: str) -> Iterator[_Row]:
 
 
 def _yaml_rows(path: Path, text: str) -> Iterator[_Row]:
-    try:
-        document = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise BadInput(f"{path}: not a YAML file: {' '.join(str(error).split())}") from error
+    document = plain_data(str(path), text)
     rows = document.get(_YAML_KEY) if isinstance(document, dict) else None
     if not isinstance(rows, list):
         raise BadInput(f"{path}: expected '{_YAML_KEY}:' with a list of sightings")
     for number, values in enumerate(rows, start=1):
         place = f"{path}: sighting {number}"
         if not isinstance(values, dict):
-            raise BadInput(f"{place}: expected {', '.join(COLUMNS)}, got {values!r}")
+            raise BadInput(f"{place}: expected {', '.join(COLUMNS)}, got {values!r:.40}")
         _refuse_missing(place, values)
         yield place, values
 
@@ -98,10 +95,10 @@ def _number(place: str, values: Mapping[str, Any], column: str) -> float:
     value = values[column]
     try:
         number = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise BadInput(f"{place}: {column} is {value!r}: expected a finite number of degrees")
+        raise BadInput(f"{place}: {column} is {value!r:.40}: expected a finite number of degrees")
     low, high = _ELEVATIONS_DEG
     if column == "encoder_elevation_deg" and not low <= number <= high:
         raise BadInput(f"{place}: {column} = {number:g} is out of its range [{low:g}, {high:g}] degrees")
