@@ -8,10 +8,10 @@ a chunk and once behind it, so that no single damage takes the meaning from the 
 
 import contextlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, TypeVar
+from typing import BinaryIO, NamedTuple, TypeVar
 
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
@@ -19,6 +19,7 @@ from mcap.records import Channel, Schema
 from ship_node.disk_sync import DiskSync
 from ship_node.errors import BadInput
 from ship_node.mcap_writer import McapWriter
+from ship_node.part_file import named, open_new, part_of
 
 SUITE_ATTACHMENT = "suite.yaml"
 """Name of the attachment that holds the suite's configuration."""
@@ -85,9 +86,9 @@ class CdrBagWriter:
         self.path = Path(path)
         self.message_count = self.whole_bytes = 0
         self._define = define
-        self._written_path = self.path.with_name(self.path.name + ".part") if atomic else self.path
+        self._written_path = part_of(self.path) if atomic else self.path
         try:
-            self._file = open(self._written_path, "xb" if exclusive else "wb")  # noqa: SIM115 - closed by close()
+            self._file = _opened(self._written_path, atomic, exclusive)
         except OSError as problem:
             raise BadInput(f"{self.path}: cannot be written: {problem.strerror}") from problem
         self._sync = DiskSync(self._file.fileno())
@@ -129,17 +130,22 @@ class CdrBagWriter:
         if sequence is None:
             sequence = self._sequences[channel_id] = self._sequences.get(channel_id, 0) + 1
         sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
-        self._writer.add_message(channel_id, log_time_ns, data, sent_ns, sequence)
+        try:
+            self._writer.add_message(channel_id, log_time_ns, data, sent_ns, sequence)
+        except OSError as problem:
+            raise named(problem, self.path) from problem
         self.message_count += 1
 
     def add_attachment(self, name: str, content: str | bytes, media_type: str = "application/yaml") -> None:
         """Attach a file."""
         data = content.encode() if isinstance(content, str) else content
-        self._writer.add_attachment(name, media_type, data)
+        with self._naming():
+            self._writer.add_attachment(name, media_type, data)
 
     def add_metadata(self, name: str, entries: dict[str, str]) -> None:
         """Add a metadata record."""
-        self._writer.add_metadata(name, entries)
+        with self._naming():
+            self._writer.add_metadata(name, entries)
 
     def flush(self) -> None:
         """Hand every message written so far to the system, so that it outlives this process, and begin to sync it.
@@ -147,41 +153,64 @@ class CdrBagWriter:
         Raises:
             OSError: it cannot be written, or the sync of an earlier flush failed.
         """
-        self._writer.flush()
-        self._repeat_definitions()
-        self._file.flush()
-        self._sync.request()
-        self.whole_bytes = self._file.tell()
+        with self._naming():
+            self._writer.flush()
+            self._repeat_definitions()
+            self._file.flush()
+            self._sync.request()
+            self.whole_bytes = self._file.tell()
 
     def close(self) -> None:
-        """Finish the file; with ``atomic`` it gets its name now."""
+        """Finish the file; with ``atomic`` it gets its name now, or where that fails nothing is left.
+
+        Raises:
+            OSError: it cannot be written.
+        """
         if self._file.closed:
             return
-        self._writer.finish()
-        self._file.flush()
-        self._sync.finish()
-        os.fsync(self._file.fileno())
-        self._file.close()
-        if self._written_path != self.path:
-            self._written_path.replace(self.path)
+        try:
+            with self._naming():
+                self._writer.finish()
+                self._file.flush()
+                self._sync.finish()
+                os.fsync(self._file.fileno())
+                if self._written_path != self.path:
+                    # Before it is closed: until then it is held against other programs.
+                    self._written_path.replace(self.path)
+                self._file.close()
+        except BaseException:
+            if self._written_path != self.path:
+                self.discard()
+            raise
 
     def discard(self) -> None:
         """Give up: an atomic writer leaves nothing behind, another what it wrote so far."""
-        self._writer.discard()
-        self._sync.finish()
-        self._file.close()
         if self._written_path != self.path:
             self._written_path.unlink(missing_ok=True)
+        self._release()
 
     def cut(self) -> None:
         """Give up after a failed write: what was written since the last :meth:`flush` is cut off."""
-        self._writer.discard()
-        self._sync.finish()
-        # Closing tries once more to write what is in the buffer, and fails again.
-        with contextlib.suppress(OSError):
-            self._file.close()
+        self._release()
         with contextlib.suppress(OSError):
             os.truncate(self._written_path, self.whole_bytes)
+
+    def _release(self) -> None:
+        """Close all that is open."""
+        # Closing tries once more to write what is in the buffers, and fails again on a full disk.
+        with contextlib.suppress(OSError):
+            self._writer.discard()
+        self._sync.finish()
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    @contextlib.contextmanager
+    def _naming(self) -> Iterator[None]:
+        """Give what the system refuses the name of the file."""
+        try:
+            yield
+        except OSError as problem:
+            raise named(problem, self.path) from problem
 
     def __enter__(self: Self) -> Self:
         return self
@@ -237,3 +266,9 @@ class CdrBagWriter:
             record.write(records)
         self._unrepeated.clear()
         self._file.write(records.end())
+
+
+def _opened(path: Path, atomic: bool, exclusive: bool) -> BinaryIO:
+    if atomic:
+        return open_new(path)
+    return open(path, "xb" if exclusive else "wb", opener=lambda name, flags: os.open(name, flags | os.O_NOFOLLOW))

@@ -9,6 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from ship_node.part_file import write_whole
+
+LONGEST_FILE_BYTES = 16_000_000
+"""A saved alignment or calibration has some ten thousand."""
+
 
 @dataclass(frozen=True)
 class FileUse:
@@ -43,18 +48,25 @@ class DiskFiles:
     """The files themselves."""
 
     def read(self, path: Path) -> bytes:
-        """See :meth:`Files.read`."""
-        return path.read_bytes()
+        """See :meth:`Files.read`; a file longer than anything that is saved is an OSError, too."""
+        with path.open("rb") as stream:
+            content = stream.read(LONGEST_FILE_BYTES + 1)
+        if len(content) > LONGEST_FILE_BYTES:
+            raise _plain(errno.EFBIG, path)
+        return content
 
     def write(self, path: Path, content: bytes) -> None:
         """See :meth:`Files.write`."""
-        partial = path.with_name(path.name + ".part")
         path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        partial.replace(path)
+        try:
+            write_whole(path, content)
+        except OSError as error:
+            raise _plain(error.errno or errno.EIO, path) from error
+
+
+def _plain(number: int, path: Path) -> OSError:
+    """The error as a replay of the black box will raise it, which knows only its number."""
+    return OSError(number, os.strerror(number), str(path))
 
 
 class NotedFiles:

@@ -16,6 +16,7 @@ from mcap.records import Attachment, Channel, Message
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 
+from ship_node.part_file import named, open_new
 from ship_replay.bag_file import McapFile, open_mcap
 from ship_replay.errors import BadInput
 from ship_replay.progress import with_bar
@@ -120,6 +121,8 @@ def _recover_file(
             part.replace(target)
             whole.counts.update(written.counts)
             whole.digests.update(written.digests)
+        except OSError as problem:
+            raise named(problem, target) from problem
         finally:
             part.unlink(missing_ok=True)
     finally:
@@ -133,7 +136,7 @@ def _rewrite(
     """Write all that can be read into a new file, messages in the order in which they lay."""
     tally, information, unknown = _Tally(), FileInformation(name), 0
     try:
-        stream = open(part, "xb")  # noqa: SIM115 - in the with statement below
+        stream = open_new(part)
     except OSError as problem:
         raise BadInput(f"{part}: cannot be written: {problem.strerror}") from problem
     with stream:

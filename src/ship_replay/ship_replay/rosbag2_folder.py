@@ -8,6 +8,10 @@ from typing import Any
 
 import yaml
 
+from ship_node.part_file import write_whole
+from ship_node.yaml_text import plain_data
+from ship_replay.errors import BadInput
+
 INFORMATION_FILE = "metadata.yaml"
 _VERSION = 9
 _ROS_DISTRO = "jazzy"
@@ -46,16 +50,7 @@ def write_information(folder: Path, files: Sequence[FileInformation], topics: Se
     Raises:
         OSError: it cannot be written; the former one stays.
     """
-    path = folder / INFORMATION_FILE
-    part = path.with_name(path.name + ".part")
-    try:
-        with open(part, "w", encoding="utf-8") as file:
-            yaml.safe_dump(_information(files, topics), file, sort_keys=False)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    write_whole(folder / INFORMATION_FILE, yaml.safe_dump(_information(files, topics), sort_keys=False))
     _sync_folder(folder)
 
 
@@ -82,7 +77,7 @@ def _information(files: Sequence[FileInformation], topics: Sequence[TopicInforma
                     "name": topic.name,
                     "type": topic.type_name,
                     "serialization_format": "cdr",
-                    "offered_qos_profiles": yaml.safe_load(topic.qos_profiles) or [],
+                    "offered_qos_profiles": _offers(topic.qos_profiles),
                     "type_description_hash": topic.type_hash,
                 },
                 "message_count": topic.message_count,
@@ -100,6 +95,15 @@ def _information(files: Sequence[FileInformation], topics: Sequence[TopicInforma
         "ros_distro": _ROS_DISTRO,
     }
     return {"rosbag2_bagfile_information": information}
+
+
+def _offers(text: str) -> list[Any]:
+    """The quality of service that a channel notes; none where a damaged bag notes something else."""
+    try:
+        offers = plain_data("offered_qos_profiles", text)
+    except BadInput:
+        return []
+    return offers if isinstance(offers, list) else []
 
 
 def _span(start_ns: int | None, end_ns: int | None) -> dict[str, dict[str, int]]:
