@@ -12,10 +12,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import yaml
 from mcap.records import Message
 from rosbags.typesys.store import Typestore
 
+from ship_node.errors import one_line
+from ship_node.yaml_text import plain_data
 from ship_replay.bag_file import ChunkPlace, McapFile, open_mcap
 from ship_replay.errors import BadInput
 from ship_replay.message_store import message_store, store_with_definitions
@@ -24,6 +25,13 @@ from ship_replay.times import utc_text
 # A name since rosbag2's metadata version 9, a number before.
 _LATCHED = re.compile(r"durability: (transient_local|1)\b")
 _FOLDER_INFORMATION = "metadata.yaml"
+_INFORMATION_KEY = "rosbag2_bagfile_information"
+
+MAX_HELD_MB = 512
+"""So much of a bag is held at once. Of an ordinary one it is a chunk or two: others begin when these have ended."""
+
+_RECORD_BYTES = 250
+"""What a message takes in memory besides its bytes."""
 
 
 @dataclass(slots=True)
@@ -104,7 +112,7 @@ class Bag:
         lines = [problem for file in self._files for problem in file.problems]
         lines += [f"{name}: topic '{topic}' is skipped: {why}" for topic, why in self.skipped_topics.items()]
         lines += [f"{name}: {line}" for line in sorted({line for part in self.differences.values() for line in part})]
-        return lines
+        return [one_line(line) for line in lines]
 
     def records(self, topics: Collection[str] | None = None) -> Iterator[BagRecord]:
         """Messages in order of log time, those of equal time in the order of the files.
@@ -120,6 +128,11 @@ class Bag:
         waiting: list[tuple[int, int, BagRecord]] = []
         for number, (order, file_number, place) in enumerate(places):
             waiting.extend(self._chunk_records(order, file_number, place, channels[file_number]))
+            if sum(len(record.data) + _RECORD_BYTES for _, _, record in waiting) > MAX_HELD_MB * 1_000_000:
+                raise BadInput(
+                    f"{self._files[file_number].path}: the chunk at byte {place.offset} and those that overlap it in "
+                    f"time hold more than {MAX_HELD_MB} MB"
+                )
             # Order in the file settles equal times and is unique, so records themselves are never compared.
             waiting.sort(key=lambda entry: entry[:2])
             last = number + 1 == len(places)
@@ -233,16 +246,34 @@ def _parts(path: Path) -> list[Path]:
     information_path = path / _FOLDER_INFORMATION
     if not information_path.is_file():
         raise BadInput(f"{path}: the folder has no {_FOLDER_INFORMATION}: give one of its .mcap files instead")
+    return [path / name for name in _file_names(information_path)]
+
+
+def _file_names(information_path: Path) -> list[str]:
+    """The files that an information file names, all of them in its own folder."""
     try:
-        information = yaml.safe_load(information_path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-        storage, names = information["storage_identifier"], list(information["relative_file_paths"])
-        compression = information.get("compression_mode") or ""
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as problem:
-        raise BadInput(f"{information_path}: not the information file of a rosbag2 bag ({problem!r})") from problem
+        document = plain_data(str(information_path), information_path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as problem:
+        raise BadInput(f"{information_path}: cannot be read: {problem}") from problem
+    information = document.get(_INFORMATION_KEY) if isinstance(document, dict) else None
+    if not isinstance(information, dict):
+        raise BadInput(f"{information_path}: not the information file of a rosbag2 bag: it has no {_INFORMATION_KEY}")
+    storage, compression = information.get("storage_identifier"), information.get("compression_mode")
     if storage != "mcap":
-        raise BadInput(f"{information_path}: storage_identifier is '{storage}': expected mcap (ros2 bag convert)")
-    if compression.lower() not in ("", "none"):
-        raise BadInput(f"{information_path}: compression_mode is '{compression}': unpack the bag's files first")
-    if not names:
+        raise BadInput(
+            f"{information_path}: storage_identifier is '{storage!s:.40}': expected mcap (ros2 bag convert)"
+        )
+    if compression is not None and str(compression).lower() not in ("", "none"):
+        raise BadInput(
+            f"{information_path}: compression_mode is '{compression!s:.40}': unpack the bag's files first"
+        )
+    names = information.get("relative_file_paths")
+    if not isinstance(names, list) or not names:
         raise BadInput(f"{information_path}: relative_file_paths names no file")
-    return [path / name for name in names]
+    for name in names:
+        # Another folder's file is not of this bag, whoever wrote this.
+        if not isinstance(name, str) or "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
+            raise BadInput(
+                f"{information_path}: relative_file_paths: '{name!s:.80}' is no file of this folder"
+            )
+    return names

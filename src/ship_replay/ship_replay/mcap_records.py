@@ -3,9 +3,11 @@
 import io
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import BinaryIO, TypeVar
 
+import lz4.frame
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Chunk, McapRecord, Message
@@ -16,6 +18,15 @@ COMPRESSIONS = ("", "zstd", "lz4")
 
 HEADER = struct.Struct("<BQ")
 """Opcode and length, before the body of each record."""
+
+MAX_CHUNK_MB = 256
+"""So much a chunk may hold, before compression. Writers make chunks of a few megabytes."""
+
+MAX_CHUNK_RECORDS = 1_000_000
+"""So many records: one without content takes twenty times its bytes in memory."""
+
+_BYTES_PER_MB = 1_000_000
+_MAX_CHUNK_BYTES = MAX_CHUNK_MB * _BYTES_PER_MB
 
 Result = TypeVar("Result")
 
@@ -85,7 +96,8 @@ class RecordFile:
         chunk = _guarded(lambda: parsed(Chunk.read, record[1]))
         if chunk.compression not in COMPRESSIONS:
             raise DamagedChunk(f"compression {chunk.compression!r} is unknown")
-        records = _guarded(lambda: breakup_chunk(chunk, validate_crc=True))
+        content = _unfolded(chunk)
+        records = _guarded(lambda: breakup_chunk(replace(chunk, data=content, compression=""), validate_crc=True))
         times = [record.log_time for record in records if isinstance(record, Message)]
         if check_times and times and (min(times) < place.start_ns or max(times) > place.end_ns):
             raise DamagedChunk("its header has other times than its messages")
@@ -104,6 +116,45 @@ class RecordFile:
 def parsed(read: Callable[[ReadDataStream], Result], body: bytes) -> Result:
     """A record from its body, by the ``read`` of its class."""
     return read(ReadDataStream(io.BytesIO(body)))
+
+
+def _unfolded(chunk: Chunk) -> bytes:
+    """Content of a chunk; what its header and the compressed bytes say of its size is not believed.
+
+    Raises:
+        DamagedChunk: it cannot be decompressed, or holds more than it may.
+    """
+    if chunk.uncompressed_size > _MAX_CHUNK_BYTES:
+        size_mb = chunk.uncompressed_size / _BYTES_PER_MB
+        raise DamagedChunk(f"it says that it unfolds to {size_mb:.0f} MB: at most {MAX_CHUNK_MB} are taken")
+    content = _guarded(lambda: _decompressed(chunk.compression, chunk.data))
+    if len(content) > _MAX_CHUNK_BYTES:
+        raise DamagedChunk(f"it unfolds to more than {MAX_CHUNK_MB} MB")
+    if chunk.uncompressed_crc == 0 and len(content) != chunk.uncompressed_size:
+        # Compressed bytes that are cut end without an error; a checksum would tell.
+        raise DamagedChunk(f"it unfolds to {len(content)} bytes and says {chunk.uncompressed_size}")
+    if _record_count(content) > MAX_CHUNK_RECORDS:
+        raise DamagedChunk(f"it holds more than {MAX_CHUNK_RECORDS} records")
+    return content
+
+
+def _decompressed(compression: str, data: bytes) -> bytes:
+    """Content of compressed bytes, up to one byte more than a chunk may hold."""
+    if compression == "zstd":
+        with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+            return stream.read(_MAX_CHUNK_BYTES + 1)
+    if compression == "lz4":
+        return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=_MAX_CHUNK_BYTES + 1)
+    return data
+
+
+def _record_count(content: bytes) -> int:
+    """Records by their lengths, counted no further than one too many."""
+    count = offset = 0
+    while offset + HEADER.size <= len(content) and count <= MAX_CHUNK_RECORDS:
+        offset += HEADER.size + HEADER.unpack_from(content, offset)[1]
+        count += 1
+    return count
 
 
 def _guarded(parse: Callable[[], Result]) -> Result:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ship_replay.errors import BadInput
@@ -95,7 +95,8 @@ def store_with_definitions(definitions: Mapping[str, str], bag_name: str) -> tup
     store = Typestore()
     try:
         store.register(embedded)
-    except TypesysError as problem:
+    except Exception as problem:
+        # A bag may define anything: the store fails over it in any way.
         raise BadInput(f"{bag_name}: its message definitions disagree: {problem}") from problem
     return store, differences
 
@@ -163,7 +164,8 @@ def _integer_from_byte(value: int | bytes) -> int:
 def _parse(text: str, type_name: str, source: str) -> Any:
     try:
         return get_types_from_msg(text, type_name)
-    except TypesysError as problem:
+    except Exception as problem:
+        # Any text may stand there: the parser fails over it in any way.
         raise BadInput(f"{source}: definition of {type_name} cannot be parsed: {problem}") from problem
 
 

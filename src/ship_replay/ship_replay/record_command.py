@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ship_node.errors import one_line
 from ship_replay.bag_writer import BagWriter
 from ship_replay.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser
 from ship_replay.errors import BadInput
@@ -92,7 +93,7 @@ def _recover(sources: list[Path], target: Path | None) -> int:
         try:
             recovery = recover(source, recovered_path(source) if target is None else target)
         except (BadInput, OSError) as problem:
-            print(f"record: {' '.join(str(problem).split())}", file=sys.stderr)
+            print(f"record: {one_line(str(problem))}", file=sys.stderr)
             exit_code = EXIT_BAD_INPUT
             continue
         for problem in recovery.problems:
