@@ -1,4 +1,4 @@
-"""Writes the records of an MCAP file, byte for byte as the mcap project's own writer does.
+"""Writes the records of an MCAP file, byte for byte as the mcap project's own writer does when it ends its chunks so.
 
 That one keeps an object for every chunk until the end, and takes several times as long for a message. A black box or a
 recorder begins fifteen chunks a second, for weeks, beside an estimator that needs the processor.
@@ -33,6 +33,9 @@ from mcap.records import (
 
 CHUNK_BYTES = 1024 * 1024
 """A chunk ends when it is longer, before compression."""
+
+CHUNK_NS = 1_000_000_000
+"""A chunk ends before its messages lie further apart in log time: so much is lost by one wrong bit."""
 
 _MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -86,7 +89,11 @@ class McapWriter:
     def add_message(
         self, channel_id: int, log_time_ns: int, data: bytes, publish_time_ns: int, sequence: int
     ) -> None:
-        """Add a message to the chunk."""
+        """Add a message to the chunk, or to a new one where it lies too far from the others in time."""
+        if self._start_ns is not None and (
+            log_time_ns - self._start_ns > CHUNK_NS or self._end_ns - log_time_ns > CHUNK_NS
+        ):
+            self._end_chunk()
         entries = self._indexes.get(channel_id)
         if entries is None:
             entries = self._indexes[channel_id] = bytearray()

@@ -36,6 +36,7 @@ from ship_node.black_box_format import (
 from ship_node.diagnostics import Level
 from ship_node.errors import BadInput
 from ship_node.files import NotedFiles
+from ship_node.mcap_writer import CHUNK_BYTES
 from ship_node.message_factory import RosidlFactory
 from ship_node.parameter_file import load_config
 from ship_node.parameter_text import parameter_text
@@ -97,6 +98,18 @@ def test_the_file_keeps_the_order_of_use_when_the_clock_goes_back(tmp_path: Path
         ("ins/imu", b"second", 5 * SECOND_NS),
         (EVENTS_TOPIC, Closed(), 5 * SECOND_NS),
     ]
+
+
+def test_mend_26_a_message_larger_than_a_chunk_and_a_clock_that_goes_back(tmp_path: Path) -> None:
+    """Between two flushes: the order of use is that of the file, whatever the chunks are."""
+    box = new_box(tmp_path / "box.mcap")
+    given = []
+    for number, time_s in enumerate([20, 20, 25, 3, 3, 25, 4000, 2]):
+        data = bytes([number]) * (2 * CHUNK_BYTES if number in (1, 4) else 20)
+        box.put("ins/imu", data, time_s * SECOND_NS)
+        given.append(("ins/imu", data, time_s * SECOND_NS))
+    box.close()
+    assert entries(tmp_path / "box.mcap")[:-1] == given
 
 
 def test_what_comes_before_the_first_time_gets_the_first_time(tmp_path: Path) -> None:

@@ -1,16 +1,22 @@
 """What the writer promises: the same bytes each time, whole files only, readable by others."""
 
 import json
+import random
+import struct
 
 import pytest
 import yaml
-from hand_made_bags import FACTORY, START_NS, imu, vector, write_imu_bag
+from hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, vector, write_imu_bag
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from ship_node.mcap_writer import CHUNK_BYTES
 from ship_replay.bag_reader import read_bag
 from ship_replay.bag_writer import BagWriter
 from ship_replay.errors import BadInput
+from ship_replay.recover import recover
+
+HOUR_NS = 3_600_000_000_000
 
 
 def test_same_calls_same_bytes(tmp_path):
@@ -43,6 +49,44 @@ def test_flushed_messages_can_be_read_while_the_bag_is_still_open(tmp_path):
     with read_bag(path) as running:
         assert sum(1 for _ in running.records()) == 10
     bag.close()
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_mend_26_a_flipped_bit_in_a_bag_that_was_never_flushed_costs_a_second(tmp_path, seed):
+    """Such as a simulated one: all of its ten seconds fit into one chunk."""
+    data = bytearray(write_imu_bag(tmp_path / "voyage.mcap", count=1000).read_bytes())
+    draw = random.Random(seed)
+    data[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
+    (tmp_path / "voyage.mcap").write_bytes(data)
+    with read_bag(tmp_path / "voyage.mcap") as bag:
+        found = {record.log_time_ns for record in bag.records()}
+        problems = bag.problems
+    lost = sorted(set(range(START_NS, START_NS + 1000 * PERIOD_NS, PERIOD_NS)) - found)
+    assert not lost or (lost[-1] - lost[0] <= 1_000_000_000 and problems)
+
+
+@pytest.mark.parametrize("finished", [False, True], ids=["killed", "finished"])
+def test_mend_26_a_recording_takes_a_clock_that_steps_back_and_a_message_larger_than_a_chunk(tmp_path, finished):
+    """In the order in which it came, and by ordinary reading in order of log time; recovered, it is the same."""
+    bag = BagWriter(tmp_path / "voyage.mcap", atomic=False)
+    log_times = [*range(0, 3 * HOUR_NS, HOUR_NS // 2), *range(0, 3 * HOUR_NS, HOUR_NS // 2), 10 * HOUR_NS]
+    for number, time_ns in enumerate(log_times):
+        size = 3 * CHUNK_BYTES if number in (4, 9) else 50
+        bag.write_raw("topic", "std_msgs/msg/String", struct.pack("<I", number) + bytes(size), START_NS + time_ns)
+        if number % 5 == 4:
+            bag.flush()
+    bag.flush()
+    path = tmp_path / "copy.mcap"
+    path.write_bytes((tmp_path / "voyage.mcap").read_bytes())
+    bag.close()
+    recovery = recover(path, tmp_path / "whole.mcap")
+    assert recovery.counts.total() == len(log_times)
+    for name in ("whole.mcap", "voyage.mcap" if finished else "copy.mcap"):
+        with read_bag(tmp_path / name) as read:
+            in_file = [(record.log_time_ns - START_NS, record.data[0]) for record in read.records_in_file_order()]
+            in_time = [(record.log_time_ns - START_NS, record.data[0]) for record in read.records()]
+        assert in_file == [(time_ns, number) for number, time_ns in enumerate(log_times)]
+        assert in_time == sorted(in_file)
 
 
 def test_another_type_on_a_topic_is_refused(tmp_path):
