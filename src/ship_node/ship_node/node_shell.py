@@ -18,6 +18,7 @@ from ship_node.errors import BadInput
 from ship_node.live_node import LiveNode
 from ship_node.message_factory import RosidlFactory
 from ship_node.parameter_file import read_whatever_fits
+from ship_node.security import require_demanded_security
 from ship_node.usage import usage_text
 
 EXIT_DONE, EXIT_BAD_INPUT = 0, 2
@@ -69,6 +70,7 @@ def _start(adapter_class: type[Adapter], arguments: list[str], context: Context)
     for path in files:
         # rcl reads them too, but cannot say what is wrong in which line.
         read_whatever_fits(path, adapter_class.node_name)
+    require_demanded_security()
     # The signals are ours: spin ends between two callbacks, and the node goes in order.
     rclpy.init(args=program + arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
     unknown = remove_ros_args(program + arguments)[1:]

@@ -121,8 +121,8 @@ def _record(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         duration_s=parsed.duration_s,
         until_idle_s=parsed.until_idle_s,
     )
-    bag = _opened(parsed)
     with command_node("record", ros_arguments, parsed.use_sim_time) as node:
+        bag = _opened(parsed)
         recorder = Recorder(node, bag, options)
         on_end_signals(recorder.stop)
         print(f"record: recording to {parsed.out}", flush=True)

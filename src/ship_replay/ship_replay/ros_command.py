@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
+from ship_node.security import require_demanded_security
 from ship_replay.command_line import CommandParser, run_command
 
 
@@ -51,7 +52,12 @@ def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]
 
 @contextlib.contextmanager
 def command_node(name: str, ros_arguments: list[str], use_sim_time: bool = False) -> Iterator[Node]:
-    """The node of a command; ROS leaves the signals alone and ends with it."""
+    """The node of a command; ROS leaves the signals alone and ends with it.
+
+    Raises:
+        BadInput: DDS security is demanded and not there.
+    """
+    require_demanded_security()
     rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         overrides = [Parameter("use_sim_time", value=True)] if use_sim_time else []

@@ -13,6 +13,7 @@ import pytest
 from mcap.writer import Writer
 from rosbags.typesys import get_types_from_msg
 
+from ship_node.security import dds_has_security, loaded_libraries
 from ship_replay.bag_reader import read_bag
 from ship_replay.bag_writer import BagWriter
 from ship_replay.live_graph import GraphObserver
@@ -358,6 +359,19 @@ def test_record_refuses_in_one_line(live, tmp_path, options, expected):
     assert len(lines) == 1, lines
     assert expected in lines[0]
     assert (tmp_path / "there.mcap").read_bytes() == before
+
+
+@pytest.mark.parametrize("command", [[*PLAY, "in.mcap"], [*RECORD, "--out", "out.mcap"]], ids=["play", "record"])
+def test_mend_19_play_and_record_refuse_to_run_unprotected(live, tmp_path, command):
+    if dds_has_security(loaded_libraries()):
+        pytest.skip("this DDS has security: they then start, or refuse for want of keys")
+    make_bag(tmp_path / "in.mcap", 1)
+    live.environment |= {"ROS_SECURITY_ENABLE": "TRUE", "ROS_SECURITY_STRATEGY": "Permissive"}
+    process = live.start(*command[:-1], str(tmp_path / command[-1]))
+    assert process.wait(30) == 2
+    (line,) = process.log().splitlines()
+    assert line.split(": ")[1].startswith("ROS_SECURITY_ENABLE=TRUE demands DDS security")
+    assert not (tmp_path / "out.mcap").exists()
 
 
 def test_a_killed_recorder_has_everything_but_its_last_flush_period(live, tmp_path):

@@ -1,0 +1,67 @@
+"""DDS security that is demanded and not there: nothing starts."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ship_node.errors import BadInput
+from ship_node.security import ENABLE, STRATEGY, dds_has_security, is_demanded, loaded_libraries, spelled_demand
+
+RELAY = [sys.executable, str(Path(__file__).with_name("relay_adapter.py"))]
+WITHOUT = b"\x00_ZN15MessageReceiver37process_data_message_without_securityEb\x00"
+WITH = WITHOUT + b"\x00_ZN15MessageReceiver34process_data_message_with_securityEb\x00"
+
+
+def library(folder: Path, content: bytes, name: str = "libfastrtps.so.2.14") -> list[Path]:
+    path = folder / name
+    path.write_bytes(b"\x7fELF" + content)
+    return [folder / "not_looked_at.so", path]
+
+
+def test_mend_19_security_is_told_by_what_the_library_exports(tmp_path: Path) -> None:
+    assert dds_has_security(library(tmp_path, WITHOUT)) is False
+    assert dds_has_security(library(tmp_path, WITH)) is True
+    assert dds_has_security(library(tmp_path, b"neither")) is None
+    assert dds_has_security(library(tmp_path, WITH, "libddsc.so.0")[:1]) is None
+
+
+def test_mend_19_the_installed_dds_says_what_its_headers_say() -> None:
+    """Over a Jazzy installation of Ubuntu it has security, in the wheels it has not: told either way."""
+    assert dds_has_security(loaded_libraries()) is not None
+
+
+@pytest.mark.parametrize("spelling", ["", " ", "false", "False", "FALSE", "0", "no", "off"])
+def test_what_is_clearly_no_demands_nothing(spelling: str) -> None:
+    assert not is_demanded({ENABLE: spelling, STRATEGY: "Enforce"})
+    assert not is_demanded({STRATEGY: "Enforce"})
+
+
+@pytest.mark.parametrize("strategy", ["", "Permissive", "Enforce", "enforce", "nonsense"])
+@pytest.mark.parametrize("spelling", ["true", "TRUE", "True", "1", "yes", "on", " true ", "2", "ture"])
+def test_mend_19_every_spelling_that_is_not_clearly_no_is_a_demand(spelling: str, strategy: str) -> None:
+    demand = {ENABLE: spelling, STRATEGY: strategy}
+    assert is_demanded(demand)
+    with pytest.raises(BadInput, match=r"demands DDS security, and the DDS of this installation was built without it"):
+        spelled_demand(demand, has_security=False)
+    enforced = strategy in ("Enforce", "enforce")
+    # ROS takes only these spellings for a demand.
+    spelled = {ENABLE: "true", STRATEGY: "Enforce"} if enforced else {ENABLE: "true"}
+    assert spelled_demand(demand, has_security=True) == spelled
+    if enforced:
+        assert spelled_demand(demand, has_security=None) == spelled
+    else:
+        with pytest.raises(BadInput, match=r"cannot be told: set ROS_SECURITY_STRATEGY=Enforce"):
+            spelled_demand(demand, has_security=None)
+
+
+@pytest.mark.parametrize(("spelling", "strategy"), [("true", "Permissive"), ("1", "Enforce"), ("true", "Enforce")])
+def test_mend_19_a_node_refuses_in_one_line(spelling: str, strategy: str) -> None:
+    if dds_has_security(loaded_libraries()):
+        pytest.skip("this DDS has security: it then starts, or refuses for want of keys")
+    environment = os.environ | {ENABLE: spelling, STRATEGY: strategy}
+    result = subprocess.run(RELAY, capture_output=True, text=True, timeout=60, check=False, env=environment)
+    assert (result.returncode, result.stderr.count("\n")) == (2, 1), result.stderr
+    assert result.stderr.startswith(f"relay: {ENABLE}={spelling} demands DDS security")
