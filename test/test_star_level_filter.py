@@ -59,6 +59,28 @@ def test_the_fused_attitude_is_as_good_as_it_says(runs):
     assert low <= np.mean([final_nees(run) for run in runs]) <= high
 
 
+def streaked(exposure_s: float) -> list[SimulatedRun]:
+    """The reference case with exposures of some length: its ship rolls 4° in 11 s."""
+    scenario = short()
+    sensors = {id_: replace(star, exposure_s=exposure_s) for id_, star in scenario.star_sensors.items()}
+    return [simulate(replace(scenario, star_sensors=sensors), seed) for seed in range(SEEDS)]
+
+
+def nobody_told_the_length(run: SimulatedRun) -> SimulatedRun:
+    """The same run, its exposures without their length."""
+    stars = {id_: replace(said, stars=replace(said.stars, length=None)) for id_, said in run.stars.items()}
+    return replace(run, stars=stars)
+
+
+@pytest.mark.parametrize("exposure_s", [0.1, 0.2])
+def test_mend_09_with_streaks_the_fused_attitude_is_as_good_as_it_says(exposure_s):
+    runs = streaked(exposure_s)
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low <= np.mean([final_nees(run) for run in runs]) <= high
+    few = [final_nees(nobody_told_the_length(run)) for run in runs[:3]]
+    assert np.mean(few) > mean_nees_band(len(few), 3)[1]
+
+
 class SkyWithoutRefraction(Sky):
     """Stars where they would be seen without air."""
 

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from ship_attitude_star.inertial_attitude import InertialAttitude, in_horizon
 from ship_attitude_star.measurement_models import PredictedAttitude, attitude_measurement
 from ship_attitude_star.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement, Measurement
@@ -72,7 +70,7 @@ def compare(
         return stars
     rotation_ns = predicted.rotation_nv if stars.rotation_ns is None else stars.rotation_ns
     return Compared(
-        stars.residual, stars.jacobian, np.diag(stars.noise), stars.components, rotation_ns, stars.refused
+        stars.residual, stars.jacobian, stars.noise, stars.components, rotation_ns, stars.refused
     )
 
 

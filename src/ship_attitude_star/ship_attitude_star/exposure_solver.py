@@ -1,7 +1,7 @@
 """Exposures against the sky: the attitude of one sensor, and of the deck by several."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import numpy as np
@@ -28,12 +28,14 @@ class Sighting:
         exposure: the stars that can be used.
         stars: the same, in the sensor frame; None where there was no sky to compare them with.
         refused: stars that had no part in the solution of the sensor.
-        used: stars that had, shape (k,); None where there was none.
+        turn_variance: of an error of all its directions alike, left by the correction for the length of the exposure,
+            each axis, rad².
     """
 
     exposure: StarExposure
     stars: SightedStars | None
     refused: tuple[RefusedStar, ...]
+    turn_variance: float = 0.0
 
     @property
     def source(self) -> str:
@@ -62,7 +64,11 @@ class Mounted:
 
 
 def solve_exposure(
-    exposure: StarExposure, refused: tuple[RefusedStar, ...], prior: AttitudePrior | None, watch: SkyWatch
+    exposure: StarExposure,
+    refused: tuple[RefusedStar, ...],
+    prior: AttitudePrior | None,
+    watch: SkyWatch,
+    turn_variance: float = 0.0,
 ) -> tuple[Sighting, Solved]:
     """The attitude of a sensor by one exposure.
 
@@ -71,6 +77,7 @@ def solve_exposure(
         refused: stars that were refused before.
         prior: attitude of the sensor that helps to choose.
         watch: the sky.
+        turn_variance: of an error of all directions alike, new at each exposure, each axis, rad².
     """
     sensor_id, time_ns = exposure.source.partition(".")[2], exposure.time_ns
     refusal = watch.reason_against(time_ns)
@@ -80,11 +87,15 @@ def solve_exposure(
     exposure, stars, invisible = visible_stars(exposure, watch, prior)
     refused += tuple(RefusedStar(exposure.source, time_ns, name, reason) for name, reason in invisible)
     solution, text = _solved(stars, prior)
+    if turn_variance > 0.0:
+        parts_n = solution.parts_n.copy()
+        parts_n[0] += turn_variance * np.eye(3)
+        solution = replace(solution, parts_n=parts_n)
     sighting = Sighting(exposure, stars, refused)
     rejected = _rejected(solution, [Mounted(sighting, np.eye(3), np.zeros((3, 3)))])
     sources = (exposure.source,) if solution.status is not SolutionStatus.INVALID else ()
     solved = Solved(sensor_id, time_ns, solution, refused + tuple(rejected), sources, text)
-    return Sighting(exposure, stars, solved.refused), solved
+    return Sighting(exposure, stars, solved.refused, turn_variance), solved
 
 
 def solve_deck(
@@ -141,6 +152,19 @@ def _in_deck(group: Sequence[Mounted], sensors: dict[str, ObservingSensorConfig]
         shared_n=np.concatenate([s.shared_n for s in stars]),
         sensor=np.repeat(np.arange(len(stars)), [len(s) for s in stars]),
         mounting_b=mounting_b,
+        smear_b=_smear_in_deck(stars, group),
+    )
+
+
+def _smear_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> FloatArray | None:
+    """What streaks add to the errors of all stars, in the deck frame, rad², shape (k, 3, 3); None where none does."""
+    if all(s.smear_b is None for s in stars):
+        return None
+    return np.concatenate(
+        [
+            np.zeros((len(s), 3, 3)) if s.smear_b is None else m.rotation_ds @ s.smear_b @ m.rotation_ds.T
+            for s, m in zip(stars, group, strict=True)
+        ]
     )
 
 

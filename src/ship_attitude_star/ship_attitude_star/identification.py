@@ -43,7 +43,8 @@ def identified(
     candidates, reference_n = candidates[apparent.visible], apparent.direction_n[apparent.visible]
     seen_n = exposure.directions_s[rows] @ prior.rotation_nb.T
     variance = exposure.sigma[rows, None] ** 2 + catalogue.position_sigma[candidates] ** 2
-    close = _mahalanobis(seen_n, reference_n, variance, prior) < chi_square_gate(GATE_PROBABILITY, 2)
+    smear_n = None if exposure.smear_s is None else prior.rotation_nb @ exposure.smear_s[rows] @ prior.rotation_nb.T
+    close = _mahalanobis(seen_n, reference_n, variance, smear_n, prior) < chi_square_gate(GATE_PROBABILITY, 2)
     unlike = np.abs(exposure.magnitude[rows, None] - catalogue.magnitude[candidates]) > MAGNITUDE_TOLERANCE
     close &= ~unlike
     # A star that two detections claim is nobody's, and one that has its detection is no other's: none counts twice.
@@ -72,14 +73,18 @@ def _in_field(directions_s: FloatArray, time_ns: int, prior: AttitudePrior, watc
     return bright[watch.bright_directions @ centre_c > np.cos(radius)]
 
 
-def _mahalanobis(seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, prior: AttitudePrior) -> FloatArray:
+def _mahalanobis(
+    seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: AttitudePrior
+) -> FloatArray:
     """Distance² of each detection to each candidate under the prior's error, shape (k, c)."""
     basis = across(seen_n)
     left = np.einsum("kij,kcj->kci", basis, reference_n - seen_n[:, None, :])
     turned = basis @ skew(seen_n)
-    covariance = (turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2))[:, None]
+    covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
+    if smear_n is not None:
+        covariance += basis @ smear_n @ np.swapaxes(basis, -1, -2)
     near = np.einsum("cj,kj->kc", reference_n, seen_n) > 0.0
-    return np.where(near, distance(left, covariance + variance[..., None, None] * np.eye(2)), np.inf)
+    return np.where(near, distance(left, covariance[:, None] + variance[..., None, None] * np.eye(2)), np.inf)
 
 
 def _why_not(seen_n: FloatArray, reference_n: FloatArray, found: int) -> Refusal:

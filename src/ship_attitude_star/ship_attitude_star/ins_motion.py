@@ -7,6 +7,7 @@ from ship_attitude_star.stream_guards import StreamGuards
 from ship_estimation.ins_config import InsInputConfig
 from ship_estimation.refusals import Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
+from ship_geometry.exposure_mean import Nodes, Turning, turning_over
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _SECOND_NS = 1_000_000_000
@@ -55,12 +56,12 @@ class InsMotion:
             self._track.insert(sample)
         return refusal
 
-    def awaited(self, time_ns: int) -> bool:
-        """Whether a sample still to come may tell the attitude at a moment."""
+    def awaited(self, time_ns: int, reach_ns: int = 0) -> bool:
+        """Whether a sample still to come may tell the attitude at a moment and as long after it."""
         newest, stamp_ns = self._track.newest, time_ns - self._offset_ns
         if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns:
             return False
-        return not self._track.covers(stamp_ns)
+        return not self._track.covers(stamp_ns + reach_ns)
 
     def deck(self, time_ns: int) -> AttitudePrior | None:
         """The attitude of the deck at a moment, with all that the INS may have wrong; None where it is not known."""
@@ -93,6 +94,18 @@ class InsMotion:
         shifted = self._config.time_offset_sigma_s * (rotation @ start.rate_d - end.rate_d)
         white_variance = (end.noise_gain + start.noise_gain) * (self._config.white_sigma_arcsec * ARCSEC) ** 2
         return rotation, white_variance * np.eye(3) + np.outer(shifted, shifted)
+
+    def turning(self, time_ns: int, nodes: Nodes) -> tuple[Turning, float] | None:
+        """The deck's turning over an exposure, whatever is constantly wrong with the INS.
+
+        Returns:
+            The turning, and the variance of the mean attitude over the exposure against that at its middle, each axis,
+            rad²; None where the INS does not tell.
+        """
+        turning = turning_over(self._track, time_ns - self._offset_ns, nodes)
+        if turning is None:
+            return None
+        return turning, turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed for moments at or after ``time_ns``."""

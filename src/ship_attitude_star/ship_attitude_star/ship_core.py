@@ -14,9 +14,11 @@ from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, De
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
 from ship_attitude_star.sky_inputs import SkyInput
 from ship_attitude_star.sky_watch import SkyWatch
+from ship_attitude_star.star_exposure import StarExposure
 from ship_estimation.refusals import same_stamp
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray
 
 _SECOND_NS = 1_000_000_000
@@ -38,6 +40,8 @@ class ShipAttitudeCore:
         self._max_gap_ns = round(config.ins.max_gap_s * _SECOND_NS)
         self._longest_shift_ns = round(self.filter.longest_shift_s * _SECOND_NS)
         self._silence_ns = round(config.ins.silence_s * _SECOND_NS)
+        exposes = any(star.input == "observations" for star in config.star_sensors.values())
+        self._exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
         self._last_output_ns = 0
         self.reset()
 
@@ -94,7 +98,9 @@ class ShipAttitudeCore:
             outcome = Outcome()
         changed_after_ns = self._track.insert(sample)
         if changed_after_ns is not None:
-            self._log.rewind_where(lambda decision: decision.ins_time_ns > changed_after_ns)
+            self._log.rewind_where(
+                lambda decision: decision.ins_time_ns + _reach_ns(decision.measurement) > changed_after_ns
+            )
         self._advance(sample.time_ns, outcome)
         if estimate and sample.time_ns > self._last_output_ns and self._track.newest is sample:
             self._publish(outcome, self._estimate_from_ins(sample.time_ns))
@@ -168,9 +174,9 @@ class ShipAttitudeCore:
         self._arrivals.newest_ns = max(self._arrivals.newest_ns, time_ns)
         self._apply(outcome)
         # The INS's stamps differ from a device's, and an INS sample changes what is compared within a gap of it.
-        reach_ns = self._arrivals.oldest_ns - self._max_gap_ns - self._longest_shift_ns
+        reach_ns = self._arrivals.oldest_ns - self._max_gap_ns - self._longest_shift_ns - self._exposure_reach_ns
         self._log.forget_before(reach_ns)
-        self._track.drop_before(reach_ns - self._longest_shift_ns)
+        self._track.drop_before(reach_ns - self._longest_shift_ns - self._exposure_reach_ns)
         if self._watch is not None:
             self._watch.drop_before(reach_ns)
 
@@ -182,7 +188,8 @@ class ShipAttitudeCore:
                 outcome.decisions.append(replace(decision, revised=True))
 
     def _step(self, state: FilterState, measurement: Measurement) -> tuple[FilterState, Decision] | None:
-        awaited = not self._track.covers(self.filter.ins_time_ns(state, measurement))
+        needed_ns = self.filter.ins_time_ns(state, measurement) + _reach_ns(measurement)
+        awaited = not self._track.covers(needed_ns)
         if awaited and measurement.time_ns >= self._arrivals.oldest_ns:
             return None
         return self.filter.step(state, measurement, self._track, self._watch)
@@ -207,6 +214,11 @@ class ShipAttitudeCore:
         """Star sensors may carry the attitude alone, unless they were in conflict with the INS to the last."""
         in_conflict = self.state.refusals.get(source, 0) >= self.config.gate.conflict_after
         return self.filter.devices[source].is_star and not in_conflict
+
+
+def _reach_ns(measurement: Measurement) -> int:
+    """How far from its moment the INS must be known to compare a measurement with it."""
+    return measurement.reach_ns if isinstance(measurement, StarExposure) else 0
 
 
 def _ins_content(sample: AttitudeSample) -> bytes:

@@ -16,10 +16,13 @@ from ship_attitude_star.hints import heading_hint
 from ship_attitude_star.measurement_models import ins_time_of, predict_attitude
 from ship_attitude_star.samples import AttitudeMeasurement, Decision, Measurement
 from ship_attitude_star.sky_watch import SkyWatch
+from ship_attitude_star.star_exposure import StarExposure
+from ship_attitude_star.star_streaks import at_middle
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeTrack
+from ship_geometry.exposure_mean import turning_over
 from ship_geometry.rotations import FloatArray
 
 Value = TypeVar("Value")
@@ -114,9 +117,18 @@ class ShipFilter:
             text = "no INS samples on both sides of it: it cannot be compared"
             return state, Decision(measurement, Reason.GAP, ins_time_ns, text=text)
         device = self.devices[measurement.source]
+        looked_at = measurement
+        if isinstance(measurement, StarExposure) and measurement.length is not None:
+            turning = turning_over(track, ins_time_ns, measurement.length.nodes)
+            if turning is None:
+                text = f"no INS samples over its whole exposure of {measurement.length.exposure_s:g} s"
+                return state, Decision(measurement, Reason.GAP, ins_time_ns, text=text)
+            looked_at = at_middle(measurement, turning.mounted(device.rotation_dv0))
+            # What is predicted is the mean over the exposure: its noise is that of the mean.
+            ins = replace(ins, noise_gain=turning.noise_gain)
         before, state = state, self._with_common(self.predicted(state, measurement.time_ns), measurement)
         predicted = predict_attitude(device, self.model, state.mean, ins)
-        compared = compare(measurement, predicted, self.model, state.mean, state.covariance, watch)
+        compared = compare(looked_at, predicted, self.model, state.mean, state.covariance, watch)
         if isinstance(compared, Refusal):
             return before, Decision(measurement, compared.reason, ins_time_ns, text=compared.text)
         source_index = self.model.sources.index(device.noise_source)

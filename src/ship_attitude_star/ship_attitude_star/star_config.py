@@ -33,6 +33,13 @@ class CameraConfig:
     centroid_sigma_px: float = parameter(
         0.1, doc="error of u and of v where the message gives none", unit="px", minimum=1e-6, maximum=100.0, live=True
     )
+    psf_sigma_px: float = parameter(
+        0.8,
+        doc="spread of the image of a star at rest, each axis; a streak long against it has a worse centroid",
+        unit="px",
+        minimum=0.05,
+        maximum=100.0,
+    )
 
     @property
     def given(self) -> bool:

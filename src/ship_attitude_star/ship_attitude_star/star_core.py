@@ -18,13 +18,16 @@ from ship_attitude_star.star_attitude_config import ObservingSensorConfig, StarA
 from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.star_results import RefusedStar, Solved, StarOutcome
 from ship_attitude_star.star_selection import AttitudePrior
+from ship_attitude_star.star_streaks import at_middle
 from ship_attitude_star.stream_guards import StreamGuards
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.stamped_values import StampedValues
 from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _SECOND_NS = 1_000_000_000
+_LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _AT_REST: FloatArray = np.eye(3)
 _EXACT: FloatArray = np.zeros((3, 3))
 
@@ -150,7 +153,7 @@ class StarCore:
         self._solve(outcome, None)
         oldest_ns = self._newest_ns - self._lag_ns - self._wait_ns
         self._watch.drop_before(oldest_ns)
-        self._ins.drop_before(oldest_ns)
+        self._ins.drop_before(oldest_ns - _LONGEST_REACH_NS)
         for taken in self._taken.values():
             taken.forget(taken.last_before(oldest_ns))
 
@@ -159,11 +162,15 @@ class StarCore:
         for waiting in self._waiting:
             time_ns = waiting.exposure.time_ns
             overdue = now_ns is not None and now_ns - time_ns >= self._wait_ns
-            if self._ins.awaited(time_ns) and not overdue:
+            if self._ins.awaited(time_ns, waiting.exposure.reach_ns) and not overdue:
                 still_waiting.append(waiting)
                 continue
             prior = self._prior(waiting.exposure)
-            sighting, solved = solve_exposure(waiting.exposure, waiting.refused, prior, self._watch)
+            exposure, turn_variance = self._at_middle(waiting.exposure)
+            sighting, solved = solve_exposure(exposure, waiting.refused, prior, self._watch, turn_variance)
+            if exposure.length is not None and exposure.smear_s is None and solved.valid:
+                text = f"ins/imu does not tell how the ship turned in {exposure.length.exposure_s:g} s of exposure"
+                solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
             self._note(solved)
             outcome.solved.append(solved)
             if not self._window.add(sighting):
@@ -181,12 +188,24 @@ class StarCore:
         mounting_n = rotation_ns * sensor.installation_sigma_s
         return AttitudePrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
 
+    def _at_middle(self, exposure: StarExposure) -> tuple[StarExposure, float]:
+        """The stars where they stood at the middle, and the variance of that turn of all of them, each axis, rad².
+
+        Where the INS does not tell how the ship turned, they are as they were seen.
+        """
+        told = None if exposure.length is None else self._ins.turning(exposure.time_ns, exposure.length.nodes)
+        if told is None:
+            return exposure, 0.0
+        turning, variance = told
+        return at_middle(exposure, turning.mounted(self._sensor(exposure.source).rotation_ds)), variance
+
     def _joint(self, group: list[Sighting]) -> Solved:
         time_ns = group[0].time_ns
         mounted = []
         for sighting in group:
             # Exposures so close that the ship is at rest need no turn.
             turn, covariance_d = self._ins.turn(time_ns, sighting.time_ns) or (_AT_REST, _EXACT)
+            covariance_d = covariance_d + sighting.turn_variance * np.eye(3)
             mounted.append(Mounted(sighting, turn @ self._sensor(sighting.source).rotation_ds, covariance_d))
         prior = self._ins.deck(time_ns)
         self.joined_by_ins = prior is not None

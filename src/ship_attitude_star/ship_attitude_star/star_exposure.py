@@ -3,13 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.star_camera import StarCamera
+from ship_geometry.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.rotations import FloatArray
 from ship_geometry.star_directions import StarPositions
+
+
+@dataclass(frozen=True)
+class ExposureLength:
+    """How long an exposure lasted, and what a camera makes of a star that moves meanwhile.
+
+    Attributes:
+        exposure_s: above 0.
+        camera: geometry of the sensor.
+        psf_sigma_px: standard deviation of the image of a star at rest, each axis.
+    """
+
+    exposure_s: float
+    camera: StarCamera
+    psf_sigma_px: float
+
+    @cached_property
+    def nodes(self) -> Nodes:
+        """Moments by which the mean over it is found."""
+        return exposure_nodes(self.exposure_s)
 
 
 @dataclass(frozen=True)
@@ -25,6 +48,9 @@ class StarExposure:
         positions: of the stars, J2000.0; NaN where nobody has said yet which star it is.
         position_sigma: error of the catalogue's position, rad per axis, shape (k,).
         magnitude: as measured, shape (k,); NaN unknown.
+        length: how long it lasted, and of which camera; None where nobody said so.
+        smear_s: what the motion meanwhile added to the error of a direction, covariance in the sensor frame, rad²,
+            shape (k, 3, 3); None where nothing is known of it.
     """
 
     source: str
@@ -35,11 +61,18 @@ class StarExposure:
     positions: StarPositions
     position_sigma: FloatArray
     magnitude: FloatArray
+    length: ExposureLength | None = None
+    smear_s: FloatArray | None = None
 
     @property
     def covariance_known(self) -> bool:
         """A centroid's error is the sensor's own business: stars without one carry the configured sigma."""
         return True
+
+    @property
+    def reach_ns(self) -> int:
+        """How far from the middle it must be known how the sensor turned; 0 where no length was given."""
+        return 0 if self.length is None else self.length.nodes.reach_ns
 
     @property
     def identified(self) -> NDArray[np.bool_]:
@@ -71,6 +104,8 @@ class StarExposure:
             self.positions[rows],
             self.position_sigma[rows],
             self.magnitude[rows],
+            self.length,
+            None if self.smear_s is None else self.smear_s[rows],
         )
 
     def content(self) -> bytes:
@@ -84,4 +119,5 @@ class StarExposure:
             positions.declination,
             self.magnitude,
         )
-        return b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
+        length = b"" if self.length is None else np.float64(self.length.exposure_s).tobytes()
+        return b"".join(np.ascontiguousarray(array).tobytes() for array in arrays) + length

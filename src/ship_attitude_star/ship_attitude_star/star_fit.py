@@ -18,7 +18,7 @@ from scipy.linalg import lapack
 from scipy.special import chdtrc
 
 from ship_geometry import wahba
-from ship_geometry.rotations import FloatArray, skew
+from ship_geometry.rotations import FloatArray, exp_rotation, skew
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,8 @@ class SightedStars:
         sensor: which sensor saw it, shape (k,).
         mounting_b: turn of each sensor by one sigma of each of three independent errors of its mounting, rotation
             vectors in b as columns, rad, shape (n_sensors, 3, 3); (0, 3, 3) where b is the frame of the one sensor.
+        smear_b: what the motion during the exposure adds to the error of a measured direction, covariance in b, rad²,
+            shape (k, 3, 3); None where it adds nothing.
     """
 
     measured_b: FloatArray
@@ -43,11 +45,19 @@ class SightedStars:
     shared_n: FloatArray
     sensor: NDArray[np.intp]
     mounting_b: FloatArray
+    smear_b: FloatArray | None = None
 
     @cached_property
     def white_sigma(self) -> FloatArray:
         """What differs from star to star: centroid and catalogue, rad per axis, shape (k,)."""
         return np.hypot(self.sigma, self.position_sigma)
+
+    @property
+    def worst_sigma(self) -> FloatArray:
+        """The same along the streak, where there is one, rad, shape (k,)."""
+        if self.smear_b is None:
+            return self.white_sigma
+        return np.sqrt(self.white_sigma**2 + np.trace(self.smear_b, axis1=-2, axis2=-1))
 
     def __len__(self) -> int:
         return len(self.sigma)
@@ -59,11 +69,13 @@ class StarFit:
 
     Attributes:
         jacobian: of the displacements, each divided by its sigma, shape (k, 3, q); the first three columns are δ.
-        displacement: v - R u, divided by the sigma, shape (k, 3).
+        displacement: v - R u, divided by the sigma, shape (k, 3); of a streak, by another sigma along than across.
+        residual_n: v - R u, rad, shape (k, 3).
     """
 
     jacobian: FloatArray
     displacement: FloatArray
+    residual_n: FloatArray
 
     def normal_equations(self, members: NDArray[np.bool_] | None = None) -> tuple[FloatArray, FloatArray]:
         """Information of the members without priors, (q, q), and its right side, (q,)."""
@@ -148,8 +160,14 @@ def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
         blocks = jacobian[:, :, 3 : 3 + 3 * sensors].reshape(count, 3, sensors, 3)
         np.multiply(turned[:, :, None, :], own[:, None, :, None], out=blocks)
     np.multiply(stars.shared_n, -per_sigma[..., None], out=jacobian[:, :, 3 + 3 * sensors :])
-    displacement = stars.reference_n - stars.measured_b @ rotation_nb.T
-    return StarFit(jacobian, displacement * per_sigma)
+    residual_n = stars.reference_n - stars.measured_b @ rotation_nb.T
+    displacement = residual_n * per_sigma
+    if stars.smear_b is not None:
+        smear = rotation_nb @ (stars.smear_b * per_sigma[..., None] ** 2) @ rotation_nb.T
+        values, vectors = np.linalg.eigh(np.eye(3) + smear)
+        whitened = vectors * (values[:, None, :] ** -0.5) @ np.swapaxes(vectors, -1, -2)
+        jacobian, displacement = whitened @ jacobian, (whitened @ displacement[..., None])[..., 0]
+    return StarFit(jacobian, displacement, residual_n)
 
 
 @dataclass(frozen=True)
@@ -157,7 +175,7 @@ class Agreement:
     """The attitude that some of the stars give, and how well they agree with it.
 
     Attributes:
-        rotation_nb: horizon from b, by Wahba's problem, shape (3, 3).
+        rotation_nb: horizon from b, by Wahba's problem, shape (3, 3); most likely where stars are streaks, too.
         white_covariance_n: of its error by what differs from star to star, rad², shape (3, 3).
         fit: all stars, linearised there.
         judgement: of the stars that gave it.
@@ -176,7 +194,14 @@ def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> 
     if not solution.solved:
         return None
     fit = linearized(stars, solution.rotation_nd)
-    return Agreement(solution.rotation_nd, solution.covariance_n, fit, fit.judge(members))
+    if stars.smear_b is None:
+        return Agreement(solution.rotation_nd, solution.covariance_n, fit, fit.judge(members))
+    # Wahba's problem knows one sigma for each star. From its solution one step leads to the best attitude.
+    information, right_side = fit.normal_equations(members)
+    covariance_n: FloatArray = np.asarray(np.linalg.inv(information[:3, :3]), dtype=float)
+    rotation_nb = exp_rotation(covariance_n @ right_side[:3]) @ solution.rotation_nd
+    fit = linearized(stars, rotation_nb)
+    return Agreement(rotation_nb, covariance_n, fit, fit.judge(members))
 
 
 def square_roots(covariance: FloatArray) -> FloatArray:

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from ship_attitude_star.catalogue import UNKNOWN, StarCatalogue
 from ship_attitude_star.star_camera import StarCamera, equivalent_sigma
 from ship_attitude_star.star_config import CameraConfig
-from ship_attitude_star.star_exposure import StarExposure
+from ship_attitude_star.star_exposure import ExposureLength, StarExposure
 from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
-from ship_node.message_checks import Refused, frame, stamp_ns
+from ship_node.message_checks import Refused, exposure_length_s, frame, stamp_ns
 
 MOST_STARS = 100
 """Of one exposure; what comes after them is refused, so that no message can hold up the node."""
@@ -55,7 +56,7 @@ def star_exposure(
         sensor_id: whose topic it came on.
         frame_id: that it must carry; empty for any.
         camera: of the sensor.
-        camera_config: the same in parameters: the error of a centroid.
+        camera_config: the same in parameters: the error of a centroid, the spread of a star's image.
         catalogue: for the numbers.
         receive_ns: when it came.
 
@@ -66,6 +67,7 @@ def star_exposure(
     if message.sensor_id != sensor_id:
         raise Refused("unknown_sensor", f"sensor_id is '{message.sensor_id}': expected '{sensor_id}' on this topic")
     frame(message.header.frame_id, frame_id)
+    exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
     stars = message.stars
     numbers = np.array([[star.u, star.v, star.sigma_px, star.right_ascension, star.declination] for star in stars])
     pixels, sigma_px, right_ascension, declination = _columns(numbers)
@@ -105,6 +107,7 @@ def star_exposure(
         positions=positions,
         position_sigma=position_sigma,
         magnitude=np.array([star.magnitude for star in stars], dtype=float)[kept],
+        length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
     )
     return exposure, refused
 

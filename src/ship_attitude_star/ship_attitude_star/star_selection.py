@@ -133,7 +133,8 @@ def _pair_trials(stars: SightedStars) -> list[Trial]:
     first, second = np.triu_indices(len(stars), 1)
     seen = angle_between(stars.measured_b[first], stars.measured_b[second])
     expected = angle_between(stars.reference_n[first], stars.reference_n[second])
-    sigma = np.sqrt(stars.white_sigma**2 + _common_variance(stars))
+    common = _common_variance(stars)
+    sigma = np.sqrt(stars.worst_sigma**2 + common)
     fitting = np.abs(seen - expected) < np.sqrt(MEMBER_DISTANCE) * np.hypot(sigma[first], sigma[second])
     pairs = np.stack([first[fitting], second[fitting]], axis=-1)
     solution = wahba.solve(stars.reference_n[pairs], stars.measured_b[pairs], sigma[pairs])
@@ -144,7 +145,11 @@ def _pair_trials(stars: SightedStars) -> list[Trial]:
     left = np.einsum("kij,tkj->tki", basis, displacement)
     turned = basis @ skew(stars.reference_n)
     covariance = np.einsum("kia,tab,kjb->tkij", turned, covariance_n, turned)
-    covariance += (sigma**2)[:, None, None] * np.eye(2)
+    own = (stars.white_sigma**2 + common)[:, None, None] * np.eye(2)
+    if stars.smear_b is not None:
+        turned_basis = basis @ rotation_nb[:, None]
+        own = own + turned_basis @ stars.smear_b @ np.swapaxes(turned_basis, -1, -2)
+    covariance += own
     members = distance(left, covariance) < MEMBER_DISTANCE
     # The two stars of the trial belong to it, and only one side of the sphere does.
     members &= np.einsum("tkj,kj->tk", displacement, stars.reference_n) < 0.5

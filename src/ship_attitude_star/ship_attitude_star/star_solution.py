@@ -100,7 +100,7 @@ def solve_stars(stars: SightedStars, prior: AttitudePrior | None = None) -> Star
         text = f"{len(stars)} stars, no set of them belongs together more than another"
         reason = Reason.TOO_FEW_STARS if len(stars) < FEWEST_VERIFIED else Reason.MISIDENTIFIED
         return no_attitude(members, Refusal(reason, text))
-    residual_n = found.fit.displacement * stars.white_sigma[:, None]
+    residual_n = found.fit.residual_n
     return StarSolution(
         status=_status(count, prior, found.rotation_nb),
         refusal=None,

@@ -8,6 +8,7 @@ moves the prediction by p × ε with p = Rᵀ v; one sigma of refraction, Earth 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_attitude_star.filter_model import sky_rows
 from ship_attitude_star.identification import identified
@@ -34,7 +35,7 @@ class StarResiduals:
     Attributes:
         residual: rad, shape (2 k,).
         jacobian: per state, shape (2 k, n).
-        noise: variances, rad², shape (2 k,).
+        noise: covariance, rad², shape (2 k, 2 k).
         components: name of each residual.
         refused: the other stars, by name.
         rotation_ns: the sensor's attitude by these stars alone, where they contradict the prediction; None otherwise.
@@ -103,11 +104,21 @@ def star_residuals(
     return StarResiduals(
         residual=residual.ravel(),
         jacobian=jacobian.reshape(-1, jacobian.shape[-1]),
-        noise=np.repeat(stars.white_sigma[members] ** 2, 2),
+        noise=_noise(stars, basis, members),
         components=tuple(f"{name} {axis}" for name in names for axis in ("up", "right")),
         refused=tuple(refused),
         rotation_ns=alone_ns,
     )
+
+
+def _noise(stars: SightedStars, basis: FloatArray, members: NDArray[np.bool_]) -> FloatArray:
+    """Covariance of the residuals of the members, along their basis (k, 2, 3), rad², shape (2 k, 2 k)."""
+    noise = np.diag(np.repeat(stars.white_sigma[members] ** 2, 2))
+    if stars.smear_b is not None:
+        smear = basis @ stars.smear_b[members] @ np.swapaxes(basis, -1, -2)
+        for row, added in enumerate(smear):
+            noise[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += added
+    return noise
 
 
 def attitude_by_stars(exposure: StarExposure, watch: SkyWatch) -> AttitudeMeasurement | Refusal:
@@ -159,6 +170,7 @@ def visible_stars(
         shared_n=apparent.shared_n[keep],
         sensor=np.zeros(len(exposure), dtype=np.intp),
         mounting_b=_ONE_SENSOR,
+        smear_b=exposure.smear_s,
     )
     return exposure, stars, refused
 

@@ -127,7 +127,8 @@ def observations(topic: str, since_ns: int, noise_px: FloatArray | float = 0.0, 
         "ship_msgs/msg/StarObservationArray",
         header=make_header(FACTORY, START_NS + since_ns, f"star_{sensor}"),
         sensor_id=sensor,
-        exposure_s=0.1,
+        # Its stars are points.
+        exposure_s=np.nan,
         stars=[
             FACTORY.make(
                 "ship_msgs/msg/StarObservation",

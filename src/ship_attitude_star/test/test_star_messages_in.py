@@ -69,6 +69,34 @@ def test_pixels_become_directions_and_numbers_become_places() -> None:
     assert exposure.magnitude[1] == pytest.approx(1.3)
 
 
+@pytest.mark.parametrize("not_given", [np.nan, 0.0])
+def test_mend_09_without_a_length_an_exposure_is_used_as_it_is(not_given: float) -> None:
+    message = observations(star())
+    message.exposure_s = not_given
+    exposure, refused = converted(message)
+    assert refused == []
+    assert exposure.length is None
+    message.exposure_s = 0.25
+    told = converted(message)[0]
+    assert (told.length.exposure_s, told.length.psf_sigma_px, told.length.camera) == (0.25, 0.8, CAMERA)
+    np.testing.assert_array_equal(told.directions_s, exposure.directions_s)
+    # Which of two messages of one stamp is kept must not depend on their order.
+    assert told.content() != exposure.content()
+
+
+@pytest.mark.parametrize(
+    ("exposure_s", "reason"),
+    [(-0.1, "units"), (10.5, "units"), (50.0, "units"), (np.inf, "non_finite"), (-np.inf, "non_finite")],
+)
+def test_mend_09_a_length_that_cannot_be_is_refused(exposure_s: float, reason: str) -> None:
+    message = observations(star())
+    message.exposure_s = exposure_s
+    with pytest.raises(Refused) as caught:
+        converted(message)
+    assert caught.value.reason == reason
+    assert "exposure_s" in caught.value.text
+
+
 def test_a_star_without_number_has_the_place_given_or_none_yet() -> None:
     exposure, refused = converted(
         observations(star(0, right_ascension=1.0, declination=-0.5), star(0, 600.0, 600.0), star(ALTAIR, 100.0))

@@ -80,7 +80,7 @@ def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third
     jacobian = compared.jacobian
     own = jacobian.copy()
     own[:, rows] = 0.0
-    noise = own @ before.covariance @ own.T + np.diag(compared.noise)
+    noise = own @ before.covariance @ own.T + compared.noise
     h = jacobian[:, rows]
     bound = np.linalg.inv(np.linalg.inv(prior) + h.T @ np.linalg.inv(noise) @ h)
     np.testing.assert_allclose(posterior, bound, rtol=1e-6, atol=1e-18)

@@ -1,6 +1,7 @@
 """Samples of one source in the order of their stamps, whatever the order of their arrival, to be interpolated."""
 
 import bisect
+from collections.abc import Iterable
 from typing import Generic, Protocol, TypeVar
 
 SECOND_NS = 1_000_000_000
@@ -125,8 +126,29 @@ class SampleTrack(Generic[Sample]):
     def _joined(self, left: int) -> bool:
         return self._times[left + 1] - self._times[left] <= self.max_gap_ns
 
+    def noise_gain_of_mean(self, moments: Iterable[tuple[int, float]]) -> float:
+        """Variance of a weighted sum of interpolated values per variance of the samples' independent noise.
+
+        Args:
+            moments: (ns, weight) of each value; none outside the track or in a gap.
+        """
+        weights: dict[int, float] = {}
+        for time_ns, share in moments:
+            interval = self._interval(time_ns)
+            assert interval is not None
+            left, fraction = interval
+            for index, weight in self._weights(left, fraction).items():
+                weights[index] = weights.get(index, 0.0) + share * weight
+        return sum(weight * weight for weight in weights.values())
+
     def _noise_gain(self, left: int, fraction: float) -> float:
-        """Sum of the squared weights of the samples' values; measured rates are taken as free of noise."""
+        """Sum of the squared weights of the samples' values."""
+        return sum(weight * weight for weight in self._weights(left, fraction).values())
+
+    def _weights(self, left: int, fraction: float) -> dict[int, float]:
+        """Weight of each sample in an interpolated value; measured rates are taken as free of noise."""
+        if fraction == 0.0:
+            return {left: 1.0}
         value0, slope0, value1, slope1 = hermite_weights(fraction)
         weights = {left: value0, left + 1: value1}
         interval_ns = self._times[left + 1] - self._times[left]
@@ -136,4 +158,4 @@ class SampleTrack(Generic[Sample]):
                 share = slope * interval_ns / (self._times[after] - self._times[before])
                 weights[before] = weights.get(before, 0.0) - share
                 weights[after] = weights.get(after, 0.0) + share
-        return sum(weight * weight for weight in weights.values())
+        return weights

@@ -76,6 +76,20 @@ def finite_numbers(what: str, *values: float) -> None:
             raise Refused("non_finite", f"{what} holds {value}")
 
 
+def exposure_length_s(exposure_s: float, longest_s: float) -> float:
+    """The length of an exposure, s; 0 where it is not given, which NaN and 0 mean.
+
+    Raises:
+        Refused: ``non_finite``, or ``units`` where it is negative or longer than ``longest_s``.
+    """
+    if math.isnan(exposure_s):
+        return 0.0
+    finite_numbers("exposure_s", exposure_s)
+    if not 0.0 <= exposure_s <= longest_s:
+        raise Refused("units", f"exposure_s is {exposure_s:.6g}: expected seconds, {longest_s:g} at most")
+    return float(exposure_s)
+
+
 def finite_vector(vector: Any, what: str) -> npt.NDArray[np.float64]:
     """The numbers x, y, z of a message, shape (3,).
 

@@ -34,7 +34,7 @@ def entries_of(run, topic):
 @pytest.mark.parametrize("identity", [{}, {"direction_given": True}, {"identified": False}], ids=str)
 def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
     scenario = with_sensor(
-        paper_stars(duration_s=4.0), false_stars=1.0, outages={"cloud": Outage(1.0, 2.0)}, **identity
+        paper_stars(duration_s=4.0), false_stars=1.0, outages={"cloud": Outage(1.0, 2.0)}, exposure_s=0.05, **identity
     )
     run = simulate(scenario, seed=1)
     said, config = run.stars["fore"], scenario.star_sensors["fore"].camera

@@ -124,6 +124,46 @@ def test_centroids_scatter_by_their_sigma_and_magnitudes_too():
     assert_sigma(said.stars.magnitude - sky.catalogue.magnitude[sky.catalogue.rows(truth.hip)], 0.2)
 
 
+def ways_of(scenario, said, truth, count=200):
+    """Where each star of a run truly is on the detector at many moments of its exposure, shape (count, k, 2)."""
+    sensor, carrier = scenario.star_sensors[FORE], carrier_of(scenario.carrier, 1)
+    camera, first_ns = sensor.camera.camera("camera"), said.time_ns[0]
+    exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
+    middle_s = (said.time_ns - first_ns)[exposure] / SECOND_NS
+    mounting = carrier.attitude(np.zeros(1))[0].T @ truth.rotation_nv[0]
+    place_n = (carrier.attitude(middle_s) @ mounting @ truth.direction_s[..., None])[..., 0]
+    since_s = sensor.exposure_s * ((np.arange(count) + 0.5) / count - 0.5)
+    seen = [np.einsum("kji,kj->ki", carrier.attitude(middle_s + t) @ mounting, place_n) for t in since_s]
+    return camera.pixels(np.array(seen))
+
+
+@pytest.mark.parametrize("exposure_s", [0.1, 2.0])
+def test_mend_09_a_simulated_centroid_is_the_mean_of_the_star_s_true_way(exposure_s):
+    scenario = paper_stars_one(exposure_s=exposure_s, camera={**QUIET, **DISTORTED})
+    said, truth, _ = sightings_of(scenario)
+    way = ways_of(scenario, said, truth)
+    off = np.abs(way.mean(axis=0) - way[100]).max()
+    np.testing.assert_allclose(said.pixel, way.mean(axis=0), atol=max(2e-3, 1e-4 * off))
+    # Points are what they were without an exposure.
+    still, _, _ = sightings_of(paper_stars_one(camera={**QUIET, **DISTORTED}))
+    assert np.max(np.abs(said.pixel - still.pixel)) > 0.05
+    assert said.stars.length.exposure_s == pytest.approx(exposure_s)
+    assert still.stars.length is None
+
+
+def test_mend_09_a_simulated_centroid_scatters_more_along_its_streak():
+    scenario = paper_stars_one(duration_s=60.0, exposure_s=0.05)
+    said, truth, _ = sightings_of(scenario)
+    way = ways_of(scenario, said, truth, 20)
+    streak = (way[-1] - way[0]) * 20.0 / 19.0
+    length = np.linalg.norm(streak, axis=-1)
+    along = streak / length[:, None]
+    error_px = said.pixel - way.mean(axis=0)
+    assert length.min() < 2.0 < 10.0 < length.max()
+    assert_sigma(np.sum(error_px * along, axis=-1) / np.sqrt(1.0 + length**2 / (12.0 * 0.8**2)), 0.13222)
+    assert_sigma(error_px[:, 0] * along[:, 1] - error_px[:, 1] * along[:, 0], 0.13222)
+
+
 def paper_stars_one(duration_s=10.0, **changes):
     return with_sensor(paper_stars(duration_s=duration_s), **changes)
 

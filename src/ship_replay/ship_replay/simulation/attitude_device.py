@@ -9,6 +9,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_replay.simulation.motion import Carrier
 from ship_replay.simulation.noise import SECOND_NS, arrival_times, gauss_markov, random_stream, stamps
 from ship_replay.simulation.scenario import Outage, Reference, Scenario, StarSensor
+from ship_replay.simulation.streaks import ExposureTimes, exposure_times
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class MountedMotion:
         since_start_s: the same in seconds after the start, shape (n,).
         valid_ns: the moments that they belong to: the stamps plus the sensor's time offset, shape (n,).
         rotation_nv: horizon from sensor, shape (n, 3, 3).
+        times: moments of each exposure.
+        passing_nv: the same at these, shape (m, n, 3, 3).
         truth: mounting and time offset.
     """
 
@@ -62,6 +65,8 @@ class MountedMotion:
     since_start_s: FloatArray
     valid_ns: np.ndarray
     rotation_nv: FloatArray
+    times: ExposureTimes
+    passing_nv: FloatArray
     truth: DeviceTruth
 
 
@@ -85,12 +90,21 @@ def motion_of_star_sensor(
     common_n = _slow_error(
         name + ".common", seed, time_ns.size, config.rate_hz, config.common_sigma_arcsec, config.common_time_s
     )
-    true_nd = carrier.attitude(since_start_s + truth.time_offset_s)
+    valid_s = since_start_s + truth.time_offset_s
+    times = exposure_times(config.exposure_s)
+
+    def rotation_nv(true_nd: FloatArray) -> FloatArray:
+        return exp_rotation(common_n) @ true_nd @ exp_rotation(flexure_d) @ truth.rotation_dv
+
+    middle_nv = rotation_nv(carrier.attitude(valid_s))
+    moves = config.exposure_s > 0.0
     return MountedMotion(
         time_ns=time_ns,
         since_start_s=since_start_s,
         valid_ns=time_ns + round(truth.time_offset_s * SECOND_NS),
-        rotation_nv=exp_rotation(common_n) @ true_nd @ exp_rotation(flexure_d) @ truth.rotation_dv,
+        rotation_nv=middle_nv,
+        times=times,
+        passing_nv=rotation_nv(carrier.attitude(valid_s + times.since_middle_s[:, None])) if moves else middle_nv[None],
         truth=truth,
     )
 

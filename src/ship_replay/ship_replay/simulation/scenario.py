@@ -11,6 +11,7 @@ import numpy as np
 
 from ship_attitude_star.star_config import CameraConfig
 from ship_estimation.parameters import mapping_of, parameter, section
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import FloatArray
 from ship_replay.simulation.motion_scenario import CarrierMotion
 from ship_replay.simulation.scenario_units import ANGLE, CORRELATION, DELAY, MOMENT, RATE, SIGMA, Outage
@@ -103,7 +104,13 @@ class StarSensor:
     camera: Detector = section(Detector)
     magnitude_limit: float = parameter(6.0, doc="faintest star that it sees, Hp", minimum=-2.0, maximum=14.0)
     most_stars: int = parameter(20, doc="stars in an exposure at most, the brightest", minimum=1, maximum=1000)
-    exposure_s: float = parameter(0.05, doc="length of an exposure", unit="s", minimum=1e-6, maximum=60.0)
+    exposure_s: float = parameter(
+        0.0,
+        doc="length of an exposure: stars are streaks, with the mean of their way as centroid; 0: points, and not told",
+        unit="s",
+        minimum=0.0,
+        maximum=LONGEST_EXPOSURE_S,
+    )
     identified: bool = parameter(True, doc="whether the sensor says which stars they are")
     direction_given: bool = parameter(False, doc="it says so by their directions, not by their HIP numbers")
     false_stars: float = parameter(

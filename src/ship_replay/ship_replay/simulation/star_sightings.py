@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.catalogue import UNKNOWN
-from ship_attitude_star.star_camera import equivalent_sigma
-from ship_attitude_star.star_exposure import StarExposure
+from ship_attitude_star.star_camera import StarCamera, equivalent_sigma
+from ship_attitude_star.star_exposure import ExposureLength, StarExposure
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
 from ship_replay.simulation.attitude_device import MountedMotion, outside
@@ -18,6 +18,7 @@ from ship_replay.simulation.scenario import Scenario, StarSensor
 from ship_replay.simulation.sky import TrueSky, place_of_date, year_of
 from ship_replay.simulation.star_field import stars_in_field
 from ship_replay.simulation.star_identities import swapped_identities
+from ship_replay.simulation.streaks import centroids
 
 MAGNITUDE_SIGMA = 0.2
 """Error of the magnitudes that a sensor measures."""
@@ -101,6 +102,7 @@ def simulate_sightings(
             positions=positions,
             position_sigma=position_sigma,
             magnitude=spots.magnitude.astype(np.float32).astype(float),
+            length=_length(config, camera),
         ),
     )
     true_hip = np.where(spots.row == UNKNOWN, 0, sky.catalogue.hip[spots.row])
@@ -133,6 +135,11 @@ def _true_spots(
     """Stars with the errors of centroids and magnitudes, some taken for one another."""
     field = stars_in_field(config, sky, motion.rotation_nv[seeing], motion.valid_ns[seeing])
     exposure = np.flatnonzero(seeing)[field.exposure]
+    # Where each star goes on the detector; the sky stands still meanwhile.
+    way = field.pixel[None]
+    if config.exposure_s > 0.0:
+        place_n = (motion.rotation_nv[exposure] @ field.direction_s[..., None])[..., 0]
+        way = config.camera.camera(source).pixels(np.einsum("mkji,kj->mki", motion.passing_nv[:, exposure], place_n))
     noise_px = random_stream(seed, source + ".centroid").standard_normal(field.pixel.shape)
     magnitude_noise = random_stream(seed, source + ".magnitude").standard_normal(field.row.size)
     swaps = random_stream(seed, source + ".swaps")
@@ -141,9 +148,18 @@ def _true_spots(
         row=field.row,
         claimed=swapped_identities(field.row, exposure, config.swapped_probability, swaps),
         direction_s=field.direction_s,
-        pixel=field.pixel + config.camera.centroid_sigma_px * noise_px,
+        pixel=centroids(
+            motion.times, way, config.camera.psf_sigma_px, config.camera.centroid_sigma_px, noise_px
+        ),
         magnitude=sky.catalogue.magnitude[field.row] + MAGNITUDE_SIGMA * magnitude_noise,
     )
+
+
+def _length(config: StarSensor, camera: StarCamera) -> ExposureLength | None:
+    """How long an exposure lasts, as the estimator takes it."""
+    if config.exposure_s == 0.0:
+        return None
+    return ExposureLength(float(np.float32(config.exposure_s)), camera, config.camera.psf_sigma_px)
 
 
 def _false_spots(source: str, config: StarSensor, sky: TrueSky, seeing: NDArray[np.bool_], seed: int) -> _Spots:

@@ -1,0 +1,252 @@
+"""Stars that move while they are exposed: where they stood at the middle, and how much worse they are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from star_scenes import draw_scene
+from star_sky import POSITION, ROTATION_ND, TIME_NS, configuration, exposure_of, told_sky
+
+from ship_attitude_star.comparison import compare
+from ship_attitude_star.measurement_models import predict_attitude
+from ship_attitude_star.ship_core import ShipAttitudeCore
+from ship_attitude_star.ship_filter import ShipFilter
+from ship_attitude_star.sky_inputs import PositionFix
+from ship_attitude_star.star_camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
+from ship_attitude_star.star_exposure import ExposureLength
+from ship_attitude_star.star_fit import agreement, linearized
+from ship_attitude_star.star_streaks import at_middle
+from ship_estimation.refusals import Reason
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.exposure_mean import turning_over
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+
+CONFIG = configuration()
+CAMERA = StarCamera(0.05, 5.5e-6, 1023.5, 1023.5, Distortion(k1=-0.08, p1=2e-4))
+PSF_PX = 0.8
+SECOND_NS = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def watch():
+    return told_sky(CONFIG)
+
+
+def rolling(since_s: float) -> FloatArray:
+    """Deck of a ship that rolls 4° in 11 s, at its crest now, pitches and turns; at the moment as in star_sky."""
+    roll = np.deg2rad(4.0) * (np.cos(2.0 * np.pi * since_s / 11.0) - 1.0)
+    pitch = np.deg2rad(1.8) * np.sin(2.0 * np.pi * since_s / 8.0)
+    return ROTATION_ND @ rotation_from_angles(np.deg2rad(1.5) * since_s, pitch, roll)
+
+
+def rolling_track(first_s: float = -1.0, last_s: float = 1.0) -> AttitudeTrack:
+    track = AttitudeTrack(500_000_000)
+    for sample in ins_samples(first_s, last_s):
+        track.insert(sample)
+    return track
+
+
+def ins_samples(first_s: float = -1.0, last_s: float = 1.0) -> list[AttitudeSample]:
+    samples = []
+    for step in range(round(100 * first_s), round(100 * last_s) + 1):
+        rate_d = log_rotation(rolling(0.01 * step - 1e-4).T @ rolling(0.01 * step + 1e-4)) / 2e-4
+        samples.append(AttitudeSample(TIME_NS + step * 10_000_000, rolling(0.01 * step), rate_d))
+    return samples
+
+
+def streaked(exposure, rotation_ds: FloatArray, exposure_s: float):
+    """The exposure with centroids that are the means of the pixels of a thousand moments, and those pixels."""
+    since_s = exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
+    turns = np.array([(rolling(t) @ rotation_ds).T @ rolling(0.0) @ rotation_ds for t in since_s])
+    pixels = CAMERA.pixels(exposure.directions_s @ np.swapaxes(turns, -1, -2))
+    length = ExposureLength(exposure_s, CAMERA, PSF_PX)
+    return replace(exposure, directions_s=CAMERA.directions(pixels.mean(axis=0)), length=length), pixels
+
+
+def mended(exposure, rotation_ds: FloatArray):
+    return at_middle(exposure, turning_over(rolling_track(), TIME_NS, exposure.length.nodes).mounted(rotation_ds))
+
+
+@pytest.mark.parametrize("sensor", ["fore", "starboard"])
+@pytest.mark.parametrize(("exposure_s", "least_arcsec"), [(0.05, 0.2), (0.1, 1.0), (0.2, 4.0), (1.0, 100.0)])
+def test_mend_09_the_correction_brings_a_centroid_to_the_middle(watch, sensor, exposure_s, least_arcsec):
+    rotation_ds = CONFIG.star_sensors[sensor].rotation_ds
+    true = exposure_of(watch, sensor, 8)
+    seen, _ = streaked(true, rotation_ds, exposure_s)
+    off = np.linalg.norm(seen.directions_s - true.directions_s, axis=-1)
+    left = np.linalg.norm(mended(seen, rotation_ds).directions_s - true.directions_s, axis=-1)
+    assert off.max() > least_arcsec * ARCSEC
+    assert left.max() < max(0.005 * ARCSEC, 2e-3 * off.max())
+
+
+@pytest.mark.parametrize("exposure_s", [0.05, 0.2])
+def test_mend_09_the_noise_grows_along_the_streak_alone(watch, exposure_s):
+    rotation_ds = CONFIG.star_sensors["fore"].rotation_ds
+    seen, pixels = streaked(exposure_of(watch, "fore", 8), rotation_ds, exposure_s)
+    found = mended(seen, rotation_ds)
+    streak_px = pixels[-1] - pixels[0]
+    length_px = np.linalg.norm(streak_px, axis=-1)
+    assert np.all(length_px > 10.0 * exposure_s / 0.05)
+    scale = equivalent_sigma(CAMERA.direction_covariance(pixels[500], 1.0))
+    sigma_px = seen.sigma / scale
+    along = CAMERA.directions(pixels[500] + 0.5 * streak_px / length_px[:, None])
+    along -= CAMERA.directions(pixels[500] - 0.5 * streak_px / length_px[:, None])
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    aside = np.cross(found.directions_s, along)
+    expected = sigma_px**2 * length_px**2 / (12.0 * PSF_PX**2)
+    added = np.einsum("ki,kij,kj->k", along, found.smear_s, along) / scale**2
+    # The camera's scale differs by its place and direction in the field, which one sigma for both axes leaves aside.
+    np.testing.assert_allclose(added, expected, rtol=0.03)
+    assert np.all(np.einsum("ki,kij,kj->k", aside, found.smear_s, aside) < 1e-3 * expected * scale**2)
+    outward = np.einsum("kij,kj->ki", found.smear_s, found.directions_s)
+    assert np.max(np.abs(outward)) < 1e-4 * np.max(found.smear_s)
+
+
+def test_a_star_that_leaves_the_camera_s_sight_meanwhile_tells_nothing(watch):
+    seen = replace(exposure_of(watch, "fore", 3), length=ExposureLength(10.0, CAMERA, PSF_PX))
+    turning = turning_over(rolling_track(-6.0, 6.0), TIME_NS, seen.length.nodes)
+    away = np.array([rotation_from_angles(np.deg2rad(20e-9 * ns), 0.0, 0.0) for ns in turning.nodes.offset_ns])
+    found = at_middle(seen, replace(turning, turns=away))
+    np.testing.assert_array_equal(found.directions_s, seen.directions_s)
+    assert np.all(np.trace(found.smear_s, axis1=-2, axis2=-1) > 1.0)
+
+
+def smeared_scene(rng: np.random.Generator):
+    """A scene of two sensors in which all stars are streaks, each noise drawn with what the streak adds."""
+    scene = draw_scene(rng, (5, 4))
+    streak = rng.standard_normal((len(scene.stars), 3)) * 30.0 * ARCSEC
+    streak -= np.sum(streak * scene.stars.measured_b, axis=-1)[:, None] * scene.stars.measured_b
+    measured = scene.stars.measured_b + streak * rng.standard_normal((len(streak), 1))
+    measured /= np.linalg.norm(measured, axis=-1, keepdims=True)
+    smear = streak[:, :, None] * streak[:, None, :]
+    return scene, replace(scene.stars, measured_b=measured, smear_b=smear)
+
+
+def test_mend_09_the_attitude_by_streaks_is_the_most_likely_one():
+    """Against a minimiser that knows nothing of Wahba's problem, each residual by its own two by two covariance."""
+    _, stars = smeared_scene(np.random.default_rng(3))
+    found = agreement(stars)
+    basis = tangent_basis(stars.reference_n)
+
+    def residuals(vector: FloatArray) -> FloatArray:
+        rotation_nb = exp_rotation(vector) @ found.rotation_nb
+        left = np.einsum("kij,kj->ki", basis, stars.reference_n - stars.measured_b @ rotation_nb.T)
+        across = basis @ rotation_nb @ stars.smear_b @ np.swapaxes(basis @ rotation_nb, -1, -2)
+        across = across + (stars.white_sigma**2)[:, None, None] * np.eye(2)
+        return np.linalg.solve(np.linalg.cholesky(across), left[..., None]).ravel()
+
+    best = least_squares(residuals, np.full(3, 5.0 * ARCSEC), x_scale=ARCSEC, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    assert np.max(np.abs(best.x)) < 0.01 * ARCSEC
+    np.testing.assert_allclose(found.white_covariance_n, np.linalg.inv(best.jac.T @ best.jac), rtol=1e-3)
+
+
+def test_the_linearised_streaks_are_the_derivative():
+    _, stars = smeared_scene(np.random.default_rng(4))
+    rotation_nb = agreement(stars).rotation_nb
+    fit, step = linearized(stars, rotation_nb), 1e-7
+    for axis in range(3):
+        turned = linearized(stars, exp_rotation(-step * np.eye(3)[axis]) @ rotation_nb)
+        numeric = (turned.displacement - fit.displacement) / step
+        assert np.max(np.abs(numeric - fit.jacobian[:, :, axis])) < 1e-3 * np.max(np.abs(fit.jacobian[:, :, :3]))
+
+
+def exposed(watch, exposure_s: float = 0.2):
+    return streaked(exposure_of(watch, "fore", 6), CONFIG.star_sensors["fore"].rotation_ds, exposure_s)[0]
+
+
+def test_mend_09_the_filter_s_jacobian_with_streaks_is_the_derivative(watch):
+    ship_filter = ShipFilter(CONFIG)
+    state = ship_filter.initial_state()
+    sigma = np.sqrt(np.diagonal(state.covariance))
+    rng = np.random.default_rng(1)
+    mean = 0.3 * sigma * rng.standard_normal(ship_filter.model.size)
+    seen = mended(exposed(watch), CONFIG.star_sensors["fore"].rotation_ds)
+    ins = rolling_track().at(TIME_NS)
+
+    def compared(mean: FloatArray):
+        predicted = predict_attitude(ship_filter.devices["star.fore"], ship_filter.model, mean, ins)
+        return compare(seen, predicted, ship_filter.model, mean, state.covariance, watch)
+
+    here = compared(mean)
+    assert np.max(np.abs(here.noise - np.diag(np.diagonal(here.noise)))) > 0.1 * np.max(here.noise)
+    clock = ship_filter.model.slices["ins.time_offset"].start
+    for row in np.flatnonzero(sigma > 0.0):
+        if row == clock:
+            continue  # it moves the sample of the INS that is compared, not what is predicted from it
+        step = np.zeros(ship_filter.model.size)
+        step[row] = 1e-2 * sigma[row]
+        numeric = (compared(mean - step).residual - compared(mean + step).residual) / (2.0 * step[row])
+        scale = max(np.max(np.abs(here.jacobian[:, row])), 1e-9)
+        np.testing.assert_allclose(here.jacobian[:, row], numeric, atol=1e-4 * scale)
+
+
+def test_mend_09_the_filter_takes_streaks_for_what_they_are(watch):
+    ship_filter = ShipFilter(CONFIG)
+    start, track = ship_filter.initial_state(), rolling_track()
+    seen = exposed(watch)
+    true = exposure_of(watch, "fore", 6)
+    _, right = ship_filter.step(start, seen, track, watch)
+    _, still = ship_filter.step(start, true, track, watch)
+    _, wrong = ship_filter.step(start, replace(seen, length=None), track, watch)
+    assert right.accepted
+    assert still.accepted
+    assert right.measurement is seen
+    assert np.max(np.abs(right.residual - still.residual)) < 0.01 * ARCSEC
+    assert np.max(np.abs(wrong.residual - still.residual)) > 4.0 * ARCSEC
+    assert np.max(right.sigma) > 1.05 * np.max(still.sigma)
+
+
+def core_with_fix(watch) -> ShipAttitudeCore:
+    core = ShipAttitudeCore(CONFIG, watch)
+    core.add_sky_input(PositionFix(TIME_NS - SECOND_NS, POSITION, 25.0 * np.eye(3)))
+    return core
+
+
+def test_mend_09_an_exposure_waits_for_the_ins_to_its_end_and_any_order_gives_the_same_state():
+    states = []
+    for after in (5, 60, 110, 200):
+        core = core_with_fix(told_sky(CONFIG))
+        exposure = exposed(told_sky(CONFIG))
+        samples = ins_samples()
+        decisions = []
+        for sample in samples[:after]:
+            decisions += core.add_ins(sample).decisions
+        decisions += core.add_measurement(exposure).decisions
+        for number, sample in enumerate(samples[after:], after):
+            made = core.add_ins(sample).decisions
+            # 100 samples lie before the middle of the exposure, ten more before its end.
+            assert not made or number >= 110
+            decisions += made
+        assert [decision.reason for decision in decisions] == [Reason.NONE]
+        states.append(core.state)
+    for state in states[1:]:
+        assert state.mean.tobytes() == states[0].mean.tobytes()
+        assert state.parts.tobytes() == states[0].parts.tobytes()
+
+
+def test_mend_09_a_late_ins_sample_within_the_exposure_is_used_for_it():
+    samples, held_back = ins_samples(), 107
+    states = []
+    for late in (False, True):
+        core = core_with_fix(told_sky(CONFIG))
+        for number, sample in enumerate(samples):
+            if not (late and number == held_back):
+                core.add_ins(sample)
+            if number == 50:
+                core.add_measurement(exposed(told_sky(CONFIG)))
+        if late:
+            core.add_ins(samples[held_back])
+        states.append(core.state)
+    assert states[1].mean.tobytes() == states[0].mean.tobytes()
+
+
+def test_an_exposure_that_the_ins_does_not_span_is_refused():
+    core = core_with_fix(told_sky(CONFIG))
+    core.add_measurement(exposed(told_sky(CONFIG)))
+    decisions = []
+    for sample in ins_samples(first_s=-0.05):
+        decisions += core.add_ins(sample).decisions
+    assert [decision.reason for decision in decisions] == [Reason.GAP]
+    assert "whole exposure of 0.2 s" in decisions[0].text
