@@ -70,16 +70,18 @@ class ShipAttitudeAdapter:
         self._saved = self._read_alignment_at_start()
         self._alignment_messages: list[str] = []
         self._latest: AttitudeEstimate | None = None
+        self._budget_due: AttitudeEstimate | None = None
         self._conflicts: dict[str, Decision] = {}
         self._slow_due_ns: int | None = None
         self._clock_jumps = 0
 
-    def handle(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
+    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Take one message of an input topic."""
+        waiting_ns = receive_ns if waiting_ns is None else waiting_ns
         self._start(receive_ns)
-        self.health.arrived(topic, receive_ns)
+        self.health.arrived(topic, waiting_ns)
         try:
-            taken = self._inputs.take(topic, message, receive_ns)
+            taken = self._inputs.take(topic, message, receive_ns, waiting_ns)
         except Refused as refused:
             reason = Reason[refused.reason.upper()]
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
@@ -94,14 +96,15 @@ class ShipAttitudeAdapter:
             self.health.accepted(topic, taken.time_ns, receive_ns)
         return published + self._published(taken.outcome, receive_ns)
 
-    def tick(self, now_ns: int) -> list[Published]:
-        """Say INVALID where nothing carries an attitude; once a period, the slow topics."""
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        """Say INVALID where no attitude was put out; once a period, the slow topics."""
+        waiting_ns = now_ns if waiting_ns is None else waiting_ns
         self._start(now_ns)
-        published = self._published(self.core.tick(now_ns), now_ns)
-        if self._slow_due_ns is None or now_ns >= self._slow_due_ns:
+        published = self._published(self.core.tick(now_ns, waiting_ns), now_ns)
+        if self._slow_due_ns is None or waiting_ns >= self._slow_due_ns:
             period_ns = round(self._config.slow_topics_period_s * _SECOND_NS)
-            self._slow_due_ns = now_ns + period_ns
-            published += self._slow_topics(now_ns)
+            self._slow_due_ns = waiting_ns + period_ns
+            published += self._slow_topics(now_ns, waiting_ns)
         return published
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
@@ -176,9 +179,10 @@ class ShipAttitudeAdapter:
             published += self._stars_refused(topic, measurement.time_ns, decision.stars_refused)
             published.append(("ship/innovation", messages_out.innovation(self._factory, decision)))
         for estimate in outcome.estimates:
-            self._latest = estimate
+            claimed = estimate.status is not Status.INVALID
+            self._latest, self._budget_due = estimate, estimate if claimed else None
             published.append(("ship/attitude", messages_out.ship_attitude(self._factory, estimate)))
-            if estimate.status is not Status.INVALID:
+            if claimed:
                 published.append(("ship/imu", messages_out.ship_imu(self._factory, estimate)))
         return published
 
@@ -196,17 +200,18 @@ class ShipAttitudeAdapter:
         elif decision.accepted:
             self._conflicts.pop(source, None)
 
-    def _slow_topics(self, now_ns: int) -> list[Published]:
+    def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
         factory, published = self._factory, []
-        if self._latest is not None and self._latest.status is not Status.INVALID:
+        if self._budget_due is not None:
             sources = self.core.filter.model.sources
             published += [
-                ("ship/error_budget", messages_out.error_budget(factory, self._latest, sources)),
-                ("ship/error_arcsec", messages_out.error_arcsec(factory, self._latest)),
+                ("ship/error_budget", messages_out.error_budget(factory, self._budget_due, sources)),
+                ("ship/error_arcsec", messages_out.error_arcsec(factory, self._budget_due)),
             ]
+            self._budget_due = None  # no attitude has its budget told twice
         published.append(("ship/alignment", messages_out.alignment_state(factory, self.core.alignment(), now_ns)))
-        published += [("input_health", message) for message in self.health.messages(factory, now_ns)]
-        statuses = [*self.health.statuses(now_ns), *self._own_statuses()]
+        published += [("input_health", message) for message in self.health.messages(factory, now_ns, waiting_ns)]
+        statuses = [*self.health.statuses(now_ns, waiting_ns), *self._own_statuses()]
         published.append((DIAGNOSTICS_TOPIC, diagnostic_array(factory, now_ns, self.node_name, statuses)))
         return published
 
@@ -223,8 +228,8 @@ class ShipAttitudeAdapter:
 
     def _restart(self, now_ns: int, clock_jumped: bool) -> None:
         self.core.reset(clock_jumped)
-        self.health.restart(now_ns)
-        self._latest, self._slow_due_ns = None, None
+        self.health.restart()
+        self._latest, self._budget_due, self._slow_due_ns = None, None, None
         self._conflicts.clear()
 
     def _reset(self, now_ns: int) -> str:
@@ -242,7 +247,7 @@ class ShipAttitudeAdapter:
     def _load_alignment(self, now_ns: int) -> str:
         path = self._alignment_path()
         self._alignment_messages = self.core.start_from(alignment_file.load(path, self._files), now_ns)
-        self.health.restart(now_ns)
+        self.health.restart()
         self._conflicts.clear()
         return "; ".join([f"alignment loaded from {path}", *self._alignment_messages])
 

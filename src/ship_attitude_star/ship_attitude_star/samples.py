@@ -156,7 +156,8 @@ class Outcome:
     Attributes:
         refusal: why this very input was not used; None where it was, or still waits.
         decisions: measurements judged now, this one or others that had waited for it.
-        estimates: attitudes to publish, with strictly increasing times.
+        estimates: attitudes to publish; times increase strictly from claim to claim, see
+            :class:`ship_estimation.output_order.OutputOrder`.
     """
 
     refusal: Refusal | None = None

@@ -1,6 +1,7 @@
 """INS and star attitudes in, the ship's attitude out: the core that the node and the replay share.
 
 Knows no ROS, no files, no clock. Measurements enter in any order; within ``lag_s`` each is applied at its own time.
+Arrivals and ticks are given in the time of waiting (:mod:`ship_estimation.output_order`), stamps in that of the data.
 """
 
 from dataclasses import replace
@@ -15,6 +16,7 @@ from ship_attitude_star.ship_filter import FilterState, ShipFilter
 from ship_attitude_star.sky_inputs import SkyInput
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_attitude_star.star_exposure import StarExposure
+from ship_estimation.output_order import OutputOrder
 from ship_estimation.refusals import same_stamp
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
@@ -42,7 +44,7 @@ class ShipAttitudeCore:
         self._silence_ns = round(config.ins.silence_s * _SECOND_NS)
         exposes = any(star.input == "observations" for star in config.star_sensors.values())
         self._exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
-        self._last_output_ns = 0
+        self._order = OutputOrder()
         self.reset()
 
     def start_from(self, prior: AlignmentPrior, now_ns: int) -> list[str]:
@@ -56,10 +58,12 @@ class ShipAttitudeCore:
         self._forget_estimate()
         self._track = AttitudeTrack(self._max_gap_ns)
         self._arrivals = Arrivals(self.config)
+        self._ins_arrival_ns: int | None = None
+        self._newest_star: tuple[Measurement, int] | None = None
         if self._watch is not None:
             self._watch.reset()
         if clock_jumped:
-            self._last_output_ns = 0
+            self._order.restart()
 
     def _forget_estimate(self) -> None:
         """Back to the configured errors, or to those of the saved alignment."""
@@ -75,13 +79,15 @@ class ShipAttitudeCore:
         self.filter = ShipFilter(config)
         self._corrected = CorrectedIns(self.filter, self.state)
 
-    def add_ins(self, sample: AttitudeSample, estimate: bool = True) -> Outcome:
+    def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> Outcome:
         """An INS sample: stamp and attitude of the deck as the INS has it.
 
         Args:
             sample: attitude, and rate where the INS measures it.
+            arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
             estimate: False where only the filter's state matters, as in a Monte Carlo run.
         """
+        arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         rates_known_wrong = self._arrivals.rates_wrong
         refusal = self._arrivals.ins_refusal(sample, self._track.newest)
         if self._arrivals.rates_wrong and not rates_known_wrong:
@@ -102,8 +108,11 @@ class ShipAttitudeCore:
                 lambda decision: decision.ins_time_ns + _reach_ns(decision.measurement) > changed_after_ns
             )
         self._advance(sample.time_ns, outcome)
-        if estimate and sample.time_ns > self._last_output_ns and self._track.newest is sample:
-            self._publish(outcome, self._estimate_from_ins(sample.time_ns))
+        if self._track.newest is sample:
+            self._ins_arrival_ns = arrival_ns
+            if estimate and self._order.follows(sample.time_ns):
+                outcome.estimates.append(self._estimate_from_ins(sample.time_ns))
+                self._order.claimed(sample.time_ns, arrival_ns, patience_ns=self._silence_ns)
         return outcome
 
     def add_sky_input(self, sky_input: SkyInput) -> Outcome:
@@ -119,8 +128,14 @@ class ShipAttitudeCore:
             self._apply(outcome)
         return outcome
 
-    def add_measurement(self, measurement: Measurement) -> Outcome:
-        """What a star sensor or another attitude system has measured."""
+    def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> Outcome:
+        """What a star sensor or another attitude system has measured.
+
+        Args:
+            measurement: an attitude or single stars.
+            arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
+        """
+        arrival_ns = measurement.time_ns if arrival_ns is None else arrival_ns
         refusal = self._arrivals.measurement_refusal(measurement, self._track.newest)
         if refusal is not None:
             return Outcome(refusal)
@@ -135,21 +150,23 @@ class ShipAttitudeCore:
         self._log.insert(key, measurement)
         self._arrivals.used(measurement)
         self._advance(measurement.time_ns, outcome)
-        carries = self._ins_silent(measurement.time_ns) and self._may_carry(measurement.source)
-        if carries and measurement.time_ns > self._last_output_ns:
-            attitude = attitude_alone(measurement, self._watch)
-            if attitude is not None:
-                self._publish(outcome, estimate_from_star(self.filter, self.state, attitude))
+        if self._may_carry(measurement.source) and self._order.follows(measurement.time_ns):
+            self._newest_star = measurement, arrival_ns
+        self._carry(outcome, arrival_ns)
         return outcome
 
-    def tick(self, now_ns: int) -> Outcome:
-        """The time now: says INVALID, once a second, when nothing carries an attitude any more."""
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> Outcome:
+        """Says INVALID, once a second, when no attitude was put out any more, whatever came in.
+
+        Args:
+            now_ns: the time now.
+            waiting_ns: the same in the time of waiting; None where the two are one.
+        """
+        waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = Outcome()
-        stars_ns = [time_ns for source, time_ns in self._arrivals.latest_ns.items() if self._may_carry(source)]
-        star_carries = bool(stars_ns) and now_ns - max(stars_ns) <= _SECOND_NS
-        due = now_ns - self._last_output_ns >= _SECOND_NS
-        if self._ins_silent(now_ns) and not star_carries and due:
-            self._publish(outcome, no_estimate(self.filter, self.state, now_ns))
+        self._carry(outcome, waiting_ns)
+        if self._order.invalid_due(waiting_ns):
+            outcome.estimates.append(no_estimate(self.filter, self.state, now_ns))
         return outcome
 
     def alignment(self) -> Alignment:
@@ -196,19 +213,27 @@ class ShipAttitudeCore:
 
     # -- outputs --------------------------------------------------------------------------------------------
 
-    def _publish(self, outcome: Outcome, estimate: AttitudeEstimate) -> None:
-        outcome.estimates.append(estimate)
-        self._last_output_ns = estimate.time_ns
-
     def _estimate_from_ins(self, time_ns: int) -> AttitudeEstimate:
         if self.state is not self._corrected.state:
             self._corrected = CorrectedIns(self.filter, self.state)
         moved_s = -(self.config.ins.time_offset_s + self._corrected.time_offset_s)
         return self._corrected.estimate(time_ns, self._track.newest_moved(moved_s), self.config)
 
-    def _ins_silent(self, now_ns: int) -> bool:
-        newest = self._track.newest
-        return newest is None or now_ns - newest.time_ns > self._silence_ns
+    def _carry(self, outcome: Outcome, waiting_ns: int) -> None:
+        """With the INS gone, put out the attitude by the newest star measurement, once, while it is young."""
+        if self._newest_star is None or not self._ins_silent(waiting_ns):
+            return
+        (measurement, arrival_ns), self._newest_star = self._newest_star, None
+        if waiting_ns - arrival_ns > _SECOND_NS or not self._order.follows(measurement.time_ns):
+            return
+        attitude = attitude_alone(measurement, self._watch)
+        if attitude is not None:
+            outcome.estimates.append(estimate_from_star(self.filter, self.state, attitude))
+            self._order.claimed(measurement.time_ns, waiting_ns)
+
+    def _ins_silent(self, waiting_ns: int) -> bool:
+        """Whether the last INS sample that led on came too long ago; those refused or late lead nowhere."""
+        return self._ins_arrival_ns is None or waiting_ns - self._ins_arrival_ns > self._silence_ns
 
     def _may_carry(self, source: str) -> bool:
         """Star sensors may carry the attitude alone, unless they were in conflict with the INS to the last."""

@@ -75,15 +75,21 @@ class ShipInputs:
             *sky,
         )
 
-    def take(self, topic: str, message: Any, receive_ns: int) -> Taken:
+    def take(self, topic: str, message: Any, receive_ns: int, waiting_ns: int) -> Taken:
         """Give a message to the core.
+
+        Args:
+            topic: it came on.
+            message: it.
+            receive_ns: when it came, by the node's clock.
+            waiting_ns: the same in the time of waiting.
 
         Raises:
             Refused: it cannot be read; nothing has changed.
         """
         if topic == INS_TOPIC:
             sample = imu_messages_in.ins_sample(message, self.config.ins, receive_ns)
-            outcome = self._core.add_ins(sample.value)
+            outcome = self._core.add_ins(sample.value, waiting_ns)
             return Taken(sample.value.time_ns, outcome, judged=False, covariance_known=sample.covariance_known)
         if topic in self._sky_topics:
             told = surroundings_messages_in.sky_input(topic, message, self.config.sky, receive_ns)
@@ -91,7 +97,7 @@ class ShipInputs:
             return Taken(told.time_ns, outcome, judged=False, covariance_known=told.sigma_known)
         kind, _, id_ = self.sources[topic].partition(".")
         if kind == "star" and self.config.star_sensors[id_].input == "observations":
-            return self._take_stars(id_, message, receive_ns)
+            return self._take_stars(id_, message, receive_ns, waiting_ns)
         measurement: Measurement
         if kind == "reference":
             measurement = messages_in.reference_measurement(message, id_, self.config.references[id_], receive_ns)
@@ -99,10 +105,10 @@ class ShipInputs:
             measurement = messages_in.inertial_attitude(message, id_, self.config.star_sensors[id_], receive_ns)
         else:
             measurement = messages_in.star_measurement(message, id_, self.config.star_sensors[id_], receive_ns)
-        outcome = self._core.add_measurement(measurement)
+        outcome = self._core.add_measurement(measurement, waiting_ns)
         return Taken(measurement.time_ns, outcome, covariance_known=measurement.covariance_known)
 
-    def _take_stars(self, id_: str, message: Any, receive_ns: int) -> Taken:
+    def _take_stars(self, id_: str, message: Any, receive_ns: int, waiting_ns: int) -> Taken:
         sensor = self.config.star_sensors[id_]
         assert self._watch is not None
         exposure, unread = star_messages_in.star_exposure(
@@ -113,7 +119,7 @@ class ShipInputs:
             return Taken(exposure.time_ns, Outcome(), judged=False)
         return Taken(
             exposure.time_ns,
-            self._core.add_measurement(exposure),
+            self._core.add_measurement(exposure, waiting_ns),
             covariance_known=star_messages_in.sigmas_given(message),
             stars_refused=tuple((f"star {row + 1} of the message", refusal) for row, refusal in unread),
         )

@@ -72,12 +72,13 @@ class StarAttitudeAdapter:
         self._slow_due_ns: int | None = None
         self._clock_jumps = 0
 
-    def handle(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
+    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Take one message of an input topic."""
-        self.health.arrived(topic, receive_ns)
+        waiting_ns = receive_ns if waiting_ns is None else waiting_ns
+        self.health.arrived(topic, waiting_ns)
         try:
             if topic in self._sensors:
-                return self._exposure(topic, message, receive_ns)
+                return self._exposure(topic, message, receive_ns, waiting_ns)
             if topic == _INS_TOPIC:
                 return self._ins(message, receive_ns)
             return self._surroundings(topic, message, receive_ns)
@@ -86,23 +87,24 @@ class StarAttitudeAdapter:
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
             return self._refusal(topic, time_ns, reason, refused.text, receive_ns)
 
-    def tick(self, now_ns: int) -> list[Published]:
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Solve what has waited long enough; once a period, the slow topics."""
-        published = self._published(self.core.tick(now_ns), now_ns)
-        if self._slow_due_ns is None or now_ns >= self._slow_due_ns:
-            self._slow_due_ns = now_ns + round(self._config.slow_topics_period_s * _SECOND_NS)
-            published += self._slow_topics(now_ns)
+        waiting_ns = now_ns if waiting_ns is None else waiting_ns
+        published = self._published(self.core.tick(waiting_ns), now_ns)
+        if self._slow_due_ns is None or waiting_ns >= self._slow_due_ns:
+            self._slow_due_ns = waiting_ns + round(self._config.slow_topics_period_s * _SECOND_NS)
+            published += self._slow_topics(now_ns, waiting_ns)
         return published
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
         """Start anew at the earlier time."""
         self._clock_jumps += 1
-        self._restart(now_ns)
+        self._restart()
         return []
 
     def service(self, name: str, now_ns: int) -> ServiceResult:
         """Reset: all inputs are forgotten."""
-        self._restart(now_ns)
+        self._restart()
         return ServiceResult(True, "all inputs are forgotten")
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
@@ -116,7 +118,7 @@ class StarAttitudeAdapter:
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
-    def _exposure(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
+    def _exposure(self, topic: str, message: Any, receive_ns: int, waiting_ns: int) -> list[Published]:
         id_ = self._sensors[topic]
         sensor = self._config.star_sensors[id_]
         exposure, refused = star_messages_in.star_exposure(
@@ -128,7 +130,7 @@ class StarAttitudeAdapter:
             RefusedStar(exposure.source, exposure.time_ns, _name(message.stars[row], row), refusal)
             for row, refusal in refused
         )
-        return self._taken(topic, exposure.time_ns, self.core.add_exposure(exposure, stars), receive_ns)
+        return self._taken(topic, exposure.time_ns, self.core.add_exposure(exposure, stars, waiting_ns), receive_ns)
 
     def _ins(self, message: Any, receive_ns: int) -> list[Published]:
         sample = imu_messages_in.ins_sample(message, self._config.ins, receive_ns).value
@@ -152,9 +154,9 @@ class StarAttitudeAdapter:
             published = self._refusal(topic, time_ns, outcome.refusal.reason, outcome.refusal.text, receive_ns)
         return published + self._published(outcome, receive_ns)
 
-    def _restart(self, now_ns: int) -> None:
+    def _restart(self) -> None:
         self.core.reset()
-        self.health.restart(now_ns)
+        self.health.restart()
         self._latest.clear()
         self._budget_due, self._slow_due_ns = None, None
 
@@ -207,15 +209,15 @@ class StarAttitudeAdapter:
             published.append(self._told(f"star.{solved.sensor_id}", solved.time_ns, refusal.reason, refusal.text))
         return published
 
-    def _slow_topics(self, now_ns: int) -> list[Published]:
+    def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
         factory = self._factory
         published: list[Published] = []
         if self._budget_due is not None:
             published.append((f"star/{JOINT}/error_budget", star_messages_out.error_budget(factory, self._budget_due)))
             self._budget_due = None
-        published += [("input_health", message) for message in self.health.messages(factory, now_ns)]
+        published += [("input_health", message) for message in self.health.messages(factory, now_ns, waiting_ns)]
         statuses = [
-            *self.health.statuses(now_ns),
+            *self.health.statuses(now_ns, waiting_ns),
             *solution_statuses(self._config, self._latest, self.core.joined_by_ins),
             sky_status(self.core.not_measured(), self._clock_jumps),
         ]

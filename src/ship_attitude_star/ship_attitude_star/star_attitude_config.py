@@ -43,7 +43,7 @@ class JointConfig:
     )
     wait_s: float = parameter(
         0.5,
-        doc="an exposure waits for those of other sensors, and for ins/imu, until it is this old",
+        doc="an exposure waits this long for those of other sensors, and for ins/imu",
         unit="s",
         minimum=0.0,
         maximum=60.0,

@@ -1,7 +1,8 @@
 """Exposures of star sensors in, attitudes out: the core that the node ``star_attitude`` and the replay share.
 
 Knows no ROS, no files, no clock. Each exposure gives the attitude of its sensor, at its own time and in any order
-within ``lag_s``; exposures of different sensors near in time give the attitude of the deck, in order of time.
+within ``lag_s``; exposures of different sensors near in time give the attitude of the deck, in order of time. How long
+something waits is measured in the time of waiting (:mod:`ship_estimation.output_order`).
 """
 
 from dataclasses import dataclass, replace
@@ -34,10 +35,11 @@ _EXACT: FloatArray = np.zeros((3, 3))
 
 @dataclass(frozen=True)
 class _Waiting:
-    """An exposure that has not been solved yet, and those of its stars that were refused already."""
+    """An exposure that has not been solved yet, those of its stars that were refused already, and when it came."""
 
     exposure: StarExposure
     refused: tuple[RefusedStar, ...]
+    arrival_ns: int
 
 
 class StarCore:
@@ -89,27 +91,30 @@ class StarCore:
         given.insert(self._watch)
         return refusal
 
-    def add_exposure(self, exposure: StarExposure, refused: tuple[RefusedStar, ...] = ()) -> StarOutcome:
+    def add_exposure(
+        self, exposure: StarExposure, refused: tuple[RefusedStar, ...] = (), arrival_ns: int | None = None
+    ) -> StarOutcome:
         """The stars of a sensor; of two exposures of one stamp that whose bytes sort first holds.
 
         Args:
             exposure: the stars.
             refused: further stars of the message that cannot be used.
+            arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
         """
         refusal = self._refusal(exposure)
         if refusal is not None and refusal.reason is not Reason.CONFLICT:
             return StarOutcome(refusal)
         if self._taken[exposure.source].insert(exposure.time_ns, exposure) is None:
             return StarOutcome(refusal)
-        self._wait(_Waiting(exposure, refused))
+        self._wait(_Waiting(exposure, refused, exposure.time_ns if arrival_ns is None else arrival_ns))
         outcome = StarOutcome(refusal)
         self._advance(exposure.time_ns, outcome)
         return outcome
 
-    def tick(self, now_ns: int) -> StarOutcome:
-        """The time now: nothing waits any longer than it should."""
+    def tick(self, waiting_ns: int) -> StarOutcome:
+        """The time of waiting now: nothing waits any longer than it should."""
         outcome = StarOutcome()
-        self._solve(outcome, now_ns)
+        self._solve(outcome, waiting_ns)
         return outcome
 
     def not_measured(self) -> list[str]:
@@ -157,12 +162,11 @@ class StarCore:
         for taken in self._taken.values():
             taken.forget(taken.last_before(oldest_ns))
 
-    def _solve(self, outcome: StarOutcome, now_ns: int | None) -> None:
+    def _solve(self, outcome: StarOutcome, waiting_ns: int | None) -> None:
         still_waiting = []
         for waiting in self._waiting:
-            time_ns = waiting.exposure.time_ns
-            overdue = now_ns is not None and now_ns - time_ns >= self._wait_ns
-            if self._ins.awaited(time_ns, waiting.exposure.reach_ns) and not overdue:
+            overdue = waiting_ns is not None and waiting_ns - waiting.arrival_ns >= self._wait_ns
+            if self._ins.awaited(waiting.exposure.time_ns, waiting.exposure.reach_ns) and not overdue:
                 still_waiting.append(waiting)
                 continue
             prior = self._prior(waiting.exposure)
@@ -173,10 +177,10 @@ class StarCore:
                 solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
             self._note(solved)
             outcome.solved.append(solved)
-            if not self._window.add(sighting):
+            if not self._window.add(sighting, waiting.arrival_ns):
                 outcome.not_joined.append((sighting.source, sighting.time_ns))
         self._waiting = still_waiting
-        for group in self._window.closed(self._movable, now_ns):
+        for group in self._window.closed(self._movable, waiting_ns):
             outcome.solved.append(self._joint(group))
 
     def _prior(self, exposure: StarExposure) -> AttitudePrior | None:

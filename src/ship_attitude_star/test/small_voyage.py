@@ -9,13 +9,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from adapter_runs import FACTORY, SECOND_NS, START_NS, AdapterRun, Arrival, hand_over, in_order
+from adapter_runs import FACTORY, SECOND_NS, START_NS, AdapterRun, Arrival, hand_over, in_order, stamp_of
 
 from ship_attitude_star.adapter import ShipAttitudeAdapter
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_estimation.parameters import build
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
+from ship_geometry.ros_axes import (
+    enu_covariance,
+    flu_from_device_vector,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_node.stamps import make_header
 
@@ -145,6 +150,30 @@ def drive(adapter: ShipAttitudeAdapter, arrivals: Iterable[Arrival], until_ns: i
     run = Run(adapter)
     hand_over(run, arrivals, until_ns)
     return run
+
+
+def cut(arrivals: tuple[Arrival, ...], from_s: float, until_s: float, *topics: str) -> tuple[Arrival, ...]:
+    """Without what these topics carry with stamps in [from_s, until_s)."""
+    from_ns, until_ns = (START_NS + round(s * SECOND_NS) for s in (from_s, until_s))
+    return tuple(a for a in arrivals if a.topic not in topics or not from_ns <= a.stamp_ns < until_ns)
+
+
+def since_start_s(message: Any) -> float:
+    return (stamp_of(message) - START_NS) * 1e-9
+
+
+def rotation_of(message: Any) -> np.ndarray:
+    q = message.orientation
+    return rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
+
+
+def assert_honest(message: Any, heading_deg: float = 34.4) -> None:
+    """The attitude is the true one within five of its own sigmas, each axis."""
+    true_nd = attitude(since_start_s(message), heading_deg)
+    error_n = log_rotation(true_nd @ rotation_of(message).T)
+    variance_enu = np.diagonal(np.reshape(message.rotation_covariance, (3, 3)))
+    sigma_n = np.sqrt(variance_enu[[1, 2, 0]])
+    assert np.all(np.abs(error_n) < 5.0 * sigma_n), (error_n / ARCSEC, sigma_n / ARCSEC)
 
 
 @functools.cache

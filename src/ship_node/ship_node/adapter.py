@@ -26,9 +26,12 @@ class ServiceResult(NamedTuple):
 class Adapter(Protocol):
     """One per node; the first line of its docstring is what ``--help`` says that the node does.
 
-    All times are integer ns. Files are read and written through ``files`` alone, so that a black box can hold what was
-    read. ``health`` is fed by the adapter and, with what only the middleware knows, by the shell; the adapter publishes
-    it in :meth:`tick`. ``start_warnings`` say what the configuration lacks, one line each.
+    All times are integer ns. A message and a tick come with two: the node's clock, which judges stamps, and the time of
+    waiting, which judges silence. Nobody sets the second: it is the time in which a live node was listening, or /clock
+    where that rules, or the log time in replay; without it the two are one. Files are read and written through
+    ``files`` alone, so that a black box can hold what was read. ``health`` is fed by the adapter and, with what only
+    the middleware knows, by the shell; the adapter publishes it in :meth:`tick`. ``start_warnings`` say what the
+    configuration lacks, one line each.
     """
 
     node_name: ClassVar[str]
@@ -41,11 +44,11 @@ class Adapter(Protocol):
 
     def __init__(self, config: Any, factory: MessageFactory, files: Files = DISK) -> None: ...
 
-    def handle(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
+    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Take one message of an input topic."""
         ...
 
-    def tick(self, now_ns: int) -> list[Published]:
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Do what depends on waiting; called every ``TICK_PERIOD_NS``."""
         ...
 

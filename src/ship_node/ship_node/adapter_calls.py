@@ -17,6 +17,8 @@ from ship_node.topics import Published
 class AdapterCalls:
     """Calls an adapter. What it raises is let out, after the call was noted.
 
+    A message and a tick come with the node's time and the time of waiting (:class:`ship_node.adapter.Adapter`).
+
     Args:
         adapter: the adapter.
         publishers: topic → publisher, of all its outputs.
@@ -33,24 +35,24 @@ class AdapterCalls:
         self._box = box
         self._note_files(0)
 
-    def handle(self, topic: str, data: bytes, message: Any, now_ns: int) -> None:
+    def handle(self, topic: str, data: bytes, message: Any, now_ns: int, waiting_ns: int | None = None) -> None:
         """Give the adapter a message, of which ``data`` are the bytes."""
         published: list[Published] = []
         try:
-            published = self._adapter.handle(topic, message, now_ns)
+            published = self._adapter.handle(topic, message, now_ns, waiting_ns)
         finally:
             if self._box is not None:
                 self._note_files(now_ns)
-                self._box.put(topic, data, now_ns)
+                self._box.put(topic, data, now_ns, waiting_ns)
         self.publish(published, now_ns)
 
-    def tick(self, now_ns: int) -> None:
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> None:
         """Tick the adapter."""
         published: list[Published] = []
         try:
-            published = self._adapter.tick(now_ns)
+            published = self._adapter.tick(now_ns, waiting_ns)
         finally:
-            self._note(Tick(), now_ns)
+            self._note(Tick(), now_ns, waiting_ns)
         self.publish(published, now_ns)
 
     def clock_jumped_back(self, now_ns: int) -> None:
@@ -99,10 +101,10 @@ class AdapterCalls:
         for topic, data in outputs:
             self._publishers[topic].publish(data)
 
-    def _note(self, event: Event, now_ns: int) -> None:
+    def _note(self, event: Event, now_ns: int, waiting_ns: int | None = None) -> None:
         if self._box is not None:
             self._note_files(now_ns)
-            self._box.put_event(event, now_ns)
+            self._box.put_event(event, now_ns, waiting_ns)
 
     def _note_files(self, now_ns: int) -> None:
         """Note what files the call just made used, or the construction of the adapter."""

@@ -48,6 +48,7 @@ class _Message(NamedTuple):
     topic: str
     data: bytes
     time_ns: int
+    waiting_ns: int
 
 
 class _Attachment(NamedTuple):
@@ -106,27 +107,28 @@ class BlackBox:
         self._thread = threading.Thread(target=self._write_on, name="black box", daemon=True)
         self._thread.start()
 
-    def put(self, topic: str, data: bytes, time_ns: int) -> None:
+    def put(self, topic: str, data: bytes, time_ns: int, waiting_ns: int | None = None) -> None:
         """Note a message used or published.
 
         Args:
             topic: relative name.
             data: its CDR bytes.
             time_ns: the node's time; 0 before the first /clock: it then gets the time of the first entry that has one.
+            waiting_ns: the time of waiting; None where it is the same.
         """
         if time_ns == 0:
-            self._before_time.append(_Message(topic, data, 0))
+            self._before_time.append(_Message(topic, data, 0, 0))
             return
         self._last_ns = time_ns
         if self._before_time:
             for message in self._before_time:
-                self._append(message._replace(time_ns=time_ns))
+                self._append(message._replace(time_ns=time_ns, waiting_ns=time_ns))
             self._before_time.clear()
-        self._append(_Message(topic, data, time_ns))
+        self._append(_Message(topic, data, time_ns, time_ns if waiting_ns is None else waiting_ns))
 
-    def put_event(self, event: Event, time_ns: int) -> None:
-        """Note an event; the time is that of :meth:`put`."""
-        self.put(EVENTS_TOPIC, _event_data(event), time_ns)
+    def put_event(self, event: Event, time_ns: int, waiting_ns: int | None = None) -> None:
+        """Note an event; the times are those of :meth:`put`."""
+        self.put(EVENTS_TOPIC, _event_data(event), time_ns, waiting_ns)
 
     def put_file(self, use: FileUse, time_ns: int) -> None:
         """Note a file read or written, with its content."""
@@ -163,7 +165,8 @@ class BlackBox:
             self._lost_unsaid += 1
             return
         if self._lost_unsaid:
-            self._queue.append(_Message(EVENTS_TOPIC, _event_data(EntriesLost(self._lost_unsaid)), message.time_ns))
+            lost = _event_data(EntriesLost(self._lost_unsaid))
+            self._queue.append(message._replace(topic=EVENTS_TOPIC, data=lost))
             self._lost_unsaid = 0
         self._queue.append(message)
 
@@ -183,9 +186,8 @@ class BlackBox:
             else:
                 # Counted over all topics: where one is missing, that shows at the very next.
                 number = self._writer.message_count + 1
-                self._writer.write_raw(
-                    entry.topic, self._types[entry.topic], entry.data, entry.time_ns, sequence=number
-                )
+                kind = self._types[entry.topic]
+                self._writer.write_raw(entry.topic, kind, entry.data, entry.time_ns, entry.waiting_ns, number)
         if count:
             self._writer.flush()
 

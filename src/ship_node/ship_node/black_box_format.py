@@ -2,7 +2,8 @@
 
 A box is an MCAP bag. Inputs lie in it under their own topics, outputs under theirs, events as JSON text on
 :data:`EVENTS_TOPIC`; the order in the file is the order of use, and what a use led to follows it. The sequence numbers
-count all of them from 1. The log time is the node's time of the use, which may go back.
+count all of them from 1. The log time is the node's time of the use, which may go back; the publish time is the time of
+waiting (:class:`ship_node.adapter.Adapter`).
 """
 
 import json
@@ -12,7 +13,7 @@ from typing import Any
 
 from ship_node.errors import BadInput
 
-FORMAT = "1"
+FORMAT = "2"
 """Version of this description."""
 
 EVENTS_TOPIC = "black_box/events"

@@ -9,11 +9,12 @@ LARGEST_MESSAGE_BYTES = 65_536
 
 
 class Arrival(NamedTuple):
-    """A message as it came: topic, CDR bytes, and the node's time then, ns (0 before the first /clock)."""
+    """A message as it came: topic, CDR bytes, node's time and time of waiting then, ns (0 before the first /clock)."""
 
     topic: str
     data: bytes
     now_ns: int
+    waiting_ns: int
 
 
 class Inbox:

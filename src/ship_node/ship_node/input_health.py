@@ -39,7 +39,8 @@ class InputHealthBook:
     """The records of all inputs of a node.
 
     The adapter calls :meth:`arrived` and then :meth:`accepted` or :meth:`rejected` for each message. What only
-    the middleware knows is told by the shell; offline it stays unknown.
+    the middleware knows is told by the shell; offline it stays unknown. Rates and silence are judged in the time of
+    waiting (:class:`ship_node.adapter.Adapter`), ages and latencies by the node's clock, as stamps are.
 
     Args:
         inputs: the topics; others are unknown (KeyError).
@@ -51,11 +52,12 @@ class InputHealthBook:
         self._incompatible: dict[str, str] = {}
         self._lost: dict[str, int] = {}
         self._start_ns: int | None = None
+        self._waiting_ns: int | None = None
 
-    def arrived(self, topic: str, receive_ns: int) -> None:
-        """A message came at ``receive_ns``."""
-        self._start(receive_ns)
-        self._records[topic].add_arrival(receive_ns)
+    def arrived(self, topic: str, waiting_ns: int) -> None:
+        """A message came, in the time of waiting."""
+        self._now(waiting_ns)
+        self._records[topic].add_arrival(waiting_ns)
 
     def accepted(self, topic: str, stamp_ns: int, receive_ns: int) -> None:
         """A message was used."""
@@ -68,30 +70,30 @@ class InputHealthBook:
             topic: the topic that it came on.
             reason: a constant of ship_msgs/Innovation in lower case.
             text: the same for people.
-            receive_ns: when it was refused.
+            receive_ns: when it was refused, by the node's clock.
             stamp_ns: its stamp, where there is one to believe.
         """
-        self._records[topic].add_rejected(reason, text, receive_ns, stamp_ns)
+        waiting_ns = receive_ns if self._waiting_ns is None else self._waiting_ns
+        self._records[topic].add_rejected(reason, text, waiting_ns, receive_ns, stamp_ns)
 
-    def overflowed(self, topic: str, count: int, why: str, now_ns: int) -> None:
+    def overflowed(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
         """So many messages came and were not looked at: they were beyond a bound.
 
         Args:
             topic: the topic that they came on.
             count: how many.
             why: which bound, for people.
-            now_ns: when that is told.
+            waiting_ns: when that is told.
         """
-        self._start(now_ns)
-        self._records[topic].add_overflow(count, why, now_ns)
+        self._records[topic].add_overflow(count, why, self._now(waiting_ns))
 
     def noted(self, topic: str, reason: str) -> None:
         """Something about a message is worth a count, although it may be used, as ``covariance_unknown``."""
         self._records[topic].reasons[reason] += 1
 
-    def restart(self, now_ns: int) -> None:
+    def restart(self) -> None:
         """The clock went back or the node was reset: counts stay, everything timed starts anew."""
-        self._start_ns = now_ns
+        self._start_ns = None
         for record in self._records.values():
             record.forget_times()
 
@@ -109,21 +111,23 @@ class InputHealthBook:
         """The middleware lost ``count`` further messages."""
         self._lost[topic] = self._lost.get(topic, 0) + count
 
-    def statuses(self, now_ns: int) -> list[Status]:
-        """One diagnostic status per topic."""
-        self._start(now_ns)
-        return [self._status(record, now_ns) for record in self._records.values()]
+    def statuses(self, now_ns: int, waiting_ns: int | None = None) -> list[Status]:
+        """One diagnostic status per topic; without a time of waiting it is the node's."""
+        waiting_ns = self._now(now_ns if waiting_ns is None else waiting_ns)
+        return [self._status(record, now_ns, waiting_ns) for record in self._records.values()]
 
-    def messages(self, factory: MessageFactory, now_ns: int) -> list[Any]:
-        """One ship_msgs/InputHealth per topic."""
-        self._start(now_ns)
-        return [self._message(factory, record, now_ns) for record in self._records.values()]
+    def messages(self, factory: MessageFactory, now_ns: int, waiting_ns: int | None = None) -> list[Any]:
+        """One ship_msgs/InputHealth per topic; without a time of waiting it is the node's."""
+        waiting_ns = self._now(now_ns if waiting_ns is None else waiting_ns)
+        return [self._message(factory, record, now_ns, waiting_ns) for record in self._records.values()]
 
-    def _start(self, now_ns: int) -> None:
+    def _now(self, waiting_ns: int) -> int:
+        self._waiting_ns = waiting_ns
         if self._start_ns is None:
-            self._start_ns = now_ns
+            self._start_ns = waiting_ns
+        return waiting_ns
 
-    def _message(self, factory: MessageFactory, record: InputRecord, now_ns: int) -> Any:
+    def _message(self, factory: MessageFactory, record: InputRecord, now_ns: int, waiting_ns: int) -> Any:
         return factory.make(
             "ship_msgs/msg/InputHealth",
             header=make_header(factory, now_ns),
@@ -131,21 +135,21 @@ class InputHealthBook:
             received=record.received,
             accepted=record.accepted,
             rejected=record.rejected,
-            rate_hz=record.rate_hz(now_ns),
+            rate_hz=record.rate_hz(waiting_ns),
             latency_s=record.latency_s,
             age_s=record.age_s(now_ns),
-            level=int(self._judge(record, now_ns)[0]),
+            level=int(self._judge(record, waiting_ns)[0]),
             reasons=list(record.reasons),
             reason_counts=np.array(list(record.reasons.values()), dtype=np.uint64),
         )
 
-    def _status(self, record: InputRecord, now_ns: int) -> Status:
-        level, text = self._judge(record, now_ns)
+    def _status(self, record: InputRecord, now_ns: int, waiting_ns: int) -> Status:
+        level, text = self._judge(record, waiting_ns)
         values = {
             "received": str(record.received),
             "accepted": str(record.accepted),
             "rejected": str(record.rejected),
-            "rate [Hz]": f"{record.rate_hz(now_ns):.2f}",
+            "rate [Hz]": f"{record.rate_hz(waiting_ns):.2f}",
             "latency [s]": f"{record.latency_s:.3f}",
             "age [s]": f"{record.age_s(now_ns):.3f}",
         }
@@ -159,27 +163,27 @@ class InputHealthBook:
             values["lost by the middleware"] = str(self._lost[topic])
         return Status(f"input {topic}", level, text, values)
 
-    def _judge(self, record: InputRecord, now_ns: int) -> _Judgement:
+    def _judge(self, record: InputRecord, waiting_ns: int) -> _Judgement:
         """The worst that there is to say; the earlier of equals."""
         judgements = [
-            *self._judge_connection(record, now_ns),
-            *_judge_refusals(record, now_ns),
-            *_judge_silence(record, now_ns),
+            *self._judge_connection(record, waiting_ns),
+            *_judge_refusals(record, waiting_ns),
+            *_judge_silence(record, waiting_ns),
         ]
         if record.received == 0:
             judgements.append((Level.OK, "no message yet"))
-        judgements.append((Level.OK, f"{record.rate_hz(now_ns):.1f} Hz, latency {record.latency_s:.3f} s"))
+        judgements.append((Level.OK, f"{record.rate_hz(waiting_ns):.1f} Hz, latency {record.latency_s:.3f} s"))
         return max(judgements, key=lambda judgement: judgement[0])
 
-    def _judge_connection(self, record: InputRecord, now_ns: int) -> list[_Judgement]:
+    def _judge_connection(self, record: InputRecord, waiting_ns: int) -> list[_Judgement]:
         """Whether messages can come at all."""
         topic, judgements = record.input.topic, []
         if topic in self._incompatible:
             judgements.append((Level.ERROR, f"incompatible QoS: {self._incompatible[topic]}"))
-        waited = self._start_ns is not None and now_ns - self._start_ns >= WATCHDOG_NS
+        waited = self._start_ns is not None and waiting_ns - self._start_ns >= WATCHDOG_NS
         if waited and record.last_arrival_ns is None:
             publishers = self._publishers.get(topic)
-            waited_s = (now_ns - (self._start_ns or 0)) * 1e-9
+            waited_s = (waiting_ns - (self._start_ns or 0)) * 1e-9
             if publishers:
                 hint = f"{publishers} publisher(s) but no message for {waited_s:.0f} s: QoS mismatch, or it is silent"
             else:
@@ -192,7 +196,7 @@ class InputHealthBook:
         return judgements
 
 
-def _judge_refusals(record: InputRecord, now_ns: int) -> list[_Judgement]:
+def _judge_refusals(record: InputRecord, waiting_ns: int) -> list[_Judgement]:
     """Whether what comes can be used."""
     if record.future_in_a_row >= FUTURE_ERROR:
         return [(Level.ERROR, f"clock offset: {record.future_in_a_row} in a row from the future; {record.last_text}")]
@@ -200,17 +204,17 @@ def _judge_refusals(record: InputRecord, now_ns: int) -> list[_Judgement]:
         level = Level.ERROR if record.refused_in_a_row >= REFUSALS_ERROR else Level.WARN
         run = f"{record.refused_in_a_row} refused in a row"
         return [(level, f"{run}, last {record.last_refusal}: {record.last_text}")]
-    recent = record.last_refusal_ns is not None and now_ns - record.last_refusal_ns <= REFUSAL_SHOWN_NS
+    recent = record.last_refusal_ns is not None and waiting_ns - record.last_refusal_ns <= REFUSAL_SHOWN_NS
     if recent and record.last_refusal not in _EXPECTED_REASONS:
         return [(Level.WARN, f"refused, {record.last_refusal}: {record.last_text}")]
     return []
 
 
-def _judge_silence(record: InputRecord, now_ns: int) -> list[_Judgement]:
+def _judge_silence(record: InputRecord, waiting_ns: int) -> list[_Judgement]:
     """Whether it still comes."""
     if record.last_arrival_ns is None:
         return []
-    silence_ns = now_ns - record.last_arrival_ns
+    silence_ns = waiting_ns - record.last_arrival_ns
     expected_ns = max(LEAST_SILENCE_NS, SILENT_PERIODS * record.mean_period_ns)
     if silence_ns <= (WATCHDOG_NS if math.isnan(record.mean_period_ns) else expected_ns):
         return []

@@ -23,10 +23,10 @@ class InputRecord:
         late_delays: late messages per bin of :data:`LATE_EDGES_S`, and above.
         refused_in_a_row: messages refused since the last accepted one.
         future_in_a_row: likewise, stamped in the future.
-        last_refusal_ns: when the last message was refused, None where none was.
+        last_refusal_ns: when the last message was refused, in the time of waiting; None where none was.
         last_refusal: its reason.
         last_text: what was said about it.
-        last_arrival_ns: when the last message came, None where none has.
+        last_arrival_ns: when the last message came, in the time of waiting; None where none has.
     """
 
     def __init__(self, input_topic: InputTopic) -> None:
@@ -46,12 +46,12 @@ class InputRecord:
         self._intervals_ns: deque[int] = deque(maxlen=WINDOW)
         self._latencies_ns: deque[int] = deque(maxlen=WINDOW)
 
-    def add_arrival(self, receive_ns: int) -> None:
+    def add_arrival(self, waiting_ns: int) -> None:
         """A message came."""
         self.received += 1
         if self.last_arrival_ns is not None:
-            self._intervals_ns.append(receive_ns - self.last_arrival_ns)
-        self.last_arrival_ns = receive_ns
+            self._intervals_ns.append(waiting_ns - self.last_arrival_ns)
+        self.last_arrival_ns = waiting_ns
 
     def add_accepted(self, stamp_ns: int, receive_ns: int) -> None:
         """A message was used; that ends a run of refusals."""
@@ -61,23 +61,23 @@ class InputRecord:
         if self._newest_stamp_ns is None or stamp_ns > self._newest_stamp_ns:
             self._newest_stamp_ns = stamp_ns
 
-    def add_rejected(self, reason: str, text: str, receive_ns: int, stamp_ns: int | None) -> None:
+    def add_rejected(self, reason: str, text: str, waiting_ns: int, receive_ns: int, stamp_ns: int | None) -> None:
         """A message was refused; the delay of a late one goes into the histogram."""
         self.rejected += 1
         self.reasons[reason] += 1
         self.refused_in_a_row += 1
         self.future_in_a_row = self.future_in_a_row + 1 if reason == "future" else 0
-        self.last_refusal_ns, self.last_refusal, self.last_text = receive_ns, reason, text
+        self.last_refusal_ns, self.last_refusal, self.last_text = waiting_ns, reason, text
         if reason == "late" and stamp_ns is not None:
             delay_s = (receive_ns - stamp_ns) * 1e-9
             self.late_delays[sum(delay_s > edge for edge in LATE_EDGES_S)] += 1
 
-    def add_overflow(self, count: int, why: str, now_ns: int) -> None:
+    def add_overflow(self, count: int, why: str, waiting_ns: int) -> None:
         """Messages were cut; that says nothing about those that were looked at."""
         self.received += count
         self.rejected += count
         self.reasons["overflow"] += count
-        self.last_refusal_ns, self.last_refusal = now_ns, "overflow"
+        self.last_refusal_ns, self.last_refusal = waiting_ns, "overflow"
         self.last_text = f"{self.reasons['overflow']} messages cut, the last {why}"
 
     @property
@@ -90,12 +90,12 @@ class InputRecord:
             return math.nan
         return (sum(self._intervals_ns) - max(self._intervals_ns)) / (len(self._intervals_ns) - 1)
 
-    def rate_hz(self, now_ns: int) -> float:
+    def rate_hz(self, waiting_ns: int) -> float:
         """Mean rate of arrival, a silence that is longer than any interval included; NaN before two came."""
         if self.last_arrival_ns is None or not self._intervals_ns:
             return math.nan
-        waiting_ns = now_ns - self.last_arrival_ns
-        silence_ns = waiting_ns if waiting_ns > max(self._intervals_ns) else 0
+        since_ns = waiting_ns - self.last_arrival_ns
+        silence_ns = since_ns if since_ns > max(self._intervals_ns) else 0
         span_ns = sum(self._intervals_ns) + silence_ns
         return len(self._intervals_ns) * 1e9 / span_ns if span_ns > 0 else math.nan
 

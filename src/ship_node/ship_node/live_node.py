@@ -1,10 +1,10 @@
 """An adapter in a live rclpy node: its inputs, ticks, services and parameters.
 
-Nothing that an adapter raises ends the node (:mod:`ship_node.guard`). Ticks fall on the same grid of the node's
-clock as in replay (:mod:`ship_node.tick_grid`). The events executor takes half the processor time of the
-single-threaded one and hears of messages of all topics in the order in which they came; but its queue of events has
-no bound, and timers wait in it behind all the rest. So callbacks only put messages into an inbox that has one
-(:mod:`ship_node.inbox`), and the adapter gets one of them whenever no event is left.
+Nothing that an adapter raises ends the node (:mod:`ship_node.guard`). Ticks fall on a grid of the time of waiting: of
+/clock as in replay, or of a clock that nobody sets (:mod:`ship_node.tick_grid`). The events executor takes half the
+processor time of the single-threaded one and hears of messages of all topics in the order in which they came; but its
+queue of events has no bound, and timers wait in it behind all the rest. So callbacks only put messages into an inbox
+that has one (:mod:`ship_node.inbox`), and the adapter gets one of them whenever no event is left.
 """
 
 import time
@@ -38,7 +38,7 @@ from ship_node.message_factory import RosidlFactory, message_class
 from ship_node.parameter_file import misfit, quoted_parameter, read_whatever_fits
 from ship_node.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.ros_parameters import NodeParameters, ParameterNode
-from ship_node.tick_grid import TickGrid
+from ship_node.tick_grid import TickGrid, WaitingClock
 from ship_node.topics import InputTopic, OutputTopic
 
 SPIN_TIMEOUT_S = 0.1
@@ -92,7 +92,7 @@ class LiveNode:
             raise _with_line(error, parameter_files, self._full_name) from error
         self._calls = AdapterCalls(self.adapter, self._publishers, files, self._box)
         self._parameters.give_changes_to(self._calls, self._now_ns, self._handle_all)
-        self._grid = TickGrid()
+        self._grid, self._waiting = TickGrid(), WaitingClock(time.monotonic_ns)
         self._last_ns = 0
         self._inbox = Inbox({i.topic: i.depth for i in self.adapter.inputs})
         for name in adapter_class.services:
@@ -196,37 +196,45 @@ class LiveNode:
 
     def _on_message(self, topic: str, data: bytes) -> None:
         self._note_event()
-        self._inbox.put(Arrival(topic, data, self._now_ns()))
+        self._inbox.put(Arrival(topic, data, *self._times()))
+
+    def _times(self) -> tuple[int, int]:
+        """The node's time and the time of waiting, ns; zeros while the node waits for its first /clock."""
+        now_ns = self._now_ns()
+        if now_ns == 0 or self.node.get_clock().ros_time_is_active:
+            return now_ns, now_ns
+        return now_ns, self._waiting.now_ns(now_ns)
 
     def _work(self) -> None:
         """Give the adapter the next message at the time at which it came, or where none waits the time now."""
         if not self._inbox:
-            self._advance(self._now_ns())
+            self._advance(*self._times())
         elif self._now_ns():
             arrival = self._inbox.take()
-            now_ns = arrival.now_ns or self._now_ns()
-            self._advance(now_ns)
-            self._guard.call(arrival.topic, self._handle, arrival.topic, arrival.data, now_ns)
+            now_ns, waiting_ns = (arrival.now_ns, arrival.waiting_ns) if arrival.now_ns else self._times()
+            self._advance(now_ns, waiting_ns)
+            self._guard.call(arrival.topic, self._handle, arrival.topic, arrival.data, now_ns, waiting_ns)
 
     def _handle_all(self) -> None:
         """Give the adapter all that waits: what is asked of it next comes after that."""
         while self._inbox and self._now_ns():
             self._work()
 
-    def _handle(self, topic: str, data: bytes, now_ns: int) -> None:
-        self._calls.handle(topic, data, deserialize_message(data, self._subscriptions[topic].msg_type), now_ns)
+    def _handle(self, topic: str, data: bytes, now_ns: int, waiting_ns: int) -> None:
+        message = deserialize_message(data, self._subscriptions[topic].msg_type)
+        self._calls.handle(topic, data, message, now_ns, waiting_ns)
 
-    def _advance(self, now_ns: int) -> None:
-        """Tick up to now; 0 while the node waits for its first /clock."""
+    def _advance(self, now_ns: int, waiting_ns: int) -> None:
+        """Tick up to now; zeros while the node waits for its first /clock."""
         if now_ns == 0:
             return
-        if self._last_ns and now_ns - self._last_ns > LONGEST_CATCH_UP_NS:
-            self._grid.restart(now_ns)
-        self._last_ns = now_ns
-        for tick_ns in self._grid.due(now_ns):
-            self._guard.call("tick", self._calls.tick, tick_ns)
+        if self._last_ns and waiting_ns - self._last_ns > LONGEST_CATCH_UP_NS:
+            self._grid.restart(waiting_ns)
+        self._last_ns = waiting_ns
+        for tick_ns in self._grid.due(waiting_ns):
+            self._guard.call("tick", self._calls.tick, now_ns - (waiting_ns - tick_ns), tick_ns)
         for (topic, why), count in self._inbox.take_cuts().items():
-            self.adapter.health.overflowed(topic, count, why, now_ns)
+            self.adapter.health.overflowed(topic, count, why, waiting_ns)
 
     def _on_jump_back(self, jump: TimeJump) -> None:
         self._handle_all()

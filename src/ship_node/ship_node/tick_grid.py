@@ -1,8 +1,36 @@
-"""The moments at which a node ticks: the multiples of a period, the same live and in replay."""
+"""The time of waiting of a live node, and the moments at which a node ticks: multiples of a period in that time."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from ship_node.adapter import TICK_PERIOD_NS
+
+
+class WaitingClock:
+    """The time in which a node was listening: what judges silence where no /clock rules.
+
+    It goes with a clock that nobody sets, whatever becomes of the system's time. It begins at the node's time, so that
+    the two are near one another in a black box.
+
+    Args:
+        steady_ns: a clock that never jumps.
+    """
+
+    LONGEST_STEP_NS = 2 * TICK_PERIOD_NS
+    """A standstill of the node counts as no more: what came meanwhile lies unread, and that is no silence."""
+
+    def __init__(self, steady_ns: Callable[[], int]) -> None:
+        self._steady_ns = steady_ns
+        self._last_ns = 0
+        self._waiting_ns: int | None = None
+
+    def now_ns(self, node_ns: int) -> int:
+        """The time of waiting; ``node_ns`` is the node's time. A node at work asks at every tick."""
+        last_ns, self._last_ns = self._last_ns, self._steady_ns()
+        if self._waiting_ns is None:
+            self._waiting_ns = node_ns
+        else:
+            self._waiting_ns += min(self._last_ns - last_ns, self.LONGEST_STEP_NS)
+        return self._waiting_ns
 
 
 class TickGrid:

@@ -37,7 +37,7 @@ class Arrival:
 
 @dataclass
 class AdapterRun:
-    """What an adapter made of some arrivals: (time of publishing, topic, message)."""
+    """What an adapter made of some arrivals: (time of publishing, topic, message), in the time of waiting."""
 
     adapter: Adapter
     published: list[tuple[int, str, Any]] = field(default_factory=list)
@@ -131,17 +131,23 @@ def delayed(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
     )
 
 
-def hand_over(run: AdapterRun, arrivals: Iterable[Arrival], until_ns: int = 0) -> None:
-    """Give a run's adapter the arrivals with the ticks between them, as node and replay do; then tick on."""
+def hand_over(
+    run: AdapterRun, arrivals: Iterable[Arrival], until_ns: int = 0, node_ns: Callable[[int], int] = lambda ns: ns
+) -> None:
+    """Give a run's adapter the arrivals with the ticks between them, as node and replay do; then tick on.
+
+    Arrivals are in the time of waiting; ``node_ns`` is what the node's clock shows then.
+    """
     grid = TickGrid()
     for arrival in arrivals:
-        _tick(run, grid, arrival.receive_ns)
-        published = run.adapter.handle(arrival.topic, arrival.message, arrival.receive_ns)
-        run.published += [(arrival.receive_ns, *item) for item in published]
-    _tick(run, grid, max(until_ns, run.now_ns))
+        waiting_ns = arrival.receive_ns
+        _tick(run, grid, waiting_ns, node_ns)
+        published = run.adapter.handle(arrival.topic, arrival.message, node_ns(waiting_ns), waiting_ns)
+        run.published += [(waiting_ns, *item) for item in published]
+    _tick(run, grid, max(until_ns, run.now_ns), node_ns)
 
 
-def _tick(run: AdapterRun, grid: TickGrid, now_ns: int) -> None:
-    for tick_ns in grid.due(now_ns):
-        run.published += [(tick_ns, *item) for item in run.adapter.tick(tick_ns)]
-    run.now_ns = now_ns
+def _tick(run: AdapterRun, grid: TickGrid, waiting_ns: int, node_ns: Callable[[int], int]) -> None:
+    for tick_ns in grid.due(waiting_ns):
+        run.published += [(tick_ns, *item) for item in run.adapter.tick(node_ns(tick_ns), tick_ns)]
+    run.now_ns = waiting_ns

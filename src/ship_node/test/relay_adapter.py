@@ -69,8 +69,8 @@ class RelayAdapter:
         self.resets: list[int] = []
         self.handled: list[int] = []
 
-    def handle(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
-        self.health.arrived(topic, receive_ns)
+    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        self.health.arrived(topic, receive_ns if waiting_ns is None else waiting_ns)
         if message.header.frame_id == EXPLOSIVE_FRAME:
             raise RuntimeError("a defect of the adapter")
         try:
@@ -101,21 +101,21 @@ class RelayAdapter:
         )
         return [("ship/attitude", attitude)]
 
-    def tick(self, now_ns: int) -> list[Published]:
-        self.ticks.append(now_ns)
-        statuses = self.health.statuses(now_ns)
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        self.ticks.append(now_ns if waiting_ns is None else waiting_ns)
+        statuses = self.health.statuses(now_ns, waiting_ns)
         published = [(DIAGNOSTICS_TOPIC, diagnostic_array(self.factory, now_ns, self.node_name, statuses))]
-        return published + [("input_health", m) for m in self.health.messages(self.factory, now_ns)]
+        return published + [("input_health", m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
         self.resets.append(now_ns)
-        self.health.restart(now_ns)
+        self.health.restart()
         return []
 
     def service(self, name: str, now_ns: int) -> ServiceResult:
         if name == "explode":
             raise RuntimeError("a defect of a service")
-        self.health.restart(now_ns)
+        self.health.restart()
         return ServiceResult(True, "reset")
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:

@@ -215,7 +215,7 @@ def test_a_full_disk_ends_the_box_and_not_the_node(tmp_path: Path, monkeypatch: 
 
 
 class RaisingRelay(RelayAdapter):
-    def handle(self, topic, message, receive_ns):
+    def handle(self, topic, message, receive_ns, waiting_ns=None):
         raise RuntimeError("a defect")
 
 

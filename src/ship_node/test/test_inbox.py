@@ -4,7 +4,7 @@ from ship_node.inbox import LARGEST_MESSAGE_BYTES, Arrival, Inbox
 
 
 def arrivals(topic: str, *numbers: int) -> list[Arrival]:
-    return [Arrival(topic, bytes([number]), number) for number in numbers]
+    return [Arrival(topic, bytes([number]), number, number) for number in numbers]
 
 
 def taken(inbox: Inbox) -> list[tuple[str, int]]:
@@ -33,7 +33,7 @@ def test_mend_18_a_flood_on_one_topic_displaces_its_own_oldest_alone() -> None:
 
 def test_mend_18_a_message_of_megabytes_is_not_kept() -> None:
     inbox = Inbox({"star": 2})
-    inbox.put(Arrival("star", bytes(LARGEST_MESSAGE_BYTES + 1), 1))
-    inbox.put(Arrival("star", bytes(LARGEST_MESSAGE_BYTES), 2))
+    inbox.put(Arrival("star", bytes(LARGEST_MESSAGE_BYTES + 1), 1, 1))
+    inbox.put(Arrival("star", bytes(LARGEST_MESSAGE_BYTES), 2, 2))
     assert list(inbox.take_cuts().items()) == [(("star", f"larger than {LARGEST_MESSAGE_BYTES} bytes"), 1)]
     assert taken(inbox) == [("star", 2)]

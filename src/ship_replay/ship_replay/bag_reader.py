@@ -36,7 +36,7 @@ _RECORD_BYTES = 250
 
 @dataclass(slots=True)
 class BagRecord:
-    """One message as it lies in the bag; ``sequence`` is what its writer counted."""
+    """One message as it lies in the bag; ``sequence`` is what its writer counted, the publish time what it said."""
 
     topic: str
     type_name: str
@@ -44,6 +44,7 @@ class BagRecord:
     data: bytes
     store: Typestore
     sequence: int = 0
+    publish_time_ns: int = 0
 
     def decode(self) -> Any:
         """The message, its fields as attributes, by the definition that the bag holds.
@@ -182,7 +183,15 @@ class Bag:
 
     def _record(self, message: Message, channels: dict[int, str]) -> BagRecord:
         topic = channels[message.channel_id]
-        return BagRecord(topic, self.topics[topic], message.log_time, message.data, self._store, message.sequence)
+        return BagRecord(
+            topic,
+            self.topics[topic],
+            message.log_time,
+            message.data,
+            self._store,
+            message.sequence,
+            message.publish_time,
+        )
 
     def _channels_of(self, file: McapFile) -> dict[int, str]:
         """Channel → topic for those that can be read; notes topics, types and what is skipped."""

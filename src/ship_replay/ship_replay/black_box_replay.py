@@ -118,23 +118,23 @@ class _BoxReplay:
         """One entry of the box."""
         time_ns = self._files.time_ns = record.log_time_ns
         if record.topic == EVENTS_TOPIC:
-            self._take_event(event_from_text(record.decode().data), time_ns)
+            self._take_event(event_from_text(record.decode().data), time_ns, record.publish_time_ns)
             return
         adapter = self._ready_adapter()
         if record.topic in self._inputs:
-            message = record.decode()
-            self._use(record.topic, time_ns, lambda: adapter.handle(record.topic, message, time_ns))
+            message, waiting_ns = record.decode(), record.publish_time_ns
+            self._use(record.topic, time_ns, lambda: adapter.handle(record.topic, message, time_ns, waiting_ns))
         elif record.topic in self._outputs:
             self._compare(record)
 
-    def _take_event(self, event: Event, time_ns: int) -> None:
+    def _take_event(self, event: Event, time_ns: int, waiting_ns: int) -> None:
         if isinstance(event, FileUsed):
             # Those of its construction come before there is an adapter.
             self._files.expect(FileUse(event.path, event.written, self._attached(event), event.error))
             return
         adapter = self._ready_adapter()
         if isinstance(event, Tick):
-            self._use("tick", time_ns, lambda: adapter.tick(time_ns))
+            self._use("tick", time_ns, lambda: adapter.tick(time_ns, waiting_ns))
         elif isinstance(event, ClockJumpedBack):
             self._use("clock jump back", time_ns, lambda: adapter.clock_jumped_back(time_ns))
         elif isinstance(event, ServiceCalled):

@@ -25,7 +25,7 @@ from theodolite_calib.adapter import OpticalAxisAdapter
 
 BAGS = Path(__file__).parents[3] / "bags"
 LENGTH_NS = 8_000_000_000
-BOX_FORMAT = "1"
+BOX_FORMAT = "2"
 Record = Schema | Channel | Message | Attachment | Metadata
 
 

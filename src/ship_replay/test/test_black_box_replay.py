@@ -196,7 +196,7 @@ class TestRefused:
             return record
 
         line = refused(capsys, changed_copy(box, tmp_path / "b.mcap", change))
-        assert "b.mcap: version 0 of the black box: expected 1" in line
+        assert f"b.mcap: version 0 of the black box: expected {BOX_FORMAT}" in line
 
     def test_of_another_node(self, box, tmp_path, capsys):
         def change(record, topics):

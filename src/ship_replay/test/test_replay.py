@@ -50,7 +50,7 @@ class TinyAdapter:
         self.latest_header = None
         TinyAdapter.calls = []
 
-    def handle(self, topic, message, receive_ns):
+    def handle(self, topic, message, receive_ns, waiting_ns=None):
         self.calls.append((topic, receive_ns))
         self.health.arrived(topic, receive_ns)
         if message.header.frame_id == "wrong":
@@ -61,7 +61,7 @@ class TinyAdapter:
         heading = true_heading(ns_from_stamp(message.header.stamp)) + self.config.error_arcsec * ARCSEC
         return [("ship/attitude", ship_attitude(ns_from_stamp(message.header.stamp), heading, factory=self.factory))]
 
-    def tick(self, now_ns):
+    def tick(self, now_ns, waiting_ns=None):
         self.calls.append(("tick", now_ns))
         if self.latest_header is None:
             return []

@@ -64,16 +64,18 @@ class OpticalAxisAdapter:
         self._saved = self._read_calibration_at_start()
         self._calibration_messages: list[str] = []
         self._latest: PointingEstimate | None = None
+        self._budget_due: PointingEstimate | None = None
         self._conflict: Decision | None = None
         self._slow_due_ns: int | None = None
         self._clock_jumps = 0
 
-    def handle(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
+    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Take one message of an input topic."""
+        waiting_ns = receive_ns if waiting_ns is None else waiting_ns
         self._start(receive_ns)
-        self.health.arrived(topic, receive_ns)
+        self.health.arrived(topic, waiting_ns)
         try:
-            taken = self._inputs.take(topic, message, receive_ns)
+            taken = self._inputs.take(topic, message, receive_ns, waiting_ns)
         except Refused as refused:
             reason = Reason[refused.reason.upper()]
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
@@ -87,13 +89,14 @@ class OpticalAxisAdapter:
             self.health.accepted(topic, taken.time_ns, receive_ns)
         return published + self._published(taken.outcome, receive_ns)
 
-    def tick(self, now_ns: int) -> list[Published]:
-        """Say INVALID where nothing carries a pointing; once a period, the slow topics."""
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        """Say INVALID where no pointing was put out; once a period, the slow topics."""
+        waiting_ns = now_ns if waiting_ns is None else waiting_ns
         self._start(now_ns)
-        published = self._published(self.core.tick(now_ns), now_ns)
-        if self._slow_due_ns is None or now_ns >= self._slow_due_ns:
-            self._slow_due_ns = now_ns + round(self._config.slow_topics_period_s * _SECOND_NS)
-            published += self._slow_topics(now_ns)
+        published = self._published(self.core.tick(now_ns, waiting_ns), now_ns)
+        if self._slow_due_ns is None or waiting_ns >= self._slow_due_ns:
+            self._slow_due_ns = waiting_ns + round(self._config.slow_topics_period_s * _SECOND_NS)
+            published += self._slow_topics(now_ns, waiting_ns)
         return published
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
@@ -160,7 +163,8 @@ class OpticalAxisAdapter:
             published += self._lights_refused(decision.exposure.time_ns, decision.lights_refused)
             published.append((_INNOVATION, messages_out.innovation(self._factory, decision)))
         for estimate in outcome.estimates:
-            self._latest = estimate
+            claimed = estimate.status is not Status.INVALID
+            self._latest, self._budget_due = estimate, estimate if claimed else None
             published.append(("theodolite/pointing", messages_out.pointing(self._factory, estimate)))
         return published
 
@@ -179,19 +183,20 @@ class OpticalAxisAdapter:
         elif decision.accepted:
             self._conflict = None
 
-    def _slow_topics(self, now_ns: int) -> list[Published]:
+    def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
         factory, published = self._factory, []
-        if self._latest is not None and self._latest.status is not Status.INVALID:
+        if self._budget_due is not None:
             sources = self.core.filter.model.sources
             published += [
-                ("theodolite/error_budget", messages_out.error_budget(factory, self._latest, sources)),
-                ("theodolite/error_arcsec", messages_out.error_arcsec(factory, self._latest)),
+                ("theodolite/error_budget", messages_out.error_budget(factory, self._budget_due, sources)),
+                ("theodolite/error_arcsec", messages_out.error_arcsec(factory, self._budget_due)),
             ]
+            self._budget_due = None  # no pointing has its budget told twice
         calibration = self.core.calibration()
         published.append(("theodolite/calibration", messages_out.calibration(factory, calibration, now_ns)))
-        published += [("input_health", message) for message in self.health.messages(factory, now_ns)]
+        published += [("input_health", message) for message in self.health.messages(factory, now_ns, waiting_ns)]
         statuses = [
-            *self.health.statuses(now_ns),
+            *self.health.statuses(now_ns, waiting_ns),
             pointing_status(self._latest, self._clock_jumps),
             calibration_status(calibration, self._calibration_messages),
             *conflict_statuses(self._conflict),
@@ -203,8 +208,8 @@ class OpticalAxisAdapter:
 
     def _restart(self, now_ns: int, clock_jumped: bool) -> None:
         self.core.reset(clock_jumped)
-        self.health.restart(now_ns)
-        self._latest, self._slow_due_ns, self._conflict = None, None, None
+        self.health.restart()
+        self._latest, self._budget_due, self._slow_due_ns, self._conflict = None, None, None, None
 
     def _reset(self, now_ns: int) -> str:
         self._restart(now_ns, clock_jumped=False)
@@ -221,7 +226,7 @@ class OpticalAxisAdapter:
     def _load_calibration(self, now_ns: int) -> str:
         path = self._calibration_path()
         self._calibration_messages = self.core.start_from(calibration_file.load(path, self._files), now_ns)
-        self.health.restart(now_ns)
+        self.health.restart()
         self._conflict = None
         return "; ".join([f"calibration loaded from {path}", *self._calibration_messages])
 

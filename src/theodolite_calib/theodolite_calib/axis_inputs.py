@@ -57,8 +57,14 @@ class AxisInputs:
             *(InputTopic(topic, _IMU, required=False, depth=1000) for topic in imus),
         )
 
-    def take(self, topic: str, message: Any, receive_ns: int) -> Taken:
+    def take(self, topic: str, message: Any, receive_ns: int, waiting_ns: int) -> Taken:
         """Give a message to the core.
+
+        Args:
+            topic: it came on.
+            message: it.
+            receive_ns: when it came, by the node's clock.
+            waiting_ns: the same in the time of waiting.
 
         Raises:
             Refused: it cannot be read; nothing has changed.
@@ -69,7 +75,7 @@ class AxisInputs:
             return self._take_exposure(message, receive_ns)
         if kind == "encoder":
             converted = messages_in.encoder(message, config, receive_ns)
-            outcome = self._core.add_encoder(converted.value)
+            outcome = self._core.add_encoder(converted.value, waiting_ns)
         elif kind == "baseline":
             converted = messages_in.baseline(message, config.beacons[id_], config.least_fix, receive_ns)
             outcome = self._core.add_baseline(id_, converted.value)
@@ -80,7 +86,7 @@ class AxisInputs:
             by_ins = topic == "ins/imu"
             read = messages_in.ins_attitude if by_ins else messages_in.ship_attitude
             converted = read(message, config, receive_ns)
-            outcome = self._core.add_ship(converted.value)
+            outcome = self._core.add_ship(converted.value, waiting_ns)
         return Taken(converted.value.time_ns, outcome, covariance_known=converted.covariance_known)
 
     def _take_exposure(self, message: Any, receive_ns: int) -> Taken:

@@ -2,12 +2,14 @@
 
 Knows no ROS, no files, no clock. Measurements enter in any order; within ``lag_s`` each is applied at its own time. A
 pointing is published at the stamp of each encoder reading, as soon as the ship's attitude of that moment is there.
+Arrivals and ticks are given in the time of waiting (:mod:`ship_estimation.output_order`), stamps in that of the data.
 """
 
 from collections import deque
 from dataclasses import replace
 from typing import Any
 
+from ship_estimation.output_order import OutputOrder
 from ship_estimation.refusals import Reason, Refusal, same_stamp
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample
@@ -35,7 +37,7 @@ class OpticalAxisCore:
         self.config = config
         self._lag_ns = round(config.lag_s * SECOND_NS)
         self._start: tuple[CalibrationPrior, int] | None = None
-        self._last_output_ns = 0
+        self._order = OutputOrder()
         self._take_models(config)
         self.reset()
 
@@ -56,8 +58,9 @@ class OpticalAxisCore:
         self._pointing = PointingSource(self.config, self.filter)
         self._newest_ns = 0
         self._waiting: deque[tuple[EncoderSample, bool]] = deque()
+        self._encoder_arrival_ns: int | None = None
         if clock_jumped:
-            self._last_output_ns = 0
+            self._order.restart()
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Go on with other noise and gates; geometry and the set of lights stay."""
@@ -66,8 +69,14 @@ class OpticalAxisCore:
         self._inputs.reconfigure(config)
         self._pointing = PointingSource(config, self.filter)
 
-    def add_encoder(self, sample: EncoderSample) -> Outcome:
-        """A reading of the encoders; the pointing of its moment follows."""
+    def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> Outcome:
+        """A reading of the encoders; the pointing of its moment follows.
+
+        Args:
+            sample: the reading.
+            arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
+        """
+        arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         newest = self._inputs.encoder.newest
         latest = newest is None or sample.time_ns > newest.time_ns
         refusal = self._watch.check_units(sample) or self._late(sample.time_ns)
@@ -76,15 +85,17 @@ class OpticalAxisCore:
         if refusal is not None:
             return Outcome(refusal)
         outcome = self._insert(self._inputs.encoder, sample)
-        if latest and outcome.refusal is None and sample.time_ns > self._last_output_ns:
-            self._waiting.append((sample, self._watch.in_doubt))
-            self._publish(outcome)
+        if latest and outcome.refusal is None:
+            self._encoder_arrival_ns = arrival_ns
+            if self._order.follows(sample.time_ns):
+                self._waiting.append((sample, self._watch.in_doubt))
+                self._publish(outcome, arrival_ns)
         return outcome
 
-    def add_ship(self, sample: ShipSample) -> Outcome:
-        """An attitude of the ship."""
+    def add_ship(self, sample: ShipSample, arrival_ns: int | None = None) -> Outcome:
+        """An attitude of the ship; the arrival is that of :meth:`add_encoder`."""
         outcome = self._add(self._inputs.ship, sample)
-        self._publish(outcome)
+        self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
 
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> Outcome:
@@ -114,15 +125,19 @@ class OpticalAxisCore:
         self._advance(exposure.time_ns, outcome)
         return outcome
 
-    def tick(self, now_ns: int) -> Outcome:
-        """The time now: says INVALID, once a second, when no pointing could be given for a second."""
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> Outcome:
+        """Says INVALID, once a second, when no pointing was put out for a second, whatever came in.
+
+        Args:
+            now_ns: the time now.
+            waiting_ns: the same in the time of waiting; None where the two are one.
+        """
+        waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = Outcome()
-        if now_ns - self._last_output_ns >= SECOND_NS:
-            newest = self._inputs.encoder.newest
-            silent = newest is None or now_ns - newest.time_ns >= SECOND_NS
+        if self._order.invalid_due(waiting_ns):
+            silent = self._encoder_arrival_ns is None or waiting_ns - self._encoder_arrival_ns > SECOND_NS
             missing = "no usable reading of the encoders" if silent else f"no attitude on {self.config.ship.source}"
             outcome.estimates.append(no_pointing(self.filter, now_ns, missing))
-            self._last_output_ns = now_ns
         return outcome
 
     def calibration(self) -> Calibration:
@@ -205,7 +220,7 @@ class OpticalAxisCore:
 
     # -- outputs --------------------------------------------------------------------------------------------
 
-    def _publish(self, outcome: Outcome) -> None:
+    def _publish(self, outcome: Outcome, waiting_ns: int) -> None:
         """The pointings of readings whose moment the ship's attitude now covers."""
         while self._waiting:
             sample, in_doubt = self._waiting[0]
@@ -213,6 +228,6 @@ class OpticalAxisCore:
                 return
             self._waiting.popleft()
             ship = self._inputs.ship_at(sample.time_ns)
-            if ship is not None and sample.time_ns > self._last_output_ns:
+            if ship is not None and self._order.follows(sample.time_ns):
                 outcome.estimates.append(self._pointing.estimate(self.state, sample, *ship, in_doubt))
-                self._last_output_ns = sample.time_ns
+                self._order.claimed(sample.time_ns, waiting_ns)

@@ -186,7 +186,8 @@ class Outcome:
     Attributes:
         refusal: why this very input was not used; None where it was, or still waits.
         decisions: exposures judged now.
-        estimates: pointings to publish, with strictly increasing times.
+        estimates: pointings to publish; times increase strictly from claim to claim, see
+            :class:`ship_estimation.output_order.OutputOrder`.
     """
 
     refusal: Refusal | None = None

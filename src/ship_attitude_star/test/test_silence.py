@@ -1,0 +1,176 @@
+"""What is said of the attitude while inputs fail together, come late or lie: it rests on what was put out."""
+
+import functools
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, hand_over, in_order, stamp_of
+from small_voyage import FORE, INS, STARBOARD, Run, assert_honest, clean_run, cut, drive, new_adapter, voyage
+from star_voyage import FIX, except_
+from star_voyage import voyage as voyage_of_stars
+from test_ship_observations import sail
+
+from ship_attitude_star.samples import Status
+
+ATTITUDE = "ship/attitude"
+BUDGETS = ("ship/error_budget", "ship/error_arcsec")
+
+
+def at(s: float) -> int:
+    return START_NS + round(s * SECOND_NS)
+
+
+def claimed(run: Run) -> list[Any]:
+    return [m for m in run.messages(ATTITUDE) if m.status != Status.INVALID]
+
+
+def said_invalid(run: Run) -> list[int]:
+    """When INVALID was said, the start aside."""
+    return [ns for ns, topic, m in run.published if topic == ATTITUDE and m.status == Status.INVALID and ns > at(0.5)]
+
+
+def assert_in_order(run: Run) -> None:
+    assert all(stamp_of(earlier) < stamp_of(later) for earlier, later in pairwise(claimed(run)))
+
+
+def assert_invalid_once_a_second(run: Run, from_s: float, until_s: float) -> None:
+    """From within a second and a tick on, nothing is claimed, budgeted, or said to be well."""
+    said = [ns for ns in said_invalid(run) if at(from_s) <= ns < at(until_s)]
+    assert said[0] <= at(from_s + 1.1)
+    assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(said))
+    assert until_s - (said[-1] - START_NS) / SECOND_NS <= 1.2
+    assert [topic for ns, topic, _ in run.published if topic in BUDGETS and said[0] < ns < at(until_s)] == []
+    statuses = run.diagnostics("attitude", said[0], at(until_s))
+    assert {(level, text.partition(":")[0]) for level, text in statuses} == {(2, "INVALID")}
+
+
+def one_star(message: Any) -> None:
+    message.stars = message.stars[:1]
+
+
+def wrong_frame(message: Any) -> None:
+    message.header.frame_id = "radar"
+
+
+def test_mend_01_exposures_with_one_star_do_not_hide_that_the_ins_is_gone() -> None:
+    stars = [a for a in voyage_of_stars(6.0) if a.topic != INS or a.stamp_ns < at(3.0)]
+    stars = changed_where(stars, lambda a: a.topic.endswith("observations") and a.stamp_ns > at(2.5), one_star)
+    assert_invalid_once_a_second(sail(stars), 3.0, 6.0)
+
+
+def test_mend_01_exposures_without_a_fix_do_not_hide_that_the_ins_is_gone() -> None:
+    stars = [a for a in voyage_of_stars(6.0) if a.topic != INS or a.stamp_ns < at(3.0)]
+    run = sail(except_(stars, FIX))
+    assert {m.status for m in claimed(run)} == {Status.DEGRADED}
+    assert_invalid_once_a_second(run, 3.0, 6.0)
+
+
+def test_mend_01_an_ins_that_is_refused_is_no_attitude() -> None:
+    """It arrives at its full rate, in order, and nothing of it can be used; no star sensor works."""
+    arrivals = cut(voyage(8.0), 3.0, 8.0, FORE, STARBOARD)
+    run = drive(new_adapter(), changed_where(arrivals, lambda a: a.topic == INS and at(3.0) < a.stamp_ns, wrong_frame))
+    assert_invalid_once_a_second(run, 3.0, 8.0)
+
+
+def test_mend_01_stars_carry_the_attitude_while_the_ins_is_refused() -> None:
+    arrivals = changed_where(voyage(8.0), lambda a: a.topic == INS and at(3.0) < a.stamp_ns < at(6.0), wrong_frame)
+    run = drive(new_adapter(), arrivals)
+    carried = [m for m in claimed(run) if at(4.0) < stamp_of(m) < at(6.0)]
+    assert len(carried) == 20
+    assert {m.status for m in carried} == {Status.DEGRADED}
+    assert [ns for ns in said_invalid(run) if ns > at(4.0)] == []
+    assert_in_order(run)
+
+
+def test_mend_01_ins_and_stars_stop_and_come_back() -> None:
+    """First one of them, then both, then the stars, then both."""
+    arrivals = cut(cut(voyage(14.0), 3.0, 9.0, INS), 5.0, 7.0, FORE, STARBOARD)
+    run = drive(new_adapter(), arrivals)
+    by_second = {second: set() for second in range(14)}
+    for ns, topic, message in run.published:
+        if topic == ATTITUDE:
+            by_second[(ns - START_NS) // SECOND_NS].add(Status(message.status).name)
+    assert by_second[4] == by_second[8] == {"DEGRADED"}
+    assert by_second[6] == {"INVALID"}
+    assert by_second[10] == by_second[13] == {"VALID"}
+    assert_in_order(run)
+    for message in claimed(run):
+        assert_honest(message)
+
+
+def test_mend_01_no_attitude_has_its_budget_told_twice() -> None:
+    run = drive(new_adapter(slow_topics_period_s=0.1), cut(voyage(8.0), 3.0, 6.0, INS, FORE, STARBOARD))
+    for topic in BUDGETS:
+        stamps = [stamp_of(m) for m in run.messages(topic)]
+        assert len(stamps) == len(set(stamps)) > 40
+        assert all(ns <= at(3.2) or ns > at(6.0) for ns, name, _ in run.published if name == topic)
+
+
+# -- late, and clocks that are put right ----------------------------------------------------------------------
+
+
+def later(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tuple[Arrival, ...]:
+    return in_order(replace(a, receive_ns=a.receive_ns + round(latency_s(a.topic) * SECOND_NS)) for a in arrivals)
+
+
+@pytest.mark.parametrize(
+    "latency_s", [lambda topic: 1.05 if topic == INS else 0.0, lambda topic: 1.5, lambda topic: 9.0]
+)
+def test_mend_04_old_stamps_are_no_silence(latency_s: Callable[[str], float]) -> None:
+    """The INS within the lag behind the stars, or all that late."""
+    run = drive(new_adapter(), later(voyage(), latency_s))
+    by_ins, expected = ([stamp_of(m) for m in claimed(r) if "ins" in m.sources] for r in (run, clean_run()))
+    # Stars that came before the first INS sample had the word.
+    assert by_ins == [ns for ns in expected if latency_s(FORE) or ns > at(0.877)]
+    assert [ns for ns in said_invalid(run) if ns > at(latency_s(INS) + 0.1)] == []
+    assert_in_order(run)
+    assert run.state() == clean_run().state()
+    assert run.messages(ATTITUDE)[-1].status == Status.VALID
+    assert run.diagnostics("attitude", at(3.0 + latency_s(INS)), run.now_ns)[-1] == (0, "VALID: INS and stars")
+
+
+@pytest.mark.parametrize("step_s", [-0.04, 1.0, 5.0, 3600.0])
+def test_mend_04_a_clock_that_is_put_right_is_no_silence(step_s: float) -> None:
+    """The node's clock leaps while data and waiting go on: the same attitudes at the same moments."""
+    run = Run(new_adapter())
+    hand_over(run, voyage(), node_ns=lambda ns: ns + (round(step_s * SECOND_NS) if ns > at(2.5) else 0))
+    expected = [result for result in clean_run().results() if result[1] != "ship/alignment"]
+    assert [result for result in run.results() if result[1] != "ship/alignment"] == expected  # that has the node's time
+
+
+def test_mend_04_a_leap_second_costs_a_second_and_no_more() -> None:
+    """The stamps tell one second twice; the clocks of the node go on."""
+
+    def back(message: Any) -> None:
+        message.header.stamp.sec -= 1
+
+    run = drive(new_adapter(), changed_where(voyage(8.0), lambda a: a.stamp_ns >= at(3.0), back))
+    assert_in_order(run)
+    assert len(said_invalid(run)) <= 1
+    again = [m for m in claimed(run) if stamp_of(m) >= at(3.0)]
+    assert [stamp_of(m) for m in again] == [a.stamp_ns for a in voyage(7.0) if a.topic == INS and a.stamp_ns >= at(3.0)]
+
+
+@functools.cache
+def stopped(from_s: float, until_s: float) -> Run:
+    """What came while the node stood still it takes when it goes on, after the ticks of that time."""
+    arrivals = [replace(a, receive_ns=at(until_s)) if at(from_s) < a.receive_ns < at(until_s) else a for a in voyage()]
+    return drive(new_adapter(), arrivals)
+
+
+def test_mend_04_what_came_during_a_stop_is_put_out_after_it() -> None:
+    run = stopped(2.5, 3.7)
+    assert len(said_invalid(run)) == 1
+    assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(clean_run())]
+    assert run.state() == clean_run().state()
+
+
+def test_mend_04_invalid_has_the_time_of_the_tick_and_holds_nothing_back() -> None:
+    run = stopped(2.5, 3.7)
+    (invalid,) = [m for ns, topic, m in run.published if topic == ATTITUDE and ns in said_invalid(run)]
+    assert stamp_of(invalid) == said_invalid(run)[0]
+    index = run.messages(ATTITUDE).index(invalid)
+    assert stamp_of(run.messages(ATTITUDE)[index + 1]) < stamp_of(invalid)

@@ -1,0 +1,99 @@
+"""What is said of the pointing while inputs fail together or come late: it rests on what was put out."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from adapter_runs import SECOND_NS, START_NS, Arrival, hand_over, in_order, stamp_of
+from small_session import BEACONS, ENCODER, SHIP, Run, clean_run, drive, new_adapter, session
+
+from theodolite_calib.samples import Status
+
+POINTING = "theodolite/pointing"
+BUDGETS = ("theodolite/error_budget", "theodolite/error_arcsec")
+FROM_S = 2.0
+
+
+def at(s: float) -> int:
+    return START_NS + round(s * SECOND_NS)
+
+
+def claimed(run: Run) -> list[Any]:
+    return [m for m in run.pointings if m.status != Status.INVALID]
+
+
+def said_invalid(run: Run) -> list[int]:
+    """When INVALID was said, the start aside."""
+    return [ns for ns, topic, m in run.published if topic == POINTING and m.status == Status.INVALID and ns > at(0.5)]
+
+
+def assert_in_order(run: Run) -> None:
+    assert all(stamp_of(earlier) < stamp_of(later) for earlier, later in pairwise(claimed(run)))
+
+
+def until(arrivals: Iterable[Arrival], s: float, *topics: str) -> list[Arrival]:
+    return [a for a in arrivals if a.topic not in topics or a.stamp_ns < at(s)]
+
+
+@pytest.mark.parametrize(
+    ("dead", "missing"),
+    [
+        ((SHIP,), "no attitude on ship/attitude"),
+        ((ENCODER,), "no usable reading of the encoders"),
+        ((ENCODER, SHIP), "no usable reading of the encoders"),
+    ],
+)
+def test_mend_01_a_pointing_is_what_was_put_out(dead: tuple[str, ...], missing: str) -> None:
+    """The lights go on all the while."""
+    run = drive(new_adapter(slow_topics_period_s=0.2), until(session(), FROM_S, *dead), until_ns=at(5.0))
+    said = said_invalid(run)
+    assert at(FROM_S + 0.9) < said[0] <= at(FROM_S + 1.2)
+    assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(said))
+    assert len(said) == 3
+    assert [topic for ns, topic, _ in run.published if topic in BUDGETS and ns > said[0]] == []
+    assert set(run.diagnostics("pointing", said[0], run.now_ns)) == {(2, f"INVALID: {missing}")}
+    for topic in BUDGETS:
+        stamps = [stamp_of(m) for m in run.messages(topic)]
+        assert len(stamps) == len(set(stamps)) > 5
+
+
+def test_mend_01_encoder_and_ship_stop_and_come_back() -> None:
+    """First the ship's attitude, then both; the encoder comes back first."""
+    gaps = {SHIP: (1.0, 3.5), ENCODER: (1.6, 3.0)}
+    spans = {topic: range(*map(at, gap)) for topic, gap in gaps.items()}
+    arrivals = [a for a in session() if a.stamp_ns not in spans.get(a.topic, ())]
+    run = drive(new_adapter(), arrivals)
+    assert len(said_invalid(run)) in (1, 2)
+    assert_in_order(run)
+    back = [m for m in claimed(run) if stamp_of(m) >= at(3.6)]
+    assert [stamp_of(m) for m in back] == [stamp_of(m) for m in claimed(clean_run()) if stamp_of(m) >= at(3.6)]
+    assert back[-1].status == Status.VALID
+
+
+def later(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tuple[Arrival, ...]:
+    return in_order(replace(a, receive_ns=a.receive_ns + round(latency_s(a.topic) * SECOND_NS)) for a in arrivals)
+
+
+@pytest.mark.parametrize("late", [(SHIP,), (ENCODER, SHIP), (ENCODER, SHIP, BEACONS)])
+def test_mend_04_old_stamps_are_no_silence(late: tuple[str, ...]) -> None:
+    run = drive(new_adapter(), later(session(), lambda topic: 1.3 if topic in late else 0.0))
+    assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(clean_run())]
+    assert [ns for ns in said_invalid(run) if ns > at(1.4)] == []
+
+
+@pytest.mark.parametrize("step_s", [-0.04, 1.0, 5.0])
+def test_mend_04_a_clock_that_is_put_right_is_no_silence(step_s: float) -> None:
+    run = Run(new_adapter())
+    hand_over(run, session(), node_ns=lambda ns: ns + (round(step_s * SECOND_NS) if ns > at(2.0) else 0))
+    expected = [result for result in clean_run().results() if result[1] != "theodolite/calibration"]
+    assert [result for result in run.results() if result[1] != "theodolite/calibration"] == expected
+
+
+def test_mend_04_what_came_during_a_stop_is_put_out_after_it() -> None:
+    arrivals = [replace(a, receive_ns=at(3.4)) if at(2.2) < a.receive_ns < at(3.4) else a for a in session()]
+    run = drive(new_adapter(), arrivals)
+    assert len(said_invalid(run)) == 1
+    assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(clean_run())]
+    assert run.state() == clean_run().state()
