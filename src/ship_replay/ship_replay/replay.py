@@ -9,13 +9,15 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from ship_node.adapter import Adapter
+from ship_node.parameter_file import full_name
 from ship_replay.adapter_chain import AdapterChain, suite_chain
 from ship_replay.bag_reader import Bag, BagRecord, read_bag
-from ship_replay.bag_suite import suite_text
+from ship_replay.bag_suite import suite_config, suite_text
 from ship_replay.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_replay.errors import BadInput
 from ship_replay.message_store import RosbagsFactory
 from ship_replay.replay_run import ReplayRun, ReplaySummary
+from ship_replay.status_course import reasons_for
 from ship_replay.times import NS_PER_S
 from ship_replay.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
 
@@ -65,7 +67,13 @@ def replay(
             run.finish()
         last_ns = bag.last_time_ns
         for adapter in chain.adapters:
-            for message in adapter.health.messages(factory, last_ns):
+            health = adapter.health.messages(factory, last_ns)
+            config = suite_config(bag, type(adapter), config_path, full_name(adapter.node_name, namespace))
+            for output in adapter.outputs:
+                if output.topic in summary.statuses:
+                    course = summary.statuses[output.topic]
+                    summary.reasons += reasons_for(course, adapter, config, summary.times, health)
+            for message in health:
                 if len(message.reasons):
                     counts = [int(count) for count in message.reason_counts]
                     name = message.topic if len(chain.adapters) == 1 else f"{adapter.node_name}: {message.topic}"

@@ -10,7 +10,9 @@ from ship_node.topics import Published
 from ship_replay.adapter_chain import AdapterChain
 from ship_replay.bag_reader import BagRecord
 from ship_replay.errors import BadInput
+from ship_replay.gaps import MessageTimes
 from ship_replay.orientations import ORIENTATIONS
+from ship_replay.status_course import STATUS_TOPICS, StatusCourse
 from ship_replay.times import NS_PER_S
 from ship_replay.topic_names import TRUTH_PREFIX
 from ship_replay.truth_errors import TruthErrors
@@ -28,6 +30,9 @@ class ReplaySummary:
         outputs: topic → messages written, truth included.
         refused: relative topic → reason → messages not used, or used only with a note.
         undecodable: relative topic → messages whose bytes are not of their type.
+        statuses: topic of a status → its course over time.
+        times: relative topic → when its messages were stamped and arrived.
+        reasons: why outputs were INVALID or DEGRADED, one line each.
         absent: optional input topics that are not in the bag.
         problems: what is wrong with the bag, one line each.
         duration_s: length of the bag.
@@ -38,6 +43,9 @@ class ReplaySummary:
     outputs: Counter[str] = field(default_factory=Counter)
     refused: dict[str, dict[str, int]] = field(default_factory=dict)
     undecodable: Counter[str] = field(default_factory=Counter)
+    statuses: dict[str, StatusCourse] = field(default_factory=dict)
+    times: dict[str, MessageTimes] = field(default_factory=dict)
+    reasons: list[str] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     duration_s: float = 0.0
@@ -92,6 +100,7 @@ class ReplayRun:
                 self._summary.undecodable[topic] += 1
                 return
             self._summary.inputs[topic] += 1
+            self._summary.times.setdefault(topic, MessageTimes()).add(record)
             self._publish(self._chain.handle(topic, message, record.log_time_ns), record.log_time_ns)
         self._write_errors(record.log_time_ns)
 
@@ -131,3 +140,5 @@ class ReplayRun:
     def _write(self, topic: str, message: Any, time_ns: int) -> None:
         self._writer.write(topic, message, time_ns)
         self._summary.outputs[topic] += 1
+        if topic in STATUS_TOPICS:
+            self._summary.statuses.setdefault(topic, StatusCourse()).add(message)

@@ -1,0 +1,144 @@
+"""What a replay tells at its end: the statuses over time, and why they were no better."""
+
+from dataclasses import dataclass
+
+import pytest
+from hand_made_bags import START_NS, imu, ship_attitude
+
+from ship_node.stamps import make_header
+from ship_replay.bag_writer import BagWriter
+from ship_replay.check_config_command import main as check_config
+from ship_replay.gaps import Gaps
+from ship_replay.message_store import RosbagsFactory
+from ship_replay.replay_command import main as replay
+from ship_replay.status_course import StatusCourse
+
+SECOND_NS = 1_000_000_000
+VALID, COASTING, DEGRADED, INVALID = range(4)
+SUITE = """\
+/**/ship_attitude:
+  ros__parameters:
+    ins: {max_gap_s: 0.5}
+    references:
+      b: {frame_id: b}
+"""
+
+
+@dataclass
+class Output:
+    header: object
+    status: int
+
+
+def course_of(*entries: tuple[float, int]) -> StatusCourse:
+    course, factory = StatusCourse(), RosbagsFactory()
+    for time_s, status in entries:
+        course.add(Output(make_header(factory, START_NS + round(time_s * SECOND_NS), ""), status))
+    return course
+
+
+def test_mend_14_spans_of_a_status_are_merged_and_share_the_time() -> None:
+    begin = (0.0, DEGRADED), (1.0, DEGRADED), (2.0, VALID), (3.0, VALID)
+    course = course_of(*begin, (4.0, COASTING), (9.0, VALID), (10.0, VALID))
+    assert [(s.status, (s.start_ns - START_NS) / SECOND_NS, s.count) for s in course.spans] == [
+        ("DEGRADED", 0.0, 2),
+        ("VALID", 2.0, 2),
+        ("COASTING", 4.0, 1),
+        ("VALID", 9.0, 2),
+    ]
+    lines = [" ".join(line.split()) for line in course.lines("ship/attitude")]
+    assert lines[0].startswith("status of ship/attitude from ")
+    assert lines[0].endswith(", 10.0 s:")
+    assert lines[1:4] == [
+        "VALID 30.0% of the time, 4 of 7 outputs",
+        "COASTING 50.0% of the time, 1 of 7 outputs",
+        "DEGRADED 20.0% of the time, 2 of 7 outputs",
+    ]
+    assert lines[4] == "0.0 s to 2.0 s DEGRADED 2 outputs"
+    assert lines[-1] == "9.0 s to 10.0 s VALID 2 outputs"
+
+
+def test_mend_14_invalid_ticks_stand_where_their_time_is() -> None:
+    """INVALID is told by the clock, after attitudes with later stamps as well as before earlier ones."""
+    course = course_of((0.0, VALID), (5.0, VALID), (3.0, INVALID), (6.0, VALID))
+    assert [span.status for span in course.spans] == ["VALID", "INVALID", "VALID"]
+    assert [span.count for span in course.spans] == [2, 1, 1]
+
+
+def test_mend_14_of_many_spans_the_longest_are_shown() -> None:
+    course = course_of(*((float(second), second % 2) for second in range(60)))
+    assert course.lines("ship/attitude")[-1] == "  and 48 shorter spans"
+    assert StatusCourse().lines("ship/attitude") == ["status of ship/attitude: nothing was put out"]
+
+
+def test_gaps_are_those_between_times_in_order() -> None:
+    gaps = Gaps()
+    for time_ms in (0, 200, 100, 100, 1300):
+        gaps.add(START_NS + time_ms * 1_000_000)
+    lengths_s, counts = gaps.seconds()
+    assert lengths_s == pytest.approx([0.1, 1.1 + 0.0])
+    assert counts.tolist() == [2, 1]
+
+
+def slow_bag(path, period_s=1.0, count=60):
+    with BagWriter(path) as bag:
+        for number in range(count):
+            stamp_ns = START_NS + round(number * period_s * SECOND_NS)
+            bag.write("ins/imu", imu(stamp_ns), stamp_ns)
+            bag.write("reference/b/imu", imu(stamp_ns - round(0.3 * period_s * SECOND_NS), "b"), stamp_ns)
+    return path
+
+
+def test_mend_14_an_ins_at_one_hertz_is_an_error_that_says_what_to_change(tmp_path, capsys):
+    """It was good, and then 714 of 715 attitudes were INVALID."""
+    config, bag = tmp_path / "suite.yaml", slow_bag(tmp_path / "a.mcap")
+    config.write_text(SUITE)
+    assert check_config([str(config), str(bag)]) == 2
+    lines = capsys.readouterr().out.splitlines()
+    said = f"error: {config}:3: parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in {bag} are stamped 1 s"
+    assert lines[0].startswith(f"{said} apart (59 of 59 gaps are longer): nothing is interpolated there")
+    assert lines[0].endswith("record it faster (import_nmea --resample HZ), or set 'ins.max_gap_s' to 1.5")
+    assert check_config([str(config), str(slow_bag(tmp_path / "b.mcap", period_s=0.1))]) == 0
+
+
+def test_mend_14_a_hole_is_a_warning(tmp_path, capsys):
+    config, bag = tmp_path / "suite.yaml", tmp_path / "a.mcap"
+    config.write_text(SUITE)
+    with BagWriter(bag) as writer:
+        for number in range(300):
+            stamp_ns = START_NS + (number + (30 if number > 100 else 0)) * SECOND_NS // 10
+            writer.write("ins/imu", imu(stamp_ns), stamp_ns)
+            writer.write("reference/b/imu", imu(stamp_ns, "b"), stamp_ns)
+    assert check_config([str(config), str(bag)]) == 0
+    warnings = [line for line in capsys.readouterr().out.splitlines() if line.startswith("warning")]
+    assert [line.partition("parameter ")[2].partition(" =")[0] for line in warnings] == [
+        "'ins.max_gap_s'",
+        "'ins.silence_s'",
+    ]
+    assert all("up to 3.1 s apart (1 of 299 gaps are longer)" in line for line in warnings)
+    assert all(line.endswith("look for what was lost") for line in warnings)
+
+
+def test_mend_14_a_replay_says_why_nothing_was_valid(tmp_path, capsys):
+    config, bag = tmp_path / "suite.yaml", slow_bag(tmp_path / "a.mcap")
+    config.write_text(SUITE)
+    assert replay([str(bag), "--config", str(config), "--out", str(tmp_path / "out.mcap")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (heading,) = [number for number, line in enumerate(lines) if line.startswith("why ")]
+    assert lines[heading].endswith("outputs of ship_attitude:")
+    assert lines[heading + 1].startswith("  parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in the bag")
+    assert any(line.startswith("status of ship/attitude from ") for line in lines[:heading])
+    assert any("of 60 messages on 'reference/b/imu' 0 were used, " in line for line in lines[heading:])
+
+
+def test_mend_14_a_replay_names_the_input_that_never_came(tmp_path, capsys):
+    config, bag = tmp_path / "suite.yaml", tmp_path / "a.mcap"
+    config.write_text("/**/ship_attitude: {ros__parameters: {references: {b: {frame_id: b}}}}\n")
+    with BagWriter(bag) as writer:
+        for number in range(400):
+            stamp_ns = START_NS + number * SECOND_NS // 20
+            writer.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
+            writer.write("ins/imu", imu(stamp_ns), stamp_ns)
+    assert replay([str(bag), "--config", str(config), "--out", str(tmp_path / "out.mcap")]) == 0
+    out = capsys.readouterr().out
+    assert "why 400 DEGRADED of 400 outputs of ship_attitude:\n  nothing came on 'reference/b/imu'" in out
