@@ -141,7 +141,7 @@ def test_parameters_as_a_file_give_the_same_parameters(frame_id: str) -> None:
             "frame_id": frame_id,
             "offsets_s": [0.1 + 0.2, -1e-300, 5e-324],
             "gate": {"bias_deg": 1e16},
-            "sensors": {"1": {"elevation_deg": -0.0}, "fore": {"elevation_deg": 1 / 3}},
+            "sensors": {"yes": {"elevation_deg": -0.0}, "fore": {"elevation_deg": 1 / 3}},
         },
     )
     assert load_config(RelayConfig, parameter_text("relay", config), "relay") == config
