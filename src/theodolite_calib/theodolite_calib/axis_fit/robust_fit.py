@@ -35,6 +35,9 @@ It keeps what the sightings do not see at zero, with a sigma that says so, and d
 
 _MEDIAN_OF_TWO = np.sqrt(2.0 * np.log(2.0))
 # No encoder reads finer; sightings without any error still have a scale.
+_LEAST_INFORMATION = 1e-13
+"""Of the best known combination's: what is below it is the rounding of sums."""
+
 _LEAST_SCALE = 1e-4 * ARCSEC
 _MOST_STEPS = 200
 # The scale is then held: what remains is convex and must converge.
@@ -189,5 +192,7 @@ def _left_out(residuals: FloatArray, design: FloatArray, weights: FloatArray, in
     stiffness = weights[:, None, None] * np.eye(2) - flat
     of_one = np.swapaxes(design, -1, -2) @ stiffness @ design
     pull = np.swapaxes(design, -1, -2) @ (weights[:, None] * residuals)[..., None]
-    change = np.linalg.solve(np.sum(of_one, axis=0) + information - of_one, -pull)
+    of_others = np.sum(of_one, axis=0) + information - of_one
+    # What the others say nothing of stays as it is: equal sightings without noise leave no inverse.
+    change = np.linalg.pinv(of_others, rcond=_LEAST_INFORMATION, hermitian=True) @ -pull
     return residuals - (design @ change)[..., 0]
