@@ -1,11 +1,8 @@
 """The executable ``ship_attitude``."""
 
-import sys
-
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_node.node_shell import run
+from ship_node.start import start_node
 
 
 def main() -> None:
     """Run the node until it is told to stop."""
-    sys.exit(run(ShipAttitudeAdapter))
+    start_node("ship_attitude_star.adapter", "ShipAttitudeAdapter")

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -121,3 +122,24 @@ def test_mend_12_a_file_about_other_nodes_is_one_warning_and_each_file_is_judged
         process.terminate()
         assert process.stderr.read() == ""
         assert process.wait(timeout=30) == 0
+
+
+def test_mend_18_told_to_end_while_it_still_reads_its_libraries_it_ends_well():
+    code = "from ship_node.start import start_node; start_node('relay_adapter', 'RelayAdapter')"
+    with subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parent, stderr=subprocess.PIPE) as process:
+        proc = Path(f"/proc/{process.pid}")
+        deadline_s = time.monotonic() + 30.0
+        while not _is_caught(proc, signal.SIGTERM):
+            assert time.monotonic() < deadline_s
+        was_reading = "_rclpy_pybind11" not in (proc / "maps").read_text()
+        process.terminate()
+        assert process.wait(timeout=30) == 0
+        assert process.stderr is not None
+        assert process.stderr.read() == b""
+    assert was_reading
+
+
+def _is_caught(proc: Path, number: signal.Signals) -> bool:
+    """Whether a process has a handler for a signal."""
+    (mask,) = [line.split()[1] for line in (proc / "status").read_text().splitlines() if line.startswith("SigCgt")]
+    return bool(int(mask, 16) >> (number - 1) & 1)

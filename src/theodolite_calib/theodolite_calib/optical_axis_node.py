@@ -1,11 +1,8 @@
 """The executable ``optical_axis``."""
 
-import sys
-
-from ship_node.node_shell import run
-from theodolite_calib.adapter import OpticalAxisAdapter
+from ship_node.start import start_node
 
 
 def main() -> None:
     """Run the node until it is told to stop."""
-    sys.exit(run(OpticalAxisAdapter))
+    start_node("theodolite_calib.adapter", "OpticalAxisAdapter")
