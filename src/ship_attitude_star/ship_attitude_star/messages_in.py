@@ -18,6 +18,7 @@ from ship_node.imu_messages_in import imu_rotation
 from ship_node.message_checks import (
     Refused,
     covariance_3x3,
+    device_id,
     finite_numbers,
     frame,
     stamp_ns,
@@ -64,8 +65,7 @@ def inertial_attitude(message: Any, sensor_id: str, config: StarSensorConfig, re
         Refused: with the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    if message.sensor_id != sensor_id:
-        raise Refused("unknown_sensor", f"sensor_id is '{message.sensor_id}': expected '{sensor_id}' on this topic")
+    device_id("sensor_id", message.sensor_id, sensor_id)
     frame(message.header.frame_id, config.frame_id)
     rotation_cs = celestial_rotation_from_quaternion(unit_quaternion(message.orientation, "orientation"))
     covariance_flu = _angular_covariance(message.covariance, "covariance")

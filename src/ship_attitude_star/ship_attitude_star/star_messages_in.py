@@ -18,10 +18,10 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
-from ship_node.message_checks import Refused, exposure_length_s, frame, stamp_ns
+from ship_node.message_checks import device_id, exposure_length_s, frame, stamp_ns
 
 MOST_STARS = 100
-"""Of one exposure; what comes after them is refused, so that no message can hold up the node."""
+"""Of one exposure; what comes after them is not looked at, so that no message can hold up the node."""
 
 _GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
 """Error of a direction that a message gives, rad per axis: as of a catalogue star whose motion is known."""
@@ -64,11 +64,10 @@ def star_exposure(
         Refused: the whole message.
     """
     time_ns = stamp_ns(message.header, receive_ns)
-    if message.sensor_id != sensor_id:
-        raise Refused("unknown_sensor", f"sensor_id is '{message.sensor_id}': expected '{sensor_id}' on this topic")
+    device_id("sensor_id", message.sensor_id, sensor_id)
     frame(message.header.frame_id, frame_id)
     exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
-    stars = message.stars
+    stars = message.stars[:MOST_STARS]
     numbers = np.array([[star.u, star.v, star.sigma_px, star.right_ascension, star.declination] for star in stars])
     pixels, sigma_px, right_ascension, declination = _columns(numbers)
     hip = np.array([star.catalogue_id for star in stars], dtype=np.int64)
@@ -83,8 +82,7 @@ def star_exposure(
     seen: dict[Hashable, FloatArray] = {}
     for row in range(len(stars)):
         refusal = (
-            _too_many(row, len(stars))
-            or _pixel_refusal(pixels[row], directions_s[row])
+            _pixel_refusal(pixels[row], directions_s[row])
             or _sigma_refusal(float(sigma_px[row]))
             or _number_refusal(int(hip[row]), int(rows[row]), catalogue)
             or _place_refusal(int(hip[row]), float(right_ascension[row]), float(declination[row]))
@@ -94,6 +92,9 @@ def star_exposure(
             used.append(row)
         else:
             refused.append((row, refusal))
+    if len(message.stars) > MOST_STARS:
+        text = f"{len(message.stars)} stars in one exposure: only the first {MOST_STARS} are looked at"
+        refused.append((MOST_STARS, Refusal(Reason.OVERFLOW, text)))
     kept = np.array(used, dtype=np.intp)
     positions, position_sigma = _positions(
         rows[kept], hip[kept] != 0, right_ascension[kept], declination[kept], catalogue, time_ns
@@ -114,19 +115,13 @@ def star_exposure(
 
 def sigmas_given(message: Any) -> bool:
     """Whether a StarObservationArray says of every star how good its centroid is."""
-    return all(star.sigma_px != 0.0 and not np.isnan(star.sigma_px) for star in message.stars)
+    return all(star.sigma_px != 0.0 and not np.isnan(star.sigma_px) for star in message.stars[:MOST_STARS])
 
 
 def _columns(numbers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Pixels (k, 2), sigmas, right ascensions and declinations (k,) of rows of five."""
     numbers = numbers.reshape(-1, 5)
     return numbers[:, :2], numbers[:, 2], numbers[:, 3], numbers[:, 4]
-
-
-def _too_many(row: int, count: int) -> Refusal | None:
-    if row < MOST_STARS:
-        return None
-    return Refusal(Reason.OVERFLOW, f"{count} stars in one exposure: only the first {MOST_STARS} are looked at")
 
 
 def _pixel_refusal(pixel: FloatArray, direction_s: FloatArray) -> Refusal | None:

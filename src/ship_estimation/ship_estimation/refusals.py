@@ -3,6 +3,14 @@
 import enum
 from dataclasses import dataclass
 
+LONGEST_TEXT = 200
+"""Characters of a reason; and what comes from outside is never longer than that in anything that goes out."""
+
+
+def shortened(text: str, most: int = LONGEST_TEXT) -> str:
+    """The text itself, or where it has more characters its beginning with an ellipsis, ``most`` in all."""
+    return text if len(text) <= most else text[: most - 1] + "…"
+
 
 class Reason(enum.IntEnum):
     """Why a measurement was not used; the values are those of ship_msgs/Innovation."""
@@ -44,6 +52,9 @@ class Refusal:
 
     reason: Reason
     text: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "text", shortened(self.text))
 
 
 def same_stamp(known: bytes, new: bytes) -> Refusal:

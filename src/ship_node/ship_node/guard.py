@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
+from ship_estimation.refusals import shortened
 from ship_node.diagnostics import Level, Status
 
 Result = TypeVar("Result")
@@ -60,7 +61,7 @@ class Guard:
     def _report(self, what: str, error: Exception) -> None:
         self._count += 1
         self._last_ns = self._monotonic_ns()
-        self._last_text = f"{what}: {type(error).__name__}: {error} ({_place(error)})"
+        self._last_text = f"{what}: {type(error).__name__}: {shortened(str(error))} ({_place(error)})"
         if self._last_ns - self._logged_ns < LOG_PERIOD_NS:
             self._not_logged += 1
             return

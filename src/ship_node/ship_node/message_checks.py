@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ship_estimation.refusals import shortened
 from ship_node.stamps import ns_from_stamp
 
 FUTURE_TOLERANCE_NS = 50_000_000
@@ -21,6 +22,7 @@ _SECOND_NS = 1_000_000_000
 _LEAST_QUATERNION_NORM = 1e-6
 _QUATERNION_NORM_TOLERANCE = 1e-2
 _COVARIANCE_TOLERANCE = 1e-6
+_LONGEST_ID = 64
 
 
 class Refused(Exception):
@@ -28,13 +30,18 @@ class Refused(Exception):
 
     Attributes:
         reason: why, as a constant of ship_msgs/Innovation in lower case.
-        text: the same for people, with numbers.
+        text: the same for people, with numbers; a longer one than fits is cut.
     """
 
     def __init__(self, reason: str, text: str) -> None:
-        super().__init__(f"{reason}: {text}")
         self.reason = reason
-        self.text = text
+        self.text = shortened(text)
+        super().__init__(f"{reason}: {self.text}")
+
+
+def quoted_id(name: str) -> str:
+    """A name that came in a message, for people: in quotes, and cut where it is longer than any sensible one."""
+    return f"'{shortened(name, _LONGEST_ID)}'"
 
 
 def stamp_ns(header: Any, receive_ns: int) -> int:
@@ -62,7 +69,17 @@ def frame(frame_id: str, expected: str) -> None:
         Refused: ``frame``.
     """
     if expected and frame_id != expected:
-        raise Refused("frame", f"frame_id is '{frame_id}': expected '{expected}'")
+        raise Refused("frame", f"frame_id is {quoted_id(frame_id)}: expected '{expected}'")
+
+
+def device_id(what: str, given: str, expected: str) -> None:
+    """Refuse a message of another device than its topic belongs to.
+
+    Raises:
+        Refused: ``unknown_sensor``.
+    """
+    if given != expected:
+        raise Refused("unknown_sensor", f"{what} is {quoted_id(given)}: expected '{expected}'")
 
 
 def finite_numbers(what: str, *values: float) -> None:

@@ -4,13 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from ship_estimation.refusals import Reason
+from ship_estimation.refusals import Reason, shortened
 from ship_node.message_factory import MessageFactory
 from ship_node.stamps import make_header
 
 
 def refusal_message(factory: MessageFactory, source: str, time_ns: int, reason: Reason, text: str) -> Any:
     """ship_msgs/Innovation of an input that was refused before it was compared."""
+    source = shortened(source)
     return factory.make(
         "ship_msgs/msg/Innovation",
         header=make_header(factory, time_ns, source),
@@ -22,5 +23,5 @@ def refusal_message(factory: MessageFactory, source: str, time_ns: int, reason: 
         gate=float("nan"),
         accepted=False,
         reason=int(reason),
-        reason_text=text,
+        reason_text=shortened(text),
     )

@@ -19,6 +19,7 @@ from ship_estimation.parameters import (
     flatten,
     nest,
 )
+from ship_estimation.refusals import shortened
 from ship_node.adapter_calls import AdapterCalls
 from ship_node.diagnostics import Level, Status
 from ship_node.errors import BadInput
@@ -107,6 +108,7 @@ class NodeParameters:
             result = take(parameters)
         except (ParameterError, ParameterNotDeclaredException) as error:
             result = SetParametersResult(successful=False, reason=str(error))
+        result.reason = shortened(result.reason)
         if not result.successful:
             self._last_refusal = f"; last refusal: {result.reason}"
             self._node.get_logger().warning(f"refused: {result.reason}")

@@ -4,11 +4,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ship_estimation.refusals import Reason
+from ship_estimation.refusals import LONGEST_TEXT, Reason, Refusal, shortened
 from ship_msgs.msg import Innovation
 from ship_node.message_checks import (
     Refused,
     covariance_3x3,
+    device_id,
     finite_numbers,
     finite_vector,
     frame,
@@ -142,3 +143,15 @@ def test_mend_13_every_reason_is_a_constant_of_the_message_and_keeps_its_number(
     constants = {name: getattr(Innovation, name) for name in dir(Innovation) if name.isupper() and name != "SLOT_TYPES"}
     assert {reason.name: reason.value for reason in Reason} == constants
     assert (Reason.OVERFLOW, Reason.UNKNOWN_SENSOR, Reason.CLOCK) == (18, 27, 28)
+
+
+def test_mend_18_texts_from_outside_are_cut_with_an_ellipsis():
+    endless = "x" * 10**6
+    refused = refusal(frame, endless, "ins")
+    assert len(refused.text) < LONGEST_TEXT
+    assert refused.text.endswith("x…': expected 'ins'")
+    assert len(refusal(device_id, "sensor_id", endless, "fore").text) < LONGEST_TEXT
+    assert Refused("frame", endless).text == "x" * (LONGEST_TEXT - 1) + "…"
+    assert len(str(Refused("frame", endless))) < LONGEST_TEXT + 10
+    assert Refusal(Reason.FRAME, endless).text == shortened(endless)
+    assert shortened("x" * LONGEST_TEXT) == "x" * LONGEST_TEXT

@@ -1,5 +1,6 @@
 """Messages that cannot be used: the reason, where it is told, and that the pointing is as without them."""
 
+import copy
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -31,7 +32,8 @@ from small_session import (
     session,
 )
 
-from ship_estimation.refusals import Reason
+from ship_estimation.refusals import LONGEST_TEXT, Reason
+from theodolite_calib.messages_in import MOST_LIGHTS
 from theodolite_calib.samples import Mode, Status
 
 MOMENT_S = 3.0
@@ -395,6 +397,23 @@ def test_an_encoder_in_degrees_is_not_believed_where_it_could_be_radians() -> No
     later = changed_where(later, lambda a: a.topic == ENCODER and seconds_of(a) >= 3.0, small)
     run = drive(new_adapter(), later)
     assert {m.status for m in run.pointings} == {Status.INVALID}
+
+
+def test_mend_18_a_crowd_of_lights_and_endless_ids_are_cut() -> None:
+    def crowded(message: Any) -> None:
+        strangers = [copy.copy(seen(message, "alpha")) for _ in range(MOST_LIGHTS + 50)]
+        for number, stranger in enumerate(strangers):
+            stranger.beacon_id = f"{number}" + "x" * 10**5
+        message.beacons = [*message.beacons, *strangers]
+
+    run = drive(new_adapter(), replaced(session(), index_at(session(), BEACONS, MOMENT_S), crowded))
+    strangers = told(run, Reason.UNKNOWN_SENSOR)
+    assert len(strangers) == MOST_LIGHTS - 2
+    assert max(len(text) for both in strangers for text in both) <= LONGEST_TEXT
+    assert strangers[0][1].endswith("…' is unknown: expected alpha, bravo")
+    ((_, text),) = told(run, Reason.OVERFLOW)
+    assert text == f"{MOST_LIGHTS + 52} lights in one image: only the first {MOST_LIGHTS} are looked at"
+    assert run.state() == clean_run().state()
 
 
 def test_covariances_that_are_not_given_are_not_perfect() -> None:

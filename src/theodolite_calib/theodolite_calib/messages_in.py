@@ -20,15 +20,20 @@ from ship_node.imu_messages_in import imu_rotation, ins_sample, ship_rate
 from ship_node.message_checks import (
     Refused,
     covariance_3x3,
+    device_id,
     finite_numbers,
     finite_vector,
     frame,
+    quoted_id,
     stamp_ns,
     unit_quaternion,
 )
 from theodolite_calib.beacon_config import BeaconConfig
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.samples import BaselineSample, EncoderSample, Exposure, SeenLight, ShipSample, Status
+
+MOST_LIGHTS = 100
+"""Of one image; what comes after them is not looked at, so that no message can hold up the node."""
 
 _ENCODER_INVALID = 1
 _FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
@@ -118,8 +123,8 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
         ("base_id", message.base_id, beacon.rtk.base_id),
         ("rover_id", message.rover_id, beacon.rtk.rover_id),
     ):
-        if expected and given != expected:
-            raise Refused("unknown_sensor", f"{name} is '{given}': expected '{expected}'")
+        if expected:
+            device_id(name, given, expected)
     if message.fix < _FIXES.index(least_fix.upper()) or message.fix >= len(_FIXES):
         fix = _FIXES[message.fix] if message.fix < len(_FIXES) else message.fix
         refusal = Refusal(Reason.NOT_FIXED, f"baseline is {fix}: expected {least_fix.upper()}")
@@ -154,20 +159,22 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Conver
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.telescope.frame_id)
-    if message.telescope_id != config.telescope.telescope_id:
-        text = f"telescope_id is '{message.telescope_id}': expected '{config.telescope.telescope_id}'"
-        raise Refused("unknown_sensor", text)
-    names = [sighting.beacon_id for sighting in message.beacons]
+    device_id("telescope_id", message.telescope_id, config.telescope.telescope_id)
+    sightings = message.beacons[:MOST_LIGHTS]
+    names = [sighting.beacon_id for sighting in sightings]
     lights: dict[str, SeenLight] = {}
     refused: list[tuple[str, Refusal]] = []
     known = True
-    for sighting in message.beacons:
+    for sighting in sightings:
         light = _light_or_refusal(sighting, names, config)
         if isinstance(light, Refusal):
             refused.append((sighting.beacon_id, light))
         else:
             lights[sighting.beacon_id], sigma_known = light
             known &= sigma_known
+    if len(message.beacons) > MOST_LIGHTS:
+        text = f"{len(message.beacons)} lights in one image: only the first {MOST_LIGHTS} are looked at"
+        refused.append((message.beacons[MOST_LIGHTS].beacon_id, Refusal(Reason.OVERFLOW, text)))
     ordered = tuple(lights[name] for name in sorted(lights))
     return Converted(Exposure(time_ns, ordered), known, tuple(refused))
 
@@ -184,9 +191,9 @@ def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> t
     name = sighting.beacon_id
     if name not in config.beacons:
         expected = ", ".join(sorted(config.beacons)) or "none: beacons.<id> is empty"
-        raise Refused("unknown_sensor", f"beacon_id '{name}' is unknown: expected {expected}")
+        raise Refused("unknown_sensor", f"beacon_id {quoted_id(name)} is unknown: expected {expected}")
     if names.count(name) > 1:
-        raise Refused("conflict", f"'{name}' is in one image {names.count(name)} times")
+        raise Refused("conflict", f"{quoted_id(name)} is in one image {names.count(name)} times")
     finite_numbers("x, z", sighting.x, sighting.z)
     if max(abs(sighting.x), abs(sighting.z)) > _LARGEST_DETECTOR_M:
         raise Refused("units", f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
