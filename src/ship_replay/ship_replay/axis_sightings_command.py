@@ -22,7 +22,8 @@ def _parser() -> CommandParser:
         epilog="exit code: 0 written; 2 bad input or usage, with one line that says which",
         description="Write the sightings of a bag as a table for fit_axes: of every exposure of two lights or more "
         "that the node optical_axis used, the encoder angles and the true direction of the main axis in the deck minus "
-        "them [deg]. The deck's own deformation is in the offsets.",
+        "them [deg], its time [s] and what one sigma of each error that lasts (deformation, ship, baselines, levers, "
+        "refraction) moves it by [arcsec].",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help=".mcap file or rosbag2 folder")
     parser.add_argument("--out", type=Path, required=True, metavar="SIGHTINGS.csv", help="table to write")
@@ -38,5 +39,7 @@ def _run(options: argparse.Namespace) -> int:
         raise BadInput(f"{options.out}: fit_axes reads .csv: give the table such a name")
     sightings = axis_sightings(options.bag, options.config, options.namespace, watch=watched)
     sightings.write(options.out)
-    sys.stdout.write(f"{options.out}: {len(sightings.rows)} sightings, {sightings.unused} exposures not used\n")
+    count, written = len(sightings.rows), len(sightings.chosen)
+    spread = "" if written == count else f" ({written} of them written, evenly spread: as many as fit_axes takes)"
+    sys.stdout.write(f"{options.out}: {count} sightings{spread}, {sightings.unused} exposures not used\n")
     return EXIT_DONE

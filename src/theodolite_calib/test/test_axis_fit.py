@@ -1,15 +1,18 @@
 """The robust fit of axis errors: what it finds, how well it says it knows it, what it names."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from axis_sightings import ERRORS, STRAIGHT, sight, spread
 
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from theodolite_calib.axes import NAMES, AxisErrors
+from theodolite_calib.axes import NAMES, AxisErrors, direction_change
 from theodolite_calib.axis_fit.coverage import coverage
 from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, fit, rms, sizes
-from theodolite_calib.axis_fit.sightings import Sightings, directions
+from theodolite_calib.axis_fit.sightings import Sightings, directions, right_and_up
+from theodolite_calib.axis_fit.slow_errors import SlowError, slow_map
 from theodolite_calib.axis_fit.told_apart import condition_number, correlated_pairs, poorly_told_apart, unobservable
 
 SEEDS = 200
@@ -46,6 +49,44 @@ def test_covariance_is_honest(outlier_share: float) -> None:
     assert np.all((low <= ratio) & (ratio <= high)), ratio
     low, high = mean_nees_band(SEEDS, degrees=6)
     assert low <= np.mean(nees) <= high
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_mend_23_errors_that_sightings_share_are_in_the_covariance(stated: bool) -> None:
+    """A hull that turns by 20″ in ten minutes and a lever that is off for good; 99.9 % bands over the seeds."""
+    rng = np.random.default_rng(10)
+    seeds, count = 40, 50
+    time_s = 2.0 * np.arange(count)
+    angles = 0.03 * time_s, np.deg2rad(40.0 + 30.0 * np.sin(0.06 * time_s))
+    direction_d = directions(*angles)
+    turned = 20.0 * ARCSEC * right_and_up(direction_d) @ direction_change(direction_d, np.eye(3))
+    slow = (
+        *(SlowError(f"hull.{axis}", 600.0, turned[..., axis]) for axis in range(3)),
+        SlowError("lever", np.inf, 8.0 * ARCSEC * np.array([[1.0, 0.3]] * count)),
+    )
+    moves = np.concatenate([slow_map((error,), time_s, count) for error in slow], axis=-1)
+    ratios, nees, known = [], [], []
+    for _ in range(seeds):
+        clean = sight(rng, ERRORS, angles, 2.0)
+        right_up = moves @ rng.normal(size=moves.shape[-1])
+        moved = clean.direction_d + (np.swapaxes(right_and_up(clean.direction_d), 1, 2) @ right_up[..., None])[..., 0]
+        moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
+        result = fit(replace(clean, direction_d=moved, time_s=time_s, slow_errors=slow if stated else ()), STRAIGHT)
+        error = (result.errors.vector() - ERRORS.vector())[:6]
+        ratios.append(error / result.sigmas)
+        nees.append(normalized_error_squared(error, result.covariance))
+        known.append(result.sigmas_known)
+    low, high = mean_nees_band(seeds, degrees=6)
+    if not stated:
+        # What is claimed then is far off, so nearly always no sigma is claimed.
+        assert np.mean(nees) > 10.0 * high
+        assert np.mean(known) < 0.2
+        return
+    assert all(known)
+    assert low <= np.mean(nees) <= high, np.mean(nees)
+    low, high = sigma_ratio_band(seeds)
+    ratio = np.sqrt(np.mean(np.square(ratios), axis=0))
+    assert np.all((low <= ratio) & (ratio <= high)), ratio
 
 
 def test_outliers_are_named_and_hardly_count() -> None:

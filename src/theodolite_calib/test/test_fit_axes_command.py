@@ -1,7 +1,9 @@
 """The executable ``fit_axes``: what it writes, and what it says to bad input."""
 
 import csv
+import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +12,11 @@ import yaml
 from axis_sightings import ERRORS, sight, spread
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
+from theodolite_calib import calibration_file
 from theodolite_calib.axes import NAMES
 from theodolite_calib.axis_fit.coverage import azimuth_and_elevation
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, read_sightings
+from theodolite_calib.calibration import SAVED_NAMES
 from theodolite_calib.fit_axes_command import main
 
 HEADER = "observation,encoder_azimuth_deg,encoder_elevation_deg,azimuth_offset_deg,elevation_offset_deg"
@@ -52,7 +56,7 @@ def test_everything_is_written(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert names == {
         "axes.yaml", "axes.csv", "correlation.csv", "residuals.csv", "residuals.png", "over_angles.png", "sky.png",
-        "terms.png",
+        "terms.png", "calibration.yaml",
     }  # fmt: skip
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in folder.glob("*.png"))
 
@@ -96,7 +100,8 @@ def test_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert re.search(r"^without a model +\d", shown, re.MULTILINE)
     assert "poorly told apart: g, c, I: g +" in shown
     assert f"{len(rows)} sightings, 0 of them plunged; elevations " in shown
-    assert main([str(write_table(tmp_path / "one.csv", [[10.0, 40.0, 0.01, 0.01]] * 6)), "--out", str(tmp_path)]) == 0
+    one_place = [[10.0 + 1e-7 * number, 40.0, 0.01, 0.01] for number in range(6)]
+    assert main([str(write_table(tmp_path / "one.csv", one_place)), "--out", str(tmp_path)]) == 0
     assert "not observable: 4 combinations of g, h, c, I, beta_x, beta_y" in capsys.readouterr().out
 
 
@@ -136,7 +141,8 @@ def test_yaml_and_csv_are_read_alike(tmp_path: Path) -> None:
 def test_rows_without_numbers_are_counted_and_other_columns_ignored(tmp_path: Path) -> None:
     table = tmp_path / "s.csv"
     names = ["elevation_offset_deg", "jd_utc", *list(COLUMNS)[:3]]
-    table.write_text("\ufeff" + ", ".join(names) + "\n" + "0.1, 2457652.5, 350.0, 40.0, -0.2\n\n" * 2)
+    rows = "".join(f"0.1, 2457652.5, {azimuth}, 40.0, -0.2\n\n" for azimuth in (350.0, 351.0))
+    table.write_text("\ufeff" + ", ".join(names) + "\n" + rows)
     read = read_sightings(table)
     assert read.labels == ("1", "2")
     assert np.rad2deg(np.stack(azimuth_and_elevation(read.direction_d))[:, 0]) == pytest.approx([349.8, 40.1])
@@ -245,3 +251,107 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
     shown = capsys.readouterr().out
     for word in (*COLUMNS, *NAMES, "[arcsec", "[deg]", "exit code: 0"):
         assert word in shown
+
+
+def test_mend_23_what_the_table_states_of_shared_errors_is_in_the_calibration_file(tmp_path: Path) -> None:
+    """The optical axis takes the file; a turn of the base by 20″ leaves the tilt open by as much, plain rows do not."""
+    rows = table_rows()
+    header = f"{HEADER},time_s,group,group_sigma_arcsec"
+    lines = [
+        f"S{number}," + ",".join(map(repr, row)) + f",{1.4e9 + number},night,20.0" for number, row in enumerate(rows)
+    ]
+    table = tmp_path / "grouped.csv"
+    table.write_text("\n".join([header, *lines]) + "\n")
+    assert main([str(table), "--out", str(tmp_path / "grouped"), "--serial", "T7"]) == 0
+    assert main([str(write_table(tmp_path / "plain.csv")), "--out", str(tmp_path / "plain")]) == 0
+    grouped, plain = (calibration_file.load(tmp_path / name / "calibration.yaml") for name in ("grouped", "plain"))
+    rows_of_tilt = [SAVED_NAMES.index(name) for name in ("beta_x", "beta_y")]
+    tilt_arcsec = [np.sqrt(np.diagonal(prior.covariance))[rows_of_tilt] / ARCSEC for prior in (grouped, plain)]
+    assert tilt_arcsec[0] == pytest.approx([20.0, 20.0], abs=1.0)
+    assert np.all(tilt_arcsec[1] < 3.0)
+    assert (grouped.serial, grouped.time_ns) == ("T7", round((1.4e9 + COUNT - 1) * 1e9))
+    # Without a time nobody knows how old it is.
+    assert plain.time_ns == 0
+    fitted = yaml.safe_load((tmp_path / "grouped" / "axes.yaml").read_text(encoding="utf-8"))
+    np.testing.assert_allclose(grouped.covariance[:6, :6], fitted["covariance_rad2"], rtol=1e-12)
+    np.testing.assert_array_equal(grouped.covariance[6:], 0.0)
+
+
+def test_mend_23_no_sigma_where_sightings_share_errors_that_nothing_states(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(4)
+    rows = np.array(table_rows() * 3)
+    rows[:, 0] += np.repeat([0.0, 0.01, 0.02], COUNT)
+    # A slow walk of the base, 20″ within the table, is in the elevations.
+    rows[:, 3] += np.cumsum(rng.normal(0.0, 6.0, len(rows))) / 3600.0
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "calibration.yaml").write_text("of an earlier table")
+    assert main([str(write_table(tmp_path / "s.csv", rows.tolist())), "--out", str(out)]) == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"^beta_x +-?[0-9.]+ +unknown", shown, re.MULTILINE)
+    assert "no sigma: the residuals of neighbouring sightings hang together" in shown
+    assert "not written: calibration.yaml, for no sigma is known" in shown
+    assert not (out / "calibration.yaml").exists()
+    document = yaml.safe_load((out / "axes.yaml").read_text(encoding="utf-8"))
+    assert document["sigma_arcsec"] is None
+    assert document["covariance_rad2"] is None
+    assert {row["sigma_arcsec"] for row in rows_of(out / "axes.csv")} == {""}
+
+
+def test_mend_23_rows_given_twice_count_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, rows in (("once", table_rows()), ("twice", [*table_rows(), *table_rows()[:7]])):
+        assert main([str(write_table(tmp_path / f"{name}.csv", rows)), "--out", str(tmp_path / name)]) == 0
+    shown = capsys.readouterr().out
+    assert "given again, counted once: observation S40 (as S0)" in shown
+    once, twice = (yaml.safe_load((tmp_path / name / "axes.yaml").read_text()) for name in ("once", "twice"))
+    assert once.pop("given_again") == []
+    assert len(twice.pop("given_again")) == 7
+    assert once == twice
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        (lambda row: row, None),
+        (lambda row: [*row[:2], row[2] * math.cos(math.radians(row[1])), row[3]], "already multiplied by cos E"),
+        (lambda row: [*row[:2], -row[2], row[3]], "the other sign than elevation_offset_deg"),
+        (lambda row: [*row[:3], -row[3]], "the other sign than elevation_offset_deg"),
+    ],
+)
+def test_mend_23_offsets_that_mean_something_else_are_told(
+    changed: Callable[[list[float]], list[float]], told: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = write_table(tmp_path / "s.csv", [changed(row) for row in table_rows()])
+    assert main([str(table), "--out", str(tmp_path / "out")]) == 0
+    shown = capsys.readouterr().out
+    # Which sign both have no sighting can tell: the first is written out.
+    assert "observation S0 truly looked at" in shown
+    assert ("doubtful: " in shown) == (told is not None)
+    assert (tmp_path / "out" / "calibration.yaml").exists() == (told is None)
+    if told is not None:
+        assert told in shown
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "reason"),
+    [
+        ("slow_right_arcsec:hull:600", "1.0", "slow error 'hull:600': expected columns slow_right_arcsec:NAME:T"),
+        ("slow_right_arcsec:hull:long,slow_up_arcsec:hull:long", "1.0,1.0", "correlation time 'long': expected sec"),
+        ("slow_right_arcsec:hull:nan,slow_up_arcsec:hull:nan", "1.0,1.0", "correlation time 'nan': expected seconds"),
+        ("slow_right_arcsec:hull:600,slow_up_arcsec:hull:600", "1.0,1.0", "columns missing: time_s"),
+        ("slow_right_arcsec:hull:inf,slow_up_arcsec:hull:inf", "nan,1.0", "is 'nan': expected a finite number of arc"),
+        ("group", "a", "columns missing: group, group_sigma_arcsec belong together"),
+    ],
+)
+def test_mend_23_columns_of_shared_errors_that_cannot_be_read(
+    column: str, value: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "s.csv"
+    rows = [",".join(map(repr, row)) for row in table_rows()]
+    table.write_text("\n".join([f"{HEADER},{column}", *(f"S{n},{row},{value}" for n, row in enumerate(rows))]) + "\n")
+    assert main([str(table), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert reason in error

@@ -3,15 +3,17 @@
 Expected values: the README beside the sightings, and models.md §5.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
+from theodolite_calib.axis_fit.doubts import doubts
 from theodolite_calib.axis_fit.robust_fit import AxisFit, fit, rms, sizes
 from theodolite_calib.axis_fit.sighting_file import read_sightings
-from theodolite_calib.axis_fit.sightings import Sightings
+from theodolite_calib.axis_fit.sightings import Sightings, directions
 from theodolite_calib.axis_fit.told_apart import correlated_pairs, poorly_told_apart
 
 TABLE = Path(__file__).parents[3].parent / "shared" / "data" / "altaz_mount" / "pointing.csv"
@@ -67,3 +69,20 @@ def test_agrees_with_the_observatory(sightings: Sightings) -> None:
     assert abs(errors.g / ARCSEC + 28.7) <= 1.5
     assert abs(errors.I / ARCSEC + 17.2) <= 1.5
     assert np.hypot(errors.beta_x / ARCSEC, errors.beta_y / ARCSEC + 4.6) <= 2.0
+
+
+@pytest.mark.parametrize("fixed", [{"flexure": 0.0}, {"c": 0.0}])
+def test_mend_23_offsets_multiplied_by_cos_e_are_told_though_they_fit_better(
+    sightings: Sightings, fixed: dict[str, float]
+) -> None:
+    azimuth, elevation = sightings.offsets()
+    multiplied = replace(
+        sightings,
+        direction_d=directions(
+            sightings.azimuth + azimuth * np.cos(sightings.elevation), sightings.elevation + elevation
+        ),
+    )
+    assert rms(fit(multiplied, fixed).residuals) < 0.9 * rms(fit(sightings, fixed).residuals)
+    assert doubts(sightings, fixed) == []
+    (told,) = doubts(multiplied, fixed)
+    assert "already multiplied by cos E" in told

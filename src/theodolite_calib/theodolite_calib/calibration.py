@@ -111,8 +111,9 @@ def state_from_prior(
     messages = []
     # What was held when the calibration was saved has its uncertainty from the configuration.
     usable = np.diagonal(prior.covariance) > 0.0
-    if prior.telescope_id != config.telescope.telescope_id:
-        usable &= [name not in _OF_TELESCOPE for name in SAVED_NAMES]
+    of_telescope = usable & [name in _OF_TELESCOPE for name in SAVED_NAMES]
+    if prior.telescope_id != config.telescope.telescope_id and np.any(of_telescope):
+        usable &= ~of_telescope
         messages.append(
             f"saved calibration is of telescope '{prior.telescope_id}', configured is "
             f"'{config.telescope.telescope_id}': its focal length and parallelism are not used"

@@ -46,7 +46,8 @@ def _document(prior: CalibrationPrior) -> dict[str, Any]:
         "telescope_id": prior.telescope_id,
         "values": _human(prior.values),
         "sigma": _human(sigma),
-        "covariance_note": "of the values in their order, in rad and m: g, c, I and the parallelism belong together",
+        "covariance_note": "of the values in their order, in rad and m: g, c, I and the parallelism belong together; "
+        "where a sigma is 0 the configuration rules",
         "covariance": prior.covariance.tolist(),
     }
 

@@ -131,12 +131,16 @@ def _terms(fit: AxisFit) -> Figure:
     others = (np.abs(values) + sigmas)[~np.isin(fit.fitted, ["g", "h"])]
     shown = np.abs(values) < _STEEP * np.max(others) if len(others) else np.full(count, True)
     bars.axvline(0.0, color="0.4", lw=1)
-    bars.errorbar(values[shown], rows[shown], xerr=2.0 * sigmas[shown], fmt="o", color=_GOOD, capsize=4)
+    lengths = 2.0 * sigmas[shown] if fit.sigmas_known else None
+    bars.errorbar(values[shown], rows[shown], xerr=lengths, fmt="o", color=_GOOD, capsize=4)
     for row, value, sigma, inside in zip(rows, values, sigmas, shown, strict=True):
-        text = f"{value:.1f} ± {sigma:.1f}″".replace("-", "−") + ("" if inside else " (off the scale)")
+        uncertainty = f"± {sigma:.1f}″" if fit.sigmas_known else "″, σ unknown"
+        text = f"{value:.1f} {uncertainty}".replace("-", "−").replace(" ″", "″")
+        text += "" if inside else " (off the scale)"
         place = (value if inside else 0.0, row)
         bars.annotate(text, place, xytext=(0, 9), textcoords="offset points", ha="center", size=10)
-    bars.set(yticks=rows, yticklabels=fit.fitted, ylim=(count - 0.5, -0.7), xlabel="[″]", title="Fitted terms, ±2σ")
+    bars.set(yticks=rows, yticklabels=fit.fitted, ylim=(count - 0.5, -0.7), xlabel="[″]")
+    bars.set_title("Fitted terms, ±2σ" if fit.sigmas_known else "Fitted terms, σ unknown")
 
     correlation = fit.correlation
     matrix.imshow(correlation, cmap=_CORRELATION_COLOURS, vmin=-1.0, vmax=1.0, aspect="auto")

@@ -8,6 +8,10 @@ so that a sighting within 1.3 s counts in full and one far out with the weight k
 as small as these there is one minimum, whatever the start. s is the median of r over 1.177, which it is for a normal
 error in two components. Minimised by iteratively reweighted Gauss-Newton steps.
 
+Errors that several sightings share (:mod:`theodolite_calib.axis_fit.slow_errors`) are unknowns beside the axis errors,
+known to their sigma beforehand: what is left of a sighting is its own. Where none are stated, the sightings count as
+independent, and the residuals of neighbours tell whether they are: where these hang together there is no covariance.
+
 Huber, "Robust Statistics" (1981), ch. 7.
 """
 
@@ -33,12 +37,16 @@ PRIOR_SIGMAS = np.array([np.pi, np.pi, *[3600.0 * ARCSEC] * 5])
 It keeps what the sightings do not see at zero, with a sigma that says so, and does nothing to what they see.
 """
 
+HANG_TOGETHER = 0.3
+"""From this correlation between the residuals of neighbouring sightings on, independence would make a sigma too small
+by a third and more: none is given."""
+
+# Of the correlation of independent residuals, in its own sigmas.
+_CHANCE_SIGMAS = 3.0
 _MEDIAN_OF_TWO = np.sqrt(2.0 * np.log(2.0))
 # No encoder reads finer; sightings without any error still have a scale.
-_LEAST_INFORMATION = 1e-13
-"""Of the best known combination's: what is below it is the rounding of sums."""
-
 _LEAST_SCALE = 1e-4 * ARCSEC
+_ROUNDING = 1e-12
 _MOST_STEPS = 200
 # The scale is then held: what remains is convex and must converge.
 _STEPS_WITH_NEW_SCALE = 50
@@ -52,10 +60,13 @@ class AxisFit:
     Attributes:
         errors: axis errors, fixed ones included, rad.
         fitted: names of the fitted ones, in the order of the covariance.
-        covariance: of the fitted errors, shape (k, k), rad².
-        scale: robust sigma of one component of a sighting, rad.
+        covariance: of the fitted errors, shape (k, k), rad²; without what sightings share that nothing states.
+        neighbours: correlation between the residuals of neighbouring sightings.
+        sigmas_known: False where that says that the sightings share errors that nothing states.
+        scale: robust sigma of one component of a sighting, rad: of its own error, not of those that sightings share.
         before: residuals without any model, to the right and up, shape (n, 2), rad.
-        residuals: with the fitted model, shape (n, 2), rad.
+        shared: what the errors that sightings share are found to move them by, shape (n, 2), rad.
+        residuals: with the fitted model and without the shared errors, shape (n, 2), rad.
         left_out: of each sighting with the model that the others alone give, shape (n, 2), rad.
         weights: with which each sighting counted, shape (n,), at most 1.
         design: change of direction per fitted error, shape (n, 2, k).
@@ -64,8 +75,11 @@ class AxisFit:
     errors: AxisErrors
     fitted: tuple[str, ...]
     covariance: FloatArray
+    neighbours: float
+    sigmas_known: bool
     scale: float
     before: FloatArray
+    shared: FloatArray
     residuals: FloatArray
     left_out: FloatArray
     weights: FloatArray
@@ -95,21 +109,29 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
         fixed: errors that are not fitted, by name, with their values, rad.
     """
     free = np.array([name not in fixed for name in NAMES])
+    terms = int(np.sum(free))
     vector = np.array([fixed.get(name, start) for name, start in zip(NAMES, _start(sightings), strict=True)])
-    information = np.diag(PRIOR_SIGMAS[free] ** -2.0)
-    scale = 0.0
+    problem = _Problem(sightings, free, sightings.slow_map())
+    shared = np.zeros(problem.slow.shape[-1])
+    scale, taken = 0.0, float(terms)
     for step in range(_MOST_STEPS):
-        residuals, design = _linearized(sightings, vector, free)
+        residuals, design = problem.linearized(vector, shared)
         if step < _STEPS_WITH_NEW_SCALE:
-            scale = _scale(residuals, int(np.sum(free)))
+            scale = _scale(residuals, taken)
         weights = _weights(residuals, scale)
-        normal = _normal(design, weights[:, None, None] * np.eye(2)) + scale**2 * information
-        gradient = _gradient(design, weights, residuals) - scale**2 * information @ vector[free]
-        change = np.linalg.solve(normal, gradient)
-        vector[free] += change
-        if np.sqrt(change @ normal @ change) < _CONVERGED_SIGMAS * scale:
+        seen = _normal(design, weights[:, None, None] * np.eye(2)) / scale**2
+        unknowns = np.concatenate([vector[free], shared])
+        gradient = _gradient(design, weights, residuals) / scale**2 - problem.information @ unknowns
+        root = _root_of_inverse(seen, problem.information)
+        change = root @ (root.T @ gradient)
+        vector[free] += change[:terms]
+        shared = shared + change[terms:]
+        # A shared error that the residuals show takes a degree of freedom from them, as an axis error does.
+        taken = terms + float(np.sum(1.0 - np.sum(root[terms:] ** 2, axis=1)))
+        # The step in sigmas of the result.
+        if np.sqrt(gradient @ change) < _CONVERGED_SIGMAS:
             break
-    return _result(sightings, vector, free, scale)
+    return _result(problem, vector, shared, scale, taken)
 
 
 def sizes(residuals: FloatArray) -> FloatArray:
@@ -129,14 +151,34 @@ def _start(sightings: Sightings) -> FloatArray:
     return np.array([np.angle(np.sum(seen * np.conj(true))), *[0.0] * (len(NAMES) - 1)])
 
 
-def _linearized(sightings: Sightings, vector: FloatArray, free: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-    residuals, change = sightings.linearized(AxisErrors.from_vector(vector))
-    return residuals, change[..., free]
+@dataclass(frozen=True)
+class _Problem:
+    """The unknowns: axis errors that are not held, and errors that sightings share, in units of their sigma.
+
+    Attributes:
+        sightings: what is fitted.
+        free: which axis errors are fitted, shape (7,).
+        slow: what the shared errors move the sightings by, shape (n, 2, q).
+    """
+
+    sightings: Sightings
+    free: NDArray[np.bool_]
+    slow: FloatArray
+
+    @property
+    def information(self) -> FloatArray:
+        """What is known of the unknowns beforehand, shape (k + q, k + q)."""
+        return np.diag(np.concatenate([PRIOR_SIGMAS[self.free] ** -2.0, np.ones(self.slow.shape[-1])]))
+
+    def linearized(self, vector: FloatArray, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (n, 2), and the model's change by all unknowns, shape (n, 2, k + q)."""
+        residuals, change = self.sightings.linearized(AxisErrors.from_vector(vector))
+        return residuals - self.slow @ shared, np.concatenate([change[..., self.free], self.slow], axis=-1)
 
 
-def _scale(residuals: FloatArray, terms: int) -> float:
+def _scale(residuals: FloatArray, taken: float) -> float:
     components = residuals.size
-    lost = np.sqrt(components / (components - terms))
+    lost = np.sqrt(components / (components - taken))
     return max(float(np.median(sizes(residuals)) / _MEDIAN_OF_TWO * lost), _LEAST_SCALE)
 
 
@@ -155,34 +197,59 @@ def _gradient(design: FloatArray, weights: FloatArray, residuals: FloatArray) ->
     return design.reshape(-1, design.shape[-1]).T @ (weights[:, None] * residuals).ravel()
 
 
-def _result(sightings: Sightings, vector: FloatArray, free: NDArray[np.bool_], scale: float) -> AxisFit:
-    residuals, design = _linearized(sightings, vector, free)
+def _result(problem: _Problem, vector: FloatArray, shared: FloatArray, scale: float, taken: float) -> AxisFit:
+    sightings, terms = problem.sightings, int(np.sum(problem.free))
+    residuals, design = problem.linearized(vector, shared)
     weights = _weights(residuals, scale)
-    information = np.diag(PRIOR_SIGMAS[free] ** -2.0)
+    neighbours = _neighbours(sightings, weights[:, None] * residuals)
+    chance = _CHANCE_SIGMAS / np.sqrt(residuals.size)
     return AxisFit(
         errors=AxisErrors.from_vector(vector),
-        fitted=tuple(name for name, fitted in zip(NAMES, free, strict=True) if fitted),
-        covariance=_covariance(residuals, design, weights, information),
+        fitted=tuple(name for name, fitted in zip(NAMES, problem.free, strict=True) if fitted),
+        covariance=_covariance(residuals, design, weights, problem.information, taken)[:terms, :terms],
+        neighbours=neighbours,
+        sigmas_known=neighbours <= max(HANG_TOGETHER, chance),
         scale=scale,
         before=sightings.residuals(AxisErrors()),
+        shared=problem.slow @ shared,
         residuals=residuals,
-        left_out=_left_out(residuals, design, weights, scale**2 * information),
+        left_out=_left_out(residuals, design, weights, scale**2 * problem.information),
         weights=weights,
-        design=design,
+        design=design[..., :terms],
     )
 
 
-def _covariance(residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray) -> FloatArray:
+def _neighbours(sightings: Sightings, residuals: FloatArray) -> float:
+    """Correlation between the residuals of neighbours in time, or in the table where that says no time."""
+    if sightings.time_s is not None:
+        residuals = residuals[np.argsort(sightings.time_s, kind="stable")]
+    squares = float(np.sum(residuals**2))
+    return float(np.sum(residuals[1:] * residuals[:-1])) / squares if squares > 0.0 else 0.0
+
+
+def _covariance(
+    residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray, taken: float
+) -> FloatArray:
     """Huber (1981) §7.6, for residuals of two components, and the prior.
 
     The loss beyond k s resists a change along the residual not at all and one across it with its weight: on the average
     over both with half the weight.
     """
     stiffness = np.where(weights < 1.0, 0.5 * weights, 1.0)
-    freedom = residuals.size - design.shape[-1]
+    freedom = residuals.size - taken
     variance = np.sum((weights * sizes(residuals)) ** 2) / freedom / np.mean(stiffness)
     seen = _normal(design, stiffness[:, None, None] * np.eye(2)) / max(variance, _LEAST_SCALE**2)
-    return np.linalg.inv(seen + information)
+    root = _root_of_inverse(seen, information)
+    return root @ root.T
+
+
+def _root_of_inverse(seen: FloatArray, information: FloatArray) -> FloatArray:
+    """Root W of (seen + information)⁻¹ = W Wᵀ; what was known beforehand is diagonal."""
+    known = 1.0 / np.sqrt(np.diagonal(information))
+    values, vectors = np.linalg.eigh(known[:, None] * seen * known + np.eye(len(known)))
+    # In units of what was known beforehand no direction is known worse than 1, whatever rounding says.
+    root: FloatArray = known[:, None] * vectors / np.sqrt(np.maximum(values, 1.0))
+    return root
 
 
 def _left_out(residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray) -> FloatArray:
@@ -190,9 +257,10 @@ def _left_out(residuals: FloatArray, design: FloatArray, weights: FloatArray, in
     along = residuals / np.maximum(sizes(residuals), _LEAST_SCALE)[:, None]
     flat = np.where(weights < 1.0, weights, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]
     stiffness = weights[:, None, None] * np.eye(2) - flat
-    of_one = np.swapaxes(design, -1, -2) @ stiffness @ design
-    pull = np.swapaxes(design, -1, -2) @ (weights[:, None] * residuals)[..., None]
-    of_others = np.sum(of_one, axis=0) + information - of_one
-    # What the others say nothing of stays as it is: equal sightings without noise leave no inverse.
-    change = np.linalg.pinv(of_others, rcond=_LEAST_INFORMATION, hermitian=True) @ -pull
-    return residuals - (design @ change)[..., 0]
+    of_one = design @ _root_of_inverse(_normal(design, stiffness), information)
+    # A sighting pulls its own residual down; without it that is stretched.
+    own_pull = of_one @ np.swapaxes(of_one, -1, -2)
+    kept = np.eye(2) - stiffness @ own_pull
+    # What one sighting alone determines leaves nothing, and no more than rounding may be stretched.
+    stretched = own_pull @ np.linalg.inv(kept + _ROUNDING * np.eye(2))
+    return residuals + (stretched @ (weights[:, None] * residuals)[..., None])[..., 0]

@@ -1,5 +1,10 @@
 """Sightings from a file: a CSV table, or YAML with the same names under ``sightings``.
 
+Errors that several sightings share are stated by further columns: ``slow_right_arcsec:NAME:T`` and
+``slow_up_arcsec:NAME:T`` say what one sigma of the error NAME moves each sighting by, T being its correlation time in
+seconds (``inf`` where it lasts); or ``group`` and ``group_sigma_arcsec``, where all sightings of a group were taken
+while the base was turned about each of its axes by one error of this size.
+
 Whatever else sightings may come from ends in the same struct: :func:`read_sightings` chooses by the file's name.
 """
 
@@ -11,9 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from ship_geometry.rotations import ARCSEC
 from ship_node.errors import BadInput
 from ship_node.yaml_text import plain_data
-from theodolite_calib.axis_fit.sightings import Sightings, directions
+from theodolite_calib.axes import direction_change
+from theodolite_calib.axis_fit.sightings import Sightings, directions, right_and_up
+from theodolite_calib.axis_fit.slow_errors import SlowError
 
 COLUMNS = {
     "encoder_azimuth_deg": "azimuth encoder, clockwise seen from above",
@@ -26,6 +34,12 @@ COLUMNS = {
 LABEL_COLUMN = "observation"
 """Column with the user's own numbers, optional; without it the rows are numbered from 1."""
 
+TIME_COLUMN = "time_s"
+"""Moment of the sighting, UTC as POSIX time, optional; errors that fade need it."""
+
+GROUP_COLUMNS = ("group", "group_sigma_arcsec")
+
+_SIDES = ("slow_right_arcsec", "slow_up_arcsec")
 _ELEVATIONS_DEG = (-90.0, 270.0)
 _YAML_KEY = "sightings"
 
@@ -51,11 +65,77 @@ def read_sightings(path: Path) -> Sightings:
     rows = list(readers[path.suffix.lower()](path, text))
     if not rows:
         raise BadInput(f"{path}: no sightings")
-    labels = tuple(str(values.get(LABEL_COLUMN, number)) for number, (_, values) in enumerate(rows, start=1))
-    numbers = np.array([[_number(place, values, column) for column in COLUMNS] for place, values in rows])
+    numbered, repeated = _without_repeats(rows)
+    labels = tuple(str(values.get(LABEL_COLUMN, number)) for number, (_, values) in numbered)
+    table = [row for _, row in numbered]
+    numbers = np.array([[_number(place, values, column, "degrees") for column in COLUMNS] for place, values in table])
     _refuse_radians(path, numbers)
     azimuth, elevation, azimuth_offset, elevation_offset = np.deg2rad(numbers.T)
-    return Sightings(labels, azimuth, elevation, directions(azimuth + azimuth_offset, elevation + elevation_offset))
+    direction_d = directions(azimuth + azimuth_offset, elevation + elevation_offset)
+    time_s = _column(table, TIME_COLUMN, "seconds") if TIME_COLUMN in table[0][1] else None
+    slow = (*_slow_errors(path, table), *_group_errors(table, direction_d))
+    if time_s is None and not all(np.isinf(error.time_s) for error in slow):
+        raise BadInput(f"{path}: columns missing: {TIME_COLUMN}: the table states slow errors that fade in time")
+    return Sightings(labels, azimuth, elevation, direction_d, time_s, slow, repeated)
+
+
+def slow_column(side: int, name: str, time_s: float) -> str:
+    """Name of the column of a slow error to the right (0) or up (1)."""
+    return f"{_SIDES[side]}:{name}:{time_s:g}"
+
+
+def _without_repeats(rows: list[_Row]) -> tuple[list[tuple[int, _Row]], tuple[str, ...]]:
+    """The rows with their numbers, each sighting once, and what is left out: a sighting given twice is still one."""
+    kept: dict[tuple[str, ...], tuple[int, _Row]] = {}
+    repeated = []
+    for number, (place, values) in enumerate(rows, start=1):
+        # A sighting is what its angles and its time say, under whatever label.
+        key = tuple(str(values.get(column)).strip() for column in (*COLUMNS, TIME_COLUMN))
+        if key in kept:
+            first = kept[key][1][1]
+            repeated.append(f"{values.get(LABEL_COLUMN, number)} (as {first.get(LABEL_COLUMN, kept[key][0])})")
+        else:
+            kept[key] = (number, (place, values))
+    return list(kept.values()), tuple(repeated)
+
+
+def _column(table: list[_Row], column: str, unit: str) -> np.ndarray:
+    return np.array([_number(place, values, column, unit) for place, values in table])
+
+
+def _slow_errors(path: Path, table: list[_Row]) -> Iterator[SlowError]:
+    """Of the columns of slow errors, in pairs."""
+    names = [column for column in table[0][1] if str(column).startswith(tuple(f"{side}:" for side in _SIDES))]
+    for key in dict.fromkeys(column.split(":", 1)[1] for column in names):
+        name, _, time = key.rpartition(":")
+        pair = [f"{side}:{key}" for side in _SIDES]
+        if not name or any(column not in names for column in pair):
+            raise BadInput(f"{path}: slow error '{key}': expected columns {_SIDES[0]}:NAME:T and {_SIDES[1]}:NAME:T")
+        try:
+            time_s = float(time)
+        except ValueError:
+            time_s = math.nan
+        if not time_s >= 0.0:
+            raise BadInput(f"{path}: slow error '{key}': correlation time '{time}': expected seconds, or inf")
+        effect = np.stack([_column(table, column, "arcsec") for column in pair], axis=-1)
+        yield SlowError(name, time_s, ARCSEC * effect)
+
+
+def _group_errors(table: list[_Row], direction_d: np.ndarray) -> Iterator[SlowError]:
+    """A turn of the base about each of its axes for each group."""
+    group, sigma = GROUP_COLUMNS
+    if group not in table[0][1]:
+        return
+    for place, values in table:
+        if group not in values or sigma not in values:
+            raise BadInput(f"{place}: columns missing: {', '.join(GROUP_COLUMNS)} belong together")
+    sigmas = ARCSEC * _column(table, sigma, "arcsec")
+    turned = right_and_up(direction_d) @ direction_change(direction_d, np.eye(3))
+    groups = np.array([str(values[group]).strip() for _, values in table])
+    for name in dict.fromkeys(groups.tolist()):
+        inside = np.where(groups == name, sigmas, 0.0)[:, None]
+        for axis in range(3):
+            yield SlowError(f"{group} {name}.{axis + 1}", math.inf, inside * turned[..., axis])
 
 
 def _csv_rows(path: Path, text: str) -> Iterator[_Row]:
@@ -91,14 +171,14 @@ def _refuse_missing(place: str, found: Any) -> None:
         raise BadInput(f"{place}: columns missing: {', '.join(missing)} (degrees); found: {listed}")
 
 
-def _number(place: str, values: Mapping[str, Any], column: str) -> float:
-    value = values[column]
+def _number(place: str, values: Mapping[str, Any], column: str, unit: str) -> float:
+    value: Any = values.get(column)
     try:
         number = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise BadInput(f"{place}: {column} is {value!r:.40}: expected a finite number of degrees")
+        raise BadInput(f"{place}: {column} is {value!r:.40}: expected a finite number of {unit}")
     low, high = _ELEVATIONS_DEG
     if column == "encoder_elevation_deg" and not low <= number <= high:
         raise BadInput(f"{place}: {column} = {number:g} is out of its range [{low:g}, {high:g}] degrees")

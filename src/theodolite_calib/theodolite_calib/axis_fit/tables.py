@@ -21,11 +21,18 @@ VERSION = 1
 _RESIDUALS = ("before", "after", "left_out")
 
 
-def write_tables(fit: AxisFit, sightings: Sightings, folder: Path) -> list[Path]:
-    """Write every table into a folder that exists; returns the files."""
+def write_tables(fit: AxisFit, sightings: Sightings, doubted: list[str], folder: Path) -> list[Path]:
+    """Write every table into a folder that exists; returns the files.
+
+    Args:
+        fit: what was found.
+        sightings: from what.
+        doubted: what speaks against the table as it was read.
+        folder: where.
+    """
     names = [f"{residual}_{side}_arcsec" for residual in _RESIDUALS for side in ("right", "up")]
     return [
-        _write_yaml(folder / "axes.yaml", fit, sightings),
+        _write_yaml(folder / "axes.yaml", fit, sightings, doubted),
         write_csv(folder / "axes.csv", ("term", "value_arcsec", "sigma_arcsec", "fitted"), _terms(fit)),
         write_csv(folder / "correlation.csv", ("term", *fit.fitted), _correlation(fit)),
         write_csv(
@@ -36,16 +43,21 @@ def write_tables(fit: AxisFit, sightings: Sightings, folder: Path) -> list[Path]
     ]
 
 
-def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings) -> Path:
+def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, doubted: list[str]) -> Path:
     values = fit.errors.vector() / ARCSEC
     open_combinations = unobservable(fit)
     document = {
         "format": FORMAT,
         "version": VERSION,
         "values_arcsec": {name: float(value) for name, value in zip(NAMES, values, strict=True)},
-        "sigma_arcsec": dict(zip(fit.fitted, (fit.sigmas / ARCSEC).tolist(), strict=True)),
+        # Nothing rather than sigmas of a wrong assumption.
+        "sigma_arcsec": _sigmas_arcsec(fit) if fit.sigmas_known else None,
         "covariance_of": list(fit.fitted),
-        "covariance_rad2": fit.covariance.tolist(),
+        "covariance_rad2": fit.covariance.tolist() if fit.sigmas_known else None,
+        "neighbours_correlation": fit.neighbours,
+        "rms_of_shared_errors_arcsec": rms(fit.shared) / ARCSEC,
+        "doubts": doubted,
+        "given_again": list(sightings.repeated),
         "unobservable": list(open_combinations.names) if open_combinations else [],
         "poorly_told_apart": [list(combination.names) for combination in poorly_told_apart(fit)],
         "condition_number": condition_number(fit),
@@ -60,9 +72,13 @@ def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings) -> Path:
 
 
 def _terms(fit: AxisFit) -> Iterator[tuple[Any, ...]]:
-    sigmas = dict(zip(fit.fitted, fit.sigmas / ARCSEC, strict=True))
+    sigmas = _sigmas_arcsec(fit) if fit.sigmas_known else {}
     for name, value in zip(NAMES, fit.errors.vector() / ARCSEC, strict=True):
-        yield name, value, sigmas.get(name, ""), "yes" if name in sigmas else "no"
+        yield name, value, sigmas.get(name, ""), "yes" if name in fit.fitted else "no"
+
+
+def _sigmas_arcsec(fit: AxisFit) -> dict[str, float]:
+    return dict(zip(fit.fitted, (fit.sigmas / ARCSEC).tolist(), strict=True))
 
 
 def _correlation(fit: AxisFit) -> Iterator[tuple[Any, ...]]:

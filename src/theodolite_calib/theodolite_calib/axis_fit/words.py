@@ -6,7 +6,7 @@ import numpy as np
 
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.axes import NAMES
-from theodolite_calib.axis_fit.coverage import coverage
+from theodolite_calib.axis_fit.coverage import azimuth_and_elevation, coverage
 from theodolite_calib.axis_fit.robust_fit import OUTLIER_AT, AxisFit, rms, sizes
 from theodolite_calib.axis_fit.sightings import Sightings
 from theodolite_calib.axis_fit.told_apart import condition_number, correlated_pairs, poorly_told_apart, unobservable
@@ -25,10 +25,13 @@ MEANINGS = {
 _WIDE_GAP = np.pi / 2.0
 
 
-def summary(fit: AxisFit, sightings: Sightings) -> str:
+def summary(fit: AxisFit, sightings: Sightings, doubted: list[str]) -> str:
     """Lines of the result, the last without a line break."""
     lines = [
         *_coverage(sightings),
+        _first_row(sightings),
+        *(f"given again, counted once: observation {repeated}" for repeated in sightings.repeated),
+        *(f"doubtful: {text}" for text in doubted),
         "",
         *_terms(fit),
         "",
@@ -51,22 +54,43 @@ def _coverage(sightings: Sightings) -> Iterator[str]:
     )
 
 
+def _first_row(sightings: Sightings) -> str:
+    azimuth_deg, elevation_deg = (np.rad2deg(angle[0]) for angle in azimuth_and_elevation(sightings.direction_d))
+    return (
+        f"read: at {np.rad2deg(sightings.azimuth[0]):.5f}, {np.rad2deg(sightings.elevation[0]):.5f} deg by encoder, "
+        f"observation {sightings.labels[0]} truly looked at {azimuth_deg:.5f}, {elevation_deg:.5f} deg. Were both "
+        "offsets of the other sign, all errors would be so too, and no sighting could tell"
+    )
+
+
 def _terms(fit: AxisFit) -> Iterator[str]:
     yield f"{'term':8}  {'value':>9} {'sigma':>9}   [arcsec]"
     sigmas = dict(zip(fit.fitted, fit.sigmas / ARCSEC, strict=True))
     for name, value in zip(NAMES, fit.errors.vector() / ARCSEC, strict=True):
-        sigma = f"{sigmas[name]:9.2f}" if name in sigmas else f"{'fixed':>9}"
+        known = f"{sigmas.get(name, 0.0):9.2f}" if fit.sigmas_known else f"{'unknown':>9}"
+        sigma = known if name in sigmas else f"{'fixed':>9}"
         # Adding zero takes the sign from a rounded zero.
         yield f"{name:8}  {round(float(value), 2) + 0.0:9.2f} {sigma}   {MEANINGS[name]}"
+    if not fit.sigmas_known:
+        yield (
+            f"no sigma: the residuals of neighbouring sightings hang together (correlation {fit.neighbours:.2f}), so "
+            "they share errors, and the table does not state them: columns slow_right_arcsec:NAME:T, "
+            "slow_up_arcsec:NAME:T, or group, group_sigma_arcsec"
+        )
+    elif not np.any(fit.shared):
+        yield "sigma: the sightings count as independent; the table states no error that they share"
 
 
 def _residuals(fit: AxisFit) -> Iterator[str]:
     yield f"{'residuals':26}{'RMS':>8} {'median':>8}   [arcsec, angle on the sky]"
     for words, residuals in (
         ("without a model", fit.before),
+        ("of it errors shared", fit.shared),
         ("with the fitted terms", fit.residuals),
         ("each left out of its fit", fit.left_out),
     ):
+        if words == "of it errors shared" and not np.any(residuals):
+            continue
         yield f"{words:26}{rms(residuals) / ARCSEC:8.2f} {float(np.median(sizes(residuals))) / ARCSEC:8.2f}"
     if not np.all(fit.outliers):
         yield f"{'without the outliers':26}{rms(fit.residuals[~fit.outliers]) / ARCSEC:8.2f}"

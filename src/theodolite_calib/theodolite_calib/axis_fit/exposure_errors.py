@@ -1,0 +1,54 @@
+"""What the slow errors of the optical axis' model do to the direction that an exposure of lights gives."""
+
+import numpy as np
+
+from ship_estimation.state import StateModel
+from ship_geometry.rotations import FloatArray
+from theodolite_calib.axes import direction_change
+from theodolite_calib.axis_fit.sightings import right_and_up
+from theodolite_calib.equations import linearised, total
+from theodolite_calib.line_of_sight import covariance_by_source
+from theodolite_calib.sighting_at import Sighting
+from theodolite_calib.sighting_model import Prediction
+
+# What is looked for is no error of a sighting.
+_SOUGHT = "axes"
+_SHIP = "ship.attitude"
+
+
+def slow_effects(
+    model: StateModel, prediction: Prediction, sighting: Sighting, rotation_nt: FloatArray, direction_d: FloatArray
+) -> dict[tuple[str, float], FloatArray]:
+    """What one sigma of each slow error moves a sighting by.
+
+    Args:
+        model: which errors there are.
+        prediction: the exposure as configured, with the Jacobian by all errors.
+        sighting: the exposure.
+        rotation_nt: attitude of the telescope (horizon from telescope) that the lights gave, shape (3, 3).
+        direction_d: where the main axis looked by it, unit vector, shape (3,).
+
+    Returns:
+        Name and correlation time (s) → angles to the right and up, shape (2,), rad.
+    """
+    line_covariance = total(covariance_by_source(prediction.lines.terms))
+    equations = linearised(
+        sighting.image, prediction.camera, prediction.lines.direction_n, line_covariance, rotation_nt, None
+    )
+    gain = np.linalg.solve(equations.weighted_jacobian @ equations.jacobian, equations.weighted_jacobian)
+    # The lights give the telescope's attitude whatever the chain says; errors of the chain are in the comparison.
+    through_lights = gain @ (prediction.jacobian - prediction.by_attitude_n @ prediction.turn_n)
+    turn_d = sighting.ship.rotation_nd.T @ (prediction.turn_n + through_lights)
+    by_error = right_and_up(direction_d) @ direction_change(direction_d, turn_d)
+    effects = {}
+    for name, block in model.blocks.items():
+        if name == _SOUGHT:
+            continue
+        root = np.diag(block.sigma)
+        if name == _SHIP and sighting.ship.slow_covariance_n is not None:
+            values, vectors = np.linalg.eigh(sighting.ship.slow_covariance_n)
+            root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+        moved = by_error[:, model.slices[name]] @ root
+        for number, time_s in enumerate(block.time_s):
+            effects[f"{name}.{number + 1}", float(time_s)] = moved[:, number]
+    return effects
