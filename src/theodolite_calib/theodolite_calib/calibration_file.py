@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.files import DISK, Files
@@ -59,18 +60,22 @@ def _human(values: FloatArray) -> dict[str, float]:
 def _prior(document: dict[str, Any]) -> CalibrationPrior:
     """What the document says; a ValueError names the section that cannot be used."""
     size = len(SAVED_NAMES)
+    covariance = section(document, "covariance", lambda rows: joint_covariance(rows, size))
+    said = np.diagonal(covariance) > 0.0
     return CalibrationPrior(
         time_ns=section(document, "time_ns", stamp_ns),
         serial=section(document, "serial", str),
         telescope_id=section(document, "telescope_id", str),
-        values=section(document, "values", _values),
-        covariance=section(document, "covariance", lambda rows: joint_covariance(rows, size)),
+        values=section(document, "values", lambda given: _values(given, said)),
+        covariance=covariance,
     )
 
 
-def _values(given: dict[str, Any]) -> FloatArray:
+def _values(given: dict[str, Any], said: NDArray[np.bool_]) -> FloatArray:
+    """The values; of a focal length without a sigma the file says nothing, and it may be 0."""
     numbers = finite_numbers({key: given[key] for key in _KEYS.values()})
-    if not numbers[_KEYS["focal_length"]] > 0.0:
+    focal_length_m, is_said = numbers[_KEYS["focal_length"]], said[SAVED_NAMES.index("focal_length")]
+    if not (focal_length_m > 0.0 or (focal_length_m == 0.0 and not is_said)):
         raise ValueError(f"{_KEYS['focal_length']} is {numbers[_KEYS['focal_length']]:g}: expected more than 0")
     for key, number in numbers.items():
         if key != _KEYS["focal_length"] and not abs(number) * ARCSEC <= np.pi:
