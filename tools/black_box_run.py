@@ -160,7 +160,7 @@ def _voyage(folder: Path, duration_s: float) -> Path:
     scenario["duration_s"] = duration_s
     scenario_path, bag_path = folder / "scenario.yaml", folder / "voyage.mcap"
     scenario_path.write_text(yaml.safe_dump(scenario), encoding="utf-8")
-    if simulate([str(scenario_path), "--out", str(bag_path), "--seed", "1"]) != EXIT_DONE:
+    if simulate([str(scenario_path), "--out", str(bag_path), "--seed", "1", "--force"]) != EXIT_DONE:
         raise LiveFailure("the voyage could not be simulated")
     return bag_path
 

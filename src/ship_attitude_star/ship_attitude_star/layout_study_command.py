@@ -11,11 +11,15 @@ import numpy as np
 from ship_attitude_star.layout.config import LayoutStudyConfig, study_config
 from ship_attitude_star.layout.joint_error import total_arcsec
 from ship_attitude_star.layout.study import LayoutStudy, study
-from ship_attitude_star.layout.tables import write_tables
+from ship_attitude_star.layout.sweeps import SWEEPS
+from ship_attitude_star.layout.tables import TABLES, write_tables
 from ship_estimation.parameters import ParameterError, describe
 from ship_node.command_line import EXIT_DONE, CommandParser, run_command
+from ship_node.output_files import add_force, check_folder
 from ship_node.parameter_file import read_plain
+from ship_node.part_file import write_whole
 
+PAGE = "layout_study.html"
 _DEFAULT_TITLE = "two sensors as in [Z14]"
 
 
@@ -50,7 +54,7 @@ def _parser() -> CommandParser:
         "figures of [Z14] in both readings of its installation angles. Writes layout_study.html (one file with "
         "everything), PNG and CSV.",
         epilog=f"keys of LAYOUT.yaml, nested at the dots (<id>: any name):\n{_keys()}\n\n"
-        "exit code: 0 written; 2 bad input or usage",
+        "exit code: 0 written; 2 bad input or usage; 130 interrupted",
         formatter_class=_WrappedAbove,
     )
     parser.add_argument(
@@ -61,36 +65,45 @@ def _parser() -> CommandParser:
         help="sensors, angles [deg] and errors [arcsec] (default: two sensors with the values of [Z14])",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into, made if absent")
+    add_force(parser)
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
-    computed, title = _study(options.layout)
+    computed = _study(options)
     options.out.mkdir(parents=True, exist_ok=True)
     write_tables(computed, options.out)
     # Loading the figures' library takes longer than the study: bad input is told before.
     from ship_attitude_star.layout.figures import draw_figures
-    from ship_attitude_star.layout.page import write_page
+    from ship_attitude_star.layout.page import page_text
 
-    page = options.out / "layout_study.html"
-    write_page(computed, draw_figures(computed, options.out), title, page)
+    page = options.out / PAGE
+    title = _DEFAULT_TITLE if options.layout is None else options.layout.name
+    write_whole(page, page_text(computed, draw_figures(computed, options.out), title))
     sys.stdout.write(_summary(computed, page))
     return EXIT_DONE
 
 
-def _study(path: Path | None) -> tuple[LayoutStudy, str]:
-    """The study of a file and its title.
+def _study(options: argparse.Namespace) -> LayoutStudy:
+    """The study of the file named, or of [Z14]'s sensors.
 
     Raises:
-        BadInput: names the file, the line, the parameter and what was expected.
+        BadInput: names the file, the line, the parameter and what was expected; or what cannot be written.
     """
-    if path is None:
-        return study(study_config({})), _DEFAULT_TITLE
-    file = read_plain(path)
+    file = None if options.layout is None else read_plain(options.layout)
     try:
-        return study(study_config(file.values)), path.name
+        config = study_config({} if file is None else file.values)
+        check_folder(options.out, written(config), options.force)
+        return study(config)
     except ParameterError as error:
-        raise file.error(str(error)) from error
+        raise error if file is None else file.error(str(error)) from error
+
+
+def written(config: LayoutStudyConfig) -> list[str]:
+    """Names of all files written."""
+    figures = ["layout", "azimuth", *(f"map_{sensor}" for sensor in config.sensors)]
+    figures += [f"figure_{sweep.number}" for sweep in SWEEPS]
+    return [PAGE, *TABLES, *(f"{figure}.png" for figure in figures)]
 
 
 def _summary(computed: LayoutStudy, page: Path) -> str:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ship_attitude_star.layout.config import LayoutStudyConfig
+from ship_attitude_star import layout_study_command
+from ship_attitude_star.layout.config import LayoutStudyConfig, study_config
 from ship_attitude_star.layout_study_command import main
 from ship_estimation.parameters import describe
 
@@ -126,12 +127,22 @@ def test_bad_layout_is_one_line(text: str, reason: str, tmp_path: Path, capsys: 
     assert not (tmp_path / "out").exists()
 
 
+def test_mend_20_every_file_that_is_written_is_looked_for_before(written: Path, tmp_path: Path) -> None:
+    assert {path.name for path in written.iterdir()} == set(layout_study_command.written(study_config({})))
+    before = {path: path.read_bytes() for path in written.iterdir()}
+    assert main(["--out", str(written)]) == 2
+    assert {path: path.read_bytes() for path in written.iterdir()} == before
+    (tmp_path / "figure_3.png").write_bytes(b"precious")
+    assert main(["--out", str(tmp_path)]) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["figure_3.png"]
+
+
 def test_files_that_cannot_be_used_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(tmp_path / "absent.yaml"), "--out", str(tmp_path)]) == 2
     assert "absent.yaml: cannot be read" in capsys.readouterr().err
     (tmp_path / "taken").touch()
     assert main(["--out", str(tmp_path / "taken")]) == 2
-    assert capsys.readouterr().err == f"layout_study: {tmp_path / 'taken'}: File exists\n"
+    assert capsys.readouterr().err == f"layout_study: {tmp_path / 'taken'}: is a file: expected a folder\n"
 
 
 def test_usage(capsys: pytest.CaptureFixture[str]) -> None:

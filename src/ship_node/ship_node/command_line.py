@@ -1,8 +1,12 @@
-"""What every command of the suite does alike: one line on stderr and exit code 2 for bad input."""
+"""What every command of the suite does alike: one line on stderr and exit code 2 for bad input, 130 for Ctrl-C."""
 
 import argparse
+import contextlib
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from types import FrameType
 from typing import NoReturn
 
 from ship_estimation.parameters import ParameterError
@@ -11,6 +15,7 @@ from ship_node.errors import BadInput, one_line
 EXIT_DONE = 0
 EXIT_BOUND_NOT_MET = 1
 EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -24,7 +29,7 @@ class CommandParser(argparse.ArgumentParser):
 def run_command(
     parser: CommandParser, command: Callable[[argparse.Namespace], int], arguments: Sequence[str] | None
 ) -> int:
-    """Exit code of a command whose bad input becomes one line on stderr.
+    """Exit code of a command whose bad input, or interruption, becomes one line on stderr.
 
     Args:
         parser: parser of the command's arguments.
@@ -32,11 +37,34 @@ def run_command(
         arguments: the command line without the program's name; None takes the process's own.
     """
     parsed = parser.parse_args(arguments)
+    code = EXIT_BAD_INPUT
+    with _one_interrupt():
+        try:
+            return command(parsed)
+        except (BadInput, ParameterError) as problem:
+            reason = str(problem)
+        except OSError as problem:
+            reason = f"{problem.filename}: {problem.strerror}" if problem.filename else str(problem)
+        except KeyboardInterrupt:
+            reason, code = "interrupted", EXIT_INTERRUPTED
+        sys.stderr.write(f"{parser.prog}: {one_line(reason)}\n")
+    return code
+
+
+@contextlib.contextmanager
+def _one_interrupt() -> Iterator[None]:
+    """The first Ctrl-C ends the work; those of an impatient user do not end the tidying up, which is short."""
+    ours = threading.current_thread() is threading.main_thread()
+    if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
     try:
-        return command(parsed)
-    except (BadInput, ParameterError) as problem:
-        reason = str(problem)
-    except OSError as problem:
-        reason = f"{problem.filename}: {problem.strerror}" if problem.filename else str(problem)
-    sys.stderr.write(f"{parser.prog}: {one_line(reason)}\n")
-    return EXIT_BAD_INPUT
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

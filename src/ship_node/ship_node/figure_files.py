@@ -1,5 +1,6 @@
 """The figures of a study as PNG, in one style. Loading matplotlib takes longer than most studies: import this late."""
 
+import io
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -9,6 +10,8 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
+
+from ship_node.part_file import write_whole
 
 _STYLE = {
     "font.size": 11,
@@ -38,6 +41,8 @@ def write_figures(figures: Iterable[tuple[str, Figure]], folder: Path) -> dict[s
         for name, figure in figures:
             files[name] = folder / f"{name}.png"
             # Without the version of matplotlib the same study gives the same file.
-            figure.savefig(files[name], dpi=110, metadata={"Software": None})
+            content = io.BytesIO()
+            figure.savefig(content, format="png", dpi=110, metadata={"Software": None})
+            write_whole(files[name], content.getvalue())
             plt.close(figure)
     return files

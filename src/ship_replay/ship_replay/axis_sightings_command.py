@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ship_node.output_files import add_force, check_file
 from ship_replay.axis_sightings import axis_sightings
 from ship_replay.command_line import EXIT_DONE, CommandParser, run_command
 from ship_replay.errors import BadInput
@@ -19,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="axis_sightings",
-        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which",
+        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
         description="Write the sightings of a bag as a table for fit_axes: of every exposure of two lights or more "
         "that the node optical_axis used, the encoder angles and the true direction of the main axis in the deck minus "
         "them [deg], its time [s] and what one sigma of each error that lasts (deformation, ship, baselines, levers, "
@@ -31,12 +32,14 @@ def _parser() -> CommandParser:
         "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
     )
     parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    add_force(parser)
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
     if options.out.suffix.lower() != ".csv":
         raise BadInput(f"{options.out}: fit_axes reads .csv: give the table such a name")
+    check_file(options.out, options.force)
     sightings = axis_sightings(options.bag, options.config, options.namespace, watch=watched)
     sightings.write(options.out)
     count, written = len(sightings.rows), len(sightings.chosen)

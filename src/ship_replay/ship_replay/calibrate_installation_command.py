@@ -8,6 +8,8 @@ from pathlib import Path
 from rich.console import Console
 
 from ship_attitude_star import alignment_file
+from ship_node.output_files import add_force, check_file, check_folder
+from ship_node.part_file import write_whole
 from ship_replay.calibration.result import Calibration, calibration_of
 from ship_replay.calibration.session import run_session
 from ship_replay.calibration.tables import json_text, print_calibration
@@ -26,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="calibrate_installation",
-        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which",
+        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
         description="Find the installation angles of all star sensors from a session in harbour or at sea: a bag with "
         "ins/imu, the sensors' topics and, if there is one, reference/<name>/imu of known installation. Writes the "
         "file that ship_attitude reads by its parameter alignment_file, and says which combinations of the angles the "
@@ -46,6 +48,7 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
     parser.add_argument("--report", type=Path, metavar="DIR", help="folder for installation.json and installation.png")
+    add_force(parser)
     return parser
 
 
@@ -63,6 +66,9 @@ def _arcsec(text: str) -> float:
 def _run(options: argparse.Namespace) -> int:
     if options.out.resolve() == options.bag.resolve():
         raise BadInput(f"{options.out}: the output would overwrite the input")
+    check_file(options.out, options.force)
+    if options.report is not None:
+        check_folder(options.report, ("installation.json", "installation.png"), options.force)
     session = run_session(options.bag, options.config, options.prior_sigma, options.namespace, watch=watched)
     calibration = calibration_of(session)
     alignment_file.save(options.out, calibration.prior)
@@ -81,5 +87,5 @@ def _report(calibration: Calibration, folder: Path) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     values = folder / "installation.json"
-    values.write_text(json_text(calibration), encoding="utf-8")
+    write_whole(values, json_text(calibration))
     sys.stdout.write(f"report: {draw_course(calibration, folder)}, {values}\n")

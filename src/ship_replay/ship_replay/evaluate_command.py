@@ -6,6 +6,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from ship_node.output_files import add_force, check_file
+from ship_node.part_file import write_whole
 from ship_replay.bounds import Bounds, judge, read_bounds
 from ship_replay.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_replay.evaluate import Evaluation, evaluate
@@ -22,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="evaluate",
-        epilog="exit code: 0 evaluated, all bounds met; 1 a bound is not met; 2 bad input or usage",
+        epilog="exit code: 0 evaluated, all bounds met; 1 a bound is not met; 2 bad input or usage; 130 interrupted",
         description="Evaluate a run: with truth, RMS, bias, predicted sigma [arcsec] and NEES per source; in any "
         "case innovations [arcsec] by source and the last alignment. Exit code 1 when a bound is not met.",
     )
@@ -42,10 +44,13 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--figure", type=Path, metavar="FILE.png", help="draw the errors [arcsec] inside their ±3σ (.png, .pdf, .svg)"
     )
+    add_force(parser)
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
+    for path in filter(None, (options.json, options.figure)):
+        check_file(path, options.force)
     bounds = Bounds(0.0, {}) if options.bounds is None else read_bounds(options.bounds)
     skip_s = bounds.skip_s if options.skip is None else options.skip
     evaluation = evaluate(options.bag, options.against, skip_s, options.namespace)
@@ -54,7 +59,7 @@ def _run(options: argparse.Namespace) -> int:
     for problem in evaluation.problems:
         print(f"warning: {problem}")
     if options.json is not None:
-        options.json.write_text(evaluation.json_text(), encoding="utf-8")
+        write_whole(options.json, evaluation.json_text())
     if options.figure is not None:
         _draw(evaluation, options.bag.name, options.figure)
     judged = judge(evaluation.flat(), bounds, str(options.bounds))

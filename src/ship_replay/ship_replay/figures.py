@@ -1,5 +1,6 @@
 """Figures of a run: attitude errors inside their ±3σ, residuals inside theirs. Used by evaluate, demo and docs."""
 
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.part_file import write_whole
 from ship_replay.attitude_errors import AttitudeErrors
 from ship_replay.errors import BadInput
 from ship_replay.evaluate import Evaluation
@@ -106,8 +108,10 @@ def save_figure(figure: Figure, path: Path) -> None:
         BadInput: the format is unknown or the file cannot be written.
     """
     metadata = {_DATED[path.suffix.lower()]: None} if path.suffix.lower() in _DATED else {}
+    content = io.BytesIO()
     try:
-        figure.savefig(path, dpi=110, metadata=metadata)
+        figure.savefig(content, dpi=110, metadata=metadata, format=path.suffix[1:] or None)
+        write_whole(path, content.getvalue())
     except (ValueError, OSError) as problem:
         raise BadInput(f"{path}: the figure cannot be written: {problem}") from problem
     finally:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from ship_node.output_files import add_force, check_file
 from ship_replay.command_line import EXIT_DONE, CommandParser, run_command
 from ship_replay.errors import BadInput
 from ship_replay.import_nmea import GYRO_NAME, INSTRUMENT_TIME, RECEIVE_TIME, ImportOrder, import_logs
@@ -21,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="import_nmea",
-        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which",
+        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
         description="Turn ship logs (lines 'RECEIVE_TIME SENTENCE': GGA, ZDA, HDT, PSXN 20 and 23, PASHR, MET) into a "
         "bag with ins/imu, reference/<name>/imu, gnss/fix and met/*. Log time is the receive time.",
     )
@@ -47,10 +48,12 @@ def _parser() -> CommandParser:
         "--resample", type=float, metavar="HZ", help="resample ins/imu by a rotation spline, with angular velocity [Hz]"
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="suite configuration to attach to the bag")
+    add_force(parser)
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
+    check_file(options.out, options.force)
     rate_hz = options.resample
     if rate_hz is not None and not (math.isfinite(rate_hz) and 0.0 < rate_hz <= _HIGHEST_RATE_HZ):
         raise BadInput(f"--resample {rate_hz:g}: expected a rate above 0 and up to {_HIGHEST_RATE_HZ:g} Hz")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ship_node.errors import one_line
+from ship_node.output_files import add_force, check_file
 from ship_replay.bag_writer import BagWriter
 from ship_replay.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser
 from ship_replay.errors import BadInput
@@ -44,9 +45,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--out", type=Path, metavar="BAG", help="bag to write: BAG.mcap is one file, any other name a rosbag2 folder"
     )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="write over a file that is there (never over a folder)"
-    )
+    add_force(parser)
     parser.add_argument(
         "--recover", type=Path, nargs="+", metavar="FILE", help="make damaged or unfinished bags whole again"
     )
@@ -78,7 +77,7 @@ def _run(parser: CommandParser, parsed: argparse.Namespace, ros_arguments: list[
     if parsed.recover:
         if parsed.out is not None and len(parsed.recover) > 1:
             parser.error("--out names one result, but --recover several bags")
-        return _recover(parsed.recover, parsed.out)
+        return _recover(parsed.recover, parsed.out, parsed.force)
     if parsed.out is None:
         parser.error("the following arguments are required: --out")
     if parsed.out.suffix == ".mcap" and (parsed.split_mb or parsed.split_s):
@@ -86,12 +85,12 @@ def _run(parser: CommandParser, parsed: argparse.Namespace, ros_arguments: list[
     return _record(parsed, ros_arguments)
 
 
-def _recover(sources: list[Path], target: Path | None) -> int:
+def _recover(sources: list[Path], target: Path | None, force: bool) -> int:
     """Recover each bag; one that cannot be does not keep the others from it."""
     exit_code = EXIT_DONE
     for source in sources:
         try:
-            recovery = recover(source, recovered_path(source) if target is None else target)
+            recovery = recover(source, recovered_path(source) if target is None else target, force)
         except (BadInput, OSError) as problem:
             print(f"record: {one_line(str(problem))}", file=sys.stderr)
             exit_code = EXIT_BAD_INPUT
@@ -107,8 +106,9 @@ def _recover(sources: list[Path], target: Path | None) -> int:
 
 def _opened(parsed: argparse.Namespace) -> BagWriter | FolderWriter:
     if parsed.out.suffix == ".mcap":
-        if parsed.out.exists() and not parsed.overwrite:
-            raise BadInput(f"{parsed.out}: is there already: --overwrite, or another name")
+        check_file(parsed.out, parsed.force)
+        # Whoever reads the former one keeps it.
+        parsed.out.unlink(missing_ok=True)
         return BagWriter(parsed.out, atomic=False)
     size_bytes = None if parsed.split_mb is None else round(parsed.split_mb * _BYTES_PER_MB)
     return FolderWriter(parsed.out, SplitLimits(size_bytes, parsed.split_s))

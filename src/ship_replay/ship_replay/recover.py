@@ -16,6 +16,7 @@ from mcap.records import Attachment, Channel, Message
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 
+from ship_node.output_files import check_file
 from ship_node.part_file import named, open_new
 from ship_replay.bag_file import McapFile, open_mcap
 from ship_replay.errors import BadInput
@@ -55,17 +56,25 @@ def recovered_path(source: Path) -> Path:
     return source.with_name(f"{source.name.removesuffix('.mcap')}.recovered.mcap")
 
 
-def recover(source: Path, target: Path) -> Recovery:
+def recover(source: Path, target: Path, force: bool = False) -> Recovery:
     """Recover one .mcap file, or the files of a folder into a folder with a new information file.
+
+    Args:
+        source: bag to read.
+        target: where the result goes.
+        force: whether a file may be there; a folder never.
 
     Raises:
         BadInput: nothing can be read from the source, the target is there already or cannot be written, or the
             result was not read back as it was written.
     """
-    if target.exists():
-        raise BadInput(f"{target}: is there already: take it away, or give another name by --out")
     if source.is_dir():
+        if os.path.lexists(target):
+            raise BadInput(f"{target}: is there already: take it away, or give another name by --out")
         return _recover_folder(source, target)
+    check_file(target, force)
+    if target.resolve() == source.resolve():
+        raise BadInput(f"{target}: the output would overwrite the input")
     topics: dict[str, TopicInformation] = {}
     return _recover_file(source, target, topics, _Tally())[0]
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from ship_attitude_star.adapter import ShipAttitudeAdapter
 from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
+from ship_node.output_files import add_force, check_file, check_folder
+from ship_node.part_file import write_whole
 from ship_replay.bag_reader import read_bag
 from ship_replay.black_box_identity import is_black_box
 from ship_replay.black_box_replay import replay_black_box
@@ -31,7 +33,8 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="replay",
         epilog="exit code: 0 replayed, with --verify: and equal to the last bit; 1 --verify found a difference or "
-        "could not compare all; 2 bad input or usage, with one line that says which",
+        "could not compare all; 2 bad input or usage, with one line that says which; 130 "
+        "interrupted",
         description="Replay a bag through the nodes that the configuration has sections for (star_attitude, whose "
         "solutions go on to ship_attitude; ship_attitude), in process and as fast as it goes; the same bag and "
         "configuration give the same output. Topics truth/* are copied. A node's black box is replayed with its "
@@ -50,6 +53,7 @@ def _parser() -> CommandParser:
         help="compare with the outputs in IN.mcap, diagnostics and health aside; tells the first difference: topic, "
         "stamp (UTC and ns), field, both values (SI units, rad)",
     )
+    add_force(parser)
     return parser
 
 
@@ -58,6 +62,10 @@ def _run(options: argparse.Namespace) -> int:
         raise BadInput("--out is missing: only --verify does without, and it draws no report")
     if options.out is not None and options.out.resolve() == options.bag.resolve():
         raise BadInput(f"{options.out}: the output would overwrite the input")
+    if options.out is not None:
+        check_file(options.out, options.force)
+    if options.report is not None:
+        check_folder(options.report, _report_names(options), options.force)
     with read_bag(options.bag) as bag:
         verification = None
         is_box = is_black_box(bag)
@@ -72,6 +80,11 @@ def _run(options: argparse.Namespace) -> int:
     return EXIT_DONE if verification is None else _judge(verification, options.verify)
 
 
+def _report_names(options: argparse.Namespace) -> tuple[str, str]:
+    """The files of a report: figure and values."""
+    return f"{options.out.stem}.png", f"{options.out.stem}.json"
+
+
 def _report(options: argparse.Namespace) -> None:
     # Loading the figures' libraries takes longer than many a replay.
     from ship_replay.evaluate import evaluate
@@ -79,10 +92,9 @@ def _report(options: argparse.Namespace) -> None:
 
     evaluation = evaluate(options.out, against=options.bag, namespace=options.namespace)
     options.report.mkdir(parents=True, exist_ok=True)
-    figure_path = options.report / f"{options.out.stem}.png"
+    figure_path, values_path = (options.report / name for name in _report_names(options))
     save_figure(evaluation_figure(evaluation, options.out.name), figure_path)
-    values_path = options.report / f"{options.out.stem}.json"
-    values_path.write_text(evaluation.json_text(), encoding="utf-8")
+    write_whole(values_path, evaluation.json_text())
     print(f"report: {figure_path}, {values_path}")
 
 

@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from ship_node.output_files import add_force, check_file
 from ship_replay.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_replay.command_line import EXIT_DONE, CommandParser, run_command
 from ship_replay.message_store import RosbagsFactory
@@ -32,7 +33,7 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="simulate",
         description=_DESCRIPTION,
-        epilog="exit code: 0 written; 2 bad input or usage",
+        epilog="exit code: 0 written; 2 bad input or usage; 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scenario", type=Path, metavar="SCENARIO.yaml", help="what to simulate")
@@ -41,6 +42,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--carrier", type=Path, metavar="BAG", help="follow the recorded attitude of this bag, not of the scenario's"
     )
+    add_force(parser)
     return parser
 
 
@@ -51,6 +53,7 @@ def _seed(text: str) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    check_file(options.out, options.force)
     scenario = load_scenario(options.scenario, recording=options.carrier)
     run = simulate(scenario, options.seed)
     count = write_bag(run, options.out, options.scenario.read_bytes())

@@ -44,7 +44,7 @@ class Calibrated:
 
 def calibrate(folder: Path, capsys: pytest.CaptureFixture[str], scenario=None, arguments=(), **bag) -> Calibrated:
     run = write_session(folder / "session.mcap", session(STILL) if scenario is None else scenario, **bag)
-    out, report = folder / "new" / "alignment.yaml", folder / "report"
+    out, report = folder / "alignment.yaml", folder / "report"
     assert main([str(folder / "session.mcap"), "--out", str(out), "--report", str(report), *arguments]) == 0
     return Calibrated(run, out, report, capsys.readouterr().out)
 

@@ -344,8 +344,8 @@ def test_play_refuses_in_one_line(live, tmp_path, options, expected):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--out", "there.mcap"], "there.mcap: is there already: --overwrite, or another name"),
-        (["--out", "absent/out.mcap"], "absent/out.mcap: cannot be written: No such file or directory"),
+        (["--out", "there.mcap"], "there.mcap: is there already: --force writes over it"),
+        (["--out", "absent/out.mcap"], "absent/out.mcap: cannot be written: there is no folder absent"),
         (["--out", "new.mcap", "--flush-period-s", "-1"], "argument --flush-period-s: -1 is not a positive number"),
         ([], "the following arguments are required: --out"),
     ],

@@ -17,7 +17,7 @@ from theodolite_calib.axes import NAMES
 from theodolite_calib.axis_fit.coverage import azimuth_and_elevation
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, read_sightings
 from theodolite_calib.calibration import SAVED_NAMES
-from theodolite_calib.fit_axes_command import main
+from theodolite_calib.fit_axes_command import WRITTEN, main
 
 HEADER = "observation,encoder_azimuth_deg,encoder_elevation_deg,azimuth_offset_deg,elevation_offset_deg"
 COUNT = 40
@@ -58,6 +58,7 @@ def test_everything_is_written(folder: Path) -> None:
         "axes.yaml", "axes.csv", "correlation.csv", "residuals.csv", "residuals.png", "over_angles.png", "sky.png",
         "terms.png", "calibration.yaml",
     }  # fmt: skip
+    assert names == set(WRITTEN)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in folder.glob("*.png"))
 
 
@@ -214,7 +215,7 @@ def test_files_that_cannot_be_used_are_named(tmp_path: Path, capsys: pytest.Capt
     assert "binary.csv: not a text in UTF-8" in capsys.readouterr().err
     (tmp_path / "taken").touch()
     assert main([str(write_table(tmp_path / "s.csv")), "--out", str(tmp_path / "taken")]) == 2
-    assert capsys.readouterr().err == f"fit_axes: {tmp_path / 'taken'}: File exists\n"
+    assert capsys.readouterr().err == f"fit_axes: {tmp_path / 'taken'}: is a file: expected a folder\n"
 
 
 @pytest.mark.parametrize(
@@ -288,7 +289,7 @@ def test_mend_23_no_sigma_where_sightings_share_errors_that_nothing_states(
     out = tmp_path / "out"
     out.mkdir()
     (out / "calibration.yaml").write_text("of an earlier table")
-    assert main([str(write_table(tmp_path / "s.csv", rows.tolist())), "--out", str(out)]) == 0
+    assert main([str(write_table(tmp_path / "s.csv", rows.tolist())), "--out", str(out), "--force"]) == 0
     shown = capsys.readouterr().out
     assert re.search(r"^beta_x +-?[0-9.]+ +unknown", shown, re.MULTILINE)
     assert "no sigma: the residuals of neighbouring sightings hang together" in shown

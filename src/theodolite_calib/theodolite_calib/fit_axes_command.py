@@ -11,6 +11,7 @@ import numpy as np
 from ship_geometry.rotations import ARCSEC
 from ship_node.command_line import EXIT_DONE, CommandParser, run_command
 from ship_node.errors import BadInput
+from ship_node.output_files import add_force, check_folder
 from theodolite_calib import calibration_file
 from theodolite_calib.axes import NAMES
 from theodolite_calib.axis_fit.doubts import doubts
@@ -24,6 +25,14 @@ from theodolite_calib.axis_fit.words import MEANINGS, summary
 
 # Sightings that scatter more than this about their own fit (rad) are no sightings, or in other units.
 _MOST_SCATTER = np.deg2rad(1.0)
+
+CALIBRATION = "calibration.yaml"
+WRITTEN = (
+    *("axes.yaml", "axes.csv", "correlation.csv", "residuals.csv"),
+    *("residuals.png", "over_angles.png", "sky.png", "terms.png"),
+    CALIBRATION,
+)
+"""Names of all files written."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,7 +56,7 @@ def _parser() -> CommandParser:
         f"terms:\n{terms}\n\n"
         "written: axes.yaml, axes.csv, correlation.csv, residuals.csv, figures as PNG, and calibration.yaml, which\n"
         "optical_axis takes as its calibration_file\n"
-        "exit code: 0 written; 2 bad input or usage",
+        "exit code: 0 written; 2 bad input or usage; 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("sightings", type=Path, metavar="SIGHTINGS", help="table of sightings, .csv or .yaml [deg]")
@@ -64,6 +73,7 @@ def _parser() -> CommandParser:
         "--serial", default="", help="serial number of the theodolite, as optical_axis is configured (default: none)"
     )
     parser.add_argument("--flexure", action="store_true", help="fit the bending of the tube too")
+    add_force(parser)
     return parser
 
 
@@ -87,6 +97,7 @@ def _run(options: argparse.Namespace) -> int:
         fixed.setdefault("flexure", 0.0)
     elif "flexure" in fixed:
         raise BadInput("--flexure and --fix flexure contradict each other: give one of them")
+    check_folder(options.out, WRITTEN, options.force)
     sightings = read_sightings(options.sightings)
     result = _fitted(options.sightings, sightings, fixed)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -103,7 +114,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _calibration(result: AxisFit, sightings: Sightings, doubted: list[str], options: argparse.Namespace) -> str:
     """Write the calibration that optical_axis starts from, where there is one; the words for it."""
-    path = options.out / "calibration.yaml"
+    path = options.out / CALIBRATION
     if doubted or not result.sigmas_known:
         # That of an earlier table must not pass for this one's.
         path.unlink(missing_ok=True)

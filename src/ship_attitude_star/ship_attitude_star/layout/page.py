@@ -20,18 +20,17 @@ from ship_geometry.rotations import FloatArray
 _ANGLES = ("heading", "pitch", "roll")
 
 
-def write_page(study: LayoutStudy, figures: Mapping[str, Path], title: str, path: Path) -> None:
-    """Write the page.
+def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> str:
+    """The page.
 
     Args:
         study: what it shows.
         figures: the PNG files by name, embedded.
         title: of the study, for the heading.
-        path: of the page.
     """
     template = Template(resources.files(__package__).joinpath("page.html").read_text(encoding="utf-8"))
     config = study.config
-    page = template.substitute(
+    return template.substitute(
         title=escape(title),
         result=result(study),
         advice=advice(study),
@@ -49,7 +48,6 @@ def write_page(study: LayoutStudy, figures: Mapping[str, Path], title: str, path
         source_tables="\n".join(_source_table(study, reading) for reading in Reading),
         sweeps="\n".join(_image(figures[f"figure_{s.number}"], f"Figure {s.number} of [Z14]") for s in SWEEPS),
     )
-    path.write_text(page, encoding="utf-8")
 
 
 def _image(path: Path, words: str, style: str = "wide") -> str:

@@ -15,6 +15,12 @@ from ship_node.csv_table import write_csv
 _ERRORS = ("heading_arcsec", "pitch_arcsec", "roll_arcsec")
 _SIGMAS = ("heading_sigma_arcsec", "pitch_sigma_arcsec", "roll_sigma_arcsec")
 
+TABLES = (
+    *("layout.csv", "error_budget.csv", "error_map.csv", "azimuth_scan.csv"),
+    *("sources_at_operating_point.csv", "figures_1_to_6.csv"),
+)
+"""Names of all files written."""
+
 
 def write_tables(study: LayoutStudy, folder: Path) -> list[Path]:
     """Write every table into a folder that exists; returns the files."""

@@ -9,6 +9,7 @@ import yaml
 
 from ship_geometry.rotations import ARCSEC
 from ship_node.csv_table import write_csv
+from ship_node.part_file import write_whole
 from theodolite_calib.axes import NAMES
 from theodolite_calib.axis_fit.coverage import azimuth_and_elevation
 from theodolite_calib.axis_fit.robust_fit import AxisFit, rms, sizes
@@ -67,7 +68,7 @@ def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, doubted: list[st
         "rms_after_arcsec": rms(fit.residuals) / ARCSEC,
         "rms_left_out_arcsec": rms(fit.left_out) / ARCSEC,
     }
-    path.write_text(yaml.safe_dump(document, sort_keys=False, width=110, default_flow_style=None), encoding="utf-8")
+    write_whole(path, yaml.safe_dump(document, sort_keys=False, width=110, default_flow_style=None))
     return path
 
 
