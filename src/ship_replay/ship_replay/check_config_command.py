@@ -8,7 +8,10 @@ from pathlib import Path
 from ship_replay.bag_reader import read_bag
 from ship_replay.check_bag import check_bag
 from ship_replay.check_config import Findings, check_file
+from ship_replay.check_installation import check_installation
 from ship_replay.check_rates import check_rates
+from ship_replay.check_telescope import check_telescope
+from ship_replay.check_trial import check_trial
 from ship_replay.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser, run_command
 from ship_replay.replay_command import ADAPTERS
 
@@ -23,8 +26,9 @@ def _parser() -> CommandParser:
         prog="check_config",
         epilog="exit code: 0 good, or warnings only; 2 something is wrong, or bad usage",
         description="Check a suite configuration (ROS 2 parameter file; units stand in the names of the parameters) "
-        "and, with a bag, whether it fits: topics, types, frame_ids, rates. Exit code 2 when something is wrong, 0 "
-        "when there is nothing but warnings.",
+        "and, with a bag, whether it fits: topics, types, frame_ids, rates; installation angles and focal lengths of "
+        "star sensors and references, by their attitudes against ins/imu; the telescope's focal length; what a node "
+        "would refuse. Exit code 2 when something is wrong, 0 when there is nothing but warnings.",
     )
     parser.add_argument("config", type=Path, metavar="FILE", help="suite configuration")
     parser.add_argument(
@@ -40,7 +44,12 @@ def _run(options: argparse.Namespace) -> int:
     if options.bag is not None and nodes:
         with read_bag(options.bag) as bag:
             check_bag(options.config, nodes, bag, options.namespace, findings)
+            check_installation(options.config, nodes, bag, options.namespace, findings)
+            check_telescope(options.config, nodes, bag, options.namespace, findings)
             check_rates(options.config, nodes, bag, options.namespace, findings)
+            if not findings.errors:
+                # What is wrong already would only be told a second time, as what follows from it.
+                check_trial(nodes, bag, options.namespace, findings)
     for line in findings.errors:
         print(f"error: {line}")
     for line in findings.warnings:

@@ -98,10 +98,17 @@ class MessageTimes:
     def add(self, record: BagRecord) -> None:
         """Note a message that begins with a header, as every input does; the rest is not decoded."""
         self.arrivals.add(record.log_time_ns)
-        if len(record.data) >= _STAMP_END:
-            order = "<" if record.data[1] & 1 else ">"
-            sec, nanosec = struct.unpack_from(f"{order}iI", record.data, _ENCAPSULATION)
-            self.stamps.add(sec * NS_PER_S + nanosec)
+        stamp_ns = stamp_of_bytes(record.data)
+        if stamp_ns is not None:
+            self.stamps.add(stamp_ns)
+
+
+def stamp_of_bytes(data: bytes) -> int | None:
+    """Stamp of a message that begins with a header, by its CDR bytes, ns; None where they are too few."""
+    if len(data) < _STAMP_END:
+        return None
+    sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, _ENCAPSULATION)
+    return int(sec) * NS_PER_S + int(nanosec)
 
 
 def gap_limits(config: Any) -> Iterator[GapLimit]:

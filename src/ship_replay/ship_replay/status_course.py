@@ -112,23 +112,29 @@ def reasons_for(
     if sum(counts[word] for word in _POOR) <= _WORTH_A_REASON * counts.total():
         return []
     reasons = [*adapter.start_warnings, *(excess.text for excess in exceeded(config, dict(times), "the bag"))]
-    reasons += [line for message in health if (line := _hardly_used(message))]
+    reasons += [line for message in health if (line := hardly_used(message))]
     poor = " and ".join(f"{counts[word]} {word}" for word in reversed(_POOR) if counts[word])
     why = reasons or ["no input was missing or refused for long: ship/innovation or theodolite/innovation tell more"]
     return [f"why {poor} of {counts.total()} outputs of {adapter.node_name}:", *(f"  {reason}" for reason in why)]
 
 
-def _hardly_used(health: Any) -> str:
+def hardly_used(health: Any) -> str:
     """What became of an input of which half or more was not used; empty where more was."""
     if not health.received:
         return f"nothing came on '{health.topic}'"
     if 2 * health.accepted > health.received:
         return ""
+    reason, count = most_frequent_refusal(health)
+    told = f", {count} times for {reason}" if reason else ""
+    return f"of {health.received} messages on '{health.topic}' {health.accepted} were used{told}"
+
+
+def most_frequent_refusal(health: Any) -> tuple[str, int]:
+    """The reason for which an input was refused most often, and how often; empty and 0 for none."""
     counts = dict(zip(health.reasons, map(int, health.reason_counts), strict=True))
     counts.pop(_NOTED, None)
-    most = max(counts, key=lambda reason: counts[reason], default="")
-    told = f", {counts[most]} times for {most}" if most else ""
-    return f"of {health.received} messages on '{health.topic}' {health.accepted} were used{told}"
+    reason = max(counts, key=lambda name: counts[name], default="")
+    return reason, counts.get(reason, 0)
 
 
 def _rank(word: str) -> int:

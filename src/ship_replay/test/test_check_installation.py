@@ -1,0 +1,168 @@
+"""check_config with a bag: installation, focal lengths and units held against what the sensors show."""
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from hand_made_bags import START_NS, imu
+
+from ship_node.stamps import make_header
+from ship_replay.bag_reader import read_bag
+from ship_replay.bag_writer import SUITE_ATTACHMENT, BagWriter
+from ship_replay.check_config_command import main
+from ship_replay.message_store import RosbagsFactory
+from ship_replay.simulate_command import main as simulate
+
+BAGS = Path(__file__).parents[3] / "bags"
+
+
+@pytest.fixture
+def check(tmp_path, capsys):
+    """Runs the command; returns exit code and lines on stdout."""
+
+    def run(text, bag):
+        config = tmp_path / "suite.yaml"
+        config.write_text(text)
+        code = main([str(config), str(bag)])
+        return code, capsys.readouterr().out.replace(f"{tmp_path}/", "").replace(str(bag), "BAG").splitlines()
+
+    return run
+
+
+def simulated(folder, name, duration_s, **changes):
+    """A bag of a scenario of the repository, and its suite configuration."""
+    scenario = yaml.safe_load((BAGS / "scenarios" / f"{name}.yaml").read_text())
+    scenario["duration_s"] = duration_s
+    for sensor in scenario["star_sensors"].values():
+        sensor |= changes
+    (folder / f"{name}.yaml").write_text(yaml.safe_dump(scenario))
+    assert simulate([str(folder / f"{name}.yaml"), "--out", str(folder / f"{name}.mcap"), "--seed", "1"]) == 0
+    return folder / f"{name}.mcap", suite_of(folder / f"{name}.mcap")
+
+
+def suite_of(path):
+    with read_bag(path) as bag:
+        return re.sub(r"(?m)^([a-z_]+:)", r"/**/\1", bag.attachments[SUITE_ATTACHMENT].decode())
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    return simulated(tmp_path_factory.mktemp("solved"), "paper", 6.0)
+
+
+@pytest.fixture(scope="module")
+def observed(tmp_path_factory):
+    return simulated(tmp_path_factory.mktemp("observed"), "paper_stars", 6.0, rate_hz=2.0)
+
+
+def test_mend_15_what_fits_its_bag_is_good(check, solved, observed):
+    for bag, text in (solved, observed):
+        assert check(text, bag) == (0, ["suite.yaml: good for BAG"])
+
+
+def test_mend_15_radians_for_degrees_contradict_the_bag(check, solved):
+    bag, text = solved
+    assert text.count("elevation_deg: 45.0") == 2
+    text = text.replace("_deg: 90.0", "_deg: 1.5708").replace("elevation_deg: 45.0", "elevation_deg: 0.7854")
+    code, lines = check(text, bag)
+    assert code == 2
+    told = [re.sub(r"^error: suite.yaml:\d+: parameter '|'.*say|\d\d deg: radians", "", line) for line in lines]
+    assert told == [
+        "star_sensors.fore.elevation_deg 45. for degrees?",
+        "star_sensors.starboard.azimuth_deg 89. for degrees?",
+        "star_sensors.starboard.elevation_deg 45. for degrees?",
+    ]
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+def test_mend_15_a_focal_length_ten_times_off_contradicts_the_bag(check, observed, factor):
+    bag, text = observed
+    wrong = f"{0.05 * factor:g}"
+    code, lines = check(text.replace("focal_length_m: 0.05", f"focal_length_m: {wrong}"), bag)
+    assert code == 2
+    assert len(lines) == 4  # two sensors, of two nodes
+    for line in lines:
+        assert f".camera.focal_length_m' = {wrong} m, but angles between stars on 'star/" in line
+        assert line.endswith("are those of 0.05 m with pixels of 5.5e-06 m")
+
+
+def test_mend_15_wrong_angles_are_found_beside_a_wrong_focal_length(check, observed):
+    bag, text = observed
+    text = text.replace("focal_length_m: 0.05", "focal_length_m: 0.5").replace("_deg: 90.0", "_deg: 1.5708")
+    code, lines = check(text, bag)
+    assert code == 2
+    assert sum("focal_length_m" in line for line in lines) == 4
+    turned = [line for line in lines if "star_sensors.starboard.azimuth_deg' = 1.5708 deg" in line]
+    assert len(turned) == 2
+    assert all(line.endswith("say 89.98 deg: radians for degrees?") for line in turned)
+
+
+def test_mend_15_what_all_sensors_show_alike_is_the_ins(check, solved):
+    bag, text = solved
+    turned = "      frame_id: ins\n      installation_heading_deg: 90.0\n"
+    code, lines = check(text.replace("      frame_id: ins\n", turned), bag)
+    assert code == 2
+    (line,) = lines
+    assert "all of 'star/fore/horizon_attitude', 'star/starboard/horizon_attitude' in BAG are turned alike" in line
+    assert "look at 'ins.convention' and 'ins.installation_heading_deg'" in line
+
+
+def test_mend_15_an_installation_beyond_its_sigma_is_named_beside_what_comes_of_it(check, solved):
+    bag, text = solved
+    code, (error, warning) = check(text.replace("elevation_deg: 45.0", "elevation_deg: 45.2", 1), bag)
+    assert code == 2
+    assert "ship_attitude: of 31 messages on 'star/fore/horizon_attitude' 0 were used, " in error
+    assert re.fullmatch(
+        r"warning: suite.yaml:\d+: star_sensors.fore: by 'star/fore/horizon_attitude' and 'ins/imu' in BAG the "
+        r"installation is 0.2\d\d deg off, \d+ of its sigmas: calibrate_installation finds it",
+        warning,
+    )
+
+
+def test_mend_15_the_telescopes_focal_length_and_what_a_node_refuses(check):
+    bag = BAGS / "theodolite.mcap"
+    text = suite_of(bag)
+    assert check(text, bag)[0] == 0
+    code, (line,) = check(text.replace("focal_length_m: 0.1\n", "focal_length_m: 1.0\n"), bag)
+    assert code == 2
+    said = "parameter 'telescope.focal_length_m' = 1 m, but lights on 'theodolite/beacons' in BAG stand as far apart as"
+    assert line.endswith(f"{said} with 0.1 m")
+
+
+def test_mend_15_attitudes_in_degrees_are_told_before_the_voyage(check, tmp_path):
+    factory, bag = RosbagsFactory(), tmp_path / "degrees.mcap"
+    with BagWriter(bag) as writer:
+        for number in range(40):
+            stamp_ns = START_NS + number * 100_000_000
+            writer.write("ins/imu", imu(stamp_ns), stamp_ns)
+            fields = {"sensor_id": "fore", "azimuth": 120.0, "elevation": 45.0, "roll": 3.0, "star_count": 9}
+            header = make_header(factory, stamp_ns, "star_fore")
+            writer.write("star/fore/horizon_attitude", degrees(factory, header, fields), stamp_ns)
+    text = "/**/ship_attitude: {ros__parameters: {star_sensors: {fore: {azimuth_deg: 0.0, elevation_deg: 45.0}}}}\n"
+    code, lines = check(text, bag)
+    assert code == 2
+    said = "ship_attitude: of 40 messages on 'star/fore/horizon_attitude' 0 were used, 40 times for units"
+    assert lines == [f"error: degrees.mcap: in the first 20 s: {said}"]
+
+
+def degrees(factory, header, fields):
+    """A StarHorizonAttitude without covariances."""
+    zeros = {name: [0.0] * 9 for name in ("covariance", "rotation_covariance", "noise_covariance")}
+    rest = {"rejected_count": 0, "residual_rms": 0.0, "status": 0}
+    return factory.make("ship_msgs/msg/StarHorizonAttitude", header=header, **fields, **zeros, **rest)
+
+
+def test_mend_15_a_reference_is_held_against_the_ins_too(check, tmp_path):
+    bag = tmp_path / "reference.mcap"
+    with BagWriter(bag) as writer:
+        for number in range(100):
+            stamp_ns = START_NS + number * 50_000_000
+            writer.write("ins/imu", imu(stamp_ns, heading=0.3), stamp_ns)
+            writer.write("reference/b/imu", imu(stamp_ns, "b", heading=0.3 + 0.5), stamp_ns)
+    text = "/**/ship_attitude: {ros__parameters: {references: {b: {heading_deg: 28.6}}}}\n"
+    assert check(text, bag) == (0, ["suite.yaml: good for reference.mcap"])
+    code, lines = check(text.replace("28.6", "0.5"), bag)
+    assert code == 2
+    said = "parameter 'references.b.heading_deg' = 0.5 deg, but 'reference/b/imu' and 'ins/imu' in reference.mcap"
+    assert lines == [f"error: suite.yaml:1: {said} say 28.65 deg: radians for degrees?"]
