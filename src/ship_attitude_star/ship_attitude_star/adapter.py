@@ -12,7 +12,7 @@ from ship_attitude_star.ship_core import ShipAttitudeCore
 from ship_attitude_star.ship_inputs import ShipInputs
 from ship_attitude_star.sky_watch import installed_sky
 from ship_estimation.parameters import changed
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Refusal, failure
 from ship_node.adapter import ServiceResult
 from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level, diagnostic_array
 from ship_node.diagnostics import Status as DiagnosticStatus
@@ -25,8 +25,9 @@ from ship_node.refusal_message import refusal_message
 from ship_node.stamps import ns_from_stamp
 from ship_node.topics import InputTopic, OutputTopic, Published
 
+_ATTITUDE, _SLOW_TOPICS = "ship/attitude", "slow topics"
 _OUTPUTS = (
-    OutputTopic("ship/attitude", "ship_msgs/msg/ShipAttitude"),
+    OutputTopic(_ATTITUDE, "ship_msgs/msg/ShipAttitude"),
     OutputTopic("ship/imu", "sensor_msgs/msg/Imu"),
     OutputTopic("ship/alignment", "ship_msgs/msg/AlignmentState"),
     OutputTopic("ship/error_budget", "ship_msgs/msg/ErrorBudget"),
@@ -104,7 +105,11 @@ class ShipAttitudeAdapter:
         if self._slow_due_ns is None or waiting_ns >= self._slow_due_ns:
             period_ns = round(self._config.slow_topics_period_s * _SECOND_NS)
             self._slow_due_ns = waiting_ns + period_ns
-            published += self._slow_topics(now_ns, waiting_ns)
+            try:
+                published += self._slow_topics(now_ns, waiting_ns)
+            except Exception as error:
+                # An INVALID of this very tick must go out nevertheless.
+                published += self._failed(_SLOW_TOPICS, now_ns, failure(error))
         return published
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
@@ -178,13 +183,20 @@ class ShipAttitudeAdapter:
             topic = self._topics[measurement.source]
             published += self._stars_refused(topic, measurement.time_ns, decision.stars_refused)
             published.append(("ship/innovation", messages_out.innovation(self._factory, decision)))
+        for time_ns, refusal in outcome.failures:
+            published += self._failed(_ATTITUDE, time_ns, refusal)
         for estimate in outcome.estimates:
             claimed = estimate.status is not Status.INVALID
             self._latest, self._budget_due = estimate, estimate if claimed else None
-            published.append(("ship/attitude", messages_out.ship_attitude(self._factory, estimate)))
+            published.append((_ATTITUDE, messages_out.ship_attitude(self._factory, estimate)))
             if claimed:
                 published.append(("ship/imu", messages_out.ship_imu(self._factory, estimate)))
         return published
+
+    def _failed(self, what: str, time_ns: int, refusal: Refusal) -> list[Published]:
+        """An output that could not be made: told, and nothing else is touched by it."""
+        self.health.failed(f"{what}: {refusal.text}")
+        return [("ship/innovation", refusal_message(self._factory, what, time_ns, refusal.reason, refusal.text))]
 
     def _count(self, decision: Decision, now_ns: int) -> None:
         source = decision.measurement.source

@@ -11,8 +11,6 @@ from ship_geometry.exposure_mean import Nodes, Turning, turning_over
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _SECOND_NS = 1_000_000_000
-_LEAST_SIGMA = 0.1 * ARCSEC
-"""A prior must not be singular, whatever sigmas are configured, rad."""
 
 
 class InsMotion:
@@ -72,7 +70,7 @@ class InsMotion:
         slow = np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec]) * ARCSEC
         white_variance = found.noise_gain * (config.white_sigma_arcsec * ARCSEC) ** 2
         shifted_n = config.time_offset_sigma_s * (found.rotation_nd @ found.rate_d)
-        covariance_n = np.diag(slow**2 + white_variance + _LEAST_SIGMA**2) + np.outer(shifted_n, shifted_n)
+        covariance_n = np.diag(slow**2 + white_variance) + np.outer(shifted_n, shifted_n)
         return AttitudePrior(found.rotation_nd, covariance_n)
 
     def turn(self, to_ns: int, from_ns: int) -> tuple[FloatArray, FloatArray] | None:

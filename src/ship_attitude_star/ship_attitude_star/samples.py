@@ -158,8 +158,10 @@ class Outcome:
         decisions: measurements judged now, this one or others that had waited for it.
         estimates: attitudes to publish; times increase strictly from claim to claim, see
             :class:`ship_estimation.output_order.OutputOrder`.
+        failures: by stamp, attitudes that could not be computed: the software itself failed.
     """
 
     refusal: Refusal | None = None
     decisions: list[Decision] = field(default_factory=list)
     estimates: list[AttitudeEstimate] = field(default_factory=list)
+    failures: list[tuple[int, Refusal]] = field(default_factory=list)

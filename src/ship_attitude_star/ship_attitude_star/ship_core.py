@@ -4,6 +4,7 @@ Knows no ROS, no files, no clock. Measurements enter in any order; within ``lag_
 Arrivals and ticks are given in the time of waiting (:mod:`ship_estimation.output_order`), stamps in that of the data.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from ship_attitude_star.alignment import Alignment, AlignmentPrior, alignment_of, prior_of, state_from_prior
@@ -17,7 +18,7 @@ from ship_attitude_star.sky_inputs import SkyInput
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_attitude_star.star_exposure import StarExposure
 from ship_estimation.output_order import OutputOrder
-from ship_estimation.refusals import same_stamp
+from ship_estimation.refusals import failure, same_stamp
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
@@ -111,8 +112,7 @@ class ShipAttitudeCore:
         if self._track.newest is sample:
             self._ins_arrival_ns = arrival_ns
             if estimate and self._order.follows(sample.time_ns):
-                outcome.estimates.append(self._estimate_from_ins(sample.time_ns))
-                self._order.claimed(sample.time_ns, arrival_ns, patience_ns=self._silence_ns)
+                self._put_out(outcome, sample.time_ns, self._estimate_from_ins, arrival_ns, self._silence_ns)
         return outcome
 
     def add_sky_input(self, sky_input: SkyInput) -> Outcome:
@@ -198,7 +198,7 @@ class ShipAttitudeCore:
             self._watch.drop_before(reach_ns)
 
     def _apply(self, outcome: Outcome) -> None:
-        for decision, previous in self._log.apply(self._step):
+        for decision, previous in self._log.apply(self._step, _failed):
             if previous is None:
                 outcome.decisions.append(decision)
             elif previous.accepted != decision.accepted:
@@ -213,6 +213,24 @@ class ShipAttitudeCore:
 
     # -- outputs --------------------------------------------------------------------------------------------
 
+    def _put_out(
+        self,
+        outcome: Outcome,
+        time_ns: int,
+        estimate: Callable[[int], AttitudeEstimate | None],
+        waiting_ns: int,
+        patience_ns: int,
+    ) -> None:
+        """Put out the attitude of a moment where there is one. Where that fails it is said, and the next is tried."""
+        try:
+            found = estimate(time_ns)
+        except Exception as error:
+            outcome.failures.append((time_ns, failure(error)))
+            return
+        if found is not None:
+            outcome.estimates.append(found)
+            self._order.claimed(time_ns, waiting_ns, patience_ns)
+
     def _estimate_from_ins(self, time_ns: int) -> AttitudeEstimate:
         if self.state is not self._corrected.state:
             self._corrected = CorrectedIns(self.filter, self.state)
@@ -226,10 +244,12 @@ class ShipAttitudeCore:
         (measurement, arrival_ns), self._newest_star = self._newest_star, None
         if waiting_ns - arrival_ns > _SECOND_NS or not self._order.follows(measurement.time_ns):
             return
-        attitude = attitude_alone(measurement, self._watch)
-        if attitude is not None:
-            outcome.estimates.append(estimate_from_star(self.filter, self.state, attitude))
-            self._order.claimed(measurement.time_ns, waiting_ns)
+
+        def by_star(_time_ns: int) -> AttitudeEstimate | None:
+            attitude = attitude_alone(measurement, self._watch)
+            return None if attitude is None else estimate_from_star(self.filter, self.state, attitude)
+
+        self._put_out(outcome, measurement.time_ns, by_star, waiting_ns, _SECOND_NS)
 
     def _ins_silent(self, waiting_ns: int) -> bool:
         """Whether the last INS sample that led on came too long ago; those refused or late lead nowhere."""
@@ -239,6 +259,11 @@ class ShipAttitudeCore:
         """Star sensors may carry the attitude alone, unless they were in conflict with the INS to the last."""
         in_conflict = self.state.refusals.get(source, 0) >= self.config.gate.conflict_after
         return self.filter.devices[source].is_star and not in_conflict
+
+
+def _failed(measurement: Measurement, error: Exception) -> Decision:
+    refusal = failure(error)
+    return Decision(measurement, refusal.reason, measurement.time_ns, text=refusal.text)
 
 
 def _reach_ns(measurement: Measurement) -> int:

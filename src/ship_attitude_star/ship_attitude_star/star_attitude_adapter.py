@@ -25,7 +25,8 @@ from ship_node.topics import InputTopic, OutputTopic, Published
 
 _INS_TOPIC = "ins/imu"
 _SOLUTION = "ship_msgs/msg/StarHorizonAttitude"
-_NO_SKY = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION)
+_NOT_LOOKED_AT = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION, Reason.FAILED)
+"""Why an exposure is refused as a whole."""
 _SECOND_NS = 1_000_000_000
 
 
@@ -185,7 +186,7 @@ class StarAttitudeAdapter:
         id_, refusal = solved.sensor_id, solved.solution.refusal
         topic, frame_id = f"star/{id_}/observations", self._config.star_sensors[id_].frame_id or f"star_{id_}"
         published = self._solution(solved, frame_id)
-        if refusal is not None and refusal.reason in _NO_SKY:
+        if refusal is not None and refusal.reason in _NOT_LOOKED_AT:
             return published + self._refusal(topic, solved.time_ns, refusal.reason, refusal.text, now_ns)
         self.health.accepted(topic, solved.time_ns, now_ns)
         for reason in [star.refusal.reason for star in solved.refused] + ([] if refusal is None else [refusal.reason]):
@@ -196,7 +197,11 @@ class StarAttitudeAdapter:
         self._budget_due = solved if solved.valid else None
         for star in solved.refused:
             self.health.noted(_topic(star.source), star.refusal.reason.name.lower())
-        return self._solution(solved, messages_out.DECK_FRAME)
+        published, refusal = self._solution(solved, messages_out.DECK_FRAME), solved.solution.refusal
+        if refusal is not None and refusal.reason is Reason.FAILED:
+            self.health.failed(f"star/{JOINT}/solution: {refusal.text}")
+            published.append(self._told(f"star.{JOINT}", solved.time_ns, refusal.reason, refusal.text))
+        return published
 
     def _solution(self, solved: Solved, frame_id: str) -> list[Published]:
         message = star_messages_out.star_horizon_attitude(self._factory, solved, frame_id)
@@ -205,7 +210,7 @@ class StarAttitudeAdapter:
             ("star/innovation", star_messages_out.refused_star(self._factory, star)) for star in solved.refused
         ]
         refusal = solved.solution.refusal
-        if refusal is not None and refusal.reason not in _NO_SKY:
+        if refusal is not None and refusal.reason not in _NOT_LOOKED_AT:
             published.append(self._told(f"star.{solved.sensor_id}", solved.time_ns, refusal.reason, refusal.text))
         return published
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ship_attitude_star.device_config import JOINT
 from ship_attitude_star.exposure_solver import Mounted, Sighting, solve_deck, solve_exposure
 from ship_attitude_star.ins_motion import InsMotion
 from ship_attitude_star.joint_window import JointWindow
@@ -19,9 +20,10 @@ from ship_attitude_star.star_attitude_config import ObservingSensorConfig, StarA
 from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.star_results import RefusedStar, Solved, StarOutcome
 from ship_attitude_star.star_selection import AttitudePrior
+from ship_attitude_star.star_solution import no_attitude
 from ship_attitude_star.star_streaks import at_middle
 from ship_attitude_star.stream_guards import StreamGuards
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Refusal, failure
 from ship_estimation.stamped_values import StampedValues
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
@@ -169,19 +171,34 @@ class StarCore:
             if self._ins.awaited(waiting.exposure.time_ns, waiting.exposure.reach_ns) and not overdue:
                 still_waiting.append(waiting)
                 continue
-            prior = self._prior(waiting.exposure)
-            exposure, turn_variance = self._at_middle(waiting.exposure)
-            sighting, solved = solve_exposure(exposure, waiting.refused, prior, self._watch, turn_variance)
-            if exposure.length is not None and exposure.smear_s is None and solved.valid:
-                text = f"ins/imu does not tell how the ship turned in {exposure.length.exposure_s:g} s of exposure"
-                solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
+            try:
+                sighting, solved = self._solve_one(waiting)
+            except Exception as error:
+                solution = no_attitude(np.zeros(len(waiting.exposure), dtype=bool), failure(error))
+                sensor_id, time_ns = waiting.exposure.source.partition(".")[2], waiting.exposure.time_ns
+                outcome.solved.append(Solved(sensor_id, time_ns, solution, waiting.refused, ()))
+                continue
             self._note(solved)
             outcome.solved.append(solved)
             if not self._window.add(sighting, waiting.arrival_ns):
                 outcome.not_joined.append((sighting.source, sighting.time_ns))
         self._waiting = still_waiting
         for group in self._window.closed(self._movable, waiting_ns):
-            outcome.solved.append(self._joint(group))
+            try:
+                joint = self._joint(group)
+            except Exception as error:
+                joint = Solved(JOINT, group[0].time_ns, no_attitude(np.zeros(0, dtype=bool), failure(error)), (), ())
+            outcome.solved.append(joint)
+
+    def _solve_one(self, waiting: _Waiting) -> tuple[Sighting, Solved]:
+        """The attitude of one sensor by one exposure."""
+        prior = self._prior(waiting.exposure)
+        exposure, turn_variance = self._at_middle(waiting.exposure)
+        sighting, solved = solve_exposure(exposure, waiting.refused, prior, self._watch, turn_variance)
+        if exposure.length is not None and exposure.smear_s is None and solved.valid:
+            text = f"ins/imu does not tell how the ship turned in {exposure.length.exposure_s:g} s of exposure"
+            solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
+        return sighting, solved
 
     def _prior(self, exposure: StarExposure) -> AttitudePrior | None:
         """The attitude of a sensor by the INS and its mounting, with the errors of both."""

@@ -71,11 +71,24 @@ class StarFit:
         jacobian: of the displacements, each divided by its sigma, shape (k, 3, q); the first three columns are δ.
         displacement: v - R u, divided by the sigma, shape (k, 3); of a streak, by another sigma along than across.
         residual_n: v - R u, rad, shape (k, 3).
+        open: how many of the unknowns nothing is known of beforehand: the first three, δ, or none.
     """
 
     jacobian: FloatArray
     displacement: FloatArray
     residual_n: FloatArray
+    open: int = 3
+
+    def with_prior(self, covariance_n: FloatArray) -> "StarFit":
+        """The same where the attitude was predicted without these stars.
+
+        Args:
+            covariance_n: of the prediction's δ, rad², shape (3, 3); singular where it is sure of something.
+        """
+        jacobian = self.jacobian.copy()
+        # δ too is then written as numbers of standard deviation 1.
+        jacobian[:, :, :3] = jacobian[:, :, :3] @ square_roots(covariance_n)
+        return StarFit(jacobian, self.displacement, self.residual_n, open=0)
 
     def normal_equations(self, members: NDArray[np.bool_] | None = None) -> tuple[FloatArray, FloatArray]:
         """Information of the members without priors, (q, q), and its right side, (q,)."""
@@ -85,24 +98,14 @@ class StarFit:
         rows = jacobian.reshape(-1, jacobian.shape[-1])
         return rows.T @ rows, displacement.ravel() @ rows
 
-    def judge(
-        self, members: NDArray[np.bool_] | None = None, prior_information: FloatArray | None = None
-    ) -> "Judgement":
-        """Could these stars be seen like this?
-
-        Args:
-            members: which stars; None for all.
-            prior_information: of δ, (3, 3), where the attitude is one predicted without these stars.
-        """
+    def judge(self, members: NDArray[np.bool_] | None = None) -> "Judgement":
+        """Could these stars, all or the members, be seen like this?"""
         information, right_side = self.normal_equations(members)
         displacement = self.displacement if members is None else self.displacement[members]
         constrained = information.copy()
-        constrained.ravel()[3 * len(right_side) + 3 :: len(right_side) + 1] += 1.0
-        degrees = 2 * len(displacement)
-        if prior_information is None:
-            degrees -= 3
-        else:
-            constrained[:3, :3] += prior_information
+        known = np.arange(self.open, len(right_side))
+        constrained[known, known] += 1.0
+        degrees = 2 * len(displacement) - self.open
         _, solution, failed = lapack.dposv(constrained, right_side)
         if failed:
             raise np.linalg.LinAlgError("stars that leave the attitude open cannot be judged")

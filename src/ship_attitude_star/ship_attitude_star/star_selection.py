@@ -32,7 +32,7 @@ class AttitudePrior:
 
     Attributes:
         rotation_nb: horizon from b, shape (3, 3).
-        covariance_n: of its rotation vector in the horizon frame, rad², shape (3, 3).
+        covariance_n: of its rotation vector in the horizon frame, rad², shape (3, 3); zero where it is exact.
     """
 
     rotation_nb: FloatArray
@@ -108,14 +108,14 @@ def _refined_alone(stars: SightedStars, members: BoolArray) -> BoolArray:
     return np.zeros_like(members)
 
 
-def _unambiguous(fit: StarFit, members: BoolArray, prior_information: FloatArray | None = None) -> BoolArray:
+def _unambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
     """Members without those that a star left out could stand in for: which of the two is right nobody can say."""
-    limit = fit.judge(members, prior_information).chi_square + CLEARLY_BETTER
+    limit = fit.judge(members).chi_square + CLEARLY_BETTER
     kept = members.copy()
     for outsider in np.flatnonzero(~members):
         both = members.copy()
         both[outsider] = True
-        judgement = fit.judge(both, prior_information)
+        judgement = fit.judge(both)
         without_one = judgement.chi_square - fit.gain_by_leaving_out(judgement, both)
         # Written so that NaN, which nobody can judge, leaves no star in.
         kept[np.flatnonzero(both)[~(without_one >= limit)]] = False
@@ -171,21 +171,20 @@ def _select_by_prior(stars: SightedStars, prior: AttitudePrior) -> BoolArray:
     everything = np.ones(len(stars), dtype=bool)
     if not everything.any():
         return everything
-    fit = linearized(stars, prior.rotation_nb)
-    prior_information = np.asarray(np.linalg.inv(prior.covariance_n), dtype=float)
-    if fit.judge(everything, prior_information).probability >= DROP_PROBABILITY:
+    fit = linearized(stars, prior.rotation_nb).with_prior(prior.covariance_n)
+    if fit.judge(everything).probability >= DROP_PROBABILITY:
         return everything
-    trials = _single_trials(stars, fit, prior)
+    trials = _single_trials(stars, fit)
     for trial in trials[:_TRIALS_REFINED]:
-        members = _refined_by_prior(fit, trial.members, prior_information)
+        members = _refined_by_prior(fit, trial.members)
         if members.any() and not _has_rival(trials, members, shared=1):
-            return _unambiguous(fit, members, prior_information)
+            return _unambiguous(fit, members)
     return ~everything
 
 
-def _refined_by_prior(fit: StarFit, members: BoolArray, prior_information: FloatArray) -> BoolArray:
+def _refined_by_prior(fit: StarFit, members: BoolArray) -> BoolArray:
     while members.any():
-        judgement = fit.judge(members, prior_information)
+        judgement = fit.judge(members)
         if judgement.probability >= DROP_PROBABILITY:
             return members
         if np.count_nonzero(members) == 1:
@@ -201,14 +200,12 @@ def _without_worst(fit: StarFit, judgement: Judgement, members: BoolArray) -> Bo
     return kept
 
 
-def _single_trials(stars: SightedStars, fit: StarFit, prior: AttitudePrior) -> list[Trial]:
+def _single_trials(stars: SightedStars, fit: StarFit) -> list[Trial]:
     """What the other stars say once the prior was turned to one of them, the largest sets first."""
     basis = across(stars.reference_n)
     left = np.einsum("kij,kj->ki", basis, fit.displacement)
     rows = basis @ fit.jacobian
-    known = np.eye(rows.shape[-1])
-    known[:3, :3] = prior.covariance_n
-    covariance = np.einsum("kia,ab,ljb->klij", rows, known, rows)
+    covariance = np.einsum("kia,lja->klij", rows, rows)
     own = np.arange(len(stars))
     covariance[own, own] += np.eye(2)
     possible = np.flatnonzero(distance(left, covariance[own, own]) < MEMBER_DISTANCE)

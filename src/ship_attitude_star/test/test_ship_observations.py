@@ -1,13 +1,26 @@
 """``ship_attitude`` fed with single stars: its attitude against the truth, and each bad input of star_attitude."""
 
 import functools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from adapter_runs import FACTORY, SECOND_NS, START_NS, changed_where, exactly, index_at, replaced, without
-from small_voyage import INS, Run, drive
-from star_voyage import CAMERA_PARAMETERS, FIX, FORE, PRESSURE, STARBOARD, TEMPERATURE, except_, only, true_deck, voyage
+from small_voyage import INS, Run, drive, ins_message
+from star_voyage import (
+    CAMERA_PARAMETERS,
+    FIX,
+    FORE,
+    HEADING_DEG,
+    PRESSURE,
+    STARBOARD,
+    TEMPERATURE,
+    except_,
+    only,
+    true_deck,
+    voyage,
+)
 from test_star_bad_input import DROPPED, SOURCE, STARS_REFUSED, Change, star, without_star
 
 from ship_attitude_star.adapter import ShipAttitudeAdapter
@@ -21,16 +34,15 @@ MOMENT_S = 1.5
 SHIP_TOPICS = ("ship/attitude", "ship/imu", "ship/alignment", "ship/error_budget", "ship/error_arcsec")
 
 
+_STAR = {"elevation_deg": 45.0, "camera": CAMERA_PARAMETERS, "input": "observations"}
+SENSORS: dict[str, Any] = {
+    "fore": {**_STAR, "azimuth_deg": 0.0, "frame_id": "star_fore"},
+    "starboard": {**_STAR, "azimuth_deg": 90.0, "frame_id": "star_starboard"},
+}
+
+
 def config(**changes: Any) -> ShipAttitudeConfig:
-    star_values = {"elevation_deg": 45.0, "camera": CAMERA_PARAMETERS, "input": "observations"}
-    values: dict[str, Any] = {
-        "ins": {"frame_id": "ins"},
-        "star_sensors": {
-            "fore": {**star_values, "azimuth_deg": 0.0, "frame_id": "star_fore"},
-            "starboard": {**star_values, "azimuth_deg": 90.0, "frame_id": "star_starboard"},
-        },
-        **changes,
-    }
+    values: dict[str, Any] = {"ins": {"frame_id": "ins"}, "star_sensors": SENSORS, **changes}
     return build(ShipAttitudeConfig, values)
 
 
@@ -183,3 +195,38 @@ def test_clouds_are_no_fault() -> None:
 def test_one_sensor_alone_is_enough_to_be_valid() -> None:
     run = sail(only(voyage(), INS, FORE, FIX, PRESSURE, TEMPERATURE))
     assert list(last_valid(run).sources) == ["ins", "star.fore"]
+
+
+EXACT_INS = {
+    "frame_id": "ins",
+    "tilt_sigma_arcsec": 0.0,
+    "heading_sigma_arcsec": 0.0,
+    "white_sigma_arcsec": 0.0,
+    "time_offset_sigma_s": 0.0,
+}
+EXACT_SENSOR = {f"installation_sigma_{axis}_arcsec": 0.0 for axis in ("forward", "up", "right")}
+
+
+def test_mend_02_what_is_taken_for_exact_may_be_compared_with_stars(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All sigmas of INS and mounting are 0: the predicted attitude has no covariance, and stars are chosen by it."""
+    monkeypatch.setattr("small_voyage._INS_ERROR_N", np.zeros(3))
+    monkeypatch.setattr("small_voyage._TAU_S", 0.0)
+    exact = [
+        replace(a, message=ins_message(a.stamp_ns - START_NS, HEADING_DEG, np.zeros(3))) if a.topic == INS else a
+        for a in voyage(noise=True)
+    ]
+    sensors = {id_: {**sensor, **EXACT_SENSOR} for id_, sensor in SENSORS.items()}
+    run = sail(exact, ins=EXACT_INS, star_sensors=sensors)
+    assert run.reasons(FORE) == run.reasons(STARBOARD) == {}
+    assert run.health(FORE).accepted == run.health(FORE).received
+    assert last_valid(run) is run.messages("ship/attitude")[-1]
+    # The same stars are found out by it as by any other prediction.
+    wrong = replaced(exact, index_at(exact, FORE, MOMENT_S), star(3, u=100.0))
+    (innovation,) = sail(wrong, ins=EXACT_INS, star_sensors=sensors).innovations(Reason.MISIDENTIFIED)
+    assert "from its place, sigma" in innovation.reason_text
+
+
+def test_mend_02_an_ins_that_errs_and_is_taken_for_exact_is_contradicted() -> None:
+    sensors = {id_: {**sensor, **EXACT_SENSOR} for id_, sensor in SENSORS.items()}
+    run = sail(voyage(), ins=EXACT_INS, star_sensors=sensors)
+    assert set(run.reasons(FORE)) == {"gate", "attitude_conflict"}

@@ -10,7 +10,7 @@ from scipy.stats import poisson
 from star_scenes import SIGMA, Scene, attitude_error, draw_scene
 
 from ship_attitude_star.samples import Reason
-from ship_attitude_star.star_fit import Judgement, SightedStars, linearized
+from ship_attitude_star.star_fit import Judgement, SightedStars, linearized, square_roots
 from ship_attitude_star.star_selection import AttitudePrior, select
 from ship_attitude_star.star_solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
@@ -164,10 +164,12 @@ def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
     members = select(scene.stars, prior).members
     if not members.any():
         return None
-    fit = linearized(scene.stars, prior.rotation_nb)
-    judgement = fit.judge(members, np.diag(PRIOR_SIGMA**-2.0))
-    covariance_n = np.linalg.inv(judgement.constrained)[:3, :3]
-    return float(normalized_error_squared(error_n - judgement.solution[:3], covariance_n))
+    fit = linearized(scene.stars, prior.rotation_nb).with_prior(prior.covariance_n)
+    judgement = fit.judge(members)
+    # Its unknowns are numbers of standard deviation 1.
+    roots = square_roots(prior.covariance_n)
+    covariance_n = roots @ np.linalg.inv(judgement.constrained)[:3, :3] @ roots.T
+    return float(normalized_error_squared(error_n - roots @ judgement.solution[:3], covariance_n))
 
 
 @pytest.mark.parametrize("kind", ["false_stars", "swapped_pairs"])

@@ -44,6 +44,7 @@ class Reason(enum.IntEnum):
     UNIDENTIFIED = 26
     UNKNOWN_SENSOR = 27
     CLOCK = 28
+    FAILED = 29
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,19 @@ class Refusal:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "text", shortened(self.text))
+
+
+def failure(error: Exception) -> Refusal:
+    """The refusal of an input on which our own code stumbled: a defect, told as such, that must harm nothing else."""
+    return Refusal(Reason.FAILED, f"{type(error).__name__}: {shortened(str(error))} ({_place_of(error)})")
+
+
+def _place_of(error: Exception) -> str:
+    """File and line that raised."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return f"{trace.tb_frame.f_code.co_filename}:{trace.tb_lineno}" if trace else "nowhere"
 
 
 def same_stamp(known: bytes, new: bytes) -> Refusal:

@@ -2,7 +2,8 @@
 
 The log keeps, for a window of time, every measurement with the state after it. One that arrives late takes its
 place, and everything after it is applied again from the state before it. Any order of arrival inside the
-window therefore ends in the same state, to the last bit.
+window therefore ends in the same state, to the last bit. One on which the step raises changes no state and holds up
+no other.
 """
 
 import bisect
@@ -74,9 +75,15 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
                 return
 
     def apply(
-        self, step: Callable[[State, Measurement], tuple[State, Decision] | None]
+        self,
+        step: Callable[[State, Measurement], tuple[State, Decision] | None],
+        failed: Callable[[Measurement, Exception], Decision],
     ) -> list[tuple[Decision, Decision | None]]:
         """Apply what waits, in order, until ``step`` returns None because it needs data still to come.
+
+        Args:
+            step: state and decision after a measurement.
+            failed: the decision about a measurement on which ``step`` raised; the state stays as it was before it.
 
         Returns:
             For each measurement applied: its decision and, where it had been applied before, the one it replaces.
@@ -84,7 +91,12 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
         decisions: list[tuple[Decision, Decision | None]] = []
         while self._applied < len(self._entries):
             entry = self._entries[self._applied]
-            result = step(self._state_before(self._applied), entry.measurement)
+            before = self._state_before(self._applied)
+            result: tuple[State, Decision] | None
+            try:
+                result = step(before, entry.measurement)
+            except Exception as error:
+                result = before, failed(entry.measurement, error)
             if result is None:
                 break
             previous = entry.decision

@@ -6,7 +6,6 @@ The step of these tests is not associative and rounds, so any difference in orde
 import math
 
 import hypothesis.strategies as st
-import pytest
 from hypothesis import given, settings
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
@@ -33,6 +32,10 @@ def step(state: State, measurement: tuple[int, float]) -> tuple[State, Decision]
     return (state[0] + 1, math.cos(1.7 * state[1]) + value / 3.0), (time_ns, state[1])
 
 
+def failed(measurement: tuple[int, float], error: Exception) -> Decision:
+    raise error
+
+
 def in_own_order(known: dict[Key, float], start: State = START) -> tuple[State, list[Decision]]:
     state, decisions = start, []
     for key in sorted(known):
@@ -55,11 +58,11 @@ def test_any_order_of_arrival_any_pauses_give_the_same_state_and_last_decisions(
     for key in data.draw(st.permutations(sorted(known))):
         insert(log, key, known[key])
         if data.draw(st.booleans()):
-            for decision, previous in log.apply(step):
+            for decision, previous in log.apply(step, failed):
                 if previous is not None:
                     latest.remove(previous)
                 latest.append(decision)
-    for decision, previous in log.apply(step):
+    for decision, previous in log.apply(step, failed):
         if previous is not None:
             latest.remove(previous)
         latest.append(decision)
@@ -75,12 +78,12 @@ def test_measurement_that_comes_again_replaces_the_first(known: dict[Key, float]
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
-    log.apply(step)
+    log.apply(step, failed)
     key = data.draw(st.sampled_from(sorted(known)))
     insert(log, key, 0.123)
     assert log.get(key) == (key[0], 0.123)
     assert log.waiting == sum(other >= key for other in known)
-    replaced = log.apply(step)
+    replaced = log.apply(step, failed)
     assert all(previous is not None for _, previous in replaced)
     assert log.state == in_own_order({**known, key: 0.123})[0]
 
@@ -94,7 +97,7 @@ def test_measurements_wait_for_their_data(known: dict[Key, float], ready_ns: lis
     reached = 0
     for limit_ns in ready_ns:
         reached = max(reached, limit_ns)
-        log.apply(lambda state, m, limit_ns=limit_ns: step(state, m) if m[0] < limit_ns else None)
+        log.apply(lambda state, m, limit_ns=limit_ns: step(state, m) if m[0] < limit_ns else None, failed)
         before = {key: value for key, value in known.items() if key[0] < reached}
         assert log.state == in_own_order(before)[0]
         assert log.waiting == len(known) - len(before)
@@ -107,9 +110,9 @@ def test_rewinding_applies_again_from_the_first_affected(known: dict[Key, float]
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
-    log.apply(lambda state, m: step(state, (m[0], m[1] + (0.5 if m[0] > since_ns else 0.0))))
+    log.apply(lambda state, m: step(state, (m[0], m[1] + (0.5 if m[0] > since_ns else 0.0))), failed)
     log.rewind_where(lambda decision: decision[0] > since_ns)
-    again = log.apply(step)
+    again = log.apply(step, failed)
     assert len(again) == sum(key[0] > since_ns for key in known)
     assert all(previous is not None for _, previous in again)
     assert log.state == in_own_order(known)[0]
@@ -123,7 +126,7 @@ def test_forgotten_measurements_stay_in_the_state_and_later_ones_can_still_be_la
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
-    log.apply(step)
+    log.apply(step, failed)
     log.forget_before(oldest_ns)
     assert log.state == in_own_order(known)[0]
     forgotten = {key: value for key, value in known.items() if key[0] < oldest_ns}
@@ -131,7 +134,7 @@ def test_forgotten_measurements_stay_in_the_state_and_later_ones_can_still_be_la
     within = {key: value for key, value in late.items() if key[0] >= oldest_ns}
     for key, value in within.items():
         insert(log, key, value)
-    log.apply(step)
+    log.apply(step, failed)
     kept = {key: value for key, value in known.items() if key not in forgotten}
     assert log.state == in_own_order({**kept, **within}, in_own_order(forgotten)[0])[0]
 
@@ -144,18 +147,18 @@ def test_what_still_waits_is_not_forgotten(known: dict[Key, float], oldest_ns: i
         insert(log, key, value)
     log.forget_before(oldest_ns)
     assert log.waiting == len(known)
-    log.apply(step)
+    log.apply(step, failed)
     assert log.state == in_own_order(known)[0]
 
 
 def test_decisions_are_told_with_what_they_replace() -> None:
     log = Log(START)
     insert(log, (2, "b"), 0.5)
-    assert log.apply(step) == [((2, 0.1), None)]
-    assert log.apply(step) == []
+    assert log.apply(step, failed) == [((2, 0.1), None)]
+    assert log.apply(step, failed) == []
     insert(log, (1, "a"), -0.5)
     state_1, _ = step(START, (1, -0.5))
-    assert log.apply(step) == [((1, 0.1), None), ((2, state_1[1]), (2, 0.1))]
+    assert log.apply(step, failed) == [((1, 0.1), None), ((2, state_1[1]), (2, 0.1))]
 
 
 def test_tie_breaker_orders_measurements_of_one_moment() -> None:
@@ -163,30 +166,48 @@ def test_tie_breaker_orders_measurements_of_one_moment() -> None:
     for log, order in ((forth, ("a", "b", "c")), (back, ("c", "b", "a"))):
         for name in order:
             insert(log, (5, name), float(ord(name)))
-            log.apply(step)
+            log.apply(step, failed)
     assert forth.state == back.state
     assert forth.get((5, "b")) == (5, 98.0)
     assert forth.get((5, "d")) is None
     assert forth.get((4, "a")) is None
 
 
-def test_failing_step_leaves_the_log_as_it_was() -> None:
-    """A callback's exception is caught by the node: what was applied stays, the rest waits."""
+def failing(state: State, measurement: tuple[int, float]) -> tuple[State, Decision]:
+    """The step, which raises on even times where the value is negative."""
+    if measurement[0] % 2 == 0 and measurement[1] < 0.0:
+        raise ArithmeticError("singular")
+    return step(state, measurement)
+
+
+@repeatable
+@given(known=measurements, data=st.data())
+def test_mend_02_a_step_that_raises_leaves_the_state_and_holds_up_nothing(
+    known: dict[Key, float], data: st.DataObject
+) -> None:
+    log, raised = Log(START), []
+
+    def failed(measurement: tuple[int, float], error: Exception) -> Decision:
+        assert str(error) == "singular"
+        raised.append(measurement)
+        return measurement[0], math.nan
+
+    for key in data.draw(st.permutations(sorted(known))):
+        insert(log, key, known[key])
+        log.apply(failing, failed)
+        assert log.waiting == 0
+    good = {key: value for key, value in known.items() if key[0] % 2 or not value < 0.0}
+    assert log.state == in_own_order(good)[0]
+    assert set(raised) == {(key[0], value) for key, value in known.items() if key not in good}
+
+
+def test_mend_02_one_that_raised_is_tried_again_where_it_meets_another_state() -> None:
     log = Log(START)
+    insert(log, (2, "a"), -0.2)
+    assert log.apply(failing, lambda measurement, error: (measurement[0], -1.0)) == [((2, -1.0), None)]
     insert(log, (1, "a"), 0.1)
-    insert(log, (2, "a"), 0.2)
-
-    def failing(state: State, measurement: tuple[int, float]) -> tuple[State, Decision]:
-        if measurement[0] == 2:
-            raise ArithmeticError("singular")
-        return step(state, measurement)
-
-    with pytest.raises(ArithmeticError, match="singular"):
-        log.apply(failing)
-    assert log.waiting == 1
-    assert log.state == in_own_order({(1, "a"): 0.1})[0]
-    log.apply(step)
-    assert log.state == in_own_order({(1, "a"): 0.1, (2, "a"): 0.2})[0]
+    state_1, first = step(START, (1, 0.1))
+    assert log.apply(step, failed) == [(first, None), ((2, state_1[1]), (2, -1.0))]
 
 
 class LogAgainstSorting(RuleBasedStateMachine):
@@ -221,7 +242,7 @@ class LogAgainstSorting(RuleBasedStateMachine):
 
     @rule()
     def applied(self) -> None:
-        self.log.apply(self.biased_step)
+        self.log.apply(self.biased_step, failed)
         assert self.log.waiting == 0
         assert self.log.state == self.expected()
 

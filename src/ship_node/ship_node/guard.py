@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
-from ship_estimation.refusals import shortened
+from ship_estimation.refusals import failure
 from ship_node.diagnostics import Level, Status
 
 Result = TypeVar("Result")
@@ -47,7 +47,7 @@ class Guard:
         try:
             return function(*arguments)
         except Exception as error:
-            self._report(what, error)
+            self.note(f"{what}: {failure(error).text}")
             return None
 
     def status(self) -> Status:
@@ -58,21 +58,14 @@ class Guard:
         text = f"{self._count} exceptions, the last in {self._last_text}"
         return Status("callbacks", Level.ERROR if recent else Level.WARN, text, {"exceptions": str(self._count)})
 
-    def _report(self, what: str, error: Exception) -> None:
+    def note(self, text: str) -> None:
+        """Count, log and report an exception that was caught where it was raised."""
         self._count += 1
         self._last_ns = self._monotonic_ns()
-        self._last_text = f"{what}: {type(error).__name__}: {shortened(str(error))} ({_place(error)})"
+        self._last_text = text
         if self._last_ns - self._logged_ns < LOG_PERIOD_NS:
             self._not_logged += 1
             return
         more = f" ({self._not_logged} more since the last line)" if self._not_logged else ""
         self._logger.error(f"exception in {self._last_text}{more}")
         self._logged_ns, self._not_logged = self._last_ns, 0
-
-
-def _place(error: Exception) -> str:
-    """File and line that raised."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    return f"{trace.tb_frame.f_code.co_filename}:{trace.tb_lineno}" if trace else "nowhere"

@@ -1,6 +1,7 @@
 """How the inputs of a node do: a record per topic, judged, for ``input_health`` and ``/diagnostics``."""
 
 import math
+from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
@@ -32,6 +33,9 @@ FUTURE_ERROR = 10
 _EXPECTED_REASONS = ("gate", "revised")
 """Refusals that good data also meet now and then: only a run of them is worth a warning."""
 
+_FAILED = "failed"
+_MOST_FAILURES = 20
+
 _Judgement = tuple[Level, str]
 
 
@@ -53,6 +57,7 @@ class InputHealthBook:
         self._lost: dict[str, int] = {}
         self._start_ns: int | None = None
         self._waiting_ns: int | None = None
+        self._failures: deque[str] = deque(maxlen=_MOST_FAILURES)
 
     def arrived(self, topic: str, waiting_ns: int) -> None:
         """A message came, in the time of waiting."""
@@ -73,6 +78,8 @@ class InputHealthBook:
             receive_ns: when it was refused, by the node's clock.
             stamp_ns: its stamp, where there is one to believe.
         """
+        if reason == _FAILED:
+            self.failed(f"{topic}: {text}")
         waiting_ns = receive_ns if self._waiting_ns is None else self._waiting_ns
         self._records[topic].add_rejected(reason, text, waiting_ns, receive_ns, stamp_ns)
 
@@ -86,6 +93,16 @@ class InputHealthBook:
             waiting_ns: when that is told.
         """
         self._records[topic].add_overflow(count, why, self._now(waiting_ns))
+
+    def failed(self, text: str) -> None:
+        """Our own code raised, and that was caught: for the log of a live node."""
+        self._failures.append(text)
+
+    def take_failures(self) -> list[str]:
+        """What failed since the last call, the latest few."""
+        failures = list(self._failures)
+        self._failures.clear()
+        return failures
 
     def noted(self, topic: str, reason: str) -> None:
         """Something about a message is worth a count, although it may be used, as ``covariance_unknown``."""

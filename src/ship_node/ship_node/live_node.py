@@ -233,6 +233,8 @@ class LiveNode:
         self._last_ns = waiting_ns
         for tick_ns in self._grid.due(waiting_ns):
             self._guard.call("tick", self._calls.tick, now_ns - (waiting_ns - tick_ns), tick_ns)
+        for text in self.adapter.health.take_failures():
+            self._guard.note(text)
         for (topic, why), count in self._inbox.take_cuts().items():
             self.adapter.health.overflowed(topic, count, why, waiting_ns)
 

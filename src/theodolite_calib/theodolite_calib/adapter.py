@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ship_estimation.parameters import changed
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Refusal, failure
 from ship_node.adapter import ServiceResult
 from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.errors import BadInput
@@ -25,8 +25,9 @@ from theodolite_calib.optical_axis_core import OpticalAxisCore
 from theodolite_calib.samples import Decision, Outcome, PointingEstimate, Status
 
 _INNOVATION = "theodolite/innovation"
+_POINTING, _SLOW_TOPICS = "theodolite/pointing", "slow topics"
 _OUTPUTS = (
-    OutputTopic("theodolite/pointing", "ship_msgs/msg/OpticalAxisPointing"),
+    OutputTopic(_POINTING, "ship_msgs/msg/OpticalAxisPointing"),
     OutputTopic("theodolite/calibration", "ship_msgs/msg/TheodoliteCalibration", latched=True),
     OutputTopic("theodolite/error_budget", "ship_msgs/msg/ErrorBudget"),
     OutputTopic(_INNOVATION, "ship_msgs/msg/Innovation"),
@@ -96,7 +97,11 @@ class OpticalAxisAdapter:
         published = self._published(self.core.tick(now_ns, waiting_ns), now_ns)
         if self._slow_due_ns is None or waiting_ns >= self._slow_due_ns:
             self._slow_due_ns = waiting_ns + round(self._config.slow_topics_period_s * _SECOND_NS)
-            published += self._slow_topics(now_ns, waiting_ns)
+            try:
+                published += self._slow_topics(now_ns, waiting_ns)
+            except Exception as error:
+                # An INVALID of this very tick must go out nevertheless.
+                published += self._failed(_SLOW_TOPICS, now_ns, failure(error))
         return published
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
@@ -162,11 +167,18 @@ class OpticalAxisAdapter:
             self._count(decision, now_ns)
             published += self._lights_refused(decision.exposure.time_ns, decision.lights_refused)
             published.append((_INNOVATION, messages_out.innovation(self._factory, decision)))
+        for time_ns, refusal in outcome.failures:
+            published += self._failed(_POINTING, time_ns, refusal)
         for estimate in outcome.estimates:
             claimed = estimate.status is not Status.INVALID
             self._latest, self._budget_due = estimate, estimate if claimed else None
-            published.append(("theodolite/pointing", messages_out.pointing(self._factory, estimate)))
+            published.append((_POINTING, messages_out.pointing(self._factory, estimate)))
         return published
+
+    def _failed(self, what: str, time_ns: int, refusal: Refusal) -> list[Published]:
+        """An output that could not be made: told, and nothing else is touched by it."""
+        self.health.failed(f"{what}: {refusal.text}")
+        return [(_INNOVATION, refusal_message(self._factory, what, time_ns, refusal.reason, refusal.text))]
 
     def _count(self, decision: Decision, now_ns: int) -> None:
         time_ns = decision.exposure.time_ns

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from ship_estimation.output_order import OutputOrder
-from ship_estimation.refusals import Reason, Refusal, same_stamp
+from ship_estimation.refusals import Reason, Refusal, failure, same_stamp
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
@@ -191,7 +191,7 @@ class OpticalAxisCore:
     def _advance(self, time_ns: int, outcome: Outcome) -> None:
         """Apply what can be applied now, then close the window behind ``lag_s``."""
         self._newest_ns = max(self._newest_ns, time_ns)
-        for decision, previous in self._log.apply(self._step):
+        for decision, previous in self._log.apply(self._step, _failed):
             self._tell_watch(decision)
             if previous is None:
                 outcome.decisions.append(decision)
@@ -229,5 +229,15 @@ class OpticalAxisCore:
             self._waiting.popleft()
             ship = self._inputs.ship_at(sample.time_ns)
             if ship is not None and self._order.follows(sample.time_ns):
-                outcome.estimates.append(self._pointing.estimate(self.state, sample, *ship, in_doubt))
+                try:
+                    estimate = self._pointing.estimate(self.state, sample, *ship, in_doubt)
+                except Exception as error:
+                    outcome.failures.append((sample.time_ns, failure(error)))
+                    continue
+                outcome.estimates.append(estimate)
                 self._order.claimed(sample.time_ns, waiting_ns)
+
+
+def _failed(exposure: Exposure, error: Exception) -> Decision:
+    refusal = failure(error)
+    return Decision(exposure, refusal.reason, text=refusal.text)

@@ -188,8 +188,10 @@ class Outcome:
         decisions: exposures judged now.
         estimates: pointings to publish; times increase strictly from claim to claim, see
             :class:`ship_estimation.output_order.OutputOrder`.
+        failures: by stamp, pointings that could not be computed: the software itself failed.
     """
 
     refusal: Refusal | None = None
     decisions: list[Decision] = field(default_factory=list)
     estimates: list[PointingEstimate] = field(default_factory=list)
+    failures: list[tuple[int, Refusal]] = field(default_factory=list)

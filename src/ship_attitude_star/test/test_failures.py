@@ -1,0 +1,117 @@
+"""The software itself fails on one message: that is told, and all else comes out as without it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import star_voyage
+from adapter_runs import SECOND_NS, START_NS, AdapterRun, exactly, index_at, stamp_of, without
+from small_voyage import FORE, STARBOARD, clean_run, cut, drive, new_adapter, voyage
+from test_star_bad_input import FORE_SOLUTION
+
+from ship_attitude_star import messages_out, star_core
+from ship_attitude_star.attitude_output import CorrectedIns
+from ship_attitude_star.samples import Reason, Status
+from ship_attitude_star.ship_filter import ShipFilter
+
+MOMENT_S = 2.5
+DEFECT = "ArithmeticError: a defect ("
+
+
+def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, which raises for some arguments."""
+
+    def call(*arguments: Any) -> Any:
+        if bad(*arguments):
+            raise ArithmeticError("a defect")
+        return function(*arguments)
+
+    return call
+
+
+def assert_told(run: AdapterRun, source: str, time_ns: int) -> None:
+    """In an innovation, and once for the log."""
+    (innovation,) = run.innovations(Reason.FAILED)
+    assert (innovation.source, stamp_of(innovation), innovation.accepted) == (source, time_ns, False)
+    assert innovation.reason_text.startswith(DEFECT)
+    assert "test_failures.py:" in innovation.reason_text
+    (text,) = run.adapter.health.take_failures()
+    assert text.endswith(innovation.reason_text)
+    assert run.adapter.health.take_failures() == []
+
+
+def test_mend_02_a_measurement_on_which_the_filter_raises_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    index = index_at(voyage(), FORE, MOMENT_S)
+    bad_ns = voyage()[index].stamp_ns
+    bad = failing_where(lambda _, state, m, *rest: (m.source, m.time_ns) == ("star.fore", bad_ns), ShipFilter.step)
+    with monkeypatch.context() as patch:
+        patch.setattr(ShipFilter, "step", bad)
+        run = drive(new_adapter(), voyage())
+    expected = drive(new_adapter(), without(voyage(), index))
+    assert run.results() == expected.results()
+    assert run.state() == expected.state()
+    assert run.reasons(FORE) == {"failed": 1}
+    assert_told(run, "star.fore", bad_ns)
+
+
+def test_mend_02_a_measurement_that_raised_is_used_where_it_no_longer_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Raised at first, then an INS sample that came late has all of its time applied again."""
+    clean, index = clean_run(), index_at(voyage(), FORE, MOMENT_S)
+    bad_ns, failures = voyage()[index].stamp_ns, [True]
+    bad = failing_where(
+        lambda _, state, m, *rest: (m.source, m.time_ns) == ("star.fore", bad_ns) and bool(failures and failures.pop()),
+        ShipFilter.step,
+    )
+    late = index_at(voyage(), "ins/imu", MOMENT_S - 0.1)
+    arrivals = [*without(voyage(), late)[: index + 40], voyage()[late], *without(voyage(), late)[index + 40 :]]
+    monkeypatch.setattr(ShipFilter, "step", bad)
+    run = drive(new_adapter(), arrivals)
+    assert not failures
+    assert run.state() == clean.state()
+    assert run.reasons(FORE) == {"failed": 1, "revised": 1}
+
+
+def test_mend_02_an_attitude_that_cannot_be_computed_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    clean, bad_ns = clean_run(), voyage()[index_at(voyage(), "ins/imu", MOMENT_S)].stamp_ns
+    bad = failing_where(lambda _, time_ns, *rest: time_ns == bad_ns, CorrectedIns.estimate)
+    monkeypatch.setattr(CorrectedIns, "estimate", bad)
+    run = drive(new_adapter(), voyage())
+    lost = [m for m in clean.messages("ship/attitude") + clean.messages("ship/imu") if stamp_of(m) == bad_ns]
+    missing = [exactly(m) for m in lost]
+    assert run.results() == [result for result in clean.results() if result[2] not in missing]
+    assert_told(run, "ship/attitude", bad_ns)
+
+
+def test_mend_02_a_budget_that_cannot_be_computed_hides_no_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(messages_out, "alignment_state", failing_where(lambda *arguments: True, None))
+    run = drive(new_adapter(), cut(voyage(), 2.0, 5.0, "ins/imu", FORE, STARBOARD), until_ns=START_NS + 5 * SECOND_NS)
+    invalid = [m for m in run.messages("ship/attitude") if m.status == Status.INVALID]
+    assert [stamp_of(m) - START_NS for m in invalid[-3:]] == [3_000_000_000, 4_000_000_000, 5_000_000_000]
+    assert {m.source for m in run.innovations(Reason.FAILED)} == {"slow topics"}
+
+
+def test_mend_02_exposures_go_on_after_one_that_cannot_be_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    index = index_at(star_voyage.voyage(), star_voyage.FORE, 1.5)
+    clean, bad_ns = star_voyage.clean_run(), star_voyage.voyage()[index].stamp_ns
+    bad = failing_where(
+        lambda exposure, *rest: (exposure.source, exposure.time_ns) == ("star.fore", bad_ns), star_core.solve_exposure
+    )
+    monkeypatch.setattr(star_core, "solve_exposure", bad)
+    run = star_voyage.sail(star_voyage.voyage())
+    solutions = [[exactly(m) for m in r.messages(FORE_SOLUTION) if stamp_of(m) != bad_ns] for r in (run, clean)]
+    assert solutions[0] == solutions[1]
+    assert run.reasons(star_voyage.FORE) == {"failed": 1}
+    assert_told(run, "star.fore", bad_ns)
+
+
+def test_mend_02_joint_solutions_go_on_after_one_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    joint = "star/joint/solution"
+    clean = star_voyage.clean_run()
+    bad_ns = stamp_of(clean.messages(joint)[3])
+    monkeypatch.setattr(
+        star_core, "solve_deck", failing_where(lambda time_ns, *rest: time_ns == bad_ns, star_core.solve_deck)
+    )
+    run = star_voyage.sail(star_voyage.voyage())
+    assert [stamp_of(m) for m in run.messages(joint)] == [stamp_of(m) for m in clean.messages(joint)]
+    assert [exactly(m) for m in run.messages(joint)[4:]] == [exactly(m) for m in clean.messages(joint)[4:]]
+    assert_told(run, "star.joint", bad_ns)

@@ -1,0 +1,68 @@
+"""The software itself fails on one message: that is told, and all else comes out as without it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from adapter_runs import AdapterRun, index_at, stamp_of, without
+from small_session import BEACONS, ENCODER, clean_run, drive, new_adapter, session
+
+from ship_estimation.refusals import Reason
+from theodolite_calib.pointing_estimate import PointingSource
+from theodolite_calib.sighting_step import SightingStep
+
+MOMENT_S = 2.6
+
+
+def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, which raises for some arguments."""
+
+    def call(*arguments: Any) -> Any:
+        if bad(*arguments):
+            raise ArithmeticError("a defect")
+        return function(*arguments)
+
+    return call
+
+
+def assert_told(run: AdapterRun, source: str, time_ns: int) -> None:
+    (innovation,) = run.innovations(Reason.FAILED)
+    assert (innovation.source, stamp_of(innovation), innovation.accepted) == (source, time_ns, False)
+    assert innovation.reason_text.startswith("ArithmeticError: a defect (")
+    (text,) = run.adapter.health.take_failures()
+    assert text.endswith(innovation.reason_text)
+
+
+def test_mend_02_an_exposure_on_which_the_filter_raises_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    index = index_at(session(), BEACONS, MOMENT_S)
+    bad_ns = session()[index].stamp_ns
+    with monkeypatch.context() as patch:
+        bad = failing_where(lambda _, state, sighting, *rest: sighting.time_ns == bad_ns, SightingStep.__call__)
+        patch.setattr(SightingStep, "__call__", bad)
+        run = drive(new_adapter(), session())
+    expected = drive(new_adapter(), without(session(), index))
+    assert run.results() == expected.results()
+    assert run.state() == expected.state()
+    assert run.reasons(BEACONS) == {"failed": 1}
+    assert_told(run, "lights", bad_ns)
+
+
+def test_mend_02_a_pointing_that_cannot_be_computed_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    clean, bad_ns = clean_run(), session()[index_at(session(), ENCODER, MOMENT_S)].stamp_ns
+    bad = failing_where(lambda _, state, sample, *rest: sample.time_ns == bad_ns, PointingSource.estimate)
+    monkeypatch.setattr(PointingSource, "estimate", bad)
+    run = drive(new_adapter(), session())
+    expected = [stamp_of(m) for m in clean.pointings if stamp_of(m) != bad_ns]
+    assert [stamp_of(m) for m in run.pointings] == expected
+    assert run.state() == clean.state()
+    assert_told(run, "theodolite/pointing", bad_ns)
+
+
+def test_mend_02_what_is_taken_for_exact_is_judged_like_all_else() -> None:
+    """Axes, deformation, levers, air and mounting without any error: nothing is singular."""
+    zero = [f"axes__{name}_sigma_arcsec" for name in ("g", "h", "c", "I", "beta_x", "beta_y")]
+    zero += ["deformation__sigma_arcsec", "ship__white_sigma_arcsec", "air__sigma", "air__light_sigma"]
+    zero += ["ship_antenna__sigma_m", "encoder__sigma_arcsec", "telescope__focal_length_sigma_m"]
+    run = drive(new_adapter(**dict.fromkeys(zero, 0.0)), session())
+    assert set(run.reasons(BEACONS)) <= {"gate", "attitude_conflict", "light_conflict"}
+    assert len(run.pointings) == len(clean_run().pointings)
