@@ -3,7 +3,7 @@
 import numpy as np
 
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.filter_model import SOURCE_INS_NOISE
+from ship_attitude_star.filter_model import SOURCE_INS_NOISE, SOURCE_INTERPOLATION
 from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, Horizon, Status
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
 from ship_geometry.attitude_track import InterpolatedAttitude
@@ -31,6 +31,7 @@ class CorrectedIns:
         self._parts = state.parts[:, rows[:, None], rows]
         self._drift_index = self._model.sources.index(self._model.blocks["ins.attitude"].source)
         self._white_index = self._model.sources.index(SOURCE_INS_NOISE)
+        self._interpolation_index = self._model.sources.index(SOURCE_INTERPOLATION)
         self._white_variance = self._model.blocks["ins.noise"].sigma ** 2
 
     @property
@@ -61,6 +62,7 @@ class CorrectedIns:
         parts[self._drift_index] += drift @ drift.T
         white = correction * np.sqrt(self._white_variance * ins.noise_gain)
         parts[self._white_index] += white @ white.T
+        parts[self._interpolation_index] += rotation_nd @ ins.error_covariance_d @ rotation_nd.T
         return rotation_nd, parts
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:

@@ -21,6 +21,7 @@ class Compared:
         residual: measured minus predicted, rad, shape (m,).
         jacobian: of the residual per state, shape (m, n).
         noise: covariance of the white noise, rad², shape (m, m).
+        interpolation: the same of the INS's attitude between its samples.
         components: names of the residuals.
         rotation_nv: horizon from device as measured, shape (3, 3); as predicted where single stars agree with that.
         stars_refused: stars that had no part in it, by name.
@@ -29,6 +30,7 @@ class Compared:
     residual: FloatArray
     jacobian: FloatArray
     noise: FloatArray
+    interpolation: FloatArray
     components: tuple[str, ...]
     rotation_nv: FloatArray
     stars_refused: tuple[tuple[str, Refusal], ...] = ()
@@ -70,7 +72,13 @@ def compare(
         return stars
     rotation_ns = predicted.rotation_nv if stars.rotation_ns is None else stars.rotation_ns
     return Compared(
-        stars.residual, stars.jacobian, stars.noise, stars.components, rotation_ns, stars.refused
+        residual=stars.residual,
+        jacobian=stars.jacobian,
+        noise=stars.noise,
+        interpolation=stars.by_turn @ predicted.interpolation_v @ stars.by_turn.T,
+        components=stars.components,
+        rotation_nv=rotation_ns,
+        stars_refused=stars.refused,
     )
 
 
@@ -78,7 +86,14 @@ def _compare_attitude(
     attitude: AttitudeMeasurement, predicted: PredictedAttitude, model: StateModel, mean: FloatArray
 ) -> Compared:
     residual, jacobian = attitude_measurement(predicted, attitude, model, mean)
-    return Compared(residual, jacobian, attitude.noise_v, ATTITUDE_COMPONENTS, attitude.rotation_nv)
+    return Compared(
+        residual=residual,
+        jacobian=jacobian,
+        noise=attitude.noise_v,
+        interpolation=predicted.interpolation_v,
+        components=ATTITUDE_COMPONENTS,
+        rotation_nv=attitude.rotation_nv,
+    )
 
 
 def attitude_alone(measurement: Measurement, watch: SkyWatch | None) -> AttitudeMeasurement | None:

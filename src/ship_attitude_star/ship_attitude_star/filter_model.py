@@ -33,6 +33,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 SOURCE_INS = "ins_drift"
 SOURCE_INS_NOISE = "ins_noise"
 SOURCE_INS_TIME = "ins_time_offset"
+SOURCE_INTERPOLATION = "interpolation"
 SOURCE_INSTALLATION = "installation"
 SOURCE_STAR_NOISE = "star_noise"
 SOURCE_STAR_COMMON = "star_common"
@@ -87,7 +88,9 @@ def state_model(config: ShipAttitudeConfig) -> StateModel:
         blocks += _sky_blocks(config.sky)
     for name, reference in config.references.items():
         blocks += _reference_blocks(f"reference.{name}", reference)
-    noise_sources = [SOURCE_STAR_NOISE] if config.star_sensors else []
+    noise_sources = [SOURCE_INTERPOLATION]
+    if config.star_sensors:
+        noise_sources.append(SOURCE_STAR_NOISE)
     if config.references:
         noise_sources.append(SOURCE_REFERENCE_NOISE)
     noise_sources.append(SOURCE_SAVED_ALIGNMENT)

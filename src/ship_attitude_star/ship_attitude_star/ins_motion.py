@@ -71,7 +71,7 @@ class InsMotion:
         white_variance = found.noise_gain * (config.white_sigma_arcsec * ARCSEC) ** 2
         shifted_n = config.time_offset_sigma_s * (found.rotation_nd @ found.rate_d)
         covariance_n = np.diag(slow**2 + white_variance) + np.outer(shifted_n, shifted_n)
-        return AttitudePrior(found.rotation_nd, covariance_n)
+        return AttitudePrior(found.rotation_nd, covariance_n + found.error_covariance_n)
 
     def turn(self, to_ns: int, from_ns: int) -> tuple[FloatArray, FloatArray] | None:
         """The deck's turn between two moments.
@@ -91,7 +91,8 @@ class InsMotion:
         rotation = end.rotation_nd.T @ start.rotation_nd
         shifted = self._config.time_offset_sigma_s * (rotation @ start.rate_d - end.rate_d)
         white_variance = (end.noise_gain + start.noise_gain) * (self._config.white_sigma_arcsec * ARCSEC) ** 2
-        return rotation, white_variance * np.eye(3) + np.outer(shifted, shifted)
+        interpolated = end.error_covariance_d + rotation @ start.error_covariance_d @ rotation.T
+        return rotation, white_variance * np.eye(3) + np.outer(shifted, shifted) + interpolated
 
     def turning(self, time_ns: int, nodes: Nodes) -> tuple[Turning, float] | None:
         """The deck's turning over an exposure, whatever is constantly wrong with the INS.

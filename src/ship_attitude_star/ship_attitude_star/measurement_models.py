@@ -28,10 +28,13 @@ class PredictedAttitude:
     Attributes:
         rotation_nv: horizon from device, shape (3, 3).
         jacobian_v: rotation vector in the device frame per state error, shape (3, n).
+        interpolation_v: covariance of the error of the INS's attitude between its samples, rotation vector in the
+            device frame, rad², shape (3, 3).
     """
 
     rotation_nv: FloatArray
     jacobian_v: FloatArray
+    interpolation_v: FloatArray
 
 
 def ins_time_of(device: Device, model: StateModel, mean: FloatArray, time_ns: int) -> int:
@@ -70,7 +73,8 @@ def predict_attitude(
     rotation_nv = turned("ins.noise", ins.rotation_nd @ rotation_dv, float(np.sqrt(ins.noise_gain)))
     rotation_nv = turned("ins.attitude", rotation_nv)
     rotation_nv = turned(f"{device.name}.common", rotation_nv)
-    return PredictedAttitude(rotation_nv, jacobian)
+    interpolation_v = rotation_dv.T @ ins.error_covariance_d @ rotation_dv
+    return PredictedAttitude(rotation_nv, jacobian, interpolation_v)
 
 
 def attitude_measurement(

@@ -11,7 +11,7 @@ import numpy as np
 
 from ship_attitude_star.comparison import compare
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.filter_model import SOURCE_STAR_COMMON, Device, devices, state_model
+from ship_attitude_star.filter_model import SOURCE_INTERPOLATION, SOURCE_STAR_COMMON, Device, devices, state_model
 from ship_attitude_star.hints import heading_hint
 from ship_attitude_star.measurement_models import ins_time_of, predict_attitude
 from ship_attitude_star.samples import AttitudeMeasurement, Decision, Measurement
@@ -66,6 +66,7 @@ class ShipFilter:
         self.model = state_model(config)
         self.devices: dict[str, Device] = devices(config)
         self._gate: GateConfig = config.gate
+        self._interpolation_index = self.model.sources.index(SOURCE_INTERPOLATION)
 
     @property
     def longest_shift_s(self) -> float:
@@ -132,7 +133,8 @@ class ShipFilter:
         if isinstance(compared, Refusal):
             return before, Decision(measurement, compared.reason, ins_time_ns, text=compared.text)
         source_index = self.model.sources.index(device.noise_source)
-        linear = LinearMeasurement(compared.residual, compared.jacobian, {source_index: compared.noise})
+        noise = {source_index: compared.noise, self._interpolation_index: compared.interpolation}
+        linear = LinearMeasurement(compared.residual, compared.jacobian, noise)
         try:
             covariance, nis = innovation(state.parts, linear)
         except np.linalg.LinAlgError as error:

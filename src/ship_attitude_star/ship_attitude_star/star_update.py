@@ -35,6 +35,7 @@ class StarResiduals:
     Attributes:
         residual: rad, shape (2 k,).
         jacobian: per state, shape (2 k, n).
+        by_turn: per turn of the predicted sensor, rotation vector in its own frame, shape (2 k, 3).
         noise: covariance, rad², shape (2 k, 2 k).
         components: name of each residual.
         refused: the other stars, by name.
@@ -43,6 +44,7 @@ class StarResiduals:
 
     residual: FloatArray
     jacobian: FloatArray
+    by_turn: FloatArray
     noise: FloatArray
     components: tuple[str, ...]
     refused: tuple[tuple[str, Refusal], ...]
@@ -71,7 +73,8 @@ def star_residuals(
         The refusal of the whole exposure where no star can be used.
     """
     rotation_ns, to_sensor = predicted.rotation_nv, predicted.jacobian_v
-    prior_n = rotation_ns @ to_sensor @ covariance @ to_sensor.T @ rotation_ns.T
+    prior_s = to_sensor @ covariance @ to_sensor.T + predicted.interpolation_v
+    prior_n = rotation_ns @ prior_s @ rotation_ns.T
     prior = AttitudePrior(rotation_ns, prior_n)
     seen, stars, refused = visible_stars(exposure, watch, prior)
     if len(stars) == 0:
@@ -98,12 +101,14 @@ def star_residuals(
     predicted_s = chosen @ rotation_ns
     basis = tangent_basis(predicted_s)
     residual = np.einsum("kij,kj->ki", basis, stars.measured_b[members] - predicted_s)
-    jacobian = basis @ skew(predicted_s) @ to_sensor
+    by_turn = basis @ skew(predicted_s)
+    jacobian = by_turn @ to_sensor
     jacobian[:, :, rows] = basis @ rotation_ns.T @ stars.shared_n[members]
     names = [seen.name(row) for row in np.flatnonzero(members).tolist()]
     return StarResiduals(
         residual=residual.ravel(),
         jacobian=jacobian.reshape(-1, jacobian.shape[-1]),
+        by_turn=by_turn.reshape(-1, 3),
         noise=_noise(stars, basis, members),
         components=tuple(f"{name} {axis}" for name in names for axis in ("up", "right")),
         refused=tuple(refused),

@@ -123,7 +123,7 @@ def test_a_late_sample_takes_its_place() -> None:
 
 
 def test_what_is_dropped_is_needed_no_more() -> None:
-    some = motion(InsInputConfig(), *(sample(t) for t in range(0, 1000, 40)))
+    some = motion(InsInputConfig(), *(sample(t) for t in range(0, 2000, 40)))
     before = some.deck(START_NS + 500 * MS)
     some.drop_before(START_NS + 500 * MS)
     np.testing.assert_array_equal(some.deck(START_NS + 500 * MS).rotation_nb, before.rotation_nb)

@@ -5,12 +5,33 @@ right rate at both ends. The rates are measured where the source gives them; oth
 neighbouring samples. docs/interpolation.md states the error for a rolling ship.
 """
 
-from dataclasses import dataclass
+import bisect
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from ship_geometry.interpolation_error import (
+    BESIDE,
+    as_covariance,
+    by_miss,
+    by_polynomial,
+    by_third_derivative,
+)
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
-from ship_geometry.sample_track import SECOND_NS, SampleTrack, hermite_weights
+from ship_geometry.sample_track import RECENT, SECOND_NS, SampleTrack, hermite_weights
+
+_EVERY_NS = 100_000_000
+"""Samples nearer to one another tell more of their noise than of the motion."""
+
+_RATES = 4
+"""So many measured rates tell how the rate changes, and how that does."""
+
+_WORST_OF_DIFFERENCED = 0.0962
+"""Greatest s (1 - s) (1 - 2 s): error of a cubic with differenced rates per step³ and third divided difference."""
+
+_LARGEST_VARIANCE = np.pi**2
+"""No attitude is off by more than half a turn, whatever rates say, rad²."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +61,20 @@ class InterpolatedAttitude:
         rotation_nd: horizon from deck, shape (3, 3).
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         noise_gain: variance of the result per variance of the samples' independent noise.
+        error_covariance_d: of the interpolation's own error, as the samples around tell it: rotation vector in the deck
+            frame, rad², shape (3, 3).
     """
 
     rotation_nd: FloatArray
     rate_d: FloatArray
     noise_gain: float
+    error_covariance_d: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+
+    @property
+    def error_covariance_n(self) -> FloatArray:
+        """The same in the horizon frame."""
+        covariance_n: FloatArray = self.rotation_nd @ self.error_covariance_d @ self.rotation_nd.T
+        return covariance_n
 
 
 class AttitudeTrack(SampleTrack[AttitudeSample]):
@@ -66,16 +96,9 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         Used to move a sample by a clock offset: one sample gives one attitude, whatever the sign of the offset.
         """
         index = len(self._samples) - 1
-        sample, rate = self._samples[index], self.rate(index)
-        acceleration = self._acceleration(index, rate)
-        vector = ahead_s * rate + 0.5 * ahead_s * ahead_s * acceleration
-        gain = 1.0
-        if sample.rate_d is None and index > 0 and self._joined(index - 1):
-            part = ahead_s * SECOND_NS / (self._times[index] - self._times[index - 1])
-            gain = (1.0 + part) ** 2 + part**2
-        return InterpolatedAttitude(
-            sample.rotation_nd @ exp_rotation(vector), rate + ahead_s * acceleration, gain
-        )
+        if self._samples[index].rate_d is None:
+            return self._moved_by_differences(index, ahead_s)
+        return self._moved_by_rates(index, ahead_s)
 
     def rate(self, index: int) -> FloatArray:
         """Angular velocity in the deck frame at sample ``index``: measured, or by differences; rad/s."""
@@ -88,14 +111,82 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         turn = log_rotation(self._samples[before].rotation_nd.T @ self._samples[after].rotation_nd)
         return turn * (SECOND_NS / (self._times[after] - self._times[before]))
 
-    def _acceleration(self, index: int, rate: FloatArray) -> FloatArray:
-        """Rate of change of a measured rate, rad/s²; zero where rates are differences of noisy attitudes."""
+    def _moved_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
+        """The newest sample moved by its measured rate and the change of that since the sample before."""
+        rotation_nd, recent = self._samples[index].rotation_nd, self._recent_rates(index)
+        rates = np.array(recent)
+        vector, rate, errors = ahead_s * rates[0], rates[0], np.zeros((1, 3))
+        if len(recent) > 1:
+            times_s = np.array([self._seconds(index, index - back) for back in range(len(recent))])
+            step_s = -float(times_s[1])
+            changes = (rates[1:] - rates[:-1]) / (times_s[1:] - times_s[:-1])[:, None]
+            vector = vector + 0.5 * ahead_s * ahead_s * changes[0]
+            rate = rate + ahead_s * changes[0]
+            # As large as it can be where no third rate tells: all of the change came within the step.
+            jerks = changes / step_s
+            if len(recent) > 2:
+                jerks = (changes[1:] - changes[:-1]) * (2.0 / (times_s[2:] - times_s[:-2]))[:, None]
+            # The acceleration is that of half a step ago.
+            lacking = ahead_s**3 / 6.0 + ahead_s * ahead_s * step_s / 4.0
+            errors = jerks * (lacking / math.sqrt(len(jerks)))
+        covariance_d = as_covariance(errors, _LARGEST_VARIANCE)
+        return InterpolatedAttitude(rotation_nd @ exp_rotation(vector), rate, 1.0, covariance_d)
+
+    def _recent_rates(self, index: int) -> list[FloatArray]:
+        """Measured rates of the newest sample and of those before it, four at most, as far as nothing is between."""
+        recent: list[FloatArray] = []
+        while len(recent) < _RATES:
+            rate_d = self._samples[index].rate_d
+            if rate_d is None:
+                break
+            recent.append(rate_d)
+            if index == 0 or not self._joined(index - 1):
+                break
+            index -= 1
+        return recent
+
+    def _moved_by_differences(self, index: int, ahead_s: float) -> InterpolatedAttitude:
+        """The same without measured rates: by a parabola through the newest sample and two before it."""
+        sample = self._samples[index]
+        recent = self._recent(index)
+        if len(recent) == 1:
+            return InterpolatedAttitude(sample.rotation_nd, np.zeros(3), 1.0)
+        rotations = np.stack([self._samples[other].rotation_nd for other in recent])
+        turns = log_rotation(sample.rotation_nd.T @ rotations)
+        nodes_s = np.array([self._seconds(index, other) for other in recent])
+        to_nodes_s = ahead_s - nodes_s
+        if len(recent) == 2:
+            rate = turns[1] / nodes_s[1]
+            part = ahead_s / -nodes_s[1]
+            error = as_covariance([0.5 * ahead_s * rate], _LARGEST_VARIANCE)
+            return InterpolatedAttitude(
+                sample.rotation_nd @ exp_rotation(ahead_s * rate), rate, (1.0 + part) ** 2 + part**2, error
+            )
+        first = np.diff(turns, axis=0) / np.diff(nodes_s)[:, None]
+        second = np.diff(first, axis=0) / (nodes_s[2:] - nodes_s[:-2])[:, None]
+        steady, bent = first[0], second[0]
+        vector = ahead_s * (steady + to_nodes_s[1] * bent)
+        rate = steady + (ahead_s + to_nodes_s[1]) * bent
+        weight1 = ahead_s * to_nodes_s[2] / (nodes_s[1] * (nodes_s[1] - nodes_s[2]))
+        weight2 = ahead_s * to_nodes_s[1] / (nodes_s[2] * (nodes_s[2] - nodes_s[1]))
+        gain = (1.0 - weight1 - weight2) ** 2 + weight1**2 + weight2**2
+        error = _error_by_differences(nodes_s, second, ahead_s)
+        return InterpolatedAttitude(sample.rotation_nd @ exp_rotation(vector), rate, float(gain), error)
+
+    def _recent(self, index: int) -> list[int]:
+        """The newest sample, the one before, and from there on every so often back: what its motion is told from."""
+        recent = [index]
+        oldest = self._recent_from()
         if index == 0 or not self._joined(index - 1):
-            return np.zeros(3)
-        earlier = self._samples[index - 1].rate_d
-        if earlier is None or self._samples[index].rate_d is None:
-            return np.zeros(3)
-        return (rate - earlier) * (SECOND_NS / (self._times[index] - self._times[index - 1]))
+            return recent
+        recent.append(index - 1)
+        while len(recent) < RECENT:
+            last = recent[-1]
+            found = bisect.bisect_right(self._times, self._times[last] - _EVERY_NS) - 1
+            if found < oldest or self._times[last] - self._times[found] > max(self.max_gap_ns, 2 * _EVERY_NS):
+                break
+            recent.append(found)
+        return recent
 
     def _has_rate(self, index: int) -> bool:
         return self._samples[index].rate_d is not None
@@ -115,4 +206,52 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         )
         rate = left_jacobian(vector).T @ derivative / interval_s
         gain = self._noise_gain(left, fraction)
-        return InterpolatedAttitude(first.rotation_nd @ exp_rotation(vector), rate, gain)
+        if first.rate_d is not None and second.rate_d is not None:
+            error = self._error_with_rates(left, fraction, start_slope, turn, end_slope)
+        else:
+            around = self._around(left)
+            values = np.array([self._turn(left, index) for index in around])
+            errors = by_polynomial(self._fractions(around, left), values, fraction, vector)
+            error = as_covariance(errors, _LARGEST_VARIANCE)
+        return InterpolatedAttitude(first.rotation_nd @ exp_rotation(vector), rate, gain, error)
+
+    def _turn(self, first: int, second: int) -> FloatArray:
+        """Rotation vector from one sample to another, rad."""
+        return log_rotation(self._samples[first].rotation_nd.T @ self._samples[second].rotation_nd)
+
+    def _error_with_rates(
+        self, left: int, fraction: float, start_slope: FloatArray, turn: FloatArray, end_slope: FloatArray
+    ) -> FloatArray:
+        """Covariance of the error of a cubic with measured slopes: by how far it misses the sample before."""
+        bound = by_third_derivative(6.0 * (start_slope + end_slope) - 12.0 * turn, fraction)
+        if left == 0 or not self._joined(left - 1):
+            return as_covariance([bound], _LARGEST_VARIANCE)
+        before = -self._seconds(left - 1, left) / self._seconds(left, left + 1)
+        _, slope0, value1, slope1 = hermite_weights(before)
+        cubic = slope0 * start_slope + value1 * turn + slope1 * end_slope
+        miss = by_miss(self._turn(left, left - 1) - cubic, before, fraction)
+        return as_covariance([miss, 0.5 * BESIDE * bound], _LARGEST_VARIANCE)
+
+
+def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: float) -> FloatArray:
+    """Covariance of the error of a parabola, and of what interpolation does to an estimated clock offset.
+
+    The third derivative comes from all samples given, as mean square: a single one is some way back in the wave, where
+    it may happen to be zero. Between samples without rates the error of interpolation goes with that derivative, in a
+    swell with the rate itself, exactly as a clock offset does: whoever estimated one by such comparisons has this error
+    in it, and it comes back here.
+
+    Args:
+        nodes_s: times of the samples after the newest one, which is the first, shape (n,).
+        second: their second divided differences, shape (n - 2, 3).
+        ahead_s: where the parabola through the first three is used.
+    """
+    step_s = -float(nodes_s[1])
+    if len(nodes_s) == 3:
+        third, beyond_s = second / step_s, step_s
+    else:
+        third = np.diff(second, axis=0) / (nodes_s[3:] - nodes_s[:-3])[:, None]
+        third, beyond_s = third / math.sqrt(len(third)), ahead_s - float(nodes_s[2])
+    of_parabola = ahead_s * (ahead_s + step_s) * beyond_s
+    of_offset = _WORST_OF_DIFFERENCED * step_s**3
+    return as_covariance(math.hypot(of_parabola, of_offset) * third, _LARGEST_VARIANCE)

@@ -4,7 +4,14 @@ import bisect
 from collections.abc import Iterable
 from typing import Generic, Protocol, TypeVar
 
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+
 SECOND_NS = 1_000_000_000
+
+RECENT = 8
+"""So many samples, and those of the last second, tell how the newest one moves."""
 
 
 class Stamped(Protocol):
@@ -78,9 +85,9 @@ class SampleTrack(Generic[Sample]):
         return self._times[index - 2] if index >= 2 else self._times[0] - 1
 
     def drop_before(self, time_ns: int) -> None:
-        """Forget what is not needed to interpolate at or after ``time_ns``."""
-        # Two samples before the moment: the start of its interval and that one's neighbour.
-        keep_from = bisect.bisect_right(self._times, time_ns) - 2
+        """Forget what is not needed to interpolate at or after ``time_ns``, or to move the newest sample."""
+        # Before the moment: the start of its interval, and two more that tell how good the interpolation is.
+        keep_from = min(bisect.bisect_right(self._times, time_ns) - 3, self._recent_from())
         if keep_from > 0:
             del self._times[:keep_from]
             del self._samples[:keep_from]
@@ -96,6 +103,33 @@ class SampleTrack(Generic[Sample]):
     def _has_rate(self, index: int) -> bool:
         """Whether the source measures a rate with sample ``index``."""
         return False
+
+    def _recent_from(self) -> int:
+        """Index of the oldest sample that may have a part in moving the newest one."""
+        if not self._times:
+            return 0
+        return max(min(bisect.bisect_left(self._times, self._times[-1] - SECOND_NS), len(self._times) - RECENT), 0)
+
+    def _around(self, left: int) -> list[int]:
+        """The samples that tell how good a cubic without measured rates is in the interval that begins at ``left``.
+
+        The two ends of the interval first; none that could still change once the interval is covered.
+        """
+        around = [left, left + 1]
+        earlier = left > 0 and self._joined(left - 1)
+        if earlier:
+            around.append(left - 1)
+        if not self._has_rate(left + 1) and left + 2 < len(self._samples) and self._joined(left + 1):
+            around.append(left + 2)
+        if earlier and left > 1 and self._joined(left - 2):
+            around.append(left - 2)
+        return around
+
+    def _fractions(self, indices: list[int], left: int) -> FloatArray:
+        """Where samples are, in units of the interval that begins at ``left``, from its begin."""
+        start_ns = self._times[left]
+        since_ns = np.array([self._times[index] - start_ns for index in indices], dtype=float)
+        return since_ns / (self._times[left + 1] - start_ns)
 
     def _interval(self, time_ns: int) -> tuple[int, float] | None:
         """Index of the sample before a moment, and how far towards the next it is; None outside or in a gap.

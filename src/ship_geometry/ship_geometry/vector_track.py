@@ -5,6 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from ship_geometry.interpolation_error import as_covariance, by_polynomial
 from ship_geometry.rotations import FloatArray
 from ship_geometry.sample_track import SampleTrack, hermite_weights
 
@@ -33,10 +34,17 @@ class InterpolatedVector:
     Attributes:
         vector: shape (k,); of periodic components any of the values that mean the same.
         noise_gain: variance of the result per variance of the samples' independent noise.
+        errors: of the interpolation itself, as the samples around tell them; they add up, shape (k,) each.
     """
 
     vector: FloatArray
     noise_gain: float
+    errors: tuple[FloatArray, ...] = ()
+
+    @property
+    def error_covariance(self) -> FloatArray:
+        """Covariance of the interpolation's own error, shape (k, k)."""
+        return as_covariance(self.errors) if self.errors else np.zeros((self.vector.size, self.vector.size))
 
 
 Sample = TypeVar("Sample", bound=VectorSample)
@@ -66,7 +74,10 @@ class VectorTrack(SampleTrack[Sample]):
         _, slope0, value1, slope1 = hermite_weights(fraction)
         change = slope0 * self._slope(left, left) + value1 * self._change(left, left + 1)
         change += slope1 * self._slope(left + 1, left)
-        return InterpolatedVector(first + change, self._noise_gain(left, fraction))
+        around = self._around(left)
+        values = np.array([self._change(left, index) for index in around])
+        errors = by_polynomial(self._fractions(around, left), values, fraction, change)
+        return InterpolatedVector(first + change, self._noise_gain(left, fraction), errors)
 
     def _slope(self, index: int, left: int) -> FloatArray:
         """Rate of change at a sample, over the time of the interval that begins at ``left``."""
@@ -74,7 +85,9 @@ class VectorTrack(SampleTrack[Sample]):
         return self._change(before, after) * (self._seconds(left, left + 1) / self._seconds(before, after))
 
     def _change(self, first: int, second: int) -> FloatArray:
-        """From one sample to another, through those between, each time the short way round."""
+        """From one sample to another, either way, through those between, each time the short way round."""
+        if second < first:
+            return -self._change(second, first)
         change = np.zeros_like(self._samples[first].vector)
         for index in range(first, second):
             step = self._samples[index + 1].vector - self._samples[index].vector

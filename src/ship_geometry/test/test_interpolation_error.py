@@ -111,3 +111,83 @@ def test_constant_error_of_the_rate_enters_by_a_tenth_of_a_step() -> None:
     alone_arcsec = error_of_track_arcsec(roll_only, 10, measured_rates=True)
     # The greatest value of s (1-s) (1-2s) is 0.0962.
     assert 0.0090 < error_arcsec < 0.0097 + alone_arcsec
+
+
+# -- the error as the track itself tells it
+
+
+def claims(rate_hz: float, measured_rates: bool, noise_arcsec: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Errors between samples (rotation vector in the deck), shape (n, 3), and the covariances claimed, (n, 3, 3)."""
+    rng = np.random.default_rng(27)
+    step_ns = round(SECOND_NS / rate_hz)
+    track = AttitudeTrack(2 * step_ns)
+    for k in range(-6, 40):
+        time_s = k * step_ns / SECOND_NS
+        noise = Rotation.from_rotvec(noise_arcsec * ARCSEC * rng.standard_normal(3)).as_matrix()
+        rate_d = rate_of(roll_pitch_and_turn, time_s) if measured_rates else None
+        track.insert(AttitudeSample(k * step_ns, roll_pitch_and_turn(time_s) @ noise, rate_d))
+    errors, covariances = [], []
+    for time_ns in rng.integers(0, 37 * step_ns, 150).tolist():
+        found = track.at(time_ns)
+        assert found is not None
+        errors.append(log_rotation(found.rotation_nd.T @ roll_pitch_and_turn(time_ns / SECOND_NS)))
+        covariances.append(found.error_covariance_d)
+    return np.array(errors), np.array(covariances)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "measured_rates"),
+    [(1.0, True), *((hz, rates) for hz in (1.5, 2.5, 5.0, 10.0) for rates in (True, False))],
+)
+def test_mend_27_the_error_claimed_between_samples_is_the_error_made(rate_hz: float, measured_rates: bool) -> None:
+    errors, covariances = claims(rate_hz, measured_rates)
+    made, claimed = np.mean(errors**2), np.mean(np.trace(covariances, axis1=-2, axis2=-1)) / 3.0
+    assert made < claimed < 1.8 * made + (0.04 * ARCSEC) ** 2
+    covariances += (1e-6 * ARCSEC) ** 2 * np.eye(3)  # what numbers resolve
+    distance = np.einsum("ki,ki->k", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+    # Beside each other: three degrees of freedom at most, and nowhere beyond what noise of that size gives.
+    assert np.mean(distance) < 3.0
+    assert np.max(distance) < 20.0
+
+
+@pytest.mark.parametrize(("measured_rates", "share"), [(True, 0.02), (False, 0.08)])
+def test_mend_27_noise_of_good_samples_is_not_taken_for_an_error(measured_rates: bool, share: float) -> None:
+    _, covariances = claims(100.0, measured_rates, noise_arcsec=1.0)
+    claimed = np.mean(np.trace(covariances, axis1=-2, axis2=-1)) / 3.0
+    # Of the 0.5 or 0.64 that is left of the variance of the samples themselves.
+    assert claimed < share * ARCSEC**2
+
+
+@pytest.mark.parametrize("measured_rates", [True, False])
+@pytest.mark.parametrize(("rate_hz", "ahead_s"), [(2.5, 0.005), (5.0, -0.003), (5.0, 0.1), (100.0, 0.1)])
+def test_mend_27_the_newest_sample_says_how_far_off_it_was_moved(
+    rate_hz: float, ahead_s: float, measured_rates: bool
+) -> None:
+    distances, made, claimed = [], [], []
+    step_ns = round(SECOND_NS / rate_hz)
+    for start in range(24):
+        track = AttitudeTrack(2 * step_ns)
+        count = max(10, round(rate_hz))
+        for k in range(count):
+            time_s = start + k / rate_hz
+            rate_d = rate_of(roll_pitch_and_turn, time_s) if measured_rates else None
+            track.insert(AttitudeSample(k * step_ns, roll_pitch_and_turn(time_s), rate_d))
+        moved = track.newest_moved(ahead_s)
+        error = log_rotation(moved.rotation_nd.T @ roll_pitch_and_turn(start + (count - 1) / rate_hz + ahead_s))
+        distances.append(error @ np.linalg.solve(moved.error_covariance_d, error))
+        made.append(error @ error)
+        claimed.append(np.trace(moved.error_covariance_d))
+    assert np.mean(distances) < 3.0
+    assert np.max(distances) < 20.0
+    # Without rates the claim holds what an estimated clock offset has of the interpolation, too.
+    assert np.mean(claimed) < (4.0 if measured_rates else 60.0) * np.mean(made) + (0.02 * ARCSEC) ** 2
+
+
+def test_mend_27_nothing_is_worse_than_half_a_turn() -> None:
+    track = AttitudeTrack(SECOND_NS)
+    for k in range(5):
+        track.insert(AttitudeSample(k * SECOND_NS, np.eye(3), np.full(3, 1e9 * (-1) ** k)))
+    found = track.at(2 * SECOND_NS + SECOND_NS // 3)
+    assert found is not None
+    assert np.trace(found.error_covariance_d) < 2.0 * np.pi**2
+    assert np.trace(track.newest_moved(0.1).error_covariance_d) < 2.0 * np.pi**2

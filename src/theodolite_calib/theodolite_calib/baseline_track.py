@@ -22,7 +22,7 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         baseline = self.at(time_ns)
         assert baseline is not None  # in an interval of good samples
         nearest = around[0] if fraction < 0.5 else around[-1]
-        return baseline.vector, baseline.noise_gain * nearest.covariance_n
+        return baseline.vector, baseline.noise_gain * nearest.covariance_n + baseline.error_covariance
 
     def _joined(self, left: int) -> bool:
         both_good = self._samples[left].refusal is None and self._samples[left + 1].refusal is None

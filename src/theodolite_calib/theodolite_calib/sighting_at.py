@@ -15,7 +15,7 @@ class ShipAt:
         rotation_nd: horizon from deck, shape (3, 3).
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         slow_covariance_n: as in :class:`theodolite_calib.samples.ShipSample`.
-        noise: variance of each component of what is new with each sample, rad².
+        noise: variance of each component of what is new with each sample, and of interpolation, rad².
     """
 
     rotation_nd: FloatArray
@@ -31,7 +31,7 @@ class EncoderAt:
     Attributes:
         azimuth: rad.
         elevation: rad.
-        noise: variance of each, rad².
+        noise: variance of each, that of interpolation included, rad².
     """
 
     azimuth: float

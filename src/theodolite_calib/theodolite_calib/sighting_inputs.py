@@ -8,7 +8,7 @@ import numpy as np
 
 from ship_estimation.refusals import Reason, Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.sample_track import SECOND_NS, SampleTrack
 from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.baseline_track import BaselineTrack
@@ -65,6 +65,7 @@ class SightingInputs:
         self.encoder: VectorTrack[EncoderSample] = VectorTrack(_ns(config.encoder.max_gap_s), 2.0 * np.pi)
         self.ship = AttitudeTrack(_ns(config.ins.max_gap_s if by_ins else config.ship.max_gap_s))
         self.baselines = {id_: BaselineTrack(_ns(b.rtk.max_gap_s)) for id_, b in config.beacons.items()}
+        self._levers_b = {id_: b.light.vector_m for id_, b in config.beacons.items()}
         # A light at the antenna is where it is, however the drone stands.
         self.drones = {
             id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
@@ -106,7 +107,7 @@ class SightingInputs:
         sample = self.ship.last_before(time_ns - self._ship_shift_ns)
         if attitude is None or not isinstance(sample, ShipSample):
             return None
-        noise = attitude.noise_gain * self._ship_noise
+        noise = attitude.noise_gain * self._ship_noise + float(np.trace(attitude.error_covariance_d))
         return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.slow_covariance_n, noise), sample.status
 
     def encoder_at(self, time_ns: int) -> EncoderAt | None:
@@ -116,7 +117,8 @@ class SightingInputs:
         if angles is None or sample is None:
             return None
         azimuth, elevation = angles.vector.tolist()
-        return EncoderAt(azimuth, elevation, angles.noise_gain * sample.sigma**2)
+        noise = angles.noise_gain * sample.sigma**2 + float(np.trace(angles.error_covariance))
+        return EncoderAt(azimuth, elevation, noise)
 
     def assemble(self, exposure: Exposure) -> Assembled:
         """Everything at the middle of an exposure."""
@@ -159,7 +161,10 @@ class SightingInputs:
         attitude = self.drones[beacon_id].at(time_ns)
         if attitude is None:
             return Refusal(Reason.GAP, "no attitudes of the drone on both sides of the exposure")
-        return _Placed(*baseline, attitude.rotation_nd)
+        lever_n = attitude.rotation_nd @ self._levers_b[beacon_id]
+        by_turn = skew(lever_n)
+        interpolated = by_turn @ attitude.error_covariance_n @ by_turn.T
+        return _Placed(baseline[0], baseline[1] + interpolated, attitude.rotation_nd)
 
     def _tracks(self) -> Iterator[SampleTrack[Any]]:
         yield self.encoder

@@ -1,0 +1,64 @@
+"""What is measured with few samples is off between them, and what is compared with it says by how much."""
+
+import numpy as np
+from simulated_session import config
+
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, log_rotation
+from theodolite_calib.samples import BaselineSample, EncoderSample, ShipSample
+from theodolite_calib.sighting_inputs import SightingInputs, insert
+
+STEP_NS, SECOND_NS = 400_000_000, 1_000_000_000
+ENCODER_SIGMA = 1.0 * ARCSEC
+BASELINE_VARIANCE = 0.01**2
+
+
+def encoder_angles(time_s: float) -> np.ndarray:
+    """A search by hand."""
+    azimuth_deg, elevation_deg = 10.0 * np.sin(2.0 * np.pi * time_s / 6.0), 5.0 * np.cos(2.0 * np.pi * time_s / 5.0)
+    return np.deg2rad([30.0 + azimuth_deg, 40.0 + elevation_deg])
+
+
+def ship_attitude(time_s: float) -> np.ndarray:
+    return rotation_from_angles(0.3, np.deg2rad(2.0) * np.sin(time_s), np.deg2rad(6.0) * np.sin(0.7 * time_s))
+
+
+def baseline(time_s: float) -> np.ndarray:
+    """A drone that circles 50 m wide in 12 s."""
+    angle = 2.0 * np.pi * time_s / 12.0
+    return np.array([1000.0 + 50.0 * np.cos(angle), 200.0, 50.0 * np.sin(angle)])
+
+
+def inputs() -> SightingInputs:
+    slow = SightingInputs(config(encoder__max_gap_s=0.5, ship__max_gap_s=0.5, beacons__alpha__rtk__max_gap_s=0.5))
+    for k in range(60):
+        time_ns, time_s = k * STEP_NS, k * STEP_NS / SECOND_NS
+        insert(slow.encoder, EncoderSample(time_ns, encoder_angles(time_s), ENCODER_SIGMA))
+        insert(slow.ship, ShipSample(time_ns, ship_attitude(time_s)))
+        insert(slow.baselines["alpha"], BaselineSample(time_ns, baseline(time_s), BASELINE_VARIANCE * np.eye(3)))
+        if "alpha" in slow.drones:
+            insert(slow.drones["alpha"], AttitudeSample(time_ns, ship_attitude(time_s)))
+    return slow
+
+
+def test_mend_27_what_is_put_together_at_an_exposure_counts_its_interpolation() -> None:
+    slow = inputs()
+    of_encoder, of_ship, of_baseline = [], [], []
+    for time_ns in np.random.default_rng(27).integers(2 * STEP_NS, 56 * STEP_NS, 200).tolist():
+        time_s = time_ns / SECOND_NS
+        encoder, ship = slow.encoder_at(time_ns), slow.ship_at(time_ns)
+        placed = slow.baselines["alpha"].usable_at(time_ns)
+        assert encoder is not None
+        assert ship is not None
+        assert isinstance(placed, tuple)
+        off = np.array([encoder.azimuth, encoder.elevation]) - encoder_angles(time_s)
+        of_encoder.append(off @ off / encoder.noise)
+        off = log_rotation(ship[0].rotation_nd.T @ ship_attitude(time_s))
+        of_ship.append(off @ off / ship[0].noise)
+        off = placed[0] - baseline(time_s)
+        of_baseline.append(off @ np.linalg.solve(placed[1], off))
+    # Samples without noise: what is left is interpolation alone. Left out it was thousands of times as large.
+    for found in (of_encoder, of_ship, of_baseline):
+        assert 0.05 < np.mean(found) < 1.5
+        assert np.max(found) < 12.0
