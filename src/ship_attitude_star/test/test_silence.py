@@ -174,3 +174,12 @@ def test_mend_04_invalid_has_the_time_of_the_tick_and_holds_nothing_back() -> No
     assert stamp_of(invalid) == said_invalid(run)[0]
     index = run.messages(ATTITUDE).index(invalid)
     assert stamp_of(run.messages(ATTITUDE)[index + 1]) < stamp_of(invalid)
+
+
+def test_mend_17_where_the_clock_stands_invalid_is_told_at_its_time() -> None:
+    run = Run(new_adapter())
+    arrivals = [a for a in voyage() if a.receive_ns <= at(3.0)]
+    hand_over(run, arrivals, until_ns=at(6.0), node_ns=lambda ns: min(ns, at(3.0)))
+    assert_invalid_once_a_second(run, 3.0, 6.0)
+    invalid = [m for m in run.messages(ATTITUDE) if m.status == Status.INVALID]
+    assert {stamp_of(m) for m in invalid[-2:]} == {at(3.0)}

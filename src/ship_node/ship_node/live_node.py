@@ -28,17 +28,18 @@ from ship_estimation.parameters import ParameterError
 from ship_node.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
 from ship_node.adapter_calls import AdapterCalls
 from ship_node.black_box import BlackBox
-from ship_node.clock_queue import queue_clock
-from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level, Status, diagnostic_array
+from ship_node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.errors import BadInput
 from ship_node.files import NotedFiles
 from ship_node.guard import Guard
 from ship_node.inbox import Arrival, Inbox
 from ship_node.message_factory import RosidlFactory, message_class
+from ship_node.node_clock import NodeClock
+from ship_node.node_watch import ErrorLog, name_status
 from ship_node.parameter_file import misfit, quoted_parameter, read_whatever_fits
 from ship_node.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.ros_parameters import NodeParameters, ParameterNode
-from ship_node.tick_grid import TickGrid, WaitingClock
+from ship_node.tick_grid import TickGrid
 from ship_node.topics import InputTopic, OutputTopic
 
 SPIN_TIMEOUT_S = 0.1
@@ -46,7 +47,6 @@ MOST_EVENTS = 1000
 """Events taken from the executor between two messages given to the adapter; a flood must not stop the work."""
 
 WATCH_PERIOD_S = 1.0
-CLOCK_WATCHDOG_S = 5.0
 JUMP_BACK = Duration(nanoseconds=-100_000_000)
 """Only a jump that is longer starts anew: /clock from two hosts may waver."""
 
@@ -75,7 +75,7 @@ class LiveNode:
         self.node: Node = ParameterNode(adapter_class.node_name, context=context)
         self._full_name = self.node.get_fully_qualified_name()
         self._event_came = False
-        queue_clock(self.node, self._note_event)
+        self._clock = NodeClock(self.node, time.monotonic_ns, self._note_event)
         self._context = context
         self._factory = RosidlFactory()
         self._guard = Guard(self.node.get_logger(), time.monotonic_ns)
@@ -91,9 +91,10 @@ class LiveNode:
             self.node.destroy_node()
             raise _with_line(error, parameter_files, self._full_name) from error
         self._calls = AdapterCalls(self.adapter, self._publishers, files, self._box)
-        self._parameters.give_changes_to(self._calls, self._now_ns, self._handle_all)
-        self._grid, self._waiting = TickGrid(), WaitingClock(time.monotonic_ns)
-        self._last_ns = 0
+        self._parameters.give_changes_to(self._calls, self._clock.now_ns, self._handle_all)
+        self._grid = TickGrid()
+        self._last_node_ns = self._last_ns = 0
+        self._error_log = ErrorLog(self.node)
         self._inbox = Inbox({i.topic: i.depth for i in self.adapter.inputs})
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
@@ -109,6 +110,8 @@ class LiveNode:
         while not stop() and self._context.ok():
             self._take_events()
             self._guard.call("work", self._work)
+            if self._clock.is_dead() and not self._error_log.tells_of("clock"):
+                self._guard.call("watch", self._watch)
 
     def close(self) -> None:
         """Finish the black box and give everything back to the middleware."""
@@ -157,14 +160,9 @@ class LiveNode:
         logger.info(f"black box: {box.path}")
         return box
 
-    def _now_ns(self) -> int:
-        """Time of the node; 0 while it waits for its first /clock."""
-        return int(self.node.get_clock().now().nanoseconds)
-
     def _create_clocks(self) -> None:
         """The tick on the node's clock, the watch on a clock that never stops, and the reset when time goes back."""
         clock = self.node.get_clock()
-        self._start_steady_s = time.monotonic()
         self.node.create_timer(TICK_PERIOD_NS * 1e-9, self._note_event)
         self.node.create_timer(
             WATCH_PERIOD_S,
@@ -196,28 +194,21 @@ class LiveNode:
 
     def _on_message(self, topic: str, data: bytes) -> None:
         self._note_event()
-        self._inbox.put(Arrival(topic, data, *self._times()))
-
-    def _times(self) -> tuple[int, int]:
-        """The node's time and the time of waiting, ns; zeros while the node waits for its first /clock."""
-        now_ns = self._now_ns()
-        if now_ns == 0 or self.node.get_clock().ros_time_is_active:
-            return now_ns, now_ns
-        return now_ns, self._waiting.now_ns(now_ns)
+        self._inbox.put(Arrival(topic, data, *self._clock.times()))
 
     def _work(self) -> None:
         """Give the adapter the next message at the time at which it came, or where none waits the time now."""
         if not self._inbox:
-            self._advance(*self._times())
-        elif self._now_ns():
+            self._advance(*self._clock.times())
+        elif self._clock.now_ns():
             arrival = self._inbox.take()
-            now_ns, waiting_ns = (arrival.now_ns, arrival.waiting_ns) if arrival.now_ns else self._times()
+            now_ns, waiting_ns = (arrival.now_ns, arrival.waiting_ns) if arrival.now_ns else self._clock.times()
             self._advance(now_ns, waiting_ns)
             self._guard.call(arrival.topic, self._handle, arrival.topic, arrival.data, now_ns, waiting_ns)
 
     def _handle_all(self) -> None:
         """Give the adapter all that waits: what is asked of it next comes after that."""
-        while self._inbox and self._now_ns():
+        while self._inbox and self._clock.now_ns():
             self._work()
 
     def _handle(self, topic: str, data: bytes, now_ns: int, waiting_ns: int) -> None:
@@ -230,9 +221,11 @@ class LiveNode:
             return
         if self._last_ns and waiting_ns - self._last_ns > LONGEST_CATCH_UP_NS:
             self._grid.restart(waiting_ns)
-        self._last_ns = waiting_ns
         for tick_ns in self._grid.due(waiting_ns):
-            self._guard.call("tick", self._calls.tick, now_ns - (waiting_ns - tick_ns), tick_ns)
+            # Where the node's time stands, or was set back, no tick is given one before it.
+            node_ns = max(now_ns - (waiting_ns - tick_ns), min(now_ns, self._last_node_ns))
+            self._guard.call("tick", self._calls.tick, node_ns, tick_ns)
+        self._last_node_ns, self._last_ns = now_ns, waiting_ns
         for text in self.adapter.health.take_failures():
             self._guard.note(text)
         for (topic, why), count in self._inbox.take_cuts().items():
@@ -240,15 +233,16 @@ class LiveNode:
 
     def _on_jump_back(self, jump: TimeJump) -> None:
         self._handle_all()
-        now_ns = self._now_ns()
+        self._clock.start_anew()
+        now_ns, waiting_ns = self._clock.times()
         self.node.get_logger().warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: starting anew")
-        self._grid.restart(now_ns)
-        self._last_ns = now_ns
+        self._grid.restart(waiting_ns)
+        self._last_node_ns, self._last_ns = now_ns, waiting_ns
         self._calls.clock_jumped_back(now_ns)
 
     def _serve(self, name: str, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._handle_all()
-        now_ns = self._now_ns()
+        now_ns = self._clock.now_ns()
         result: ServiceResult | None = ServiceResult(False, "the clock has not started: no /clock came yet")
         if now_ns:
             result = self._guard.call(f"~/{name}", self._calls.service, name, now_ns)
@@ -271,19 +265,14 @@ class LiveNode:
         self._note_event()
         for topic, subscription in self._subscriptions.items():
             self.adapter.health.publisher_count(topic, self.node.count_publishers(subscription.topic_name))
-        statuses = [self._guard.status(), self._clock_status(), self._parameters.status()]
+        statuses = [self._clock.status(), name_status(self.node)]
+        self._error_log.note(statuses)
+        statuses += [self._guard.status(), self._parameters.status()]
         if self._box is not None:
             statuses.append(self._box.status())
-        now_ns = self._now_ns()
+        now_ns = self._clock.now_ns()
         message = diagnostic_array(self._factory, now_ns, self.node.get_name(), statuses)
         self._calls.publish([(DIAGNOSTICS_TOPIC, message)], now_ns)
-
-    def _clock_status(self) -> Status:
-        if self._now_ns():
-            return Status("clock", Level.OK, "running")
-        waited_s = time.monotonic() - self._start_steady_s
-        text = f"use_sim_time is set, but no /clock came for {waited_s:.0f} s"
-        return Status("clock", Level.ERROR if waited_s >= CLOCK_WATCHDOG_S else Level.OK, text)
 
 
 def _outputs(adapter: Adapter) -> tuple[OutputTopic, ...]:

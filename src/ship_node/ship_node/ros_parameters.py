@@ -25,6 +25,8 @@ from ship_node.diagnostics import Level, Status
 from ship_node.errors import BadInput
 from ship_node.parameter_file import BLACK_BOX_PARAMETER, is_shell_parameter
 
+USE_SIM_TIME = "use_sim_time"
+
 _LEAST_INTEGER, _GREATEST_INTEGER = -(2**63), 2**63 - 1
 
 
@@ -103,6 +105,11 @@ class NodeParameters:
         asked = {p.name: _plain(p.value) for p in parameters}
         self._adapter_was_asked = False
         try:
+            if isinstance(asked.get(USE_SIM_TIME), bool):
+                # Times from before would be years from those after.
+                raise ParameterError(
+                    f"parameter '{USE_SIM_TIME}' cannot be changed while the node runs: set it at the start"
+                )
             # First our own check: it names the unit.
             changed(self.config, {name: value for name, value in asked.items() if not self._is_of_the_shell(name)})
             result = take(parameters)

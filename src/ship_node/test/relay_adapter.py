@@ -66,6 +66,7 @@ class RelayAdapter:
         self.start_warnings: tuple[str, ...] = ()
         self.changes: dict[str, Any] = {}
         self.ticks: list[int] = []
+        self.node_times: list[int] = []
         self.resets: list[int] = []
         self.handled: list[int] = []
 
@@ -103,6 +104,7 @@ class RelayAdapter:
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         self.ticks.append(now_ns if waiting_ns is None else waiting_ns)
+        self.node_times.append(now_ns)
         statuses = self.health.statuses(now_ns, waiting_ns)
         published = [(DIAGNOSTICS_TOPIC, diagnostic_array(self.factory, now_ns, self.node_name, statuses))]
         return published + [("input_health", m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]

@@ -5,6 +5,7 @@ import re
 import time
 
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
 from rcl_interfaces.msg import ParameterValue
@@ -15,7 +16,9 @@ from rclpy.serialization import serialize_message
 from relay_adapter import EXPLOSIVE_FRAME
 from std_srvs.srv import Trigger
 
+from ship_node.adapter import TICK_PERIOD_NS
 from ship_node.inbox import LARGEST_MESSAGE_BYTES
+from ship_node.node_clock import DEAD_AFTER_NS
 from ship_node.stamps import ns_from_stamp
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
@@ -94,6 +97,7 @@ def test_live_parameter_reaches_the_adapter(live_relay):
         ("sensors.fore.elevation_deg", 50.0, "cannot be changed while the node runs: set it at the start"),
         ("gate.probabilty", 0.75, "parameter 'gate.probabilty' is unknown"),
         ("use_sim_time", 3, "expected 'Type.BOOL' got 'Type.INTEGER'"),
+        pytest.param("use_sim_time", True, "cannot be changed while the node runs", id="mend_17_use_sim_time"),
     ],
 )
 def test_bad_live_parameter_is_refused_with_a_reason(live_relay, name, value, reason):
@@ -245,3 +249,42 @@ def test_clock_that_never_starts_is_an_error(live_relay):
     name = "relay: clock"
     relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
     assert "no /clock came" in relay.diagnostics[name].message
+
+
+def test_mend_17_a_clock_that_dies_is_told_and_waiting_goes_on_without_it(live_relay):
+    relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
+    name, set_time = "relay: clock", relay.clock_publisher()
+    # As a paused playback does: the same time again and again.
+    end_s = time.monotonic() + DEAD_AFTER_NS * 1e-9 + 1.0
+    while time.monotonic() < end_s:
+        set_time(1000.0)
+        relay.spin()
+        assert not relay.reports(name, DiagnosticStatus.ERROR)
+    relay.imu_publisher().publish(imu_message(1000_000_000_000))
+    relay.wait_until(lambda: len(relay.attitudes) == 1)
+    ticks = len(relay.adapter.ticks)
+    # From now on nothing of it comes.
+    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
+    assert re.fullmatch(r"use_sim_time is set, and no /clock came for \d+ s: .*", relay.diagnostics[name].message)
+    relay.wait_until(lambda: len(relay.adapter.ticks) >= ticks + 22)
+    # The node's time stands, that of waiting goes on, tick by tick.
+    assert relay.adapter.node_times[-1] == 1000_000_000_000
+    assert relay.adapter.ticks[ticks:][:22] == [1000_000_000_000 + n * TICK_PERIOD_NS for n in range(1, 23)]
+    relay.wait_until(lambda: "silent for" in relay.diagnostics["relay: input ins/imu"].message)
+
+    set_time(1000.5)
+    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.OK))
+    relay.wait_until(lambda: relay.adapter.node_times[-1] > 1000_000_000_000)
+    assert relay.adapter.ticks == sorted(set(relay.adapter.ticks))
+    assert relay.adapter.node_times == sorted(relay.adapter.node_times)
+    assert relay.adapter.resets == []
+
+
+def test_mend_17_two_nodes_of_one_name_are_told_as_long_as_there_are_two(live_relay):
+    relay = live_relay()
+    relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.OK))
+    twin = rclpy.create_node("relay", context=relay.context, use_global_arguments=False)
+    relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.ERROR))
+    assert relay.diagnostics["relay: name"].message.startswith("2 nodes are called '/relay': end all but one")
+    twin.destroy_node()
+    relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.OK))
