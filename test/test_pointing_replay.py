@@ -45,11 +45,12 @@ def with_windows(name: str) -> Scenario:
 
 
 def replayed(scenario: Scenario, folder: Path, seed: int = 1) -> tuple[Path, dict[str, dict[str, int]]]:
-    """The replayed bag, and what was refused by topic and reason."""
+    """The replayed bag, and what was refused or noted by topic and reason."""
     write_bag(simulate(scenario, seed), folder / "in.mcap", b"")
     summary = replay(folder / "in.mcap", folder / "out.mcap", ADAPTERS)
     assert summary.problems == []
-    return folder / "out.mcap", summary.refused
+    topics = {*summary.refused, *summary.noted}
+    return folder / "out.mcap", {t: summary.refused.get(t, {}) | summary.noted.get(t, {}) for t in topics}
 
 
 def worst_valid_sigmas(path: Path) -> float:

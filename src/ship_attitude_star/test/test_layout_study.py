@@ -1,14 +1,18 @@
 """The layout study: the engineering rule, the recommended azimuths, the six figures."""
 
+from itertools import combinations
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 from ship_attitude_star.installation_model import Reading, linearise
 from ship_attitude_star.layout.azimuths import recommended, scan
 from ship_attitude_star.layout.config import OperatingPoint, study_config
+from ship_attitude_star.layout.figures import plan_figure
 from ship_attitude_star.layout.joint_error import Layout, error_map, total_arcsec
+from ship_attitude_star.layout.study import study
 from ship_attitude_star.layout.sweeps import SWEEPS, Curve, all_curves
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -185,3 +189,19 @@ def test_figure_4_adds_all_errors() -> None:
         errors = (moved.ship_angles - model.ship_angles) / ARCSEC
         # Second order: 100" of 100" is 0.05".
         np.testing.assert_allclose(curve.errors_arcsec[index], errors, atol=0.15)
+
+
+def test_mend_24_numbers_of_boresights_lie_over_nothing() -> None:
+    """Sensors that look the same way, with names longer than the plan has room for."""
+    angles = {"fore": (0.0, 45.0), "mast": (0.0, 45.0), "bridge_wing_starboard": (95.0, 45.0), "wing_two": (90.0, 50.0)}
+    sensors = {name: {"azimuth_deg": a, "elevation_deg": e} for name, (a, e) in angles.items()}
+    computed = study(study_config({"sensors": sensors}))
+    figure = plan_figure(computed.layout, computed.best)
+    figure.canvas.draw()
+    (axes,) = figure.axes
+    boxes = [text.get_window_extent() for text in axes.texts if text.get_text()]
+    boxes.append(figure.legends[0].get_window_extent())
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    said = "\n".join(text.get_text() for text in figure.legends[0].get_texts())
+    assert all(name in said for name in angles)
+    plt.close(figure)

@@ -9,8 +9,10 @@ import matplotlib
 matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.figure import Figure
 
+from ship_geometry.rotations import FloatArray
 from ship_node.part_file import write_whole
 
 _STYLE = {
@@ -24,6 +26,23 @@ _STYLE = {
     "legend.framealpha": 0.95,
     "savefig.facecolor": "white",
 }
+
+
+_SETTLED = 3.0
+"""A start is over when sigma has come down to this many times what it is at its best."""
+
+
+def settled(sigma: FloatArray) -> slice:
+    """The part of a course that a figure is scaled by: all but the start, when little was known yet.
+
+    Args:
+        sigma: predicted, in order of time, shape (n,); NaN where none was given.
+    """
+    known = sigma[np.isfinite(sigma)]
+    if not len(known):
+        return slice(None)
+    # The least tenth: at its best it was for a while, not for a moment.
+    return slice(int(np.argmax(sigma <= _SETTLED * np.percentile(known, 10.0))), None)
 
 
 def write_figures(figures: Iterable[tuple[str, Figure]], folder: Path) -> dict[str, Path]:

@@ -1,7 +1,7 @@
 """How the inputs of a node do: a record per topic, judged, for ``input_health`` and ``/diagnostics``."""
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable
 from typing import Any
 
@@ -107,6 +107,7 @@ class InputHealthBook:
     def noted(self, topic: str, reason: str) -> None:
         """Something about a message is worth a count, although it may be used, as ``covariance_unknown``."""
         self._records[topic].reasons[reason] += 1
+        self._records[topic].noted[reason] += 1
 
     def restart(self) -> None:
         """The clock went back or the node was reset: counts stay, everything timed starts anew."""
@@ -137,6 +138,14 @@ class InputHealthBook:
         """One ship_msgs/InputHealth per topic; without a time of waiting it is the node's."""
         waiting_ns = self._now(now_ns if waiting_ns is None else waiting_ns)
         return [self._message(factory, record, now_ns, waiting_ns) for record in self._records.values()]
+
+    def refused_and_noted(self) -> dict[str, tuple[Counter[str], Counter[str]]]:
+        """Topic → reason → messages that were not used, and messages used with a note, of topics that had either."""
+        return {
+            topic: (record.reasons - record.noted, record.noted)
+            for topic, record in self._records.items()
+            if record.reasons
+        }
 
     def _now(self, waiting_ns: int) -> int:
         self._waiting_ns = waiting_ns

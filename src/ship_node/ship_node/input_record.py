@@ -20,6 +20,7 @@ class InputRecord:
         input: the topic.
         received, accepted, rejected: messages since the start.
         reasons: how often each reason was met, in order of first appearance.
+        noted: of these, with messages that were used all the same.
         late_delays: late messages per bin of :data:`LATE_EDGES_S`, and above.
         refused_in_a_row: messages refused since the last accepted one.
         future_in_a_row: likewise, stamped in the future.
@@ -33,6 +34,7 @@ class InputRecord:
         self.input = input_topic
         self.received = self.accepted = self.rejected = 0
         self.reasons: Counter[str] = Counter()
+        self.noted: Counter[str] = Counter()
         self.late_delays = [0] * (len(LATE_EDGES_S) + 1)
         self.forget_times()
 

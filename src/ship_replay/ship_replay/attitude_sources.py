@@ -49,10 +49,15 @@ class AttitudeSource:
     """Attitudes of one source at times where the truth is known.
 
     A subclass says in :meth:`take` which rotation and covariance a message stands for.
+
+    Attributes:
+        label: name of the source.
+        is_configured: whether the configuration names it, so that its absence is worth a word.
     """
 
-    def __init__(self, label: str, truth: Truth) -> None:
+    def __init__(self, label: str, truth: Truth, is_configured: bool = False) -> None:
         self.label = label
+        self.is_configured = is_configured
         self._truth = truth
         self._time_ns: list[int] = []
         self._estimates: list[FloatArray] = []
@@ -149,7 +154,7 @@ class StarAttitude(AttitudeSource):
     """
 
     def __init__(self, sensor_id: str, truth: Truth, mounting: MountingConfig | None) -> None:
-        super().__init__(f"star.{sensor_id}", truth)
+        super().__init__(f"star.{sensor_id}", truth, is_configured=mounting is not None)
         self._rotation_dv = np.eye(3)
         self._installation_covariance_v = np.zeros((3, 3))
         if mounting is not None:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -12,7 +13,7 @@ from ship_node.errors import BadInput as BadNodeInput
 from ship_node.parameter_file import anywhere, has_section, load_config
 from ship_replay.alignment_values import AlignmentValue, alignment_values
 from ship_replay.attitude_errors import AttitudeErrors
-from ship_replay.attitude_sources import PublishedAttitude, Truth
+from ship_replay.attitude_sources import AttitudeSource, PublishedAttitude, Truth
 from ship_replay.bag_reader import Bag, BagRecord, read_bag
 from ship_replay.bag_writer import SUITE_ATTACHMENT
 from ship_replay.errors import BadInput
@@ -96,6 +97,9 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
 
 def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Evaluation:
     bags = [*others, bag]
+    length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
+    if not 0.0 <= skip_s <= length_s:
+        raise BadInput(f"{bag.path}: {skip_s:g} s to skip: expected from 0 to {length_s:.1f} s, the length of the bag")
     ship = _config(bags, ShipAttitudeConfig, "ship_attitude")
     star = _config(bags, StarAttitudeConfig, "star_attitude")
     theodolite = _config(bags, OpticalAxisConfig, "optical_axis")
@@ -115,6 +119,8 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     skip_to_ns = start_ns + round(skip_s * NS_PER_S)
     found = [errors for source in collectors.values() for errors in source.errors()]
     errors = [kept for errors in found if len((kept := errors.since(skip_to_ns)).time_ns)]
+    problems = [problem for candidate in bags for problem in candidate.problems]
+    problems += _left_out(collectors, errors)
     if not errors and not innovations.sources and not last:
         raise BadInput(
             f"{bag.path}: nothing to evaluate: expected topics "
@@ -127,9 +133,19 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
         innovations={name: innovations.sources[name].since(skip_to_ns) for name in sorted(innovations.sources)},
         estimates={kind: alignment_values(last[kind].decode()) for kind in _ESTIMATES.values() if kind in last},
         invalid_counts={source.label: source.invalid_count for source in published if source.seen},
-        problems=[problem for candidate in bags for problem in candidate.problems],
+        problems=problems,
         start_ns=start_ns,
     )
+
+
+def _left_out(collectors: Mapping[str, AttitudeSource], errors: list[AttitudeErrors]) -> list[str]:
+    """One line for each sensor that is configured and in no table."""
+    shown = {series.label for series in errors}
+    return [
+        f"{source.label} is left out: no attitude on {topic} while the truth is known"
+        for topic, source in collectors.items()
+        if source.is_configured and source.label not in shown
+    ]
 
 
 def _reading_plan(bag: Bag, others: list[Bag], topics: list[str], namespace: str) -> list[tuple[Bag, dict[str, str]]]:

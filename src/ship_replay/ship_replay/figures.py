@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.figure_files import settled
 from ship_node.part_file import write_whole
 from ship_replay.attitude_errors import AttitudeErrors
 from ship_replay.errors import BadInput
@@ -69,19 +70,25 @@ def attitude_error_figure(series: Sequence[AttitudeErrors], title: str) -> Figur
                 else:
                     _draw_band(axes, group[0], row, start_ns)
                     name = group[0].channels[row].replace("_cos_elevation", " · cos E").replace("_", " ")
-                    axes.set_ylabel(f"{name} error [arcsec]")
-            column[0].legend(loc="upper right", markerscale=5 if together else 1)
+                    axes.set_ylabel(f"{name}\nerror [arcsec]")
             column[-1].set_xlabel("time [s]")
+            _legend_below(column[-1], together)
             if len(panels) > 1:
                 column[0].set_title("all sources" if together else group[0].label)
     return figure
 
 
 def innovation_figure(innovations: Mapping[str, SourceInnovations], title: str) -> Figure:
-    """Residuals of the accepted measurements inside their predicted ±3σ, one row per source and component."""
+    """Residuals of the accepted measurements inside their predicted ±3σ, one row per source and component.
+
+    A source of which nothing was accepted has no row: the title names it.
+    """
     rows = [(source, part, component) for source, part in innovations.items() for component in part.components()]
     if not rows:
         raise BadInput(f"{title}: no figure: no measurement was accepted")
+    empty = [source for source, part in innovations.items() if not part.components()]
+    if empty:
+        title = f"{title}\nnothing accepted of: {', '.join(empty)}"
     start_ns = min(min(part.compared) for _, part, _ in rows)
     with plt.rc_context(_STYLE):
         figure, grid = plt.subplots(
@@ -94,10 +101,12 @@ def innovation_figure(innovations: Mapping[str, SourceInnovations], title: str) 
             band = 3.0 * sigmas / ARCSEC
             axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
             axes.plot(time_s, residuals / ARCSEC, ".", color=_LINE_COLOUR, ms=3, label="residual")
-            axes.set_ylabel(f"{source}\n{component} [arcsec]")
-            _limit(axes, np.concatenate([residuals / ARCSEC, band]), percentile=100.0)
-        grid[0, 0].legend(loc="upper right")
+            # Level, since a source's name may be longer than its row is high.
+            axes.set_ylabel(f"{source}\n{component} [arcsec]", rotation="horizontal", ha="right", va="center")
+            later = settled(sigmas)
+            _limit(axes, np.concatenate([residuals[later] / ARCSEC, band[later]]), percentile=100.0)
         grid[-1, 0].set_xlabel("time [s]")
+        _legend_below(grid[-1, 0], with_points=False)
     return figure
 
 
@@ -133,10 +142,19 @@ def _draw_band(axes: Axes, errors: AttitudeErrors, column: int, start_ns: int) -
     band = 3.0 * errors.sigma_arcsec[:, column]
     axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
     axes.plot(time_s, errors.error_arcsec[:, column], color=_LINE_COLOUR, lw=0.8, label="error")
-    _limit(axes, np.concatenate([errors.error_arcsec[:, column], band]))
+    later = settled(band)
+    _limit(axes, np.concatenate([errors.error_arcsec[later, column], band[later]]))
+
+
+def _legend_below(axes: Axes, with_points: bool) -> None:
+    """The legend under an axis, where it hides nothing."""
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=3, markerscale=5 if with_points else 1)
 
 
 def _draw_together(axes: Axes, series: Sequence[AttitudeErrors], column: int, start_ns: int) -> None:
+    settled_errors = [errors.error_arcsec[settled(errors.sigma_arcsec[:, column]), column] for errors in series]
+    _limit(axes, np.concatenate(settled_errors))
+    top, beyond = axes.get_ylim()[1], 0
     for number, errors in enumerate(series):
         time_s = (errors.time_ns - start_ns) / NS_PER_S
         colour = _LINE_COLOUR if number == 0 else _OTHER_COLOURS[(number - 1) % len(_OTHER_COLOURS)]
@@ -144,7 +162,11 @@ def _draw_together(axes: Axes, series: Sequence[AttitudeErrors], column: int, st
         axes.plot(
             time_s, errors.error_arcsec[:, column], ".", color=colour, ms=2.5, label=errors.label, zorder=3 - number
         )
-    _limit(axes, np.concatenate([errors.error_arcsec[:, column] for errors in series]))
+        median = float(np.nanmedian(np.abs(errors.error_arcsec[:, column])))
+        if not median <= top:
+            words = f"{errors.label}: beyond the scale, median {median:.3g} arcsec"
+            axes.text(0.02, 0.96 - 0.1 * beyond, words, color=colour, transform=axes.transAxes, va="top")
+            beyond += 1
 
 
 def _limit(axes: Axes, values: FloatArray, percentile: float = 98.0) -> None:

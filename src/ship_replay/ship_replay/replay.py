@@ -73,11 +73,11 @@ def replay(
                 if output.topic in summary.statuses:
                     course = summary.statuses[output.topic]
                     summary.reasons += reasons_for(course, adapter, config, summary.times, health)
-            for message in health:
-                if len(message.reasons):
-                    counts = [int(count) for count in message.reason_counts]
-                    name = message.topic if len(chain.adapters) == 1 else f"{adapter.node_name}: {message.topic}"
-                    summary.refused[name] = dict(zip(message.reasons, counts, strict=True))
+            for topic, counts in adapter.health.refused_and_noted().items():
+                name = topic if len(chain.adapters) == 1 else f"{adapter.node_name}: {topic}"
+                for kept, reasons in zip((summary.refused, summary.noted), counts, strict=True):
+                    if reasons:
+                        kept[name] = dict(reasons)
         summary.problems = left_out + bag.problems
         summary.duration_s = (last_ns - bag.start_ns) / NS_PER_S
     summary.elapsed_s = time.monotonic() - started_s

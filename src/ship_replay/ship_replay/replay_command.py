@@ -102,7 +102,9 @@ def _print(summary: ReplaySummary) -> None:
     print(f"in:  {_counts(summary.inputs)}")
     print(f"out: {_counts(summary.outputs)}")
     for topic, reasons in sorted(summary.refused.items()):
-        print(f"refused or noted: {topic}: {_counts(reasons)}")
+        print(f"refused: {topic}: {_counts(reasons)}")
+    for topic, reasons in sorted(summary.noted.items()):
+        print(f"noted: {topic}: {_counts(reasons)}")
     for topic, count in sorted(summary.undecodable.items()):
         print(f"not decodable: {topic}: {count}")
     if summary.absent:

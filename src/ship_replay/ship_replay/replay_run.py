@@ -28,7 +28,8 @@ class ReplaySummary:
     Attributes:
         inputs: relative topic → messages handed over.
         outputs: topic → messages written, truth included.
-        refused: relative topic → reason → messages not used, or used only with a note.
+        refused: relative topic → reason → messages not used.
+        noted: relative topic → reason → messages used with a note, or parts of them that were not.
         undecodable: relative topic → messages whose bytes are not of their type.
         statuses: topic of a status → its course over time.
         times: relative topic → when its messages were stamped and arrived.
@@ -42,6 +43,7 @@ class ReplaySummary:
     inputs: Counter[str] = field(default_factory=Counter)
     outputs: Counter[str] = field(default_factory=Counter)
     refused: dict[str, dict[str, int]] = field(default_factory=dict)
+    noted: dict[str, dict[str, int]] = field(default_factory=dict)
     undecodable: Counter[str] = field(default_factory=Counter)
     statuses: dict[str, StatusCourse] = field(default_factory=dict)
     times: dict[str, MessageTimes] = field(default_factory=dict)

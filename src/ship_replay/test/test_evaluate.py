@@ -290,9 +290,24 @@ def test_a_measurement_judged_again_counts_once(tmp_path):
     assert values["innovation.star.fore.nis_mean"] == pytest.approx(9.0)
 
 
+def test_mend_24_a_configured_sensor_without_attitudes_is_named(tmp_path):
+    path = write_run(tmp_path / "a.mcap", [(1.0, 2.0, 3.0)] * 5, suite=SUITE)
+    assert evaluate(path).problems == [
+        "star.fore is left out: no attitude on star/fore/horizon_attitude while the truth is known"
+    ]
+
+
 class TestCommand:
     def run(self, *arguments):
         return main([str(argument) for argument in arguments])
+
+    @pytest.mark.parametrize("skip", ["4.1", "1e300", "nan", "-1"])
+    def test_mend_24_a_skip_beyond_the_end_is_an_error(self, skip, tmp_path, capsys):
+        bag = write_run(tmp_path / "a.mcap", [(1.0, 2.0, 3.0)] * 5)
+        assert self.run(bag, "--skip", "4.0") == 0
+        assert self.run(bag, f"--skip={skip}") == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "s to skip: expected from 0 to 4.0 s" in line
 
     def test_tables_json_figure(self, tmp_path, capsys):
         bag = write_run(tmp_path / "a.mcap", [(1.0, 2.0, 3.0)] * 5, ins_heading_arcsec=36.0)

@@ -120,8 +120,8 @@ def test_ship_and_pointing_stand_in_one_table_and_one_figure(tmp_path, capsys):
     figure = attitude_error_figure(evaluate(tmp_path / "b.mcap", against=path).errors, "both")
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert len(labels) == 6
-    assert "heading error [arcsec]" in labels
-    assert "azimuth · cos E error [arcsec]" in labels
+    assert "heading\nerror [arcsec]" in labels
+    assert "azimuth · cos E\nerror [arcsec]" in labels
 
 
 def test_errors_are_filled_in_at_stamps_and_between_them():

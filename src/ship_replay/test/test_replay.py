@@ -177,6 +177,20 @@ def test_topics_of_any_namespace(tmp_path, topic, namespace):
     assert replay(bag, tmp_path / "out.mcap", (TinyAdapter,), namespace=namespace).inputs == {"ins/imu": 10}
 
 
+def test_mend_24_refused_and_noted_are_two_lists(tmp_path, capsys):
+    """A covariance that is not given leaves the message in use; another frame does not."""
+    path = tmp_path / "in.mcap"
+    with BagWriter(path) as bag:
+        bag.add_attachment("suite.yaml", "/**/ship_attitude:\n  ros__parameters: {ins: {frame_id: ins}}\n")
+        for number, frame in enumerate(["ins", "ins", "mast", "ins"]):
+            stamp_ns = START_NS + number * 10_000_000
+            bag.write("ins/imu", imu(stamp_ns, frame), stamp_ns)
+    assert main([str(path), "--out", str(tmp_path / "out.mcap")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "refused: ins/imu: frame 1" in lines
+    assert "noted: ins/imu: covariance_unknown 3" in lines
+
+
 def test_refusals_and_undecodable_messages_are_counted(tmp_path):
     path = tmp_path / "in.mcap"
     with BagWriter(path) as bag:

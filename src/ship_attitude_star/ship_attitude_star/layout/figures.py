@@ -36,7 +36,7 @@ def draw_figures(study: LayoutStudy, folder: Path) -> dict[str, Path]:
 
 
 def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
-    yield "layout", _plan(study.layout, study.best)
+    yield "layout", plan_figure(study.layout, study.best)
     yield "azimuth", _scan_figure(study)
     for number, moved in enumerate(study.maps):
         yield f"map_{moved.sensor}", _map_figure(moved, study.layout, number)
@@ -45,9 +45,14 @@ def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
         yield f"figure_{sweep.number}", sweep_figure(sweep, curves)
 
 
-def _plan(given: Layout, best: Layout) -> Figure:
+# Of the radius of the plan: tips nearer than this share a number's place; from a tip to its number, of its distance.
+_NEAR = 0.15
+_NUMBER_BESIDE = 0.2
+
+
+def plan_figure(given: Layout, best: Layout) -> Figure:
     """Boresights seen from above; an arrow is the shorter the higher its sensor looks."""
-    figure, axes = plt.subplots(figsize=(6.2, 6.5), layout="constrained")
+    figure, axes = plt.subplots(figsize=(6.2, 6.5 + 0.25 * len(given.names)), layout="constrained")
     _draw_hull(axes)
     circle = np.linspace(0.0, 2.0 * np.pi, 181)
     axes.plot(np.sin(circle), np.cos(circle), color="0.6", lw=1)
@@ -55,19 +60,22 @@ def _plan(given: Layout, best: Layout) -> Figure:
         azimuth = np.deg2rad(azimuth_deg)
         axes.plot(*np.outer([np.sin(azimuth), np.cos(azimuth)], [0.97, 1.0]), color="0.6", lw=1)
         axes.text(1.09 * np.sin(azimuth), 1.09 * np.cos(azimuth), f"{azimuth_deg}°", ha="center", va="center")
-    for number, name in enumerate(given.names):
-        tip = _draw_boresight(axes, given.angles[number], _GIVEN, "-")
-        if not np.array_equal(given.angles[number], best.angles[number]):
-            tip_best = _draw_boresight(axes, best.angles[number], _BEST, "--")
-            _name_boresight(axes, tip_best, name, _BEST, below=True)
-        words = f"{name}, {np.rad2deg(given.angles[number, 1]):.0f}° up"
-        _name_boresight(axes, tip, words, _GIVEN, below=False)
+    moved = not np.array_equal(given.angles, best.angles)
+    tips = [_draw_boresight(axes, angles, _GIVEN, "-") for angles in given.angles]
+    _number_boresights(axes, tips, _GIVEN, 1.0 + _NUMBER_BESIDE)
+    if moved:
+        tips = [_draw_boresight(axes, angles, _BEST, "--") for angles in best.angles]
+        _number_boresights(axes, tips, _BEST, 1.0 - _NUMBER_BESIDE)
     axes.plot([], [], color=_GIVEN, lw=2.2, label="as given")
-    if not np.array_equal(given.angles, best.angles):
+    if moved:
         axes.plot([], [], color=_BEST, ls="--", lw=2.2, label="recommended")
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal", title="Boresights seen from above, bow up")
     axes.set_axis_off()
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    for number, name in enumerate(given.names, start=1):
+        azimuth_deg, elevation_deg = np.rad2deg(given.angles[number - 1, :2])
+        turned = f", recommended {np.rad2deg(best.angles[number - 1, 0]) % 360.0:.0f}°" if moved else ""
+        axes.plot([], [], ls="", label=f"{number} {name}: {azimuth_deg:.0f}°, {elevation_deg:.0f}° up{turned}")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=1)
     return figure
 
 
@@ -79,19 +87,21 @@ def _draw_boresight(axes: Axes, angles: FloatArray, colour: str, line: str) -> t
     return tip
 
 
-def _name_boresight(axes: Axes, tip: tuple[float, float], words: str, colour: str, below: bool) -> None:
-    """Its name at the tip: beside an arrow along the keel, else above or below it, towards the middle."""
-    along_keel = abs(tip[0]) < 0.3
-    axes.annotate(
-        words,
-        tip,
-        textcoords="offset points",
-        xytext=(9, -9) if along_keel else (0, -18 if below else 9),
-        ha="right" if tip[0] >= 0.3 else "left",
-        color=colour,
-        weight="bold",
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
-    )
+def _number_boresights(axes: Axes, tips: list[tuple[float, float]], colour: str, reach: float) -> None:
+    """The sensors' numbers at the tips, those of tips too near to each other for two numbers in one place."""
+    places: list[tuple[tuple[float, float], list[str]]] = []
+    for number, tip in enumerate(tips, start=1):
+        near = [numbers for place, numbers in places if np.hypot(place[0] - tip[0], place[1] - tip[1]) < _NEAR]
+        if near:
+            near[0].append(str(number))
+        else:
+            places.append((tip, [str(number)]))
+    for place, numbers in places:
+        axes.text(
+            reach * place[0], reach * place[1], ", ".join(numbers),
+            color=colour, weight="bold", ha="center", va="center",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
+        )  # fmt: skip
 
 
 def _draw_hull(axes: Axes) -> None:
@@ -105,6 +115,8 @@ def _scan_figure(study: LayoutStudy) -> Figure:
     figure, grid = plt.subplots(count, 1, figsize=(8.5, 3.8 * count + 0.5), squeeze=False, layout="constrained")
     for turned, axes in zip(study.scans, grid[:, 0], strict=True):
         _draw_scan(axes, turned, study)
+    if len(study.layout.names) > 1:
+        figure.suptitle(f"Sensor “{study.layout.names[0]}” keeps its azimuth: only differences count")
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_node.figure_files import write_figures
-from ship_replay.calibration.result import ANGLES, Calibration, InstalledAngle
+from ship_node.figure_files import settled, write_figures
+from ship_replay.calibration.result import Calibration, InstalledAngle
 
 _BAND_COLOUR = "#bcd4ea"
 _LINE_COLOUR = "#0b3c6f"
@@ -38,7 +38,8 @@ def _course_figure(calibration: Calibration) -> Figure:
         axes.set_xlabel("time [s]")
     for sensor, axes in zip(calibration.sensors, grid[:, 0], strict=True):
         axes.set_ylabel(f"{sensor} [arcsec]")
-    grid[0, len(ANGLES) - 1].legend(loc="upper right")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 
@@ -54,8 +55,8 @@ def _draw_course(axes: Axes, calibration: Calibration, angle: InstalledAngle) ->
         f"{angle.angle} {angle.correction_arcsec:+.2f} ± {angle.sigma / ARCSEC:.2f}″, "
         f"before ± {angle.sigma_before / ARCSEC:.4g}″"
     )
-    # The beginning would flatten all the rest: its band may leave the frame.
-    later = slice(len(value) // 10, None)
+    # The start would flatten all the rest: its band may leave the frame.
+    later = settled(sigma)
     edges = np.concatenate([value[later] - sigma[later], value[later] + sigma[later]])
     edges = edges[np.isfinite(edges)]
     if len(edges):

@@ -1,0 +1,84 @@
+"""Figures of a run: what sets their scale, what they name, what may not lie over what."""
+
+from itertools import combinations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from ship_geometry.rotations import ARCSEC
+from ship_node.figure_files import settled
+from ship_replay.attitude_errors import AttitudeErrors
+from ship_replay.figures import attitude_error_figure, innovation_figure
+from ship_replay.innovations import Judged, SourceInnovations
+
+COUNT = 200
+CHANNELS = ("heading", "pitch", "roll")
+
+
+def errors(label, sigma_arcsec, error_arcsec=1.0, channels=CHANNELS):
+    """Errors 1 s apart that alternate about zero."""
+    sign = np.where(np.arange(COUNT) % 2, 1.0, -1.0)[:, None]
+    return AttitudeErrors(
+        label,
+        channels,
+        np.arange(COUNT) * 10**9,
+        sign * np.broadcast_to(error_arcsec, (COUNT, 3)),
+        np.broadcast_to(np.reshape(sigma_arcsec, (-1, 1)), (COUNT, 3)),
+        np.full(COUNT, 3.0),
+    )
+
+
+def innovations(sigma_arcsec):
+    judged = {
+        number * 10**9: Judged(("forward", "up"), np.full(2, ARCSEC), np.full(2, sigma * ARCSEC), 2.0)
+        for number, sigma in enumerate(sigma_arcsec)
+    }
+    return SourceInnovations(judged)
+
+
+# A tenth of the run before the first star.
+STARTING = np.where(np.arange(COUNT) < 20, 3600.0, 2.0)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5, 0.8])
+def test_mend_24_the_first_sigma_sets_no_scale(share):
+    sigma = np.where(np.arange(COUNT) < share * COUNT, 3600.0, 2.0)
+    error = np.where(sigma > 100.0, 900.0, 1.0)[:, None]
+    for figure in (
+        attitude_error_figure([errors("fused", sigma, error), errors("ins", 5.0)], "t"),
+        innovation_figure({"star.fore": innovations(sigma)}, "t"),
+    ):
+        assert all(axes.get_ylim()[1] < 10.0 for axes in figure.axes), [axes.get_ylim() for axes in figure.axes]
+        plt.close(figure)
+    # An outage later on is no start.
+    assert settled(sigma[::-1]) == slice(0, None)
+    assert settled(np.full(3, np.nan)) == slice(None)
+
+
+def test_mend_24_a_sensor_beyond_the_scale_or_without_a_measurement_is_named():
+    figure = attitude_error_figure([errors("fused", 2.0), errors("star.mast", 2.0, 900.0), errors("ins", 2.0)], "t")
+    lost = errors("star.mast", np.where(np.arange(COUNT) < COUNT - 30, 9000.0, 2.0), 1.0)
+    lost.error_arcsec[: COUNT - 30] *= 900.0
+    scaled = attitude_error_figure([errors("fused", 2.0), lost], "t")
+    words = [text.get_text() for axes in scaled.axes for text in axes.texts]
+    assert words == ["star.mast: beyond the scale, median 900 arcsec"] * 3
+    assert not any(axes.texts for axes in figure.axes)
+    title = innovation_figure({"star.fore": innovations([1.0] * 9), "star.mast": SourceInnovations()}, "t")
+    assert title.get_suptitle() == "t\nnothing accepted of: star.mast"
+    plt.close("all")
+
+
+def test_mend_24_labels_and_legends_lie_over_nothing():
+    several = [errors("fused", 2.0), *(errors(f"star.bridge_wing_{number}", 2.0) for number in range(5))]
+    pointing = errors("pointing", 2.0, channels=("azimuth_cos_elevation", "elevation", "image_rotation"))
+    sources = {f"star.a_sensor_with_a_long_name_{number}": innovations([1.0] * 9) for number in range(3)}
+    for figure in (attitude_error_figure([*several, pointing], "t"), innovation_figure(sources, "t")):
+        figure.canvas.draw()
+        frames = [axes.get_window_extent() for axes in figure.axes]
+        labels = [axes.yaxis.label.get_window_extent() for axes in figure.axes if axes.get_ylabel()]
+        legends = [axes.get_legend().get_window_extent() for axes in figure.axes if axes.get_legend() is not None]
+        assert legends
+        assert not any(one.overlaps(other) for one, other in combinations([*labels, *legends], 2))
+        assert not any(box.overlaps(frame) for box in [*labels, *legends] for frame in frames)
+        plt.close(figure)
