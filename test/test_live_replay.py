@@ -174,14 +174,11 @@ def with_file(bag, node_name: str, parameter: str, path: Path) -> str:
 
 
 def by_stamp(node: Node, messages) -> dict[int, tuple[np.ndarray, float]]:
-    """Attitudes that claim something, by stamp; stamps must increase."""
-    stamps = [ns_from_stamp(message.header.stamp) for message in messages]
+    """Attitudes that claim something, by stamp, which increase; what claims nothing stands outside that order."""
+    claimed = [message for message in messages if message.status != INVALID]
+    stamps = [ns_from_stamp(message.header.stamp) for message in claimed]
     assert all(later > earlier for earlier, later in pairwise(stamps))
-    return {
-        stamp: node.read(message)
-        for stamp, message in zip(stamps, messages, strict=True)
-        if message.status != INVALID
-    }
+    return {stamp: node.read(message) for stamp, message in zip(stamps, claimed, strict=True)}
 
 
 def angles_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:

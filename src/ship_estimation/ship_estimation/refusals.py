@@ -64,11 +64,11 @@ def failure(error: Exception) -> Refusal:
 
 
 def _place_of(error: Exception) -> str:
-    """File and line that raised."""
+    """File and line that raised; where the file lies is known from its name."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
-    return f"{trace.tb_frame.f_code.co_filename}:{trace.tb_lineno}" if trace else "nowhere"
+    return f"{trace.tb_frame.f_code.co_filename.rpartition('/')[2]}:{trace.tb_lineno}" if trace else "nowhere"
 
 
 def same_stamp(known: bytes, new: bytes) -> Refusal:

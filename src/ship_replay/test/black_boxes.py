@@ -57,8 +57,24 @@ class Nobody:
         """Tell nobody."""
 
 
-def make_box(path: Path, saved_path: Path, close: bool = True, node: BoxedNode = SHIP_ATTITUDE) -> BlackBox:
-    """Eight seconds of a bag, with all that can happen to a node; the clock goes back after five."""
+def make_box(
+    path: Path,
+    saved_path: Path,
+    close: bool = True,
+    node: BoxedNode = SHIP_ATTITUDE,
+    node_ns: Callable[[int], int] = lambda ns: ns,
+    lost: Callable[[int], bool] = lambda ns: False,
+) -> BlackBox:
+    """Eight seconds of a bag, with all that can happen to a node; the clock goes back at the end.
+
+    Args:
+        path: of the box.
+        saved_path: of the file that the node saves.
+        close: whether the node ends in order.
+        node: what is put into it.
+        node_ns: what the node's clock shows at a time of waiting, which is that of the bag; both ns since its start.
+        lost: times of waiting, ns since the bag's start, at which nothing comes.
+    """
     name = node.adapter_class.node_name
     with read_bag(node.bag) as bag:
         suite = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
@@ -70,22 +86,28 @@ def make_box(path: Path, saved_path: Path, close: bool = True, node: BoxedNode =
         kinds = {topic.topic: message_class(topic.type_name) for topic in adapter.inputs}
         start_ns = bag.start_ns or 0
         records = [r for r in bag.records(kinds) if r.log_time_ns < start_ns + LENGTH_NS]
+        records = [r for r in records if not lost(r.log_time_ns - start_ns)]
+
+    def node_time(waiting_ns: int) -> int:
+        return start_ns + node_ns(waiting_ns - start_ns)
+
     box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print)
     calls = AdapterCalls(adapter, {output.topic: Nobody() for output in adapter.outputs}, files, box)
     plan = _plan(calls, node)
     planned = len(plan)
     grid = TickGrid()
     for record in [*records, *records[:300]]:
-        now_ns = record.log_time_ns
+        waiting_ns = record.log_time_ns
+        now_ns = node_time(waiting_ns)
         if record is records[0] and len(plan) < planned:
-            grid.restart(now_ns)
+            grid.restart(waiting_ns)
             calls.clock_jumped_back(now_ns)
-        for tick_ns in grid.due(now_ns):
-            calls.tick(tick_ns)
-        while plan and now_ns >= start_ns + plan[0][0]:
+        for tick_ns in grid.due(waiting_ns):
+            calls.tick(node_time(tick_ns), tick_ns)
+        while plan and waiting_ns >= start_ns + plan[0][0]:
             plan.pop(0)[1](now_ns)
         message = deserialize_message(record.data, kinds[record.topic])
-        calls.handle(record.topic, record.data, message, now_ns)
+        calls.handle(record.topic, record.data, message, now_ns, waiting_ns)
     if close:
         box.close()
     return box

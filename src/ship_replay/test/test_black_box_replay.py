@@ -6,7 +6,7 @@ import struct
 from dataclasses import replace
 
 import pytest
-from black_boxes import BOX_FORMAT, OPTICAL_AXIS, changed_copy, make_box
+from black_boxes import BOX_FORMAT, OPTICAL_AXIS, SHIP_ATTITUDE, changed_copy, make_box
 from mcap.records import Attachment, Message, Metadata, Schema
 
 from ship_replay.bag_file import open_mcap
@@ -64,6 +64,38 @@ def test_a_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
     assert "outputs are equal to the last bit" in out
     text = (tmp_path / "calibration.yaml").read_text()
     assert text.startswith("format: optical_axis calibration")
+
+
+@pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
+def test_mend_04_a_box_holds_the_time_of_waiting_that_silence_rests_on(node, tmp_path, capsys):
+    """The node's clock is put forward while nothing comes for 2.2 s, and back later."""
+
+    def node_ns(waiting_ns):
+        return waiting_ns + (700_000_000 if 3_500_000_000 < waiting_ns < 6_000_000_000 else 0)
+
+    def lost(waiting_ns):
+        return 3_000_000_000 < waiting_ns < 5_200_000_000
+
+    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, node_ns=node_ns, lost=lost).path
+    code, out, _ = verify(capsys, box)
+    assert code == 0, out
+    topic = node.adapter_class.outputs[0].topic
+    with read_bag(box) as bag:
+        start_ns = bag.start_ns
+        given = [r for r in bag.records_in_file_order() if r.topic == topic]
+        invalid = [r for r in given if r.decode().status == 3 and r.log_time_ns - start_ns > 1_000_000_000]
+    # Silent from 3 s on; said within a second and a tick of it, and once more a second later.
+    said_s = [(r.log_time_ns - start_ns) * 1e-9 - 0.7 for r in invalid]
+    assert len(said_s) == 2
+    assert 3.95 < said_s[0] <= 4.1
+    assert said_s[1] - said_s[0] == pytest.approx(1.0)
+
+    def without_waiting(record, topics):
+        return replace(record, publish_time=record.log_time) if isinstance(record, Message) else record
+
+    code, out, _ = verify(capsys, changed_copy(box, tmp_path / "b.mcap", without_waiting))
+    assert code == 1
+    assert f"first difference: {topic}" in out
 
 
 def test_the_saved_file_is_not_written_again(box, capsys):
