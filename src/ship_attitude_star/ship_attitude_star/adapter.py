@@ -66,7 +66,7 @@ class ShipAttitudeAdapter:
         self._inputs = ShipInputs(config, self.core, watch)
         self._topics = {source: topic for topic, source in self._inputs.sources.items()}
         self.inputs: tuple[InputTopic, ...] = self._inputs.topics
-        self.health = InputHealthBook(self.inputs)
+        self.health = InputHealthBook(self.inputs, config.max_age_s)
         self.start_warnings = start_warnings(config)
         self._saved = self._read_alignment_at_start()
         self._alignment_messages: list[str] = []

@@ -132,6 +132,13 @@ class ShipAttitudeConfig:
     coasting_after_s: float = parameter(
         2.0, doc="without stars for this long the status is COASTING", unit="s", minimum=0.1, maximum=3600.0, live=True
     )
+    max_age_s: float = parameter(
+        10.0,
+        doc="stamps further than this before the node's clock are an error of the input, although they are used",
+        unit="s",
+        minimum=0.1,
+        maximum=1e9,
+    )
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget, alignment, error and health topics", unit="s", minimum=0.1, maximum=60.0
     )

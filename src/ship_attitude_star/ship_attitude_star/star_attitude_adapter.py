@@ -64,7 +64,7 @@ class StarAttitudeAdapter:
             OutputTopic("input_health", "ship_msgs/msg/InputHealth"),
             OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE),
         )
-        self.health = InputHealthBook(self.inputs)
+        self.health = InputHealthBook(self.inputs, config.max_age_s)
         self.start_warnings: tuple[str, ...] = ()
         if not config.star_sensors:
             self.start_warnings = ("no star_sensors are configured: there is nothing to solve",)

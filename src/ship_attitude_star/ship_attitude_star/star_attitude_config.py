@@ -64,6 +64,13 @@ class StarAttitudeConfig:
     lag_s: float = parameter(
         2.0, doc="exposures later than this behind the newest data are not used", unit="s", minimum=0.0, maximum=600.0
     )
+    max_age_s: float = parameter(
+        10.0,
+        doc="stamps further than this before the node's clock are an error of the input, although they are used",
+        unit="s",
+        minimum=0.1,
+        maximum=1e9,
+    )
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget and health topics", unit="s", minimum=0.1, maximum=60.0
     )

@@ -10,7 +10,7 @@ import numpy as np
 from ship_node.diagnostics import Level, Status
 from ship_node.input_record import LATE_EDGES_S, InputRecord
 from ship_node.message_factory import MessageFactory
-from ship_node.stamps import make_header
+from ship_node.stamps import duration_text, make_header
 from ship_node.topics import InputTopic
 
 WATCHDOG_NS = 5_000_000_000
@@ -25,6 +25,9 @@ SILENCE_ERROR_NS = 1_000_000_000
 
 LEAST_SILENCE_NS = 100_000_000
 """Nothing shorter counts as silence: it is judged once per tick, ns."""
+
+MAX_AGE_S = 10.0
+"""Age of a stamp beyond which it is of another time, s."""
 
 REFUSALS_WARN = 5
 REFUSALS_ERROR = 20
@@ -48,9 +51,12 @@ class InputHealthBook:
 
     Args:
         inputs: the topics; others are unknown (KeyError).
+        max_age_s: stamps further than this before the node's clock are of another time, s.
     """
 
-    def __init__(self, inputs: Iterable[InputTopic]) -> None:
+    def __init__(self, inputs: Iterable[InputTopic], max_age_s: float = MAX_AGE_S) -> None:
+        self._max_age_ns = round(max_age_s * 1e9)
+        self._is_clock_unused = False
         self._records = {input_topic.topic: InputRecord(input_topic) for input_topic in inputs}
         self._publishers: dict[str, int] = {}
         self._incompatible: dict[str, str] = {}
@@ -66,7 +72,7 @@ class InputHealthBook:
 
     def accepted(self, topic: str, stamp_ns: int, receive_ns: int) -> None:
         """A message was used."""
-        self._records[topic].add_accepted(stamp_ns, receive_ns)
+        self._records[topic].add_accepted(stamp_ns, receive_ns, self._max_age_ns)
 
     def rejected(self, topic: str, reason: str, text: str, receive_ns: int, stamp_ns: int | None = None) -> None:
         """A message was not used.
@@ -124,6 +130,15 @@ class InputHealthBook:
     def incompatible_qos(self, topic: str, text: str) -> None:
         """A publisher's quality of service does not fit: nothing of it will ever arrive."""
         self._incompatible[topic] = text
+
+    def clock_unused(self, is_unused: bool) -> None:
+        """Whether somebody publishes /clock and this node does not follow it."""
+        self._is_clock_unused = is_unused
+
+    def of_another_time(self) -> str:
+        """What there is to say of the first input whose stamps are too old, for the log; empty where none is."""
+        old = [record for record in self._records.values() if record.is_too_old]
+        return f"{old[0].input.topic}: {self._age_text(old[0])}" if old else ""
 
     def lost(self, topic: str, count: int) -> None:
         """The middleware lost ``count`` further messages."""
@@ -193,13 +208,18 @@ class InputHealthBook:
         """The worst that there is to say; the earlier of equals."""
         judgements = [
             *self._judge_connection(record, waiting_ns),
+            *([(Level.ERROR, self._age_text(record))] if record.is_too_old else []),
             *_judge_refusals(record, waiting_ns),
             *_judge_silence(record, waiting_ns),
         ]
         if record.received == 0:
             judgements.append((Level.OK, "no message yet"))
-        judgements.append((Level.OK, f"{record.rate_hz(waiting_ns):.1f} Hz, latency {record.latency_s:.3f} s"))
+        judgements.append((Level.OK, f"{record.rate_hz(waiting_ns):.1f} Hz, latency {_latency_text(record)}"))
         return max(judgements, key=lambda judgement: judgement[0])
+
+    def _age_text(self, record: InputRecord) -> str:
+        hint = " /clock is published: start with use_sim_time:=true" if self._is_clock_unused else ""
+        return f"stamps {_latency_text(record)} before the node's clock: a bag of another time?{hint}"
 
     def _judge_connection(self, record: InputRecord, waiting_ns: int) -> list[_Judgement]:
         """Whether messages can come at all."""
@@ -234,6 +254,10 @@ def _judge_refusals(record: InputRecord, waiting_ns: int) -> list[_Judgement]:
     if recent and record.last_refusal not in _EXPECTED_REASONS:
         return [(Level.WARN, f"refused, {record.last_refusal}: {record.last_text}")]
     return []
+
+
+def _latency_text(record: InputRecord) -> str:
+    return "nan s" if math.isnan(record.latency_s) else duration_text(round(record.latency_s * 1e9))
 
 
 def _judge_silence(record: InputRecord, waiting_ns: int) -> list[_Judgement]:

@@ -27,6 +27,7 @@ class InputRecord:
         last_refusal_ns: when the last message was refused, in the time of waiting; None where none was.
         last_refusal: its reason.
         last_text: what was said about it.
+        is_too_old: whether the last accepted one was stamped too long before the node's clock.
         last_arrival_ns: when the last message came, in the time of waiting; None where none has.
     """
 
@@ -44,6 +45,7 @@ class InputRecord:
         self.last_refusal_ns: int | None = None
         self.last_refusal = self.last_text = ""
         self.last_arrival_ns: int | None = None
+        self.is_too_old = False
         self._newest_stamp_ns: int | None = None
         self._intervals_ns: deque[int] = deque(maxlen=WINDOW)
         self._latencies_ns: deque[int] = deque(maxlen=WINDOW)
@@ -55,11 +57,14 @@ class InputRecord:
             self._intervals_ns.append(waiting_ns - self.last_arrival_ns)
         self.last_arrival_ns = waiting_ns
 
-    def add_accepted(self, stamp_ns: int, receive_ns: int) -> None:
-        """A message was used; that ends a run of refusals."""
+    def add_accepted(self, stamp_ns: int, receive_ns: int, max_age_ns: int) -> None:
+        """A message was used; that ends a run of refusals. One older than ``max_age_ns`` counts for ``clock``."""
         self.accepted += 1
         self.refused_in_a_row = self.future_in_a_row = 0
         self._latencies_ns.append(receive_ns - stamp_ns)
+        self.is_too_old = receive_ns - stamp_ns > max_age_ns
+        if self.is_too_old:
+            self.reasons["clock"] += 1
         if self._newest_stamp_ns is None or stamp_ns > self._newest_stamp_ns:
             self._newest_stamp_ns = stamp_ns
 

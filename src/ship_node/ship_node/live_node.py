@@ -35,7 +35,7 @@ from ship_node.guard import Guard
 from ship_node.inbox import Arrival, Inbox
 from ship_node.message_factory import RosidlFactory, message_class
 from ship_node.node_clock import NodeClock
-from ship_node.node_watch import ErrorLog, name_status
+from ship_node.node_watch import ErrorLog, name_status, stamps_status
 from ship_node.parameter_file import misfit, quoted_parameter, read_whatever_fits
 from ship_node.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.ros_parameters import NodeParameters, ParameterNode
@@ -265,8 +265,9 @@ class LiveNode:
         self._note_event()
         for topic, subscription in self._subscriptions.items():
             self.adapter.health.publisher_count(topic, self.node.count_publishers(subscription.topic_name))
+        self.adapter.health.clock_unused(not self._clock.is_simulated() and self.node.count_publishers("/clock") > 0)
         statuses = [self._clock.status(), name_status(self.node)]
-        self._error_log.note(statuses)
+        self._error_log.note([*statuses, stamps_status(self.adapter.health)])
         statuses += [self._guard.status(), self._parameters.status()]
         if self._box is not None:
             statuses.append(self._box.status())

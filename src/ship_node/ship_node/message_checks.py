@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ship_estimation.refusals import shortened
-from ship_node.stamps import ns_from_stamp
+from ship_node.stamps import duration_text, ns_from_stamp
 
 FUTURE_TOLERANCE_NS = 50_000_000
 """A stamp may be this far ahead of the node's clock, ns."""
@@ -57,8 +57,8 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
     if ns <= 0:
         raise Refused("bad_stamp", f"header.stamp is {ns} ns: expected POSIX time")
     if ns > receive_ns + FUTURE_TOLERANCE_NS:
-        ahead_s = (ns - receive_ns) * 1e-9
-        raise Refused("future", f"stamp is {ahead_s:.3f} s ahead of the node's clock: check both clocks")
+        ahead = duration_text(ns - receive_ns)
+        raise Refused("future", f"stamp is {ahead} ahead of the node's clock: check both clocks")
     return ns
 
 

@@ -44,7 +44,7 @@ class NodeClock:
     def times(self) -> tuple[int, int]:
         """The node's time and the time of waiting, ns; zeros while the node waits for its first /clock."""
         now_ns = self.now_ns()
-        if not self._clock.ros_time_is_active:
+        if not self.is_simulated():
             return now_ns, self._waiting.now_ns(now_ns)
         stood_still_ns = self._stood_still_ns()
         return (now_ns, now_ns + stood_still_ns) if now_ns else (0, 0)
@@ -53,13 +53,17 @@ class NodeClock:
         """The clock went back: the two times are one again."""
         self._stood_still_before_ns = 0
 
+    def is_simulated(self) -> bool:
+        """Whether the node follows /clock."""
+        return bool(self._clock.ros_time_is_active)
+
     def is_dead(self) -> bool:
         """Whether /clock rules, came, and comes no more."""
         return self._was_heard and self._silence_ns() >= DEAD_AFTER_NS
 
     def status(self) -> Status:
         """What there is to say about it."""
-        if not self._clock.ros_time_is_active:
+        if not self.is_simulated():
             return Status("clock", Level.OK, "running")
         silence_ns = self._silence_ns()
         for_s = f"{silence_ns * 1e-9:.0f} s"

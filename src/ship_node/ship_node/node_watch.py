@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from rclpy.node import Node
 
 from ship_node.diagnostics import Level, Status
+from ship_node.input_health import InputHealthBook
 
 
 def name_status(node: Node) -> Status:
@@ -15,6 +16,12 @@ def name_status(node: Node) -> Status:
         return Status("name", Level.OK, own)
     text = f"{count} nodes are called '{own}': end all but one, or name them apart with -r __node:=NAME"
     return Status("name", Level.ERROR, text)
+
+
+def stamps_status(health: InputHealthBook) -> Status:
+    """Whether any input's data are of another time; the diagnostics of that input say it too."""
+    text = health.of_another_time()
+    return Status("stamps", Level.ERROR, text) if text else Status("stamps", Level.OK, "of the node's time")
 
 
 class ErrorLog:

@@ -1,10 +1,19 @@
 """Stamps of messages to and from integer nanoseconds of POSIX UTC."""
 
+import math
 from typing import Any
 
 from ship_node.message_factory import MessageFactory
 
 _NS_PER_S = 1_000_000_000
+
+_UNITS = (
+    ("minutes", 60.0, 7200.0),
+    ("hours", 3600.0, 172_800.0),
+    ("days", 86_400.0, 94_672_800.0),
+    ("years", 31_557_600.0, math.inf),
+)
+"""Unit, its length, and up to which duration it is the one to use, s."""
 
 
 def ns_from_stamp(stamp: Any) -> int:
@@ -15,6 +24,15 @@ def ns_from_stamp(stamp: Any) -> int:
 def stamp_fields(ns: int) -> tuple[int, int]:
     """Fields (sec, nanosec) of a builtin_interfaces/Time."""
     return divmod(ns, _NS_PER_S)
+
+
+def duration_text(ns: int) -> str:
+    """A duration for people, in the unit that suits it."""
+    seconds = abs(ns) * 1e-9
+    if seconds < 120.0:
+        return f"{seconds:.3f} s"
+    unit, length_s = next((unit, length_s) for unit, length_s, limit_s in _UNITS if seconds < limit_s)
+    return f"{seconds / length_s:.0f} {unit}"
 
 
 def make_header(factory: MessageFactory, ns: int, frame_id: str = "") -> Any:

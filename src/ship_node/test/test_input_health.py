@@ -5,6 +5,7 @@ import pytest
 from ship_node.diagnostics import Level
 from ship_node.input_health import InputHealthBook
 from ship_node.message_factory import RosidlFactory
+from ship_node.stamps import duration_text
 from ship_node.topics import InputTopic
 
 MS = 1_000_000
@@ -216,3 +217,42 @@ def test_lost_messages_are_shown(book):
     book.lost(IMU, 3)
     book.lost(IMU, 4)
     assert imu_status(book, START_NS).values["lost by the middleware"] == "7"
+
+
+def test_mend_13_stamps_of_another_time_are_an_error_in_words(book):
+    last_ns = feed(book, 20, latency_ns=26_790_201 * S)
+    status = imu_status(book, last_ns)
+    assert (status.level, status.values["accepted"], status.values["reason clock"]) == (Level.ERROR, "20", "20")
+    assert status.message == "stamps 310 days before the node's clock: a bag of another time?"
+    assert book.of_another_time() == f"{IMU}: {status.message}"
+    book.clock_unused(True)
+    assert imu_status(book, last_ns).message == f"{status.message} /clock is published: start with use_sim_time:=true"
+    message = imu_message(book, last_ns)
+    assert (message.level, message.accepted, message.rejected) == (2, 20, 0)
+    # It ends with the first stamp of today.
+    last_ns = feed(book, 1, start_ns=last_ns + 10 * MS)
+    assert imu_status(book, last_ns).level == Level.OK
+    assert book.of_another_time() == ""
+
+
+def test_mend_13_from_max_age_on_and_not_before():
+    book = InputHealthBook([InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100)], max_age_s=10.0)
+    assert imu_status(book, feed(book, 3, latency_ns=10 * S)).level == Level.OK
+    assert imu_status(book, feed(book, 3, latency_ns=10 * S + 1)).level == Level.ERROR
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.0051, "0.005 s"),
+        (119.9, "119.900 s"),
+        (120, "2 minutes"),
+        (7200, "2 hours"),
+        (172_800, "2 days"),
+        (26_790_201.462, "310 days"),
+        (1.4e9, "44 years"),
+        (-300, "5 minutes"),
+    ],
+)
+def test_durations_are_said_in_words(seconds, text):
+    assert duration_text(round(seconds * S)) == text

@@ -14,6 +14,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from relay_adapter import EXPLOSIVE_FRAME
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from ship_node.adapter import TICK_PERIOD_NS
@@ -288,3 +289,19 @@ def test_mend_17_two_nodes_of_one_name_are_told_as_long_as_there_are_two(live_re
     assert relay.diagnostics["relay: name"].message.startswith("2 nodes are called '/relay': end all but one")
     twin.destroy_node()
     relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.OK))
+
+
+def test_mend_13_a_bag_of_another_year_is_named_with_what_to_do(live_relay, capfd):
+    relay = live_relay(*RELIABLE_INPUT)
+    # Its time goes out too, and the node does not follow it.
+    relay.peer.create_publisher(Clock, "/clock", 10)
+    publisher = relay.imu_publisher()
+    for _ in range(3):
+        publisher.publish(imu_message(1_400_000_000_000_000_000))
+    name = "relay: input ins/imu"
+    relay.wait_until(lambda: "use_sim_time:=true" in getattr(relay.diagnostics.get(name), "message", ""))
+    assert relay.diagnostics[name].level == DiagnosticStatus.ERROR
+    text = r"stamps \d\d years before the node's clock: a bag of another time\? /clock is published"
+    assert re.match(text, relay.diagnostics[name].message)
+    assert len(relay.attitudes) == 3
+    assert capfd.readouterr().err.count("years before the node's clock") == 1

@@ -60,7 +60,7 @@ class OpticalAxisAdapter:
         self.core = OpticalAxisCore(config)
         self._inputs = AxisInputs(config, self.core)
         self.inputs: tuple[InputTopic, ...] = self._inputs.topics
-        self.health = InputHealthBook(self.inputs)
+        self.health = InputHealthBook(self.inputs, config.max_age_s)
         self.start_warnings: tuple[str, ...] = ()
         self._saved = self._read_calibration_at_start()
         self._calibration_messages: list[str] = []
