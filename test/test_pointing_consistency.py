@@ -3,20 +3,28 @@
 import dataclasses
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
-from ship_geometry.rotations import ARCSEC
-from ship_replay.pointing_monte_carlo import PointingErrors, pointing_errors
+from ship_estimation.parameters import build
+from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_replay.pointing_monte_carlo import PointingErrors, feed, pointing_errors
+from ship_replay.simulation.run import simulate
+from ship_replay.simulation.scenario import Scenario
 from ship_replay.simulation.scenario_file import load_scenario
-from theodolite_calib.samples import Mode
+from ship_replay.simulation.theodolite.images import points_on_detector
+from ship_replay.simulation.theodolite.suite import optical_axis_configuration
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.optical_axis_core import OpticalAxisCore
+from theodolite_calib.samples import Exposure, Mode, SeenLight
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "src" / "ship_replay" / "test"))
 
-from theodolite_scenes import replaced, with_beacons, with_theodolite  # noqa: E402
+from theodolite_scenes import replaced, sweeping_over, with_beacons, with_theodolite  # noqa: E402
 
 SEEDS = 16
 LEAVE_S, END_S = 120.0, 240.0
@@ -77,3 +85,66 @@ def test_the_error_grows_as_the_deformation_is_forgotten(sessions):
         forgotten_s = MOMENTS_S[moment] - LEAVE_S
         deformation = 28.3 * np.sqrt(1.0 - np.exp(-2.0 * forgotten_s / 600.0))
         assert deformation < sigmas_arcsec[moment] < np.hypot(deformation, 8.0)
+
+
+def streaking(exposure_s: float, **changes: Any) -> Scenario:
+    """A minute of the sweep with exposures of some length, in a sea that turns the image about the line of sight."""
+    scenario = load_scenario(ROOT / "bags" / "scenarios" / "theodolite_sweep.yaml")
+    scenario = with_theodolite(scenario, encoder__rate_hz=20.0, telescope__exposure_s=exposure_s, **changes)
+    swell = dataclasses.replace(scenario.carrier.roll.waves["swell"], amplitude_deg=8.0)
+    carrier = replaced(scenario.carrier, roll__waves={"swell": swell})
+    return dataclasses.replace(
+        with_beacons(scenario, imu__rate_hz=5.0),
+        carrier=carrier,
+        duration_s=25.0,
+        ins=replaced(scenario.ins, rate_hz=1.0),
+    )
+
+
+def nees_at_the_end(scenario: Scenario, seed: int, told: Scenario) -> tuple[float, int]:
+    """Of a session through a core that is told another scenario's length of exposures, and how many it refused."""
+    run = simulate(scenario, seed)
+    core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
+    estimates, _, refused = feed(core, dataclasses.replace(run, scenario=told))
+    error_n = log_rotation(run.theodolite.truth.mount.rotation_nm[-1] @ estimates[-1].rotation_nm.T)
+    return float(normalized_error_squared(error_n, estimates[-1].covariance_n)), refused
+
+
+def test_mend_09_lights_that_are_streaks_are_known_as_well_as_the_covariance_says():
+    scenario = streaking(0.5)
+    found = [nees_at_the_end(scenario, seed, scenario) for seed in range(SEEDS)]
+    low, high = mean_nees_band(SEEDS, degrees=3)
+    assert low < np.mean([nees for nees, _ in found]) < high
+    assert sum(refused for _, refused in found) < 3
+    # Nobody told the length: the points contradict one another.
+    lies = [nees_at_the_end(scenario, seed, streaking(0.0)) for seed in range(4)]
+    assert np.mean([nees for nees, _ in lies]) > mean_nees_band(len(lies), degrees=3)[1]
+    assert sum(refused for _, refused in lies) > 20
+
+
+@pytest.mark.parametrize("exposure_s", [0.2, 1.0])
+def test_mend_09_points_of_moving_lights_are_brought_to_the_middle_of_the_exposure(exposure_s):
+    """A telescope that sweeps over two lights; the truth at the middle is the simulator's own."""
+    scenario = sweeping_over(exposure_s)
+    run = simulate(scenario, seed=3)
+    telescope, scene, images = scenario.theodolite.telescope, run.theodolite.truth.scene, run.theodolite.images
+    # The estimator takes no baseline for exact.
+    told = with_beacons(scenario, rtk__sigma_m=0.001)
+    core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(told)))
+    feed(core, run)
+    middle_s = (images.time_ns - run.start_ns) * 1e-9
+    true_m = points_on_detector(telescope, scene, middle_s, scene.mount(middle_s))
+    psf_m, sigma_m = telescope.psf_sigma_m, telescope.sigma_m
+    for number, time_ns in enumerate(images.time_ns.tolist()):
+        seen = [SeenLight(name, point_m, sigma_m) for name, point_m in images.sightings(number)]
+        sighting = core.sighting(Exposure(time_ns, tuple(seen), exposure_s))
+        off_m = np.array([light.point_m for light in seen]) - true_m[number]
+        # 1e-7 m are 0.2" here. What is left is the noise along the streaks, of a nanometre at rest.
+        assert np.max(np.abs(off_m)) > 3e-7
+        assert np.max(np.abs(sighting.image.point_m - true_m[number])) < 0.1 * np.max(np.abs(off_m))
+        ends_s = middle_s[[number]][:, None] + np.array([-0.5, 0.5]) * exposure_s
+        before, after = (points_on_detector(telescope, scene, t, scene.mount(t))[0] for t in ends_s.T)
+        streak_m = after - before
+        length_m = np.linalg.norm(streak_m, axis=-1)
+        along = np.einsum("ki,kij,kj->k", streak_m, sighting.image.smear_m2, streak_m) / length_m**2
+        np.testing.assert_allclose(along, sigma_m**2 * length_m**2 / (12.0 * psf_m**2), rtol=0.02)

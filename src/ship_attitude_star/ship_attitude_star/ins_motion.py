@@ -104,7 +104,8 @@ class InsMotion:
         turning = turning_over(self._track, time_ns - self._offset_ns, nodes)
         if turning is None:
             return None
-        return turning, turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
+        white_variance = turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
+        return turning, white_variance + turning.correction_error
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed for moments at or after ``time_ns``."""

@@ -125,8 +125,8 @@ class ShipFilter:
                 text = f"no INS samples over its whole exposure of {measurement.length.exposure_s:g} s"
                 return state, Decision(measurement, Reason.GAP, ins_time_ns, text=text)
             looked_at = at_middle(measurement, turning.mounted(device.rotation_dv0))
-            # What is predicted is the mean over the exposure: its noise is that of the mean.
-            ins = replace(ins, noise_gain=turning.noise_gain)
+            # What is predicted is the mean over the exposure: its errors are those of the mean.
+            ins = replace(ins, noise_gain=turning.noise_gain, error_covariance_d=turning.error_covariance)
         before, state = state, self._with_common(self.predicted(state, measurement.time_ns), measurement)
         predicted = predict_attitude(device, self.model, state.mean, ins)
         compared = compare(looked_at, predicted, self.model, state.mean, state.covariance, watch)

@@ -9,7 +9,7 @@ stay a tenth of a second off the middle where the exposure is shorter: p̈ from 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,11 @@ class Nodes:
     def reach_ns(self) -> int:
         """How far from the middle the outermost are."""
         return self.offset_ns[-1]
+
+    def moments(self, middle_ns: int) -> list[tuple[int, float]]:
+        """Each node of an exposure about a moment: when, ns, and its weight."""
+        offsets = zip(self.offset_ns, self.weight.tolist(), strict=True)
+        return [(middle_ns + offset_ns, weight) for offset_ns, weight in offsets]
 
     def mean(self, values: FloatArray) -> FloatArray:
         """Mean of values at the nodes, shape (m, ...)."""
@@ -76,29 +81,41 @@ class Turning:
         turns: the body at each node from the body at the middle, shape (m, 3, 3).
         noise_gain: variance of the mean attitude over the exposure per variance of the samples' independent noise.
         correction_gain: the same of the mean attitude against the one at the middle.
+        error_covariance: of the mean by the interpolation's own error, rotation vector in the body, rad², shape (3, 3).
+        correction_error: variance by the same, of the mean against the middle, the sum of all axes, rad².
     """
 
     nodes: Nodes
     turns: FloatArray
     noise_gain: float
     correction_gain: float
+    error_covariance: FloatArray
+    correction_error: float
 
     def mounted(self, rotation_ds: FloatArray) -> "Turning":
         """The same of a device: ``rotation_ds`` is the body from the device, shape (3, 3)."""
-        return Turning(self.nodes, rotation_ds.T @ self.turns @ rotation_ds, self.noise_gain, self.correction_gain)
+        return replace(
+            self,
+            turns=rotation_ds.T @ self.turns @ rotation_ds,
+            error_covariance=rotation_ds.T @ self.error_covariance @ rotation_ds,
+        )
 
 
 def turning_over(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Turning | None:
     """How the body of a track turned about the middle of an exposure; None where the track does not tell."""
-    middle = track.at(time_ns)
-    around = [track.at(time_ns + offset_ns) for offset_ns in nodes.offset_ns]
-    attitudes = [attitude.rotation_nd for attitude in around if attitude is not None]
-    if middle is None or len(attitudes) < len(around):
+    middle, moments = track.at(time_ns), nodes.moments(time_ns)
+    around = [found for found in (track.at(moment_ns) for moment_ns, _ in moments) if found is not None]
+    if middle is None or len(around) < len(moments):
         return None
-    moments = [(time_ns + offset_ns, float(w)) for offset_ns, w in zip(nodes.offset_ns, nodes.weight, strict=True)]
+    # No mean of errors is larger than the mean of their sizes; those at and beside the middle may be opposite.
+    errors = np.array([found.error_covariance_d for found in around])
+    beside = np.where(np.array(nodes.offset_ns) == 0, 0.0, nodes.weight)
+    share, variances = float(beside.sum()), np.trace(errors, axis1=-2, axis2=-1)
     return Turning(
         nodes,
-        np.swapaxes(np.array(attitudes), -1, -2) @ middle.rotation_nd,
+        np.swapaxes(np.array([found.rotation_nd for found in around]), -1, -2) @ middle.rotation_nd,
         track.noise_gain_of_mean(moments),
         track.noise_gain_of_mean([*moments, (time_ns, -1.0)]),
+        nodes.mean(errors),
+        2.0 * share * float(beside @ variances + share * np.trace(middle.error_covariance_d)),
     )

@@ -109,3 +109,29 @@ def test_where_the_track_does_not_tell_there_is_no_turning():
     assert turning_over(whole, 0, nodes) is not None
     for outside_ns in (-950_000_000, 950_000_000, 3 * SECOND_NS):
         assert turning_over(whole, outside_ns, nodes) is None
+
+
+@pytest.mark.parametrize(("rate_hz", "measured_rates"), [(100.0, False), (5.0, True), (5.0, False), (2.5, False)])
+def test_mend_09_what_interpolation_does_to_the_correction_is_within_what_is_claimed(rate_hz, measured_rates):
+    samples = track(rate_hz, measured_rates)
+    distances, claimed_arcsec = [], []
+    for exposure_s in (0.05, 0.1, 0.2):
+        for middle_ns in range(-500_000_000, 500_000_000, 37_000_000):
+            turning = turning_over(samples, middle_ns, exposure_nodes(exposure_s))
+            if turning is None:
+                continue
+            true = np.mean(
+                [
+                    log_rotation(attitude(middle_ns * 1e-9).T @ attitude(middle_ns * 1e-9 + t))
+                    for t in moments(exposure_s, 100)
+                ],
+                axis=0,
+            )
+            found = turning.nodes.mean(log_rotation(np.swapaxes(turning.turns, -1, -2)))
+            sigma = np.sqrt(turning.correction_error + (0.01 * ARCSEC) ** 2)
+            distances.append(np.linalg.norm(found - true) / sigma)
+            claimed_arcsec.append(np.sqrt(turning.correction_error) / ARCSEC)
+    assert len(distances) > 30
+    assert np.sqrt(np.mean(np.square(distances))) < 1.0
+    assert np.max(distances) < 3.0
+    assert rate_hz < 50.0 or np.max(claimed_arcsec) < 0.1

@@ -135,7 +135,8 @@ def _give(core: OpticalAxisCore, run: SimulatedRun, source: str, index: int) -> 
     if kind == "image":
         images = theodolite.images
         lights = tuple(SeenLight(key, point_m, images.sigma_m) for key, point_m in images.sightings(index))
-        return core.add_exposure(Exposure(int(images.time_ns[index]), lights)) if lights else Outcome()
+        exposure = Exposure(int(images.time_ns[index]), lights, run.scenario.theodolite.telescope.exposure_s)
+        return core.add_exposure(exposure) if lights else Outcome()
     # ins: the fused attitude holds what it says.
     return Outcome()
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite, without_errors
+from theodolite_scenes import bag_scenario, replaced, sweeping_over, with_beacons, with_theodolite, without_errors
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
@@ -13,6 +13,7 @@ from ship_replay.simulation.noise import SECOND_NS
 from ship_replay.simulation.run import simulate
 from ship_replay.simulation.theodolite.beacon_scenario import Flight, Hover, Orbit, Waypoint
 from ship_replay.simulation.theodolite.flight import flight_path
+from ship_replay.simulation.theodolite.images import points_on_detector
 from ship_replay.simulation.theodolite.scenario import Programme
 from ship_replay.simulation.theodolite.true_values import axis_errors_of, parallelism_of, surveyed
 from theodolite_calib.axes import AxisErrors, main_axis_rotation
@@ -113,6 +114,21 @@ def test_the_true_pointing_is_the_chain_of_the_true_values():
     plain = mount.rotation_nd @ main_axis_rotation(AxisErrors(), mount.azimuth, mount.elevation)
     off = np.linalg.norm(log_rotation(np.swapaxes(plain, -1, -2) @ mount.rotation_nm), axis=-1) / ARCSEC
     assert 5.0 < off.min() < off.max() < 200.0
+
+
+@pytest.mark.parametrize("exposure_s", [0.05, 0.5])
+def test_mend_09_a_simulated_point_is_the_mean_of_the_light_s_true_way(exposure_s):
+    scenario = sweeping_over(exposure_s)
+    telescope, run = scenario.theodolite.telescope, simulate(scenario, seed=3)
+    images, scene = run.theodolite.images, run.theodolite.truth.scene
+    assert set(np.diff(images.first)) == {2}
+    middle_s = (images.time_ns - run.start_ns) / SECOND_NS
+    since_s = exposure_s * ((np.arange(400) + 0.5) / 400 - 0.5)
+    way = [points_on_detector(telescope, scene, middle_s + t, scene.mount(middle_s + t)) for t in since_s]
+    mean_m = np.mean(way, axis=0)
+    # The noise of the image is a nanometre, a hundred times as much along the streaks.
+    np.testing.assert_allclose(images.point_m.reshape(mean_m.shape), mean_m, atol=2e-6 * exposure_s)
+    assert np.linalg.norm(way[-1] - way[0], axis=-1).min() > 1.5e-3 * exposure_s
 
 
 def test_hover_orbit_and_legs_go_where_they_should():

@@ -29,7 +29,7 @@ ENCODER, IMAGE, BASELINE, DRONE = "theodolite/encoder", "theodolite/beacons", "b
 
 @pytest.fixture(scope="module")
 def run():
-    return simulate(bag_scenario(duration_s=3.0), seed=1)
+    return simulate(with_theodolite(bag_scenario(duration_s=3.0), telescope__exposure_s=0.01), seed=1)
 
 
 def entries_of(run, topic):

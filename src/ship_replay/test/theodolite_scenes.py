@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from ship_replay.simulation.scenario_file import load_scenario
+from ship_replay.simulation.theodolite.beacon_scenario import Flight, Hover
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 
@@ -70,3 +71,18 @@ def without_errors(scenario):
         imu__heading_sigma_deg=0.0,
         imu__white_sigma_deg=0.0,
     )
+
+
+_HANGING_DEG = {"a": (3.0, 11.0), "b": (-1.0, 9.0)}
+"""Azimuth and elevation of lights that hang while the telescope sweeps over them."""
+
+
+def sweeping_over(exposure_s):
+    """Without errors of the images, a telescope that sweeps over two lights."""
+    scenario = without_errors(with_theodolite(bag_scenario(duration_s=2.0), telescope__exposure_s=exposure_s))
+    flights = {
+        key: Flight(hover=Hover(azimuth_deg=azimuth, elevation_deg=elevation, distance_m=2000.0, north_m_per_s=8.0))
+        for key, (azimuth, elevation) in _HANGING_DEG.items()
+    }
+    beacons = {key: replaced(scenario.beacons[key], flight=flight) for key, flight in flights.items()}
+    return dataclasses.replace(scenario, beacons=beacons)

@@ -33,6 +33,7 @@ from small_session import (
 )
 
 from ship_estimation.refusals import LONGEST_TEXT, Reason
+from ship_geometry.rotations import ARCSEC
 from theodolite_calib.messages_in import MOST_LIGHTS
 from theodolite_calib.samples import Mode, Status
 
@@ -98,6 +99,9 @@ DROPPED = [
     ("drone quaternion", IMU["alpha"], put("orientation.w", 10.0), "bad_quaternion", "expected 1"),
     ("image of another telescope", BEACONS, put("telescope_id", "finder"), "unknown_sensor", "expected 'main'"),
     ("image frame", BEACONS, put("header.frame_id", "main"), "frame", "'main': expected 'telescope'"),
+    ("image of negative length", BEACONS, put("exposure_s", -0.01), "units", "exposure_s is -0.01"),
+    ("image exposed for milliseconds", BEACONS, put("exposure_s", 20.0), "units", "expected seconds, 10 at most"),
+    ("image exposed for ever", BEACONS, put("exposure_s", np.inf), "non_finite", "exposure_s"),
 ]
 
 
@@ -167,6 +171,21 @@ def test_of_two_contents_of_one_stamp_the_order_of_arrival_does_not_choose(topic
     first = drive(new_adapter(), added(session(), index, change, before_ns))
     assert second.state() == first.state()
     assert second.reasons(topic)["conflict"] == first.reasons(topic)["conflict"] == 1
+
+
+def test_mend_09_without_a_length_lights_are_points():
+    """The session's lights stand still on the detector, so that its exposures make no streaks either."""
+    not_given = changed_where(session(), lambda a: a.topic == BEACONS, put("exposure_s", np.nan))
+    zero = changed_where(session(), lambda a: a.topic == BEACONS, put("exposure_s", 0.0))
+    points = drive(new_adapter(), not_given)
+    assert points.results() == drive(new_adapter(), zero).results()
+    assert points.reasons(BEACONS) == {}
+    told, as_points = clean_run().messages("theodolite/pointing")[-1], points.messages("theodolite/pointing")[-1]
+    assert abs(told.azimuth - as_points.azimuth) * np.cos(told.elevation) < 0.3 * ARCSEC
+    assert abs(told.elevation - as_points.elevation) < 0.3 * ARCSEC
+    longer = drive(new_adapter(), changed_where(session(), lambda a: a.topic == BEACONS, put("exposure_s", 0.1)))
+    assert longer.reasons(BEACONS) == {}
+    assert never_wrong(longer)
 
 
 def test_exchanged_names_are_put_right_and_said() -> None:

@@ -121,6 +121,13 @@ class TelescopeConfig:
         maximum=0.001,
         live=True,
     )
+    psf_sigma_m: float = parameter(
+        5.2e-6,
+        doc="spread of the image of a light at rest, each axis; a streak long against it is known worse along it",
+        unit="m",
+        minimum=1e-7,
+        maximum=0.001,
+    )
     azimuth_arcsec: float = _telescope_angle("azimuth of the main axis in the telescope")
     azimuth_sigma_arcsec: float = arcsec(0.0, doc="its uncertainty")
     elevation_arcsec: float = _telescope_angle("elevation of the main axis in the telescope")
@@ -128,6 +135,11 @@ class TelescopeConfig:
     rotation_arcsec: float = _telescope_angle("rotation of the main image in the telescope")
     rotation_sigma_arcsec: float = arcsec(0.0, doc="its uncertainty")
     lens: LeverConfig = section(LeverConfig)
+
+    @property
+    def principal_point_m(self) -> FloatArray:
+        """Detector point of the telescope's axis, shape (2,)."""
+        return np.array([self.principal_x_m, self.principal_z_m])
 
     @property
     def parallelism(self) -> FloatArray:

@@ -94,7 +94,7 @@ def linearised(
     of_focal_length = np.asarray(camera.focal_length_sigma_m, dtype=float)[..., None] * by_focal_length
     covariance = by_directions @ line_covariance @ np.swapaxes(by_directions, -1, -2)
     covariance = covariance + of_focal_length[..., :, None] * of_focal_length[..., None, :]
-    covariance = covariance + detection_covariance(image)
+    covariance = covariance + image.covariance_m2
     inverse = np.asarray(np.linalg.inv(covariance), dtype=float)
     if prior is not None:
         # log(exp(δ) R R_priorᵀ) = d + J⁻¹ δ is an error drawn from the prior's covariance.
@@ -104,12 +104,6 @@ def linearised(
         inverse = _joined(inverse, np.asarray(np.linalg.inv(prior.covariance_n), dtype=float))
     weighted_jacobian = np.swapaxes(jacobian, -1, -2) @ inverse
     return Equations(residual, jacobian, by_directions, by_focal_length, inverse, weighted_jacobian)
-
-
-def detection_covariance(image: Image) -> FloatArray:
-    """Covariance of the points as detected, m², shape (..., 2 N, 2 N)."""
-    variance = np.repeat(np.asarray(image.sigma_m, dtype=float) ** 2, 2, axis=-1)
-    return variance[..., None] * np.eye(variance.shape[-1])
 
 
 def _joined(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -81,6 +81,9 @@ def angle_residuals(image: Image, camera: Camera, lines: LinesOfSight) -> AngleR
     by_seen = _angle_gradients(seen_t, pairs)
     by_line = _angle_gradients(lines.direction_n, pairs)
     detection = camera.direction_covariance(image.point_m, image.sigma_m)
+    if image.smear_m2 is not None:
+        by_point = camera.direction_by_point(image.point_m)
+        detection = detection + by_point @ image.smear_m2 @ np.swapaxes(by_point, -1, -2)
     variance = np.einsum("...pix,...ixy,...piy->...p", by_seen, detection, by_seen)
     of_focal_length = np.einsum("...pix,...ix->...p", by_seen, camera.direction_by_focal_length(image.point_m))
     variance += (of_focal_length * np.asarray(camera.focal_length_sigma_m, dtype=float)[..., None]) ** 2
@@ -136,8 +139,7 @@ class _Trial:
 def _trial(
     image: Image, camera: Camera, lines: LinesOfSight, order: tuple[int, ...], prior: AttitudePrior | None
 ) -> _Trial:
-    chosen = list(order)
-    pointing = solve(Image(image.point_m[chosen], np.asarray(image.sigma_m)[chosen]), camera, lines)
+    pointing = solve(image.chosen(order), camera, lines)
     if prior is None:
         return _Trial(order, pointing, None)
     departure = log_rotation(pointing.rotation_nt @ prior.rotation_nt.T)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.frames import angles_from_rotation, rotation_vector_covariance
 from ship_geometry.ros_axes import (
     ENU_FROM_HORIZON,
@@ -21,6 +22,7 @@ from ship_node.message_checks import (
     Refused,
     covariance_3x3,
     device_id,
+    exposure_length_s,
     finite_numbers,
     finite_vector,
     frame,
@@ -160,6 +162,7 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Conver
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.telescope.frame_id)
     device_id("telescope_id", message.telescope_id, config.telescope.telescope_id)
+    exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
     sightings = message.beacons[:MOST_LIGHTS]
     names = [sighting.beacon_id for sighting in sightings]
     lights: dict[str, SeenLight] = {}
@@ -176,7 +179,7 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Conver
         text = f"{len(message.beacons)} lights in one image: only the first {MOST_LIGHTS} are looked at"
         refused.append((message.beacons[MOST_LIGHTS].beacon_id, Refusal(Reason.OVERFLOW, text)))
     ordered = tuple(lights[name] for name in sorted(lights))
-    return Converted(Exposure(time_ns, ordered), known, tuple(refused))
+    return Converted(Exposure(time_ns, ordered, exposure_s), known, tuple(refused))
 
 
 def _light_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool] | Refusal:

@@ -184,7 +184,9 @@ class OpticalAxisCore:
         outcome, changed_after_ns = Outcome(inserted.refusal), inserted.changed_after_ns
         if inserted.taken:
             if changed_after_ns is not None:
-                self._log.rewind_where(lambda decision: decision.exposure.time_ns > changed_after_ns)
+                self._log.rewind_where(
+                    lambda decision: decision.exposure.time_ns + decision.exposure.reach_ns > changed_after_ns
+                )
             self._advance(sample.time_ns, outcome)
         return outcome
 

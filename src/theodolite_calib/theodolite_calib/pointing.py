@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, exp_rotation
-from theodolite_calib.equations import AttitudePrior, Equations, detection_covariance, linearised, total
+from theodolite_calib.equations import AttitudePrior, Equations, linearised, total
 from theodolite_calib.image import Camera
 from theodolite_calib.line_of_sight import LinesOfSight, covariance_by_source
 from theodolite_calib.sighting import Image
@@ -143,7 +143,7 @@ def _parts(
     rows = equations.by_focal_length.shape[-1]
     by_directions = gain[..., :rows] @ equations.by_directions
     parts = {source: _transported(by_directions, part) for source, part in line_parts.items()}
-    parts[SOURCE_IMAGE] = _transported(gain[..., :rows], detection_covariance(image))
+    parts[SOURCE_IMAGE] = _transported(gain[..., :rows], image.covariance_m2)
     by_focal_length = gain[..., :rows] @ equations.by_focal_length[..., None]
     by_focal_length = by_focal_length * np.asarray(camera.focal_length_sigma_m, dtype=float)[..., None, None]
     parts[SOURCE_FOCAL_LENGTH] = by_focal_length @ np.swapaxes(by_focal_length, -1, -2)

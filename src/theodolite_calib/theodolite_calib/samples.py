@@ -2,11 +2,13 @@
 
 import enum
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.rotations import FloatArray
 from ship_geometry.vector_track import VectorSample
 
@@ -101,17 +103,30 @@ class Exposure:
     Attributes:
         time_ns: middle of the exposure.
         lights: in the order of their names, each name once.
+        exposure_s: how long it lasted; 0 where nobody said so.
     """
 
     time_ns: int
     lights: tuple[SeenLight, ...]
+    exposure_s: float = 0.0
+
+    @cached_property
+    def nodes(self) -> Nodes | None:
+        """Moments by which the mean over it is found; None where its length is not known."""
+        return exposure_nodes(self.exposure_s) if self.exposure_s > 0.0 else None
+
+    @property
+    def reach_ns(self) -> int:
+        """How far from the middle it must be known how telescope and ship turned."""
+        return 0 if self.nodes is None else self.nodes.reach_ns
 
     def content(self) -> bytes:
         """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
-        return b"".join(
+        lights = b"".join(
             light.beacon_id.encode() + light.point_m.tobytes() + np.float64(light.sigma_m).tobytes()
             for light in self.lights
         )
+        return lights + np.float64(self.exposure_s).tobytes()
 
 
 @dataclass(frozen=True)

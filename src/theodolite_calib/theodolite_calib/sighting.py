@@ -4,12 +4,14 @@ With R the attitude "horizon from telescope", R_true = exp(δ) R, a light seen a
 δ moves it there by Rᵀ (w × δ).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ship_geometry.rotations import FloatArray, skew
 from theodolite_calib.image import Camera
+from theodolite_calib.line_of_sight import block_diagonal
 
 
 @dataclass(frozen=True)
@@ -19,10 +21,26 @@ class Image:
     Attributes:
         point_m: (x right, z up), shape (..., N, 2).
         sigma_m: standard deviation of x and of z, each above zero, shape (..., N).
+        smear_m2: what the motion during the exposure adds to their covariance, shape (..., N, 2, 2); None where it adds
+            nothing.
     """
 
     point_m: FloatArray
     sigma_m: FloatArray
+    smear_m2: FloatArray | None = None
+
+    @property
+    def covariance_m2(self) -> FloatArray:
+        """Covariance of all points as detected, shape (..., 2 N, 2 N)."""
+        variance = np.repeat(np.asarray(self.sigma_m, dtype=float) ** 2, 2, axis=-1)
+        covariance: FloatArray = variance[..., None] * np.eye(variance.shape[-1])
+        return covariance if self.smear_m2 is None else covariance + block_diagonal(self.smear_m2)
+
+    def chosen(self, rows: Sequence[int]) -> "Image":
+        """The same lights, some of them or in another order."""
+        chosen = list(rows)
+        smear_m2 = None if self.smear_m2 is None else self.smear_m2[chosen]
+        return Image(self.point_m[chosen], np.asarray(self.sigma_m)[chosen], smear_m2)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from ship_geometry.rotations import FloatArray
+from theodolite_calib.light_streaks import LightStreaks
 from theodolite_calib.line_of_sight import Lights
 from theodolite_calib.sighting import Image
 
@@ -50,6 +51,7 @@ class Sighting:
         lights: where they are said to be; the covariance of the drones' attitudes is not used.
         ship: its attitude.
         encoder: its angles.
+        streaks: the lights as found, where ``image`` has them at the middle of an exposure of known length; else None.
     """
 
     time_ns: int
@@ -58,6 +60,7 @@ class Sighting:
     lights: Lights
     ship: ShipAt
     encoder: EncoderAt
+    streaks: LightStreaks | None = None
 
     def in_deck(self, rotation_nt: FloatArray) -> FloatArray:
         """Deck from telescope, by the ship's attitude, shape (3, 3)."""
@@ -66,14 +69,20 @@ class Sighting:
 
     def chosen(self, rows: list[int], seen_rows: list[int] | None = None) -> "Sighting":
         """The same with some lights only, or with names exchanged: light ``rows[i]`` is seen as ``seen_rows[i]``."""
-        seen = rows if seen_rows is None else seen_rows
         lights = Lights(
             self.lights.baseline_n[rows],
             self.lights.baseline_covariance_n[rows],
             self.lights.rotation_nb[rows],
             self.lights.attitude_covariance_n[rows],
         )
-        image = Image(self.image.point_m[seen], self.image.sigma_m[seen])
+        seen = rows if seen_rows is None else seen_rows
+        streaks = None if self.streaks is None else self.streaks.chosen(rows, seen)
         return Sighting(
-            self.time_ns, tuple(self.names[row] for row in rows), image, lights, self.ship, self.encoder
+            self.time_ns,
+            tuple(self.names[row] for row in rows),
+            self.image.chosen(seen) if streaks is None else streaks.at_middle(),
+            lights,
+            self.ship,
+            self.encoder,
+            streaks,
         )

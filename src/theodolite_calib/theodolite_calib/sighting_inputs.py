@@ -1,22 +1,29 @@
 """What is measured, in tracks of its own, and brought together at the middle of an exposure."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from ship_estimation.refusals import Reason, Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposure_nodes
+from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.sample_track import SECOND_NS, SampleTrack
 from ship_geometry.vector_track import VectorTrack
+from theodolite_calib.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.baseline_track import BaselineTrack
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.image import Camera
+from theodolite_calib.light_streaks import LightStreaks
 from theodolite_calib.line_of_sight import Lights
 from theodolite_calib.samples import EncoderSample, Exposure, SeenLight, ShipSample, Status
 from theodolite_calib.sighting import Image
 from theodolite_calib.sighting_at import EncoderAt, ShipAt, Sighting
+
+_LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 
 Sample = TypeVar("Sample", EncoderSample, ShipSample, AttitudeSample, Any)
 
@@ -73,6 +80,7 @@ class SightingInputs:
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Go on with other noise."""
+        self._config = config
         by_ins = config.ship.source == "ins/imu"
         white_arcsec = config.ins.white_sigma_arcsec if by_ins else config.ship.white_sigma_arcsec
         self._ship_noise = (white_arcsec * ARCSEC) ** 2
@@ -80,7 +88,7 @@ class SightingInputs:
     @property
     def reach_ns(self) -> int:
         """How far from its moment data may lie that an exposure is compared with."""
-        return max(track.max_gap_ns for track in self._tracks()) + abs(self._ship_shift_ns)
+        return max(track.max_gap_ns for track in self._tracks()) + abs(self._ship_shift_ns) + _LONGEST_REACH_NS
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what no exposure at or after ``time_ns`` needs."""
@@ -89,35 +97,45 @@ class SightingInputs:
 
     def awaits(self, exposure: Exposure) -> bool:
         """True while data still to come may belong to an exposure."""
-        tracks: list[SampleTrack[Any]] = [self.encoder]
+        tracks: list[SampleTrack[Any]] = []
         for light in exposure.lights:
             tracks.append(self.baselines[light.beacon_id])
             if light.beacon_id in self.drones:
                 tracks.append(self.drones[light.beacon_id])
-        covered = self.ship_covers(exposure.time_ns) and all(track.covers(exposure.time_ns) for track in tracks)
-        return not covered
+        end_ns = exposure.time_ns + exposure.reach_ns
+        turned = self.ship_covers(end_ns) and self.encoder.covers(end_ns)
+        return not (turned and all(track.covers(exposure.time_ns) for track in tracks))
 
     def ship_covers(self, time_ns: int) -> bool:
         """True once later samples can no longer change the ship's attitude at a moment."""
         return self.ship.covers(time_ns - self._ship_shift_ns)
 
-    def ship_at(self, time_ns: int) -> tuple[ShipAt, Status] | None:
-        """The ship's attitude at a moment, and what its source says that it is worth; None in a gap."""
+    def ship_at(self, time_ns: int, over: Nodes | None = None) -> tuple[ShipAt, Status] | None:
+        """The ship's attitude at a moment, and what its source says that it is worth; None in a gap.
+
+        Args:
+            time_ns: the moment.
+            over: of an exposure about it that the track spans, where the noise is to be that of the mean over it.
+        """
         attitude = self.ship.at(time_ns - self._ship_shift_ns)
         sample = self.ship.last_before(time_ns - self._ship_shift_ns)
         if attitude is None or not isinstance(sample, ShipSample):
             return None
-        noise = attitude.noise_gain * self._ship_noise + float(np.trace(attitude.error_covariance_d))
+        gain = attitude.noise_gain
+        if over is not None:
+            gain = self.ship.noise_gain_of_mean(over.moments(time_ns - self._ship_shift_ns))
+        noise = gain * self._ship_noise + float(np.trace(attitude.error_covariance_d))
         return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.slow_covariance_n, noise), sample.status
 
-    def encoder_at(self, time_ns: int) -> EncoderAt | None:
-        """The encoders at a moment; None in a gap."""
+    def encoder_at(self, time_ns: int, over: Nodes | None = None) -> EncoderAt | None:
+        """The encoders at a moment; None in a gap. For ``over`` see :meth:`ship_at`."""
         angles = self.encoder.at(time_ns)
         sample = self.encoder.last_before(time_ns)
         if angles is None or sample is None:
             return None
         azimuth, elevation = angles.vector.tolist()
-        noise = angles.noise_gain * sample.sigma**2 + float(np.trace(angles.error_covariance))
+        gain = angles.noise_gain if over is None else self.encoder.noise_gain_of_mean(over.moments(time_ns))
+        noise = gain * sample.sigma**2 + float(np.trace(angles.error_covariance))
         return EncoderAt(azimuth, elevation, noise)
 
     def assemble(self, exposure: Exposure) -> Assembled:
@@ -150,7 +168,51 @@ class SightingInputs:
             ship[0],
             encoder,
         )
-        return Assembled(sighting, None, tuple(refused))
+        if exposure.nodes is None:
+            return Assembled(sighting, None, tuple(refused))
+        steady = self._at_middle(sighting, exposure.nodes)
+        if steady is None:
+            text = f"no encoder readings or attitudes of the ship over its whole exposure of {exposure.exposure_s:g} s"
+            return Assembled(None, Refusal(Reason.GAP, text), tuple(refused))
+        return Assembled(steady, None, tuple(refused))
+
+    def _at_middle(self, sighting: Sighting, nodes: Nodes) -> Sighting | None:
+        """A sighting with its lights where they stood at the middle of the exposure; None where that is not known.
+
+        It is compared with the mean over the exposure, and the noise of encoders and ship is that of the mean.
+        """
+        times_ns = [sighting.time_ns + offset_ns for offset_ns in nodes.offset_ns]
+        ships, encoders = [self.ship_at(t) for t in times_ns], [self.encoder_at(t) for t in times_ns]
+        attitudes = np.array([ship[0].rotation_nd for ship in ships if ship is not None])
+        angles = np.array([[encoder.azimuth, encoder.elevation] for encoder in encoders if encoder is not None])
+        if min(len(attitudes), len(angles)) < len(times_ns):
+            return None
+        telescope, lever_m = self._config.telescope, self._config.lever.vector_m
+        middle, encoder = self.ship_at(sighting.time_ns, nodes), self.encoder_at(sighting.time_ns, nodes)
+        assert middle is not None  # as at the nodes
+        assert encoder is not None
+        ship = middle[0]
+        velocity_n = np.array([self.baselines[name].velocity_at(sighting.time_ns) for name in sighting.names])
+        since_s = np.array(nodes.offset_ns)[:, None, None] / SECOND_NS
+        carried_n = (attitudes - ship.rotation_nd) @ lever_m
+        streaks = LightStreaks(
+            image=sighting.image,
+            camera=Camera(telescope.focal_length_m, 0.0, telescope.principal_point_m),
+            psf_sigma_m=telescope.psf_sigma_m,
+            nodes=nodes,
+            rotation_nt=attitudes @ self._telescope(angles[:, 0], angles[:, 1]),
+            middle_nt=ship.rotation_nd @ self._telescope(encoder.azimuth, encoder.elevation),
+            path_n=sighting.lights.baseline_n - ship.rotation_nd @ lever_m,
+            moved_n=since_s * velocity_n - carried_n[:, None, :],
+        )
+        return replace(sighting, image=streaks.at_middle(), streaks=streaks, ship=ship, encoder=encoder)
+
+    def _telescope(self, azimuth: FloatArray | float, elevation: FloatArray | float) -> FloatArray:
+        """Deck from telescope as configured, shape (..., 3, 3): a degree would be good enough."""
+        errors = AxisErrors.from_vector(self._config.axes.values)
+        rotation_dm = main_axis_rotation(errors, azimuth, elevation)
+        rotation_dt: FloatArray = rotation_dm @ rotation_from_angles(*self._config.telescope.parallelism).T
+        return rotation_dt
 
     def _placed(self, beacon_id: str, time_ns: int) -> "_Placed | Refusal":
         baseline = self.baselines[beacon_id].usable_at(time_ns)

@@ -77,7 +77,7 @@ class SightingModel:
         self._config, self._model = config, model
         self._axes = config.axes.values
         self._parallelism = config.telescope.parallelism
-        self._principal_point = np.array([config.telescope.principal_x_m, config.telescope.principal_z_m])
+        self._principal_point = config.telescope.principal_point_m
 
     def chain_errors(self, mean: FloatArray) -> ChainErrors:
         """What a state says is wrong with the chain to the main axis."""
@@ -121,7 +121,7 @@ class SightingModel:
         self._add_lines(jacobian, points, lines, sighting.names)
         self._add_carried_lever(jacobian, points, lines, chain)
         noise = {source: by_attitude_n @ part @ by_attitude_n.T for source, part in noise_n.items()}
-        noise[SOURCE_IMAGE] = np.diag(np.repeat(sighting.image.sigma_m**2, 2))
+        noise[SOURCE_IMAGE] = sighting.image.covariance_m2
         noise[SOURCE_RTK] = _own_noise(points, lines, "rtk_noise")
         residual = (sighting.image.point_m - points.point_m).reshape(rows)
         return Prediction(rotation_nt, turn_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)

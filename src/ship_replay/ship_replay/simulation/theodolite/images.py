@@ -6,6 +6,7 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 from ship_replay.simulation.noise import SECOND_NS, arrival_times, random_stream, stamps
+from ship_replay.simulation.streaks import centroids, exposure_times
 from ship_replay.simulation.theodolite.scenario import Telescope
 from ship_replay.simulation.theodolite.scene import MountState, Scene
 from theodolite_calib.image import Camera
@@ -22,7 +23,7 @@ class ImageSamples:
         beacon_ids: of all lights of the scenario.
         light: which of them each found one is, shape (k,).
         point_m: on the detector, along right and up, shape (k, 2).
-        sigma_m: of each coordinate.
+        sigma_m: of each coordinate, of a light at rest.
     """
 
     time_ns: np.ndarray
@@ -44,7 +45,9 @@ def expose(config: Telescope, scene: Scene, start_ns: int, duration_s: float, se
     time_ns = stamps(start_ns, config.rate_hz, config.phase_s, duration_s)
     t_s = (time_ns - start_ns) / SECOND_NS
     noise = random_stream(seed, "theodolite.detection").standard_normal((time_ns.size, len(scene.lights), 2))
-    point_m = points_on_detector(config, scene, t_s, scene.mount(t_s)) + config.sigma_m * noise
+    times = exposure_times(config.exposure_s)
+    way_m = np.array([points_on_detector(config, scene, t_s + t, scene.mount(t_s + t)) for t in times.since_middle_s])
+    point_m = centroids(times, way_m, config.psf_sigma_m, config.sigma_m, noise)
     seen = in_view(config, scene, t_s, point_m)
     arrival = random_stream(seed, "theodolite.telescope.arrival")
     return ImageSamples(

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ship_estimation.parameters import parameter, section
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_replay.simulation.scenario_units import ANGLE, CORRELATION, DELAY, MOMENT, RATE, SIGMA
 
 _AXIS_ERROR: dict[str, Any] = {"unit": "arcsec", "minimum": -3600.0, "maximum": 3600.0}
@@ -71,7 +72,13 @@ class Telescope:
     phase_s: float = parameter(0.0, doc="middle of the first exposure after the start", **MOMENT)
     latency_s: float = parameter(0.05, doc="from stamp (middle of the exposure) to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
-    exposure_s: float = parameter(0.01, doc="length of an exposure", unit="s", minimum=1e-6, maximum=60.0)
+    exposure_s: float = parameter(
+        0.0,
+        doc="length of an exposure: lights are streaks, with the mean of their way as point; 0: points, and not told",
+        unit="s",
+        minimum=0.0,
+        maximum=LONGEST_EXPOSURE_S,
+    )
     focal_length_m: float = parameter(0.1, doc="as known", unit="m", minimum=0.01, maximum=10.0)
     focal_length_sigma_m: float = parameter(0.0001, doc="its error", unit="m", minimum=0.0, maximum=0.1)
     principal_x_m: float = parameter(
@@ -83,6 +90,9 @@ class Telescope:
     width_m: float = parameter(0.014, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
     height_m: float = parameter(0.014, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
     sigma_m: float = parameter(6.5e-7, doc="noise of an image point, each axis", unit="m", minimum=1e-9, maximum=0.001)
+    psf_sigma_m: float = parameter(
+        5.2e-6, doc="spread of the image of a light at rest, each axis", unit="m", minimum=1e-7, maximum=0.001
+    )
     azimuth_arcsec: float = parameter(0.0, doc="of the main axis in the telescope, as known", **_PARALLELISM)
     azimuth_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
     elevation_arcsec: float = parameter(0.0, doc="of the main axis in the telescope, as known", **_PARALLELISM)
