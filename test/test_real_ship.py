@@ -18,7 +18,7 @@ from ship_replay.simulation.scenario_file import load_scenario
 
 ROOT = Path(__file__).parents[1]
 LOGS = ROOT.parent / "shared" / "data" / "nbp1406"
-CONFIG = ROOT / "bags" / "nbp1406.suite.yaml"
+CONFIG = ROOT / "examples" / "nbp1406.yaml"
 SETTLING_S = 120.0
 SEEDS = 12
 

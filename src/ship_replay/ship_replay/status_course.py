@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
+from ship_attitude_star.config import ShipAttitudeConfig
 from ship_node.adapter import Adapter
 from ship_node.stamps import ns_from_stamp
 from ship_replay.gaps import MessageTimes, exceeded
@@ -111,11 +112,19 @@ def reasons_for(
     counts = course.counts
     if sum(counts[word] for word in _POOR) <= _WORTH_A_REASON * counts.total():
         return []
-    reasons = [*adapter.start_warnings, *(excess.text for excess in exceeded(config, dict(times), "the bag"))]
+    reasons = [*adapter.start_warnings, *_no_stars(config)]
+    reasons += [excess.text for excess in exceeded(config, dict(times), "the bag")]
     reasons += [line for message in health if (line := hardly_used(message))]
     poor = " and ".join(f"{counts[word]} {word}" for word in reversed(_POOR) if counts[word])
     why = reasons or ["no input was missing or refused for long: ship/innovation or theodolite/innovation tell more"]
     return [f"why {poor} of {counts.total()} outputs of {adapter.node_name}:", *(f"  {reason}" for reason in why)]
+
+
+def _no_stars(config: Any) -> list[str]:
+    """Another attitude system makes an attitude better, but never VALID."""
+    if isinstance(config, ShipAttitudeConfig) and config.references and not config.star_sensors:
+        return ["no star_sensors are configured: by references alone the attitude stays DEGRADED, horizon GRAVITY"]
+    return []
 
 
 def hardly_used(health: Any) -> str:
