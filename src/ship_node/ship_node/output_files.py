@@ -66,7 +66,8 @@ def check_folder(folder: Path, names: Iterable[str], force: bool) -> None:
 
 def _check_access(folder: Path, path: Path) -> None:
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise BadInput(f"{path}: cannot be written: {os.strerror(errno.EACCES)}")
+        reason = errno.EROFS if os.statvfs(folder).f_flag & os.ST_RDONLY else errno.EACCES
+        raise BadInput(f"{path}: cannot be written: {os.strerror(reason)}")
 
 
 def _check_name(path: Path, force: bool) -> None:

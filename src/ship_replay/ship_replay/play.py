@@ -1,7 +1,7 @@
 """Plays a bag live: its messages as they are, byte for byte, and the bag's time on /clock."""
 
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -24,6 +24,14 @@ CLOCK_PERIOD_NS = 10_000_000
 # Steady time for which /clock runs before the first message, so that every consumer's clock is set (or has jumped
 # back, in a loop) when the first message comes.
 _LEAD_S = 0.1
+# At a high rate that would be days of the bag, at /clock's period millions of messages; so many minutes of them take
+# about as long as the lead is to be.
+_LONGEST_LEAD_S = 60.0
+# A hundred thousand ticks in a second of steady time, which nobody can send.
+_FASTEST_WITH_ALL_TICKS = 1000.0
+# Where some topics have subscribers and others none: so long after the last match nobody else is expected. Discovery
+# on one machine takes 0.06 s to 1.6 s.
+_SETTLED_S = 2.0
 _POLL_S = 0.01
 _ACKNOWLEDGE_S = 10.0
 # What a reader missed must still be there when it says so; at Fast DDS's default heartbeat (3 s) this does for 1 kHz.
@@ -130,9 +138,17 @@ class Player:
 
     def _due(self, records: Iterable[BagRecord]) -> Iterator[BagRecord]:
         """Each record when its time has come; /clock goes out in between."""
-        lead_ns = max(CLOCK_PERIOD_NS, round(_LEAD_S * NS_PER_S * self._clock.rate))
+        lead_s = min(_LEAD_S * self._clock.rate, _LONGEST_LEAD_S)
+        lead_ns = max(CLOCK_PERIOD_NS, round(lead_s * NS_PER_S))
         self._clock.begin(self.start_ns - lead_ns)
-        for time_ns, record in with_ticks(records, self.start_ns - lead_ns):
+        started = False
+
+        def stride() -> int:
+            """At rates at which they cannot be sent, ticks between messages are left out; not those of the lead."""
+            return round(self._clock.rate / _FASTEST_WITH_ALL_TICKS) if started else 1
+
+        for time_ns, record in with_ticks(records, self.start_ns - lead_ns, stride):
+            started = started or record is not None
             if not self._clock.wait_until(time_ns, is_message=record is not None):
                 return
             if record is not None:
@@ -153,7 +169,7 @@ class Player:
         """Wait until every reliable subscriber has what was sent; the topics where one has not."""
         deadline_s = time.monotonic() + _ACKNOWLEDGE_S
         late = []
-        for topic, publisher in self._publishers.items():
+        for topic, publisher in {"/clock": self._clock_publisher, **self._publishers}.items():
             if not publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline_s - time.monotonic()))):
                 late.append(topic)
         return tuple(late)
@@ -193,10 +209,11 @@ class Player:
             raise BadInput(f"{bag.path}: none of its topics can be played")
 
     def _wait_for_subscribers(self) -> None:
-        """Return when every topic has its subscribers, or the time-out is over.
+        """Return when every topic has its subscribers, or nobody else is to be expected.
 
         A topic has them when there are as many as asked for (one, but for truth, which nobody needs) and none that
-        the graph already shows is still unmatched.
+        the graph already shows is still unmatched. Nobody else is expected when the time-out is over; or, unless
+        subscribers were asked for by name, some time after the last match, when one topic has them at least.
 
         Raises:
             BadInput: subscribers that were asked for by name did not come.
@@ -207,10 +224,19 @@ class Player:
             raise BadInput(f"topic '{name}' is not played, so there are no subscribers to wait for")
         wanted = asked or {name: 1 for name in by_name if name != "/clock" and "truth" not in name.split("/")}
         deadline_s = time.monotonic() + self._options.wait_timeout_s
+        matches, settled_s = [0], deadline_s
         while missing := [
             name for name, p in by_name.items() if not self._matched(name, p, wanted.get(name, 0))
         ]:
             if self._clock.stopped:
+                return
+            counts = [p.get_subscription_count() for p in by_name.values()]
+            if counts != matches:
+                matches, settled_s = counts, time.monotonic() + _SETTLED_S
+            unwanted = [name for name in missing if not by_name[name].get_subscription_count()]
+            taken = any(name in wanted for name in by_name.keys() - set(unwanted))
+            if not asked and taken and unwanted == missing and time.monotonic() >= settled_s:
+                self._say(f"nobody takes {', '.join(sorted(unwanted))}; playing all the same")
                 return
             if time.monotonic() >= deadline_s:
                 names = ", ".join(sorted(missing))
@@ -228,15 +254,23 @@ class Player:
         self._node.get_logger().warning(line)
 
 
-def with_ticks(records: Iterable[BagRecord], first_tick_ns: int) -> Iterator[tuple[int, BagRecord | None]]:
+def with_ticks(
+    records: Iterable[BagRecord], first_tick_ns: int, stride: Callable[[], int] = lambda: 1
+) -> Iterator[tuple[int, BagRecord | None]]:
     """What goes out, in order: records with their log times, and ticks (None) of /clock on its grid.
 
     The tick before a record is less than a period older; one more follows the last record.
+
+    Args:
+        records: of the bag.
+        first_tick_ns: where the grid begins.
+        stride: of so many ticks between two records one goes out, and the last.
     """
     tick_ns = first_tick_ns
     for record in records:
         while tick_ns <= record.log_time_ns:
             yield tick_ns, None
-            tick_ns += CLOCK_PERIOD_NS
+            steps_to_record = (record.log_time_ns - tick_ns) // CLOCK_PERIOD_NS
+            tick_ns += CLOCK_PERIOD_NS * max(1, min(stride(), steps_to_record))
         yield record.log_time_ns, record
     yield tick_ns, None

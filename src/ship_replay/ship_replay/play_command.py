@@ -15,8 +15,9 @@ from ship_replay.ros_command import command_node, on_end_signals, positive, run_
 
 _DESCRIPTION = """\
 Publishes the messages of a bag live, byte for byte, at the times of its log, and that time every 10 ms on /clock.
-Publishers are reliable; topics that were latched are latched again. It starts when subscribers match, and ends when
-every reliable subscriber has acknowledged the last message. On a terminal: space pauses and goes on, s plays the next
+Publishers are reliable; topics that were latched are latched again. It starts when subscribers match, two seconds
+after the last match where nobody takes some of its topics, which it names; it ends when every reliable subscriber has
+acknowledged the last message, and in order on Ctrl-C. On a terminal: space pauses and goes on, s plays the next
 message while it is paused, + doubles the rate and - halves it. Services of the node: ~/pause, ~/resume,
 ~/toggle_paused, ~/play_next (std_srvs/Trigger).
 ROS arguments may follow after --ros-args (namespace, remaps).
@@ -38,7 +39,11 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("bag", type=Path, help="bag to play: .mcap file or rosbag2 folder")
     parser.add_argument(
-        "--rate", type=positive, default=1.0, metavar="R", help="seconds of the bag per second (1)"
+        "--rate",
+        type=positive,
+        default=1.0,
+        metavar="R",
+        help="seconds of the bag per second (1); 1e9 is as fast as it goes",
     )
     parser.add_argument(
         "--loop", type=_count, default=1, metavar="N", help="play it N times, 0 without end (1)"

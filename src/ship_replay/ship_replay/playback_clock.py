@@ -7,6 +7,8 @@ from ship_replay.times import NS_PER_S
 
 # A wait of years, at a tiny rate or over a gap, is no time that a lock can be given.
 _LONGEST_WAIT_S = 3600.0
+# What is faster is as fast as it goes all the same, and a product with it may not be a number any more.
+_FASTEST = 1e9
 
 
 class PlaybackClock:
@@ -18,7 +20,7 @@ class PlaybackClock:
     """
 
     def __init__(self, rate: float, paused: bool = False) -> None:
-        self._rate = rate
+        self._rate = min(rate, _FASTEST)
         self._paused = paused
         self._stopped = False
         self._steps = 0
@@ -48,7 +50,7 @@ class PlaybackClock:
         with self._changed:
             if not self._paused:
                 self._bag_ns, self._steady_ns = self._bag_time_ns(), time.monotonic_ns()
-            self._rate *= factor
+            self._rate = min(self._rate * factor, _FASTEST)
             self._changed.notify_all()
 
     def begin(self, bag_ns: int) -> None:

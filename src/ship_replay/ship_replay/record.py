@@ -14,7 +14,7 @@ from ship_replay.clock_watch import ClockWatch
 from ship_replay.errors import BadInput
 from ship_replay.installed_types import use_installed_definition
 from ship_replay.message_class import message_class
-from ship_replay.record_topics import DEPTH, adapted_qos, offers, qos_texts
+from ship_replay.record_topics import DEPTH, REPORTS, adapted_qos, is_activity, offers, qos_texts
 from ship_replay.split_bag import FolderWriter
 from ship_replay.times import NS_PER_S, utc_text
 
@@ -27,7 +27,11 @@ _FLUSH_SHARE = 0.7
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What is recorded and when it ends; see ``record --help``. Times are steady; None is without end."""
+    """What is recorded and when it ends; see ``record --help``. Times are steady; None is without end.
+
+    Idle is the time since the last message that is an activity (:func:`is_activity`), or since the last of any kind
+    where only reports are recorded.
+    """
 
     topics: tuple[str, ...] = ()
     flush_period_s: float = 0.1
@@ -54,8 +58,9 @@ class Recorder:
         self._bag = bag
         self._stopped = False
         self._known: set[str] = set()
+        self._only_reports = True
         self._before_clock: list[tuple[str, str, bytes, int]] = []
-        self._last_receipt_s: float | None = None
+        self._last_activity_s: float | None = None
         self._last_log_ns = 0
         self._is_simulated_time = bool(node.get_parameter("use_sim_time").value)
         self._clock_watch = ClockWatch()
@@ -116,7 +121,7 @@ class Recorder:
         return self._is_idle()
 
     def _is_idle(self) -> bool:
-        idle_s, last_s = self._options.until_idle_s, self._last_receipt_s
+        idle_s, last_s = self._options.until_idle_s, self._last_activity_s
         return idle_s is not None and last_s is not None and time.monotonic() - last_s >= idle_s
 
     def _drain(self, executor: SingleThreadedExecutor) -> None:
@@ -143,6 +148,7 @@ class Recorder:
             self._say(f"topic '{topic}' is not recorded: {problem}")
             return
         self._bag.add_topic(topic, type_name, latched, qos_profiles)
+        self._only_reports = self._only_reports and type_name in REPORTS
         events = SubscriptionEventCallbacks(
             message_lost=lambda info: self._note_loss(topic, info.total_count_change)
         )
@@ -153,6 +159,10 @@ class Recorder:
             taken: tuple[bytes, dict[str, int]] | None = (data, info)
             count = 0
             while taken is not None and count < DEPTH:
+                if self._options.until_idle_s is not None and (
+                    self._only_reports or is_activity(type_name, kind, taken[0])
+                ):
+                    self._last_activity_s = time.monotonic()
                 self._receive(topic, type_name, *taken)
                 count += 1
                 with subscription.handle:
@@ -163,7 +173,6 @@ class Recorder:
         )
 
     def _receive(self, topic: str, type_name: str, data: bytes, info: dict[str, int]) -> None:
-        self._last_receipt_s = time.monotonic()
         self.counts[topic] += 1
         now_ns = self._node.get_clock().now().nanoseconds
         if now_ns == 0:

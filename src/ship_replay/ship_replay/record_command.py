@@ -67,7 +67,11 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("--duration-s", type=positive, metavar="S", help="end after S seconds (never)")
     parser.add_argument(
-        "--until-idle-s", type=positive, metavar="S", help="end S seconds after the last message (never)"
+        "--until-idle-s",
+        type=positive,
+        metavar="S",
+        help="end S seconds after the last measurement or valid result (never); what nodes without input go on to say "
+        "(diagnostics, health, budgets, INVALID, /rosout) counts only where nothing else is recorded",
     )
     parser.add_argument("--use-sim-time", action="store_true", help="log time is that of /clock")
     return parser

@@ -1,9 +1,11 @@
-"""Which topics a recorder takes, and with what quality of service."""
+"""Which topics a recorder takes, with what quality of service, and which of them say that a voyage goes on."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ship_replay.bag_writer import qos_text
@@ -13,6 +15,32 @@ DEPTH = 1000
 
 _LEFT_OUT = ("/clock",)
 """Left out unless named: /clock is the time of the log itself, which a player gives again."""
+
+REPORTS = frozenset(
+    {
+        *("rosgraph_msgs/msg/Clock", "rcl_interfaces/msg/Log", "rcl_interfaces/msg/ParameterEvent"),
+        *("diagnostic_msgs/msg/DiagnosticArray", "ship_msgs/msg/InputHealth", "ship_msgs/msg/AlignmentState"),
+        *("ship_msgs/msg/ErrorBudget", "ship_msgs/msg/TheodoliteCalibration", "ship_msgs/msg/AttitudeErrorArcsec"),
+        "ship_msgs/msg/PointingErrorArcsec",
+    }
+)
+"""Types by which a node tells of itself, on its own clock, for as long as it lives: whether anything comes or not."""
+
+_RESULTS = ("ship_msgs/msg/ShipAttitude", "ship_msgs/msg/OpticalAxisPointing")
+"""Types of results, which a node without input goes on to put out as INVALID."""
+
+
+def is_activity(type_name: str, kind: Any, data: bytes) -> bool:
+    """Whether a message says that something goes on: a measurement, or a result that rests on one.
+
+    Args:
+        type_name: of the message.
+        kind: its class.
+        data: its CDR bytes.
+    """
+    if type_name not in _RESULTS:
+        return type_name not in REPORTS
+    return bool(deserialize_message(data, kind).status != kind.INVALID)
 
 
 def offers(node: Node, wanted: Sequence[str]) -> dict[str, list[TopicEndpointInfo]]:

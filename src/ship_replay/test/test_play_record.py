@@ -18,8 +18,11 @@ from ship_replay.bag_reader import read_bag
 from ship_replay.bag_writer import BagWriter
 from ship_replay.live_graph import GraphObserver
 from ship_replay.live_process import LiveProcess, free_domain_id, live_environment
+from ship_replay.live_run import executable
+from ship_replay.message_class import message_class
 from ship_replay.message_store import RosbagsFactory, message_store
 from ship_replay.play import CLOCK_PERIOD_NS, with_ticks
+from ship_replay.record_topics import is_activity
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
 
@@ -225,6 +228,60 @@ def test_the_clock_is_never_further_behind_a_message_than_its_grid(tmp_path):
     assert sum(record is not None for _, record in events) == 5
 
 
+@pytest.mark.parametrize("stride", [1, 7, 10**9])
+def test_mend_21_with_ticks_left_out_the_clock_is_no_further_behind_a_message(tmp_path, stride):
+    factory = RosbagsFactory()
+    offsets_ns = (0, 1, 3_712_345_678, 3_712_345_679, 3_730_000_000, 10**12)
+    with BagWriter(tmp_path / "in.mcap") as bag:
+        for offset_ns in offsets_ns:
+            bag.write("ins/imu", imu(factory, 0), START_NS + offset_ns)
+    with read_bag(tmp_path / "in.mcap") as bag:
+        events = list(with_ticks(bag.records(), START_NS - 100_000_000, lambda: stride))
+    ticks = [time_ns for time_ns, record in events if record is None]
+    assert ticks == sorted(set(ticks))
+    assert all((time_ns - ticks[0]) % CLOCK_PERIOD_NS == 0 for time_ns in ticks)
+    for (before_ns, _), (time_ns, record) in itertools.pairwise(events):
+        assert record is None or time_ns - before_ns < CLOCK_PERIOD_NS
+    assert [time_ns for time_ns, record in events if record] == [START_NS + offset_ns for offset_ns in offsets_ns]
+    assert len(ticks) <= 10**12 // CLOCK_PERIOD_NS // stride + 20 * len(offsets_ns)
+
+
+def test_mend_21_a_year_at_a_rate_beyond_all_measure_is_played_at_once(live, tmp_path):
+    """Years of /clock at its period lay before the first message, and three billion ticks behind it."""
+    from rosgraph_msgs.msg import Clock
+    from sensor_msgs.msg import Imu
+
+    factory = RosbagsFactory()
+    year_ns = 365 * 86_400 * 10**9
+    with BagWriter(tmp_path / "in.mcap") as bag:
+        for number, time_ns in enumerate((START_NS, START_NS + PERIOD_NS, START_NS + year_ns)):
+            bag.write("ins/imu", imu(factory, number), time_ns)
+    times, messages = [], []
+    subscribe(live, "/clock", Clock, times)
+    subscribe(live, "ins/imu", Imu, messages)
+    said = live.play(tmp_path / "in.mcap", "--rate", "1e9")
+    assert "play: 3 messages" in said
+    assert live.observer.spin_until(lambda: len(messages) == 3)
+    assert live.observer.spin_until(lambda: ns(times[-1]) >= START_NS + year_ns)
+    assert START_NS - 61 * 10**9 < ns(times[0]) < START_NS
+
+
+def test_mend_21_topics_that_nobody_wants_are_named_and_not_waited_for(live, tmp_path):
+    from sensor_msgs.msg import Imu
+
+    factory = RosbagsFactory()
+    with BagWriter(tmp_path / "in.mcap") as bag:
+        for number in range(10):
+            for topic in ("ins/imu", "reference/gyro/imu", "truth/imu"):
+                bag.write(topic, imu(factory, number), START_NS + number * PERIOD_NS)
+    messages = []
+    subscribe(live, "ins/imu", Imu, messages)
+    said = live.play(tmp_path / "in.mcap", "--wait-timeout", "50")
+    assert "nobody takes /reference/gyro/imu; playing all the same" in said
+    assert "no match" not in said
+    assert live.observer.spin_until(lambda: len(messages) == 10)
+
+
 def test_each_loop_takes_the_clock_back_once(live, tmp_path):
     from rosgraph_msgs.msg import Clock
     from sensor_msgs.msg import Imu
@@ -345,7 +402,7 @@ def test_play_refuses_in_one_line(live, tmp_path, options, expected):
     ("options", "expected"),
     [
         (["--out", "there.mcap"], "there.mcap: is there already: --force writes over it"),
-        (["--out", "absent/out.mcap"], "absent/out.mcap: cannot be written: there is no folder absent"),
+        (["--out", "absent/out.mcap"], "absent/out.mcap: cannot be written: there is no folder"),
         (["--out", "new.mcap", "--flush-period-s", "-1"], "argument --flush-period-s: -1 is not a positive number"),
         ([], "the following arguments are required: --out"),
     ],
@@ -427,3 +484,43 @@ def test_a_recording_ends_by_itself(live, tmp_path, options):
     assert recorder.wait(30) == 0
     if "--until-idle-s" in options:
         assert len(payloads(tmp_path / "out.mcap", "ins/imu")) == 20
+
+
+def test_mend_21_a_recording_is_not_kept_awake_by_nodes_that_have_nothing_to_say(live, tmp_path):
+    """The real node goes on to publish diagnostics, health, budgets and INVALID when its input has ended."""
+    source = make_bag(tmp_path / "in.mcap", 20)
+    command = [*executable("ship_attitude_star", "ship_attitude"), "--ros-args", "-p", "slow_topics_period_s:=0.1"]
+    node = live.start(*command)
+    recorder = live.start_recorder(tmp_path / "out.mcap", "--until-idle-s", "2.5")
+    topics = ["/ins/imu", "/ship/attitude", "/diagnostics", "/input_health"]
+    player_options = ["--topics", "ins/imu", "--wait-for-subscribers", "ins/imu=2"]
+    assert live.observer.wait_for(subscribers=dict.fromkeys(topics, 1), timeout_s=30)
+    live.play(source, *player_options)
+    assert recorder.wait(40) == 0
+    assert node.exit_code is None
+    got, _ = contents(tmp_path / "out.mcap")
+    assert len(got["ins/imu"]) == 20
+    last_ns = got["ins/imu"][-1][0]
+    for topic in ("diagnostics", "input_health", "ship/attitude"):
+        assert any(time_ns > last_ns + 10**9 for time_ns, _ in got[topic])
+
+
+@pytest.mark.parametrize(
+    ("type_name", "fields", "counts"),
+    [
+        ("sensor_msgs/msg/Imu", {}, True),
+        ("ship_msgs/msg/RtkBaseline", {}, True),
+        ("ship_msgs/msg/TheodoliteEncoder", {"status": 1}, True),
+        *(("ship_msgs/msg/ShipAttitude", {"status": status}, status != 3) for status in range(4)),
+        *(("ship_msgs/msg/OpticalAxisPointing", {"status": status}, status != 3) for status in range(4)),
+        *((f"ship_msgs/msg/{name}", {}, False) for name in ("InputHealth", "AlignmentState", "ErrorBudget")),
+        ("diagnostic_msgs/msg/DiagnosticArray", {}, False),
+        ("rcl_interfaces/msg/Log", {}, False),
+        ("rosgraph_msgs/msg/Clock", {}, False),
+    ],
+)
+def test_mend_21_what_is_an_activity(type_name, fields, counts):
+    from rclpy.serialization import serialize_message
+
+    kind = message_class(type_name)
+    assert is_activity(type_name, kind, bytes(serialize_message(kind(**fields)))) is counts

@@ -1,5 +1,6 @@
 """Pause, step and stop of a playback. The clock runs at such rates that no test depends on the machine's speed."""
 
+import math
 import threading
 
 import pytest
@@ -103,3 +104,13 @@ def test_toggle_changes_the_state(paused):
     clock = PlaybackClock(FAST, paused)
     clock.toggle()
     assert clock.paused is not paused
+
+
+@pytest.mark.parametrize("rate", [1e9, 1e18, 1e300, 1.7e308])
+def test_mend_21_a_rate_beyond_all_measure_is_as_fast_as_it_goes(rate):
+    clock = PlaybackClock(rate)
+    clock.begin(0)
+    for _ in range(3):
+        assert clock.wait_until(DAY_NS, is_message=True)
+        assert math.isfinite(clock.behind_s(DAY_NS))
+        clock.change_rate(1e300)
