@@ -1,11 +1,11 @@
 """Replays a bag through the adapters of the suite's nodes, in process and as fast as it goes.
 
-Messages are handed over in order of log time, with the log time as time of arrival; between them the adapters are
-ticked on a fixed grid. The same bag and configuration give the same output, byte for byte.
+Messages are handed over in order of log time, with the log time as time of arrival, or of their stamps; between them
+the adapters are ticked on a fixed grid. The same bag and configuration give the same output, byte for byte.
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from ship_node.adapter import Adapter
@@ -15,6 +15,7 @@ from ship_replay.bag_reader import Bag, BagRecord, read_bag
 from ship_replay.bag_suite import suite_config, suite_text
 from ship_replay.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_replay.errors import BadInput
+from ship_replay.log_times import LogTimes, in_order_of_stamps
 from ship_replay.message_store import RosbagsFactory
 from ship_replay.replay_run import ReplayRun, ReplaySummary
 from ship_replay.status_course import reasons_for
@@ -31,6 +32,7 @@ def replay(
     config_path: Path | None = None,
     namespace: str = "",
     watch: Watcher = lambda records, bag: records,
+    by_stamps: bool = False,
 ) -> ReplaySummary:
     """Replay a bag and write what the adapters publish, and the truth as it is.
 
@@ -41,6 +43,7 @@ def replay(
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
         watch: wraps the iteration over the bag, for a progress bar.
+        by_stamps: messages arrive at their stamps, whenever they were logged.
 
     Raises:
         BadInput: the bag, its topics or the configuration do not serve; nothing is written.
@@ -59,13 +62,16 @@ def replay(
             _announce(writer, bag, chain, config_text)
             run = ReplayRun(chain, writer, summary, truth_topics=names)
             relative_names = {name: relative for relative, name in names.items()}
-            for record in watch(bag.records(relative_names), bag):
+            records = watch(bag.records(relative_names), bag)
+            if by_stamps:
+                records = in_order_of_stamps(records, _usual_delay_ns(bag_path, relative_names))
+            for record in records:
                 run.take(relative_names[record.topic], record)
             if bag.last_time_ns is None or bag.start_ns is None:
                 told = "".join(f"; {problem}" for problem in bag.problems)
                 raise BadInput(f"{bag_path}: no message of {', '.join(sorted(relative_names))} could be read{told}")
             run.finish()
-        last_ns = bag.last_time_ns
+        last_ns = bag.last_time_ns if run.last_time_ns is None else run.last_time_ns
         for adapter in chain.adapters:
             health = adapter.health.messages(factory, last_ns)
             config = suite_config(bag, type(adapter), config_path, full_name(adapter.node_name, namespace))
@@ -79,9 +85,18 @@ def replay(
                     if reasons:
                         kept[name] = dict(reasons)
         summary.problems = left_out + bag.problems
-        summary.duration_s = (last_ns - bag.start_ns) / NS_PER_S
+        summary.duration_s = (bag.last_time_ns - bag.start_ns) / NS_PER_S
     summary.elapsed_s = time.monotonic() - started_s
     return summary
+
+
+def _usual_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:
+    """Log time minus stamp of most of the messages."""
+    times = LogTimes()
+    with read_bag(bag_path) as bag:
+        for record in bag.records(relative_names):
+            times.add(record.topic, record)
+    return times.usual_ns()
 
 
 def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> dict[str, str]:

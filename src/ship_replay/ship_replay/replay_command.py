@@ -35,10 +35,11 @@ def _parser() -> CommandParser:
         epilog="exit code: 0 replayed, with --verify: and equal to the last bit; 1 --verify found a difference or "
         "could not compare all; 2 bad input or usage, with one line that says which; 130 "
         "interrupted",
-        description="Replay a bag through the nodes that the configuration has sections for (star_attitude, whose "
-        "solutions go on to ship_attitude; ship_attitude), in process and as fast as it goes; the same bag and "
-        "configuration give the same output. Topics truth/* are copied. A node's black box is replayed with its "
-        "ticks, parameter changes, service calls and files, in the order of use.",
+        description=f"Replay a bag through the nodes that the configuration has sections for "
+        f"({', '.join(adapter.node_name for adapter in ADAPTERS)}; what one publishes goes on to those after it), in "
+        "process and as fast as it goes; the same bag and configuration give the same output. Topics truth/* are "
+        "copied. A node's black box is replayed with its ticks, parameter changes, service calls and files, in the "
+        "order of use.",
     )
     parser.add_argument("bag", type=Path, metavar="IN.mcap", help=".mcap file or rosbag2 folder, or a black box")
     parser.add_argument("--out", type=Path, metavar="OUT.mcap", help="bag to write; only --verify does without")
@@ -46,6 +47,12 @@ def _parser() -> CommandParser:
         "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
     )
     parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    parser.add_argument(
+        "--arrival",
+        choices=("log", "stamps"),
+        default="log",
+        help="when a message arrives: when it was logged (default), or at its stamp, for a bag whose recorder stalled",
+    )
     parser.add_argument("--report", type=Path, metavar="DIR", help="folder for figures (errors in arcsec) and JSON")
     parser.add_argument(
         "--verify",
@@ -60,6 +67,9 @@ def _parser() -> CommandParser:
 def _run(options: argparse.Namespace) -> int:
     if options.out is None and (not options.verify or options.report is not None):
         raise BadInput("--out is missing: only --verify does without, and it draws no report")
+    by_stamps = options.arrival == "stamps"
+    if by_stamps and options.verify:
+        raise BadInput("--arrival stamps and --verify contradict each other: outputs are as they were by log time")
     if options.out is not None and options.out.resolve() == options.bag.resolve():
         raise BadInput(f"{options.out}: the output would overwrite the input")
     if options.out is not None:
@@ -69,12 +79,14 @@ def _run(options: argparse.Namespace) -> int:
     with read_bag(options.bag) as bag:
         verification = None
         is_box = is_black_box(bag)
+        if is_box and by_stamps:
+            raise BadInput(f"{options.bag}: a black box holds its own order of arrival: leave out --arrival stamps")
         if is_box:
             verification = replay_black_box(bag, ADAPTERS, options.config, options.out, watched)
         elif options.verify:
             verification = verify_bag(bag, ADAPTERS, options.config, options.namespace, watched)
     if options.out is not None and not is_box:
-        _print(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, watch=watched))
+        _print(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, watched, by_stamps))
     if options.report is not None:
         _report(options)
     return EXIT_DONE if verification is None else _judge(verification, options.verify)
@@ -111,6 +123,9 @@ def _print(summary: ReplaySummary) -> None:
         print(f"not in the bag: {', '.join(summary.absent)}")
     for problem in summary.problems:
         print(f"warning: {problem}")
+    held_up = summary.log_times.held_up()
+    if held_up:
+        print(f"warning: {held_up}; --arrival stamps takes the stamps for the times of arrival")
     rate = summary.duration_s / summary.elapsed_s
     print(f"{summary.duration_s:.1f} s of data in {summary.elapsed_s:.1f} s ({rate:.0f} x real time)")
     for topic, course in sorted(summary.statuses.items()):

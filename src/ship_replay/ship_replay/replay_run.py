@@ -11,6 +11,7 @@ from ship_replay.adapter_chain import AdapterChain
 from ship_replay.bag_reader import BagRecord
 from ship_replay.errors import BadInput
 from ship_replay.gaps import MessageTimes
+from ship_replay.log_times import LogTimes
 from ship_replay.orientations import ORIENTATIONS
 from ship_replay.status_course import STATUS_TOPICS, StatusCourse
 from ship_replay.times import NS_PER_S
@@ -33,6 +34,7 @@ class ReplaySummary:
         undecodable: relative topic → messages whose bytes are not of their type.
         statuses: topic of a status → its course over time.
         times: relative topic → when its messages were stamped and arrived.
+        log_times: how regularly they were logged.
         reasons: why outputs were INVALID or DEGRADED, one line each.
         absent: optional input topics that are not in the bag.
         problems: what is wrong with the bag, one line each.
@@ -47,6 +49,7 @@ class ReplaySummary:
     undecodable: Counter[str] = field(default_factory=Counter)
     statuses: dict[str, StatusCourse] = field(default_factory=dict)
     times: dict[str, MessageTimes] = field(default_factory=dict)
+    log_times: LogTimes = field(default_factory=LogTimes)
     reasons: list[str] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -74,6 +77,9 @@ class ReplayRun:
         writer: takes the outputs.
         summary: is filled.
         truth_topics: topics of the bag; where the truth of an orientation is among them, its errors are filled in.
+
+    Attributes:
+        last_time_ns: arrival of the last message; None before the first.
     """
 
     def __init__(
@@ -84,7 +90,7 @@ class ReplayRun:
         self._summary = summary
         known = [orientation for orientation in ORIENTATIONS if orientation.truth_topic in truth_topics]
         self._errors = [TruthErrors(orientation) for orientation in known]
-        self._last_time_ns: int | None = None
+        self.last_time_ns: int | None = None
 
     def take(self, topic: str, record: BagRecord) -> None:
         """One message of the bag."""
@@ -103,6 +109,7 @@ class ReplayRun:
                 return
             self._summary.inputs[topic] += 1
             self._summary.times.setdefault(topic, MessageTimes()).add(record)
+            self._summary.log_times.add(topic, record)
             self._publish(self._chain.handle(topic, message, record.log_time_ns), record.log_time_ns)
         self._write_errors(record.log_time_ns)
 
@@ -112,12 +119,12 @@ class ReplayRun:
 
     def _tick_until(self, time_ns: int) -> None:
         """Tick on every multiple of the period that the time has passed since the last message."""
-        if self._last_time_ns is not None:
-            end_ns = min(time_ns, self._last_time_ns + _LONGEST_SILENCE_NS)
-            first_ns = (self._last_time_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS
+        if self.last_time_ns is not None:
+            end_ns = min(time_ns, self.last_time_ns + _LONGEST_SILENCE_NS)
+            first_ns = (self.last_time_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS
             for now_ns in range(first_ns, end_ns + 1, TICK_PERIOD_NS):
                 self._publish(self._chain.tick(now_ns), now_ns)
-        self._last_time_ns = time_ns
+        self.last_time_ns = time_ns
 
     def _publish(self, published: list[Published], time_ns: int) -> None:
         for topic, message in published:

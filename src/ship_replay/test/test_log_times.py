@@ -1,0 +1,101 @@
+"""A bag whose recorder stalled: told, and replayed by its stamps as if it had not."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hand_made_bags import START_NS, imu
+
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_node.stamps import ns_from_stamp
+from ship_replay.bag_reader import BagRecord, read_bag
+from ship_replay.bag_writer import BagWriter
+from ship_replay.log_times import LogTimes, in_order_of_stamps
+from ship_replay.message_store import message_store, serialize
+from ship_replay.replay import replay
+from ship_replay.replay_command import main
+
+DEMO = Path(__file__).parents[3] / "bags" / "demo.mcap"
+SECOND_NS = 10**9
+STALL_S = (6.0, 9.0)
+
+
+def stalled(path, stall_s):
+    """The first fifteen seconds of the demo; what came during the stall was logged at its end."""
+    with read_bag(DEMO) as bag, BagWriter(path) as out:
+        out.add_attachment("suite.yaml", bag.attachments["suite.yaml"])
+        first_ns, last_ns = (bag.start_ns + round(limit * SECOND_NS) for limit in stall_s)
+        for record in bag.records():
+            if record.log_time_ns > bag.start_ns + 15 * SECOND_NS:
+                break
+            inside = first_ns <= record.log_time_ns < last_ns
+            out.write_raw(record.topic, record.type_name, record.data, last_ns if inside else record.log_time_ns)
+    return path
+
+
+def attitudes(path):
+    """Stamp → heading, of those that claim something."""
+    with read_bag(path) as bag:
+        messages = (record.decode() for record in bag.records({"ship/attitude"}))
+        return {ns_from_stamp(m.header.stamp): m.heading for m in messages if m.status != m.INVALID}
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stall")
+    return stalled(folder / "regular.mcap", (0.0, 0.0)), stalled(folder / "stalled.mcap", STALL_S)
+
+
+def test_mend_22_by_its_stamps_a_stalled_recording_gives_what_a_regular_one_gives(bags, tmp_path):
+    outputs, summaries = [], []
+    for number, bag in enumerate(bags):
+        out = tmp_path / f"{number}.mcap"
+        summaries.append(replay(bag, out, (ShipAttitudeAdapter,), by_stamps=True))
+        outputs.append(out)
+    regular, held_up = map(attitudes, outputs)
+    assert len(regular) > 700
+    assert held_up == regular
+    # Nothing is to be told where it does no harm.
+    assert [summary.log_times.held_up() for summary in summaries] == ["", ""]
+    again = tmp_path / "again.mcap"
+    replay(bags[1], again, (ShipAttitudeAdapter,), by_stamps=True)
+    assert again.read_bytes() == outputs[1].read_bytes()
+
+
+def test_mend_22_irregular_log_times_are_told(bags, tmp_path, capsys):
+    for bag in bags:
+        assert main([str(bag), "--out", str(tmp_path / f"out_{bag.name}")]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if "log times" in line]
+    (line,) = told
+    assert "messages were logged more than 0.5 s later after their stamps than usual, the most by 3.00 s" in line
+    assert "--arrival stamps" in line
+
+
+def record_of(stamp_ns, log_time_ns):
+    return BagRecord("ins/imu", "sensor_msgs/msg/Imu", log_time_ns, serialize(imu(stamp_ns)), message_store())
+
+
+def test_mend_22_messages_without_a_usable_stamp_keep_their_place():
+    """Log times half a second after the stamps; one stamp is zero, one of another year."""
+    rng = np.random.default_rng(1)
+    stamps = START_NS + np.arange(300) * 10**8
+    logged = np.maximum.accumulate(stamps + 5 * 10**8 + np.where(rng.random(300) < 0.1, 2 * SECOND_NS, 0))
+    shown = stamps.copy()
+    shown[40], shown[70] = 0, START_NS + 10**9 * SECOND_NS // 10**3
+    records = [record_of(int(s), int(log)) for s, log in zip(shown, logged, strict=True)]
+    times = LogTimes()
+    for record in records:
+        times.add(record.topic, record)
+    assert times.usual_ns() >= 5 * 10**8
+    places = [int(log) - times.usual_ns() for log in logged]
+    arrived = [record.log_time_ns for record in in_order_of_stamps(iter(records), times.usual_ns())]
+    assert arrived == sorted(arrived)
+    expected = Counter(int(stamp) for number, stamp in enumerate(stamps) if number not in (40, 70))
+    assert Counter(arrived) == expected + Counter([places[40], places[70]])
+
+
+@pytest.mark.parametrize("option", ["--verify"])
+def test_mend_22_arrival_by_stamps_does_not_verify(bags, option, tmp_path, capsys):
+    assert main([str(bags[0]), "--out", str(tmp_path / "o.mcap"), "--arrival", "stamps", option]) == 2
+    assert "contradict each other" in capsys.readouterr().err
