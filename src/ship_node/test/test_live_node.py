@@ -3,6 +3,7 @@
 import math
 import re
 import time
+from itertools import pairwise
 
 import pytest
 import rclpy
@@ -172,6 +173,29 @@ def test_mend_18_a_flood_stops_neither_ticks_nor_what_comes_after_it(live_relay)
     latest_ns = time.time_ns()
     publisher.publish(imu_message(latest_ns))
     relay.wait_until(lambda: ns_from_stamp(relay.attitudes[-1].header.stamp) == latest_ns)
+
+
+def test_mend_04_a_node_that_stood_still_takes_what_came_before_it_judges_silence(live_relay):
+    relay = live_relay(*RELIABLE_INPUT)
+    handle, uses = relay.adapter.handle, []
+
+    def handle_noting(topic, message, receive_ns, waiting_ns):
+        uses.append(waiting_ns)
+        if len(uses) == 1:
+            time.sleep(1.3)
+        return handle(topic, message, receive_ns, waiting_ns)
+
+    relay.adapter.handle = handle_noting
+    publisher = relay.imu_publisher()
+    for _ in range(30):
+        publisher.publish(imu_message(time.time_ns()))
+        relay.spin()
+        time.sleep(0.03)
+    relay.wait_until(lambda: len(relay.attitudes) == 30)
+    # The time of waiting hardly went on: no more than two ticks lie between what came before the stop and after it.
+    stop_ns = max(later - earlier for earlier, later in pairwise(uses))
+    assert stop_ns <= 2 * TICK_PERIOD_NS
+    assert sum(uses[0] < tick_ns <= uses[1] for tick_ns in relay.adapter.ticks) <= 2
 
 
 def test_mend_18_a_message_too_large_to_decode_is_counted_and_harms_nothing(live_relay):

@@ -1,4 +1,4 @@
-from ship_node.tick_grid import TickGrid
+from ship_node.tick_grid import TickGrid, WaitingClock
 
 
 def test_first_call_only_starts_the_grid():
@@ -27,3 +27,16 @@ def test_restart_makes_up_for_nothing():
     list(grid.due(1050))
     grid.restart(500)
     assert list(grid.due(700)) == [600, 700]
+
+
+def test_mend_04_waiting_is_the_time_in_which_the_node_listens() -> None:
+    start_ns, steady_ns = 1_700_000_000_000_000_000, 5_000_000_000
+    clock = WaitingClock(lambda: steady_ns)
+    assert clock.now_ns(start_ns) == start_ns
+    steady_ns += 1_200_000_000
+    # It was not asked for so long: the node stood still.
+    assert clock.now_ns(start_ns) == start_ns + 200_000_000
+    steady_ns += 50_000_000
+    # Whatever the system's clock shows.
+    assert clock.now_ns(start_ns - 3600 * 10**9) == start_ns + 250_000_000
+    assert clock.now_ns(start_ns + 3600 * 10**9) == start_ns + 250_000_000
