@@ -14,7 +14,11 @@ class InsConfig(InsErrorConfig):
     """The inertial navigation system."""
 
     silence_s: float = parameter(
-        1.0, doc="without samples for this long the INS counts as gone", unit="s", minimum=0.05, maximum=60.0
+        1.0,
+        doc="without samples that can be used for this long the INS counts as gone",
+        unit="s",
+        minimum=0.05,
+        maximum=60.0,
     )
 
 

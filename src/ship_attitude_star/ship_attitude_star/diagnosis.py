@@ -11,7 +11,7 @@ _WORDS = {
     Status.VALID: (Level.OK, "VALID: INS and stars"),
     Status.COASTING: (Level.WARN, "COASTING: no stars, the INS carries on with growing uncertainty"),
     Status.DEGRADED: (Level.WARN, "DEGRADED"),
-    Status.INVALID: (Level.ERROR, "INVALID: neither INS nor stars"),
+    Status.INVALID: (Level.ERROR, "INVALID: neither the INS nor stars give an attitude"),
 }
 
 

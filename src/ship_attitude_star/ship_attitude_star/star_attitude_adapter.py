@@ -68,14 +68,15 @@ class StarAttitudeAdapter:
         self.start_warnings: tuple[str, ...] = ()
         if not config.star_sensors:
             self.start_warnings = ("no star_sensors are configured: there is nothing to solve",)
-        self._latest: dict[str, Solved] = {}
+        self._latest: dict[str, tuple[Solved, int]] = {}
+        self._waiting_ns = 0
         self._budget_due: Solved | None = None
         self._slow_due_ns: int | None = None
         self._clock_jumps = 0
 
     def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Take one message of an input topic."""
-        waiting_ns = receive_ns if waiting_ns is None else waiting_ns
+        self._waiting_ns = waiting_ns = receive_ns if waiting_ns is None else waiting_ns
         self.health.arrived(topic, waiting_ns)
         try:
             if topic in self._sensors:
@@ -90,7 +91,7 @@ class StarAttitudeAdapter:
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Solve what has waited long enough; once a period, the slow topics."""
-        waiting_ns = now_ns if waiting_ns is None else waiting_ns
+        self._waiting_ns = waiting_ns = now_ns if waiting_ns is None else waiting_ns
         published = self._published(self.core.tick(waiting_ns), now_ns)
         if self._slow_due_ns is None or waiting_ns >= self._slow_due_ns:
             self._slow_due_ns = waiting_ns + round(self._config.slow_topics_period_s * _SECOND_NS)
@@ -174,7 +175,7 @@ class StarAttitudeAdapter:
     def _published(self, outcome: StarOutcome, now_ns: int) -> list[Published]:
         published: list[Published] = []
         for solved in outcome.solved:
-            self._latest[solved.sensor_id] = solved
+            self._latest[solved.sensor_id] = solved, self._waiting_ns
             published += self._joint(solved) if solved.sensor_id == JOINT else self._single(solved, now_ns)
         for source, time_ns in outcome.not_joined:
             text = "too late for the joint solution of its time; that of its sensor is published"
@@ -223,7 +224,7 @@ class StarAttitudeAdapter:
         published += [("input_health", message) for message in self.health.messages(factory, now_ns, waiting_ns)]
         statuses = [
             *self.health.statuses(now_ns, waiting_ns),
-            *solution_statuses(self._config, self._latest, self.core.joined_by_ins),
+            *solution_statuses(self._config, self._latest, self.core.joined_by_ins, waiting_ns),
             sky_status(self.core.not_measured(), self._clock_jumps),
         ]
         published.append((DIAGNOSTICS_TOPIC, diagnostic_array(factory, now_ns, self.node_name, statuses)))

@@ -18,20 +18,26 @@ _WORDS = {
 }
 
 
+SILENT_NS = 10_000_000_000
+"""A solution put out longer ago than this says nothing of now, ns."""
+
+
 def solution_statuses(
-    config: StarAttitudeConfig, latest: Mapping[str, Solved], joined_by_ins: bool
+    config: StarAttitudeConfig, latest: Mapping[str, tuple[Solved, int]], joined_by_ins: bool, waiting_ns: int
 ) -> list[DiagnosticStatus]:
     """State of each sensor's last solution, and of the joint one.
 
     Args:
         config: the sensors.
-        latest: last solutions by id.
+        latest: last solutions by id, each with the time of waiting when it was put out.
         joined_by_ins: whether ``ins/imu`` moved the last exposures to one moment.
+        waiting_ns: the time of waiting now.
     """
     how = ""
     if len(config.star_sensors) > 1 and not joined_by_ins:
         how = f"; without ins/imu only exposures within {1e3 * config.joint.simultaneous_s:g} ms are joined"
-    return [_status(id_, latest.get(id_), how if id_ == JOINT else "") for id_ in (*config.star_sensors, JOINT)]
+    ids = (*config.star_sensors, JOINT)
+    return [_status(id_, latest.get(id_), how if id_ == JOINT else "", waiting_ns) for id_ in ids]
 
 
 def sky_status(not_measured: Sequence[str], clock_jumps: int) -> DiagnosticStatus:
@@ -47,10 +53,14 @@ def sky_status(not_measured: Sequence[str], clock_jumps: int) -> DiagnosticStatu
     return DiagnosticStatus("sky", Level.OK, text, {"clock jumps back": str(clock_jumps)})
 
 
-def _status(id_: str, solved: Solved | None, how: str) -> DiagnosticStatus:
+def _status(id_: str, last: tuple[Solved, int] | None, how: str, waiting_ns: int) -> DiagnosticStatus:
     name = f"solution {id_}"
-    if solved is None:
+    if last is None:
         return DiagnosticStatus(name, Level.OK, f"none yet{how}")
+    solved, put_out_ns = last
+    if waiting_ns - put_out_ns > SILENT_NS:
+        text = f"none for {(waiting_ns - put_out_ns) * 1e-9:.0f} s, {solved.solution.status.name} before{how}"
+        return DiagnosticStatus(name, Level.WARN, text)
     level, text = _WORDS[solved.solution.status]
     if solved.solution.refusal is not None:
         text += f": {solved.solution.refusal.text}"

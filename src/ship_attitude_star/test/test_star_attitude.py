@@ -381,3 +381,15 @@ def status(run: Run, name: str) -> tuple[int, str, dict[str, str]]:
     report = [message for _, topic, message in run.published if topic == "/diagnostics"][-1]
     (found,) = [entry for entry in report.status if entry.name == f"star_attitude: {name}"]
     return found.level[0], found.message, {value.key: value.value for value in found.values}
+
+
+def test_mend_01_a_solution_of_long_ago_says_nothing_of_now() -> None:
+    """Exposures end; the last solutions were VALID."""
+    run = drive(new_adapter(), voyage(), until_ns=voyage()[-1].receive_ns + 15 * SECOND_NS)
+    for name in ("solution fore", "solution joint"):
+        reports = run.diagnostics(name, run.now_ns - 14 * SECOND_NS, run.now_ns)
+        assert reports[0] == (0, "VALID")
+        level, text = reports[-1]
+        assert level == 1
+        assert text.startswith("none for 1")
+        assert text.endswith(" s, VALID before")
