@@ -36,6 +36,11 @@ class Arrivals:
         return self.newest_ns - self._lag_ns
 
     @property
+    def window_ns(self) -> tuple[int, int]:
+        """The oldest and the newest stamp that can still be applied, ns."""
+        return self.oldest_ns, self.newest_ns
+
+    @property
     def rates_wrong(self) -> bool:
         """True while the INS's rates and attitudes contradict one another by a wrong unit."""
         return self._guards.rates_wrong

@@ -198,7 +198,7 @@ class ShipAttitudeCore:
             self._watch.drop_before(reach_ns)
 
     def _apply(self, outcome: Outcome) -> None:
-        for decision, previous in self._log.apply(self._step, _failed):
+        for decision, previous in self._log.apply(self._step, _failed, self._arrivals.window_ns):
             if previous is None:
                 outcome.decisions.append(decision)
             elif previous.accepted != decision.accepted:

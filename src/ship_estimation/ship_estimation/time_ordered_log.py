@@ -15,6 +15,12 @@ State = TypeVar("State")
 Measurement = TypeVar("Measurement")
 Decision = TypeVar("Decision")
 
+MOST_REPEATS_PER_S = 400
+"""Measurements applied again in a second of data: ten in ordinary data, two hundred where every input of a ship comes
+out of order by up to two seconds. A flood of late ones would make thousands, and hold up the output."""
+
+_SECOND_NS = 1_000_000_000
+
 Key = tuple[int, Any]
 """(time_ns, tie-breaker): the order of application."""
 
@@ -39,6 +45,7 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
         self._keys: list[Key] = []
         self._entries: list[_Entry[Measurement, State, Decision]] = []
         self._applied = 0
+        self._repeats, self._repeats_since_ns = 0, 0
 
     @property
     def state(self) -> State:
@@ -78,12 +85,16 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
         self,
         step: Callable[[State, Measurement], tuple[State, Decision] | None],
         failed: Callable[[Measurement, Exception], Decision],
+        window_ns: tuple[int, int] | None = None,
     ) -> list[tuple[Decision, Decision | None]]:
         """Apply what waits, in order, until ``step`` returns None because it needs data still to come.
 
         Args:
             step: state and decision after a measurement.
             failed: the decision about a measurement on which ``step`` raised; the state stays as it was before it.
+            window_ns: the oldest and the newest stamp of the window. What was applied before is applied again at
+                most :data:`MOST_REPEATS_PER_S` times in a second of data; beyond that it waits for the next one, or
+                until it leaves the window: the state is behind meanwhile, and ends the same. None: nothing waits.
 
         Returns:
             For each measurement applied: its decision and, where it had been applied before, the one it replaces.
@@ -91,6 +102,8 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
         decisions: list[tuple[Decision, Decision | None]] = []
         while self._applied < len(self._entries):
             entry = self._entries[self._applied]
+            if window_ns is not None and entry.decision is not None and not self._may_repeat(entry.key, *window_ns):
+                break
             before = self._state_before(self._applied)
             result: tuple[State, Decision] | None
             try:
@@ -100,6 +113,7 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
             if result is None:
                 break
             previous = entry.decision
+            self._repeats += previous is not None
             entry.state_after, entry.decision = result
             decisions.append((entry.decision, previous))
             self._applied += 1
@@ -113,6 +127,12 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
             del self._keys[:count]
             del self._entries[:count]
             self._applied -= count
+
+    def _may_repeat(self, key: Key, oldest_ns: int, newest_ns: int) -> bool:
+        if newest_ns - self._repeats_since_ns >= _SECOND_NS:
+            self._repeats, self._repeats_since_ns = 0, newest_ns
+        # What leaves the window can only now be right; it does so once.
+        return self._repeats < MOST_REPEATS_PER_S or key[0] < oldest_ns
 
     def _state_before(self, index: int) -> State:
         if index == 0:

@@ -9,7 +9,7 @@ import hypothesis.strategies as st
 from hypothesis import given, settings
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from ship_estimation.time_ordered_log import Key, TimeOrderedLog
+from ship_estimation.time_ordered_log import MOST_REPEATS_PER_S, Key, TimeOrderedLog
 
 # Fixed examples, nothing kept between runs.
 repeatable = settings(derandomize=True, database=None, deadline=None, max_examples=200)
@@ -262,3 +262,36 @@ class LogAgainstSorting(RuleBasedStateMachine):
 
 TestLogAgainstSorting = LogAgainstSorting.TestCase
 TestLogAgainstSorting.settings = settings(repeatable, max_examples=100, stateful_step_count=30)
+
+
+def test_mend_18_a_flood_of_late_measurements_repeats_so_much_a_second_and_ends_in_the_same_state() -> None:
+    """Half of what comes is a second late: each time everything since would be applied again."""
+    ms, lag_ns, log = 1_000_000, 2_000_000_000, Log(START)
+    known: dict[Key, float] = {}
+    repeats_by_second = [0] * 8
+    most_waiting = 0
+    for number in range(1, 3000):
+        newest_ns = number * 2 * ms
+        late = (newest_ns - 1_000_000_000 + 1, "late")
+        for key in ((newest_ns, "prompt"), *([late] if newest_ns > 1_000_000_000 else [])):
+            known[key] = math.sin(number)
+            insert(log, key, known[key])
+            decisions = log.apply(step, failed, (newest_ns - lag_ns, newest_ns))
+            repeats_by_second[newest_ns // 1_000_000_000] += sum(previous is not None for _, previous in decisions)
+        log.forget_before(newest_ns - lag_ns)
+        most_waiting = max(most_waiting, log.waiting)
+    # Unbounded it would be 500 times some 500 a second. What leaves the window is brought up to date once more.
+    assert max(repeats_by_second) <= 2 * MOST_REPEATS_PER_S + 1000
+    assert most_waiting <= 3 * 1000
+    log.apply(step, failed)
+    assert log.state == in_own_order(known)[0]
+
+
+def test_few_late_measurements_are_applied_at_once() -> None:
+    log = Log(START)
+    known = {(time_ns, "star.fore"): 0.1 * time_ns for time_ns in range(1, 21)}
+    for key, value in sorted(known.items(), reverse=True):
+        insert(log, key, value)
+        log.apply(step, failed, (0, 20))
+        assert log.waiting == 0
+    assert log.state == in_own_order(known)[0]

@@ -193,7 +193,7 @@ class OpticalAxisCore:
     def _advance(self, time_ns: int, outcome: Outcome) -> None:
         """Apply what can be applied now, then close the window behind ``lag_s``."""
         self._newest_ns = max(self._newest_ns, time_ns)
-        for decision, previous in self._log.apply(self._step, _failed):
+        for decision, previous in self._log.apply(self._step, _failed, (self._oldest_ns, self._newest_ns)):
             self._tell_watch(decision)
             if previous is None:
                 outcome.decisions.append(decision)
