@@ -47,7 +47,7 @@ def compare(
     """Compare a measurement with the attitude predicted for its device.
 
     Args:
-        measurement: an attitude, an attitude against the ICRS, or single stars.
+        measurement: an attitude in the horizon, or single stars.
         predicted: attitude of the device at the moment of the measurement.
         model: what the states are.
         mean: of the state, shape (n,).
@@ -60,13 +60,10 @@ def compare(
     if isinstance(measurement, AttitudeMeasurement):
         return _compare_attitude(measurement, predicted, model, mean)
     assert watch is not None
-    assert isinstance(measurement, StarExposure | InertialAttitude)
+    assert isinstance(measurement, StarExposure)
     refusal = watch.reason_against(measurement.time_ns)
     if refusal is not None:
         return refusal
-    if isinstance(measurement, InertialAttitude):
-        attitude = in_horizon(measurement, watch)
-        return attitude if isinstance(attitude, Refusal) else _compare_attitude(attitude, predicted, model, mean)
     stars = star_residuals(measurement, predicted, covariance, watch, model, mean)
     if isinstance(stars, Refusal):
         return stars
@@ -101,14 +98,15 @@ def attitude_alone(measurement: Measurement, watch: SkyWatch | None) -> Attitude
     if isinstance(measurement, AttitudeMeasurement):
         return measurement
     assert watch is not None
-    assert isinstance(measurement, StarExposure | InertialAttitude)
+    if isinstance(measurement, InertialAttitude):
+        attitude = in_horizon(measurement, watch)
+        if isinstance(attitude, Refusal):
+            return None
+        assert attitude.shared_n is not None
+        common_n = attitude.common_n + attitude.shared_n @ attitude.shared_n.T
+        return replace(attitude, common_n=common_n, shared_n=None)
+    assert isinstance(measurement, StarExposure)
     if watch.reason_against(measurement.time_ns) is not None:
         return None
-    if isinstance(measurement, StarExposure):
-        attitude = attitude_by_stars(measurement, watch)
-        return None if isinstance(attitude, Refusal) else attitude
-    attitude = in_horizon(measurement, watch)
-    if isinstance(attitude, Refusal):
-        return None
-    assert attitude.shared_n is not None
-    return replace(attitude, common_n=attitude.shared_n @ attitude.shared_n.T, shared_n=None)
+    by_stars = attitude_by_stars(measurement, watch)
+    return None if isinstance(by_stars, Refusal) else by_stars

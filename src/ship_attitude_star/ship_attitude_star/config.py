@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from ship_attitude_star.device_config import MountingConfig, check_sensor_ids
-from ship_attitude_star.star_config import CameraConfig, SkyConfig
+from ship_attitude_star.star_config import CameraConfig, InertialConfig, SkyConfig
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins_config import InsErrorConfig
 from ship_estimation.parameters import arcsec, degrees, mapping_of, parameter, section
@@ -32,6 +32,7 @@ class StarSensorConfig(MountingConfig):
         choices=("horizon_attitude", "solution", "observations", "inertial_attitude"),
     )
     camera: CameraConfig = section(CameraConfig)
+    inertial: InertialConfig = section(InertialConfig)
     serial: str = parameter("", doc="serial number; a saved alignment of another one becomes a wider prior")
     installation_walk_forward_arcsec_per_sqrt_h: float = parameter(
         0.0, doc="random walk of the installation about the boresight", unit="arcsec/sqrt(h)", minimum=0.0

@@ -70,9 +70,10 @@ def inertial_attitude(message: Any, sensor_id: str, config: StarSensorConfig, re
     rotation_cs = celestial_rotation_from_quaternion(unit_quaternion(message.orientation, "orientation"))
     covariance_flu = _angular_covariance(message.covariance, "covariance")
     if covariance_flu is None:
-        return InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, _configured_noise(config), False)
+        noise_s = _configured_noise(config)
+        return InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, False, config.inertial.field)
     noise_s = FLU_FROM_DEVICE.T @ covariance_flu @ FLU_FROM_DEVICE
-    return InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s)
+    return InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, field=config.inertial.field)
 
 
 def reference_measurement(message: Any, name: str, config: ReferenceConfig, receive_ns: int) -> AttitudeMeasurement:

@@ -13,6 +13,7 @@ from ship_attitude_star.comparison import compare
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.filter_model import SOURCE_INTERPOLATION, SOURCE_STAR_COMMON, Device, devices, state_model
 from ship_attitude_star.hints import heading_hint
+from ship_attitude_star.inertial_attitude import InertialAttitude, in_horizon
 from ship_attitude_star.measurement_models import ins_time_of, predict_attitude
 from ship_attitude_star.samples import AttitudeMeasurement, Decision, Measurement
 from ship_attitude_star.sky_watch import SkyWatch
@@ -119,6 +120,12 @@ class ShipFilter:
             return state, Decision(measurement, Reason.GAP, ins_time_ns, text=text)
         device = self.devices[measurement.source]
         looked_at = measurement
+        if isinstance(measurement, InertialAttitude):
+            assert watch is not None
+            turned = in_horizon(measurement, watch)
+            if isinstance(turned, Refusal):
+                return state, Decision(measurement, turned.reason, ins_time_ns, text=turned.text)
+            looked_at = turned
         if isinstance(measurement, StarExposure) and measurement.length is not None:
             turning = turning_over(track, ins_time_ns, measurement.length.nodes)
             if turning is None:
@@ -127,7 +134,7 @@ class ShipFilter:
             looked_at = at_middle(measurement, turning.mounted(device.rotation_dv0))
             # What is predicted is the mean over the exposure: its errors are those of the mean.
             ins = replace(ins, noise_gain=turning.noise_gain, error_covariance_d=turning.error_covariance)
-        before, state = state, self._with_common(self.predicted(state, measurement.time_ns), measurement)
+        before, state = state, self._with_common(self.predicted(state, measurement.time_ns), looked_at)
         predicted = predict_attitude(device, self.model, state.mean, ins)
         compared = compare(looked_at, predicted, self.model, state.mean, state.covariance, watch)
         if isinstance(compared, Refusal):

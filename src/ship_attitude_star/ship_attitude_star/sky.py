@@ -6,6 +6,7 @@ direction is given with its displacement by one standard deviation of each of th
 
 from dataclasses import dataclass
 
+import erfa
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,9 +15,16 @@ from ship_attitude_star.surroundings import Air, Place
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.earth_orientation import EarthOrientationTable
 from ship_geometry.geodetic import horizon_radii_m
-from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, elevation_of, lifted, refraction
+from ship_geometry.refraction import (
+    LOWEST_ELEVATION,
+    ModelName,
+    elevation_of,
+    lifted,
+    refraction,
+    refraction_slopes,
+)
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
-from ship_geometry.star_directions import RefreshedSky, StarPositions
+from ship_geometry.star_directions import RefreshedSky, StarPositions, fixed_stars
 
 SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position")
 """Error source of each column of :attr:`ApparentStars.shared_n`: of two for the position, one is north."""
@@ -102,6 +110,18 @@ class Sky:
         """Refraction at an elevation without air and its standard deviation, rad; NaN where the model does not hold."""
         bent = refraction(self._model, elevation, air.weather, self._wavelength_um)
         return float(bent.angle), float(bent.sigma(air.pressure_sigma_hpa, air.temperature_sigma_k))
+
+    def refraction_slopes_at(self, elevation: float, air: Air) -> tuple[float, float]:
+        """First and second derivative of refraction by elevation, rad/rad and rad/rad²."""
+        return refraction_slopes(self._model, elevation, air.weather, self._wavelength_um)
+
+    def aberration_at(self, direction_n: FloatArray, time_ns: int, place: Place) -> FloatArray:
+        """Displacement of a star in a direction (N, U, E) by aberration, without air, rad, shape (3,)."""
+        rotation_nc = self.rotation_horizon_from_icrs(time_ns, place)
+        star = fixed_stars(*erfa.c2s(rotation_nc.T @ direction_n))
+        seen_n = self._refreshed.directions(star, time_ns, place.observer)
+        displacement: FloatArray = seen_n - direction_n
+        return displacement
 
     def turns(self, time_ns: int, place: Place) -> FloatArray:
         """Turn of the whole sky by one sigma of Earth rotation and of position, rotation vectors, rad, shape (3, 3)."""

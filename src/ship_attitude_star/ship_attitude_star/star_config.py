@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ship_attitude_star.star_camera import Distortion, StarCamera
 from ship_estimation.parameters import ParameterError, parameter
 
@@ -67,6 +69,44 @@ class CameraConfig:
             self.principal_v_px,
             None if distortion == Distortion() else distortion,
         )
+
+
+@dataclass(frozen=True)
+class FieldOfView:
+    """How a tracker sees the sky.
+
+    Attributes:
+        radius: of the field, rad; 0 for a tracker whose stars all stand at the boresight.
+        aberration_removed: whether its catalogue places have aberration in them, so that it is not in the attitude.
+    """
+
+    radius: float = 0.0
+    aberration_removed: bool = True
+
+
+AT_BORESIGHT = FieldOfView()
+"""All stars at the boresight, aberration taken out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InertialConfig:
+    """How a star tracker solves its attitude against the ICRS; only for ``input: inertial_attitude``."""
+
+    aberration_removed: bool = parameter(
+        True, doc="the tracker takes annual aberration out; false: its attitude is that of the stars as seen"
+    )
+    field_deg: float = parameter(
+        20.0,
+        doc="width of the tracker's field: refraction differs over it; 0: as if all its stars were at the boresight",
+        unit="deg",
+        minimum=0.0,
+        maximum=60.0,
+    )
+
+    @property
+    def field(self) -> FieldOfView:
+        """What these parameters mean."""
+        return FieldOfView(0.5 * float(np.deg2rad(self.field_deg)), self.aberration_removed)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -75,7 +75,8 @@ def _input(sensor: StarSensor) -> dict[str, Any]:
     if sensor.output == "horizon_attitude":
         return {}
     if sensor.output == "inertial_attitude":
-        return {"input": sensor.output}
+        # The simulated tracker sees the air of its boresight alone.
+        return {"input": sensor.output, "inertial": {"field_deg": 0.0}}
     return {"input": sensor.output, "camera": shared(sensor.camera, CameraConfig)}
 
 
