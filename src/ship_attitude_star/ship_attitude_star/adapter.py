@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from ship_attitude_star import alignment_file, messages_out
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.diagnosis import attitude_status, conflict_statuses, start_warnings
+from ship_attitude_star.diagnosis import attitude_status, conflict_statuses, rates_status, start_warnings
 from ship_attitude_star.samples import AttitudeEstimate, Decision, Outcome, Status
 from ship_attitude_star.ship_core import ShipAttitudeCore
 from ship_attitude_star.ship_inputs import ShipInputs
@@ -233,6 +233,7 @@ class ShipAttitudeAdapter:
         return [
             attitude_status(self._latest, self._clock_jumps, self.start_warnings),
             DiagnosticStatus("alignment", level, text),
+            rates_status(self.core.rates),
             *conflict_statuses(self._conflicts),
         ]
 

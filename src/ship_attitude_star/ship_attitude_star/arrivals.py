@@ -2,12 +2,13 @@
 
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.inertial_attitude import InertialAttitude
+from ship_attitude_star.ins_guard import JudgedIns
+from ship_attitude_star.rate_guard import Rates
 from ship_attitude_star.samples import AttitudeMeasurement, Measurement
 from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.stream_guards import StreamGuards
 from ship_estimation.refusals import Reason, Refusal
-from ship_geometry.attitude_track import AttitudeSample
-from ship_geometry.rotations import ARCSEC
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 
 _SECOND_NS = 1_000_000_000
 
@@ -26,7 +27,7 @@ class Arrivals:
     def __init__(self, config: ShipAttitudeConfig) -> None:
         self._lag_s = config.lag_s
         self._lag_ns = round(config.lag_s * _SECOND_NS)
-        self._guards = StreamGuards(config.ins.white_sigma_arcsec * ARCSEC)
+        self._guards = StreamGuards(config.ins)
         self.newest_ns = 0
         self.latest_ns: dict[str, int] = {}
 
@@ -41,30 +42,33 @@ class Arrivals:
         return self.oldest_ns, self.newest_ns
 
     @property
-    def rates_wrong(self) -> bool:
-        """True while the INS's rates and attitudes contradict one another by a wrong unit."""
-        return self._guards.rates_wrong
+    def rates(self) -> Rates:
+        """What the INS's rates are worth."""
+        return self._guards.rates
 
-    def ins_refusal(self, sample: AttitudeSample, newest: AttitudeSample | None) -> Refusal | None:
-        """Why an INS sample is not used; ``newest`` is the latest one used before."""
+    def reconfigure(self, config: ShipAttitudeConfig) -> None:
+        """Go on with other noise."""
+        self._guards.reconfigure(config.ins)
+
+    def judge_ins(self, sample: AttitudeSample, track: AttitudeTrack) -> JudgedIns:
+        """What is to be done with an INS sample; ``track`` holds those used before."""
         if sample.time_ns < self.oldest_ns:
-            return self._late(sample.time_ns)
-        if newest is not None and sample.time_ns <= newest.time_ns:
-            return None  # the guards watch the stream in order
-        return self._guards.check_ins(sample)
+            return JudgedIns(sample, self._late(sample.time_ns))
+        return self._guards.check_ins(sample, track)
 
-    def measurement_refusal(self, measurement: Measurement, newest_ins: AttitudeSample | None) -> Refusal | None:
-        """Why a measurement is not used."""
+    def measurement_refusal(self, measurement: Measurement, track: AttitudeTrack) -> Refusal | None:
+        """Why a measurement is not used; ``track`` holds the INS's samples."""
         if measurement.time_ns < self.oldest_ns:
             return self._late(measurement.time_ns)
         if not self._is_latest(measurement):
             return None
+        ins = track.last_before(measurement.time_ns)
         if isinstance(measurement, StarExposure):
-            return self._guards.check_exposure(measurement, newest_ins)
+            return self._guards.check_exposure(measurement, ins)
         if isinstance(measurement, InertialAttitude):
-            return self._guards.check_inertial(measurement, newest_ins)
+            return self._guards.check_inertial(measurement, ins)
         assert isinstance(measurement, AttitudeMeasurement)
-        return self._guards.check_measurement(measurement, newest_ins)
+        return self._guards.check_measurement(measurement, ins)
 
     def used(self, measurement: Measurement) -> None:
         """A measurement was not refused."""

@@ -48,7 +48,7 @@ class CorrectedIns:
         """
         since_ns = self.state.time_ns if self.state.time_ns is not None else time_ns
         decay, noise = self._model.transition(max(time_ns - since_ns, 0) * 1e-9)
-        error = decay[self._attitude_rows] * self._mean[:3]
+        error = self._filter.ins_error(self._mean[:3], decay[self._attitude_rows])
         correction = exp_rotation(error)
         rotation_nd = correction @ ins.rotation_nd
 
@@ -71,7 +71,7 @@ class CorrectedIns:
         recent_ns = time_ns - config.coasting_after_s * _SECOND_NS
         used = sorted(source for source, used_ns in self.state.used_ns.items() if used_ns >= recent_ns)
         star_age_s = _star_age_s(self._filter, self.state, time_ns)
-        if np.isnan(star_age_s):
+        if np.isnan(star_age_s) or self.state.jumped:
             status = Status.DEGRADED
         elif star_age_s <= config.coasting_after_s:
             status = Status.VALID

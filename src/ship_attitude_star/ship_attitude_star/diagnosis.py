@@ -1,8 +1,10 @@
 """What the diagnostics say of the attitude itself, in words for the watch."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.rate_guard import Rates
 from ship_attitude_star.samples import AttitudeEstimate, Decision, Status
 from ship_node.diagnostics import Level
 from ship_node.diagnostics import Status as DiagnosticStatus
@@ -12,6 +14,15 @@ _WORDS = {
     Status.COASTING: (Level.WARN, "COASTING: no stars, the INS carries on with growing uncertainty"),
     Status.DEGRADED: (Level.WARN, "DEGRADED"),
     Status.INVALID: (Level.ERROR, "INVALID: neither the INS nor stars give an attitude"),
+}
+_RATES = {
+    Rates.UNPROVEN: (Level.OK, "not judged yet: too little motion, or none are given"),
+    Rates.MEASURED: (Level.OK, "angular_velocity turns as the orientation does"),
+    Rates.NOT_MEASURED: (
+        Level.WARN,
+        "angular_velocity does not turn as the orientation does: not used (zero, noise, other axes, another unit?)",
+    ),
+    Rates.WRONG_UNITS: (Level.ERROR, "angular_velocity is in another unit than rad/s: the INS is not used"),
 }
 
 
@@ -40,7 +51,7 @@ def attitude_status(
     if estimate.status is Status.DEGRADED and lacking and "ins" in estimate.sources:
         text += f": {'; '.join(lacking)}"
     elif estimate.status is Status.DEGRADED:
-        text += ": INS alone, no star yet" if "ins" in estimate.sources else ": INS gone, stars alone"
+        text += f": {_why_degraded(estimate)}"
     values |= {"sources": ", ".join(estimate.sources), "star age (s)": f"{estimate.star_age_s:.1f}"}
     return DiagnosticStatus("attitude", level, text, values)
 
@@ -48,3 +59,16 @@ def attitude_status(
 def conflict_statuses(conflicts: Mapping[str, Decision]) -> list[DiagnosticStatus]:
     """One status for each source that keeps disagreeing with the INS."""
     return [DiagnosticStatus(f"conflict {source}", Level.ERROR, d.text) for source, d in sorted(conflicts.items())]
+
+
+def _why_degraded(estimate: AttitudeEstimate) -> str:
+    if "ins" not in estimate.sources:
+        return "INS gone, stars alone"
+    if math.isnan(estimate.star_age_s):
+        return "INS alone, no star yet"
+    return "the attitude of the INS has jumped, and no star has confirmed it since"
+
+
+def rates_status(rates: Rates) -> DiagnosticStatus:
+    """What the angular velocities of the INS are worth."""
+    return DiagnosticStatus("ins rates", *_RATES[rates])

@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from ship_attitude_star.ins_guard import InsJump
 from ship_attitude_star.star_selection import AttitudePrior
 from ship_attitude_star.stream_guards import StreamGuards
-from ship_estimation.ins_config import InsInputConfig
+from ship_estimation.ins_config import GuardedInsConfig
 from ship_estimation.refusals import Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import Nodes, Turning, turning_over
@@ -21,33 +22,35 @@ class InsMotion:
         guards: watch its samples.
     """
 
-    def __init__(self, config: InsInputConfig, guards: StreamGuards) -> None:
+    def __init__(self, config: GuardedInsConfig, guards: StreamGuards) -> None:
         self._config = config
         self._guards = guards
         self._max_gap_ns = round(config.max_gap_s * _SECOND_NS)
         self._offset_ns = round(config.time_offset_s * _SECOND_NS)
         self._track = AttitudeTrack(self._max_gap_ns)
+        self._jumps: list[InsJump] = []
 
     @property
-    def newest(self) -> AttitudeSample | None:
-        """The sample with the latest stamp."""
-        return self._track.newest
+    def track(self) -> AttitudeTrack:
+        """The samples by their stamps."""
+        return self._track
 
-    def reconfigure(self, config: InsInputConfig) -> None:
+    def reconfigure(self, config: GuardedInsConfig) -> None:
         """Go on with other sigmas."""
         self._config = config
+        self._guards.reconfigure(config)
 
     def add(self, sample: AttitudeSample) -> Refusal | None:
         """Take a sample, or say why not."""
-        newest = self._track.newest
-        if newest is None or sample.time_ns > newest.time_ns:
-            known_wrong = self._guards.rates_wrong
-            refusal = self._guards.check_ins(sample)
-            if self._guards.rates_wrong and not known_wrong:
-                self._track = AttitudeTrack(self._max_gap_ns)
-            if refusal is None:
-                self._track.insert(sample)
-            return refusal
+        judged = self._guards.check_ins(sample, self._track)
+        if judged.rates_wrong_after_ns is not None:
+            self._track.forget_rates(judged.rates_wrong_after_ns)
+        if judged.refusal is not None:
+            return judged.refusal
+        if judged.jump is not None:
+            self._track.cut(judged.jump.time_ns)
+            self._jumps.append(judged.jump)
+        sample = judged.sample
         known = self._track.get(sample.time_ns)
         refusal = None if known is None else same_stamp(known.content(), sample.content())
         if known is None or sample.content() < known.content():
@@ -71,6 +74,8 @@ class InsMotion:
         white_variance = found.noise_gain * (config.white_sigma_arcsec * ARCSEC) ** 2
         shifted_n = config.time_offset_sigma_s * (found.rotation_nd @ found.rate_d)
         covariance_n = np.diag(slow**2 + white_variance) + np.outer(shifted_n, shifted_n)
+        jumped_n = self._jumped_n(time_ns)
+        covariance_n += np.outer(jumped_n, jumped_n)
         return AttitudePrior(found.rotation_nd, covariance_n + found.error_covariance_n)
 
     def turn(self, to_ns: int, from_ns: int) -> tuple[FloatArray, FloatArray] | None:
@@ -86,7 +91,7 @@ class InsMotion:
         if to_ns == from_ns:
             return np.eye(3), np.zeros((3, 3))
         end, start = self._at(to_ns), self._at(from_ns)
-        if end is None or start is None:
+        if end is None or start is None or np.any(self._jumped_n(to_ns) != self._jumped_n(from_ns)):
             return None
         rotation = end.rotation_nd.T @ start.rotation_nd
         shifted = self._config.time_offset_sigma_s * (rotation @ start.rate_d - end.rate_d)
@@ -110,6 +115,11 @@ class InsMotion:
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed for moments at or after ``time_ns``."""
         self._track.drop_before(time_ns - self._offset_ns)
+
+    def _jumped_n(self, time_ns: int) -> FloatArray:
+        """How far the INS has jumped in all until a moment: it may be so far off."""
+        before = [jump.jump_n for jump in self._jumps if jump.time_ns < time_ns - self._offset_ns]
+        return np.sum(before, axis=0) if before else np.zeros(3)
 
     def _at(self, time_ns: int) -> InterpolatedAttitude | None:
         return self._track.at(time_ns - self._offset_ns)

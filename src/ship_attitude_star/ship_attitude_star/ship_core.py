@@ -12,13 +12,15 @@ from ship_attitude_star.arrivals import Arrivals
 from ship_attitude_star.attitude_output import CorrectedIns, estimate_from_star, no_estimate
 from ship_attitude_star.comparison import attitude_alone
 from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.ins_guard import InsJump
+from ship_attitude_star.rate_guard import Rates
 from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, Decision, Measurement, Outcome
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
 from ship_attitude_star.sky_inputs import SkyInput
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_attitude_star.star_exposure import StarExposure
 from ship_estimation.output_order import OutputOrder
-from ship_estimation.refusals import failure, same_stamp
+from ship_estimation.refusals import Reason, failure, same_stamp
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
@@ -72,6 +74,7 @@ class ShipAttitudeCore:
         if self._start is not None:
             initial, _ = state_from_prior(self.filter, self.config, *self._start)
         self._log: TimeOrderedLog[FilterState, Measurement, Decision] = TimeOrderedLog(initial)
+        self._jump: InsJump | None = None
         self._corrected = CorrectedIns(self.filter, initial)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
@@ -79,6 +82,7 @@ class ShipAttitudeCore:
         self.config = config
         self.filter = ShipFilter(config)
         self._corrected = CorrectedIns(self.filter, self.state)
+        self._arrivals.reconfigure(config)
 
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> Outcome:
         """An INS sample: stamp and attitude of the deck as the INS has it.
@@ -89,29 +93,30 @@ class ShipAttitudeCore:
             estimate: False where only the filter's state matters, as in a Monte Carlo run.
         """
         arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
-        rates_known_wrong = self._arrivals.rates_wrong
-        refusal = self._arrivals.ins_refusal(sample, self._track.newest)
-        if self._arrivals.rates_wrong and not rates_known_wrong:
-            # By wrong rates the stars were compared with attitudes that never were: nothing of it can stay.
-            self._forget_estimate()
-        if refusal is not None:
-            return Outcome(refusal)
+        judged = self._arrivals.judge_ins(sample, self._track)
+        sample, outcome = judged.sample, Outcome(judged.refusal)
+        if judged.rates_wrong_after_ns is not None:
+            self._forget_rates(judged.rates_wrong_after_ns, outcome)
+        if judged.refusal is not None:
+            return outcome
         known = self._track.get(sample.time_ns)
         if known is not None:
-            outcome = Outcome(same_stamp(_ins_content(known), _ins_content(sample)))
+            outcome.refusal = same_stamp(_ins_content(known), _ins_content(sample))
             if _ins_content(known) <= _ins_content(sample):
                 return outcome
-        else:
-            outcome = Outcome()
+        if judged.jump is not None:
+            self._log.insert((judged.jump.time_ns, judged.jump.source), judged.jump)
+            self._track.cut(judged.jump.time_ns)
+            self._jump = judged.jump
         changed_after_ns = self._track.insert(sample)
         if changed_after_ns is not None:
-            self._log.rewind_where(
-                lambda decision: decision.ins_time_ns + _reach_ns(decision.measurement) > changed_after_ns
-            )
+            self._rewind(changed_after_ns)
         self._advance(sample.time_ns, outcome)
         if self._track.newest is sample:
             self._ins_arrival_ns = arrival_ns
-            if estimate and self._order.follows(sample.time_ns):
+            # An attitude that is moved by a clock offset needs its rate.
+            movable = self._track.newest_rate_known or self.state.time_ns is None
+            if estimate and movable and self._order.follows(sample.time_ns):
                 self._put_out(outcome, sample.time_ns, self._estimate_from_ins, arrival_ns, self._silence_ns)
         return outcome
 
@@ -136,7 +141,7 @@ class ShipAttitudeCore:
             arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
         """
         arrival_ns = measurement.time_ns if arrival_ns is None else arrival_ns
-        refusal = self._arrivals.measurement_refusal(measurement, self._track.newest)
+        refusal = self._arrivals.measurement_refusal(measurement, self._track)
         if refusal is not None:
             return Outcome(refusal)
         key = (measurement.time_ns, measurement.source)
@@ -184,6 +189,11 @@ class ShipAttitudeCore:
         """The filter's state after the last measurement applied."""
         return self._log.state
 
+    @property
+    def rates(self) -> Rates:
+        """What the INS's rates are worth: only where they are measured, or not judged yet, they are used."""
+        return self._arrivals.rates
+
     # -- time order -----------------------------------------------------------------------------------------
 
     def _advance(self, time_ns: int, outcome: Outcome) -> None:
@@ -197,14 +207,31 @@ class ShipAttitudeCore:
         if self._watch is not None:
             self._watch.drop_before(reach_ns)
 
+    def _forget_rates(self, after_ns: int, outcome: Outcome) -> None:
+        """Rates of samples after a stamp were none: what was compared by them is compared anew without."""
+        changed_after_ns = self._track.forget_rates(after_ns)
+        if changed_after_ns is not None:
+            self._rewind(changed_after_ns)
+            self._apply(outcome)
+
+    def _rewind(self, changed_after_ns: int) -> None:
+        """The INS's attitudes after a stamp have changed: compare anew what was compared with them."""
+        self._log.rewind_where(
+            lambda decision: decision.ins_time_ns + _reach_ns(decision.measurement) > changed_after_ns
+        )
+
     def _apply(self, outcome: Outcome) -> None:
         for decision, previous in self._log.apply(self._step, _failed, self._arrivals.window_ns):
-            if previous is None:
+            if isinstance(decision.measurement, InsJump):
+                self._jump = None if decision.measurement is self._jump else self._jump
+            elif previous is None:
                 outcome.decisions.append(decision)
             elif previous.accepted != decision.accepted:
                 outcome.decisions.append(replace(decision, revised=True))
 
     def _step(self, state: FilterState, measurement: Measurement) -> tuple[FilterState, Decision] | None:
+        if isinstance(measurement, InsJump):
+            return self.filter.opened(state, measurement), Decision(measurement, Reason.NONE, measurement.time_ns)
         needed_ns = self.filter.ins_time_ns(state, measurement) + _reach_ns(measurement)
         awaited = not self._track.covers(needed_ns)
         if awaited and measurement.time_ns >= self._arrivals.oldest_ns:
@@ -232,8 +259,10 @@ class ShipAttitudeCore:
             self._order.claimed(time_ns, waiting_ns, patience_ns)
 
     def _estimate_from_ins(self, time_ns: int) -> AttitudeEstimate:
-        if self.state is not self._corrected.state:
-            self._corrected = CorrectedIns(self.filter, self.state)
+        # A jump counts at once, also where measurements of before it still wait.
+        state = self.state if self._jump is None else self.filter.opened(self.state, self._jump)
+        if state is not self._corrected.state:
+            self._corrected = CorrectedIns(self.filter, state)
         moved_s = -(self.config.ins.time_offset_s + self._corrected.time_offset_s)
         return self._corrected.estimate(time_ns, self._track.newest_moved(moved_s), self.config)
 

@@ -3,6 +3,7 @@
 A :class:`FilterState` is never changed in place, so that the time-ordered log can keep and return to any of them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TypeVar
@@ -11,9 +12,17 @@ import numpy as np
 
 from ship_attitude_star.comparison import compare
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.filter_model import SOURCE_INTERPOLATION, SOURCE_STAR_COMMON, Device, devices, state_model
+from ship_attitude_star.filter_model import (
+    SOURCE_INS,
+    SOURCE_INTERPOLATION,
+    SOURCE_STAR_COMMON,
+    Device,
+    devices,
+    state_model,
+)
 from ship_attitude_star.hints import heading_hint
 from ship_attitude_star.inertial_attitude import InertialAttitude, in_horizon
+from ship_attitude_star.ins_guard import InsJump
 from ship_attitude_star.measurement_models import ins_time_of, predict_attitude
 from ship_attitude_star.samples import AttitudeMeasurement, Decision, Measurement
 from ship_attitude_star.sky_watch import SkyWatch
@@ -28,6 +37,11 @@ from ship_geometry.rotations import FloatArray
 
 Value = TypeVar("Value")
 
+_BEYOND_SIGMAS = 5.0
+_STEPS = 5
+_LARGE_STEP = 5e-3
+"""The square of a smaller correction (rad) is nothing beside the errors of what was measured."""
+
 
 @dataclass(frozen=True)
 class FilterState:
@@ -40,6 +54,7 @@ class FilterState:
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
         used_ns: by source, the stamp of its last measurement used.
+        jumped: whether the INS has jumped since the last star measurement used.
     """
 
     time_ns: int | None
@@ -48,6 +63,7 @@ class FilterState:
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    jumped: bool = False
 
     @property
     def covariance(self) -> FloatArray:
@@ -98,7 +114,24 @@ class ShipFilter:
             rows = self.model.slices[f"{source}.common"]
             fresh = 1.0 - decay[rows.start] ** 2
             parts[self._common_index, rows, rows] += fresh * steady
-        return replace(state, time_ns=max(time_ns, state.time_ns), mean=decay * state.mean, parts=parts)
+        mean, rows = decay * state.mean, self.model.slices["ins.attitude"]
+        mean[rows] = self.ins_error(state.mean[rows], decay[rows])
+        return replace(state, time_ns=max(time_ns, state.time_ns), mean=mean, parts=parts)
+
+    def ins_error(self, error_n: FloatArray, decay: FloatArray) -> FloatArray:
+        """The INS's slow error later, shape (3,): it dies out; what is far beyond its sigma, as after a jump, stays."""
+        sigma = self.model.blocks["ins.attitude"].sigma
+        return np.where(np.abs(error_n) > _BEYOND_SIGMAS * sigma, error_n, decay * error_n)
+
+    def opened(self, state: FilterState, jump: InsJump) -> FilterState:
+        """The state after a jump of the INS: its slow error may be as large as that."""
+        state = self.predicted(state, jump.time_ns)
+        rows, parts = self.model.slices["ins.attitude"], state.parts.copy()
+        # Along the jump; about every axis what is not known of it and, as two large turns do not commute, its square.
+        across = np.hypot(jump.sigma_rad, 0.5 * float(jump.jump_n @ jump.jump_n))
+        index = self.model.sources.index(SOURCE_INS)
+        parts[index, rows, rows] += np.outer(jump.jump_n, jump.jump_n) + across**2 * np.eye(3)
+        return replace(state, parts=parts, jumped=True)
 
     def step(
         self, state: FilterState, measurement: Measurement, track: AttitudeTrack, watch: SkyWatch | None
@@ -163,15 +196,49 @@ class ShipFilter:
             # The deck as the measurement has it: the predicted deck turned as the predicted device must be.
             measured_nd = compared.rotation_nv @ predicted.rotation_nv.T @ ins.rotation_nd
             return self._refused(before, decision, ins.rotation_nd, measured_nd)
-        correction, parts = update(state.parts, linear, covariance)
+
+        def linearised(mean: FloatArray) -> LinearMeasurement | None:
+            there = predict_attitude(device, self.model, mean, ins)
+            compared = compare(looked_at, there, self.model, mean, state.covariance, watch)
+            if isinstance(compared, Refusal):
+                return None
+            residual = compared.residual + compared.jacobian @ (mean - state.mean)
+            noise = {source_index: compared.noise, self._interpolation_index: compared.interpolation}
+            return LinearMeasurement(residual, compared.jacobian, noise)
+
+        correction, parts = self._updated(state, linear, covariance, linearised)
         state = replace(
             state,
             mean=state.mean + correction,
             parts=parts,
             refusals=_with(state.refusals, device.name, 0),
             used_ns=_with(state.used_ns, device.name, measurement.time_ns),
+            jumped=state.jumped and not device.is_star,
         )
         return state, decision
+
+    def _updated(
+        self,
+        state: FilterState,
+        linear: LinearMeasurement,
+        covariance: FloatArray,
+        linearised: Callable[[FloatArray], LinearMeasurement | None],
+    ) -> tuple[FloatArray, FloatArray]:
+        """Correction of the mean and parts of the covariance after a measurement.
+
+        Where the INS is found to be far off, as after a jump, the measurement is linearised anew at the estimate until
+        that stays (Gauss–Newton).
+        """
+        rows, found_n = self.model.slices["ins.attitude"], np.zeros(3)
+        for _ in range(_STEPS):
+            correction, parts = update(state.parts, linear, covariance)
+            step = float(np.linalg.norm(correction[rows] - found_n))
+            there = linearised(state.mean + correction) if step > _LARGE_STEP else None
+            if there is None:
+                break
+            linear, found_n = there, correction[rows]
+            covariance, _ = innovation(state.parts, linear)
+        return correction, parts
 
     @property
     def _common_index(self) -> int:

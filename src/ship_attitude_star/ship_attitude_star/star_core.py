@@ -27,7 +27,7 @@ from ship_estimation.refusals import Reason, Refusal, failure
 from ship_estimation.stamped_values import StampedValues
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.rotations import FloatArray
 
 _SECOND_NS = 1_000_000_000
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
@@ -65,7 +65,7 @@ class StarCore:
     def reset(self) -> None:
         """Forget all inputs."""
         self._watch.reset()
-        self._guards = StreamGuards(self._config.ins.white_sigma_arcsec * ARCSEC)
+        self._guards = StreamGuards(self._config.ins)
         self._ins = InsMotion(self._config.ins, self._guards)
         self._sources = [f"star.{id_}" for id_ in self._config.star_sensors]
         self._taken: dict[str, StampedValues[StarExposure]] = {source: StampedValues() for source in self._sources}
@@ -133,7 +133,7 @@ class StarCore:
         if refusal is not None and refusal.reason is Reason.CONFLICT:
             return replace(refusal, text=f"{refusal.text}; do two sensors publish on one topic?")
         if refusal is None and (not taken.times or exposure.time_ns > taken.times[-1]):
-            return self._guards.check_exposure(exposure, self._ins.newest)
+            return self._guards.check_exposure(exposure, self._ins.track.last_before(exposure.time_ns))
         return refusal
 
     def _wait(self, new: _Waiting) -> None:

@@ -6,7 +6,7 @@ from small_voyage import attitude
 
 from ship_attitude_star.ins_motion import InsMotion
 from ship_attitude_star.stream_guards import StreamGuards
-from ship_estimation.ins_config import InsInputConfig
+from ship_estimation.ins_config import GuardedInsConfig
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
@@ -27,15 +27,15 @@ def sample(time_ms: int, offset_s: float = 0.0, white_n: np.ndarray | None = Non
     return AttitudeSample(START_NS + time_ms * MS, noise @ attitude(t_s, HEADING_DEG), rate_d(t_s))
 
 
-def motion(config: InsInputConfig, *samples: AttitudeSample) -> InsMotion:
-    result = InsMotion(config, StreamGuards(ARCSEC))
+def motion(config: GuardedInsConfig, *samples: AttitudeSample) -> InsMotion:
+    result = InsMotion(config, StreamGuards(config))
     for one in samples:
         assert result.add(one) is None
     return result
 
 
 def test_the_deck_is_where_the_ins_has_it_and_as_uncertain_as_configured() -> None:
-    config = InsInputConfig(tilt_sigma_arcsec=10.0, heading_sigma_arcsec=72.0, time_offset_sigma_s=0.0)
+    config = GuardedInsConfig(tilt_sigma_arcsec=10.0, heading_sigma_arcsec=72.0, time_offset_sigma_s=0.0)
     prior = motion(config, *(sample(t) for t in range(0, 200, 40))).deck(START_NS + 80 * MS)
     np.testing.assert_allclose(prior.rotation_nb, attitude(0.08, HEADING_DEG), atol=1e-12)
     sigma = np.sqrt(np.diagonal(prior.covariance_n)) / ARCSEC
@@ -44,7 +44,7 @@ def test_the_deck_is_where_the_ins_has_it_and_as_uncertain_as_configured() -> No
 
 
 def test_a_time_offset_is_as_large_as_the_ship_turns_fast() -> None:
-    config = InsInputConfig(tilt_sigma_arcsec=0.0, heading_sigma_arcsec=0.0, white_sigma_arcsec=0.0)
+    config = GuardedInsConfig(tilt_sigma_arcsec=0.0, heading_sigma_arcsec=0.0, white_sigma_arcsec=0.0)
     prior = motion(config, *(sample(t) for t in range(0, 200, 40))).deck(START_NS + 80 * MS)
     rate_n = attitude(0.08, HEADING_DEG) @ rate_d(0.08)
     along_n = rate_n / np.linalg.norm(rate_n)
@@ -54,7 +54,7 @@ def test_a_time_offset_is_as_large_as_the_ship_turns_fast() -> None:
 
 
 def test_samples_are_taken_at_their_stamp_plus_the_offset() -> None:
-    config = InsInputConfig(time_offset_s=0.02)
+    config = GuardedInsConfig(time_offset_s=0.02)
     prior = motion(config, *(sample(t, offset_s=0.02) for t in range(0, 200, 40))).deck(START_NS + 80 * MS)
     # Half way between two samples: the cubic between them is good to a tenth of an arcsecond.
     assert np.linalg.norm(log_rotation(prior.rotation_nb @ attitude(0.08, HEADING_DEG).T)) < 0.1 * ARCSEC
@@ -63,14 +63,14 @@ def test_samples_are_taken_at_their_stamp_plus_the_offset() -> None:
 def test_the_turn_is_that_of_the_deck_and_its_slow_error_cancels() -> None:
     slow = exp_rotation(np.array([10.0, 200.0, -30.0]) * ARCSEC)
     samples = (AttitudeSample(s.time_ns, slow @ s.rotation_nd, s.rate_d) for s in map(sample, range(0, 400, 20)))
-    turn, _ = motion(InsInputConfig(), *samples).turn(START_NS + 100 * MS, START_NS + 230 * MS)
+    turn, _ = motion(GuardedInsConfig(), *samples).turn(START_NS + 100 * MS, START_NS + 230 * MS)
     expected = attitude(0.1, HEADING_DEG).T @ attitude(0.23, HEADING_DEG)
     assert np.linalg.norm(log_rotation(expected)) > 500 * ARCSEC
     assert np.linalg.norm(log_rotation(turn @ expected.T)) < 0.01 * ARCSEC
 
 
 def test_the_error_of_the_turn_is_what_noise_and_time_offset_make_of_it() -> None:
-    config = InsInputConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.02)
+    config = GuardedInsConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.02)
     expected = attitude(0.1, HEADING_DEG).T @ attitude(0.23, HEADING_DEG)
     rng = np.random.default_rng(5)
     total, draws = 0.0, 300
@@ -86,44 +86,44 @@ def test_the_error_of_the_turn_is_what_noise_and_time_offset_make_of_it() -> Non
 
 
 def test_no_way_needs_no_ins() -> None:
-    turn, covariance_d = motion(InsInputConfig()).turn(START_NS, START_NS)
+    turn, covariance_d = motion(GuardedInsConfig()).turn(START_NS, START_NS)
     np.testing.assert_array_equal(turn, np.eye(3))
     np.testing.assert_array_equal(covariance_d, 0.0)
 
 
 def test_where_the_ins_does_not_reach_it_says_nothing() -> None:
-    some = motion(InsInputConfig(), *(sample(t) for t in range(0, 200, 40)))
+    some = motion(GuardedInsConfig(), *(sample(t) for t in range(0, 200, 40)))
     assert some.deck(START_NS + 200 * MS) is None
     assert some.turn(START_NS, START_NS + 200 * MS) is None
-    assert motion(InsInputConfig()).deck(START_NS) is None
+    assert motion(GuardedInsConfig()).deck(START_NS) is None
 
 
 def test_a_sample_is_awaited_only_while_it_may_still_help() -> None:
-    some = motion(InsInputConfig(max_gap_s=0.5), *(sample(t) for t in range(0, 200, 40)))
+    some = motion(GuardedInsConfig(max_gap_s=0.5), *(sample(t) for t in range(0, 200, 40)))
     waits = {time_ms: some.awaited(START_NS + time_ms * MS) for time_ms in (100, 161, 659, 660)}
     assert waits == {100: False, 161: True, 659: True, 660: False}
-    assert not motion(InsInputConfig()).awaited(START_NS)
+    assert not motion(GuardedInsConfig()).awaited(START_NS)
 
 
 def test_the_same_stamp_again_is_told_and_the_order_does_not_matter() -> None:
     one, other = sample(40), sample(40, white_n=np.full(3, ARCSEC))
     decks = []
     for pair in ((one, other), (other, one)):
-        some = InsMotion(InsInputConfig(), StreamGuards(ARCSEC))
+        some = InsMotion(GuardedInsConfig(), StreamGuards(GuardedInsConfig()))
         refusals = [some.add(s) for s in (sample(0), pair[0], pair[1], sample(80))]
         assert [None if r is None else r.reason for r in refusals] == [None, None, Reason.CONFLICT, None]
         decks.append(some.deck(START_NS + 40 * MS).rotation_nb)
     np.testing.assert_array_equal(decks[0], decks[1])
-    assert motion(InsInputConfig(), one).add(one).reason is Reason.DUPLICATE
+    assert motion(GuardedInsConfig(), one).add(one).reason is Reason.DUPLICATE
 
 
 def test_a_late_sample_takes_its_place() -> None:
-    some = motion(InsInputConfig(), sample(0), sample(80), sample(40))
+    some = motion(GuardedInsConfig(), sample(0), sample(80), sample(40))
     np.testing.assert_array_equal(some.deck(START_NS + 40 * MS).rotation_nb, sample(40).rotation_nd)
 
 
 def test_what_is_dropped_is_needed_no_more() -> None:
-    some = motion(InsInputConfig(), *(sample(t) for t in range(0, 2000, 40)))
+    some = motion(GuardedInsConfig(), *(sample(t) for t in range(0, 2000, 40)))
     before = some.deck(START_NS + 500 * MS)
     some.drop_before(START_NS + 500 * MS)
     np.testing.assert_array_equal(some.deck(START_NS + 500 * MS).rotation_nb, before.rotation_nb)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from ship_estimation.jump_guard import JUMP_SAMPLES
 from ship_estimation.parameters import arcsec, degrees, parameter
 
 
@@ -27,6 +28,19 @@ class InsInputConfig:
     )
     max_gap_s: float = parameter(
         0.5, doc="samples further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuardedInsConfig(InsInputConfig):
+    """The same of an INS whose attitudes are watched for jumps."""
+
+    jump_samples: int = parameter(
+        JUMP_SAMPLES,
+        doc="samples refused for a jump of the attitude that agree among themselves; the next is believed",
+        minimum=1,
+        maximum=1000,
+        live=True,
     )
 
 

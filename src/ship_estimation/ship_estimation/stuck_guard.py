@@ -1,10 +1,31 @@
-"""A guard against inputs that are well formed but cannot be true: frozen sensors."""
+"""A guard against inputs that are well formed but cannot be true: frozen sensors.
 
-from dataclasses import dataclass
+A frozen sensor repeats one value to the last bit. So does a healthy one that prints coarsely while little moves. What
+tells them apart is how far others say that the ship has turned meanwhile: a healthy value stands no longer than until
+the turn exceeds its own resolution, and that is learnt from the steps in which it changes.
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ship_geometry.rotations import FloatArray, log_rotation
+
+_LEAST_NS = 500_000_000
+"""A value that stands for less is not judged: drivers repeat one now and then."""
+_RECENT_NS = 2_000_000_000
+"""A witness is compared with what it said since this long before; told within this time of motion."""
+_APART_NS = 250_000_000
+"""Between two memories of a witness."""
+_SIGMAS = 5.0
+_UNKNOWN_RESOLUTION = np.deg2rad(0.1)
+"""Before the value has changed at all, rad."""
+_STEPS = 64
+"""Changes of the value of which the smallest is the resolution."""
+_TWICE = 2
+_ACROSS = 1.8
+"""Rounding to steps of one in each of three axes hides a turn of up to sqrt(3), and a little."""
 
 
 @dataclass(frozen=True)
@@ -12,62 +33,148 @@ class Witness:
     """What another source says of the ship's attitude.
 
     Attributes:
+        time_ns: when it was so.
         rotation: the attitude, in any constant frame, shape (3, 3).
         sigma_rad: its noise about its worst axis.
+        drift_rad_per_s: how fast its attitude may run away from the true one: that of integrated rates does.
     """
 
+    time_ns: int
     rotation: FloatArray
     sigma_rad: float
+    drift_rad_per_s: float = 0.0
+
+
+class _Testimony:
+    """What one witness said while a value stood.
+
+    Args:
+        first: the first that it said.
+    """
+
+    def __init__(self, first: Witness) -> None:
+        self._first, self._last = first, first
+        self._recent: deque[Witness] = deque([first])
+        self._moved = 0
+
+    def add(self, now: Witness, sigma_rad: float, resolution_rad: float) -> bool:
+        """True where twice running it has turned by more than the value's and its own noise, drift and resolution.
+
+        Twice: a witness that is asked for hours is five sigma off now and then.
+        """
+        if now.time_ns > self._last.time_ns:
+            moved = any(_moved(then, now, sigma_rad, resolution_rad) for then in (self._first, *self._recent))
+            self._moved = self._moved + 1 if moved else 0
+            self._last = now
+            if now.time_ns - self._recent[-1].time_ns >= _APART_NS:
+                self._recent.append(now)
+            while now.time_ns - self._recent[0].time_ns > _RECENT_NS:
+                self._recent.popleft()
+        return self._moved >= _TWICE
+
+
+@dataclass
+class _Standing:
+    """A value, since when it stands, and what witnesses said meanwhile."""
+
+    value: FloatArray
+    since_ns: int
+    repeats: int = 0
+    stuck: bool = False
+    testimonies: dict[str, _Testimony] = field(default_factory=dict)
 
 
 class StuckGuard:
     """Finds a source that repeats one value while others say that the ship moves.
 
-    Stuck after ``count`` identical values during which a witness turned by more than five sigma, its own noise
-    and the source's taken together; well again after ``count`` changing ones.
+    Stuck is a value that has stood for half a second while a witness turned by more than five sigma, its own noise
+    and the source's taken together, beyond the source's resolution. The first other value is taken again; one that
+    returns to the bit within two seconds never was gone.
 
     Args:
         sigma_rad: noise of the source about its worst axis.
-        count: identical, then changing values.
     """
 
-    _SIGMAS = 5.0
+    def __init__(self, sigma_rad: float) -> None:
+        self.sigma_rad = sigma_rad
+        self._standing: _Standing | None = None
+        self._former: _Standing | None = None
+        self._left_ns = 0
+        self._steps: deque[float] = deque(maxlen=_STEPS)
+        self._repeated: deque[bool] = deque(maxlen=_STEPS)
 
-    def __init__(self, sigma_rad: float, count: int = 20) -> None:
-        self._sigma_rad = sigma_rad
-        self._count = count
-        self._value: FloatArray | None = None
-        self._identical = 0
-        self._changing = 0
-        self._witnessed: dict[str, Witness] = {}
-        self._moved = False
-        self.stuck = False
+    @property
+    def stands(self) -> bool:
+        """Whether the last value is the one before it."""
+        return self._standing is not None and self._standing.repeats > 0
 
-    def observe(self, value: FloatArray, witnesses: dict[str, Witness]) -> bool:
+    @property
+    def resolution_rad(self) -> float:
+        """Smallest step of the value: it is not printed more coarsely than so."""
+        return min(self._steps) if self._steps else _UNKNOWN_RESOLUTION
+
+    @property
+    def coarseness_rad(self) -> float:
+        """The same of a source that healthily repeats values; zero for one whose every value is new."""
+        return self.resolution_rad if any(self._repeated) or not self._steps else 0.0
+
+    def is_frozen(self, value: FloatArray) -> bool:
+        """Whether a value is the one at which the source is stuck."""
+        return self._standing is not None and self._standing.stuck and np.array_equal(value, self._standing.value)
+
+    def observe(self, time_ns: int, value: FloatArray, witnesses: dict[str, Witness]) -> bool:
         """True where the source is stuck.
 
         Args:
-            value: what it says now: its attitude, shape (3, 3), or the directions of its stars.
-            witnesses: by name, the attitude now as others have it.
+            time_ns: stamp of the value.
+            value: what it says now: its attitude, shape (3, 3), the directions of its stars, or its angles.
+            witnesses: by name, the attitude as others have it at about this time.
         """
-        if self._value is not None and np.array_equal(value, self._value):
-            self._identical += 1
-            self._changing = 0
-            self._witness(witnesses)
+        standing = self._standing
+        if standing is not None and np.array_equal(value, standing.value):
+            standing.repeats += 1
         else:
-            self._value, self._witnessed, self._moved = value, dict(witnesses), False
-            self._identical = 0
-            self._changing += 1
-        if self._identical >= self._count - 1 and self._moved:
-            self.stuck = True
-        elif self.stuck and self._changing >= self._count:
-            self.stuck = False
-        return self.stuck
+            standing = self._changed(time_ns, value)
+        if self._turned(standing, witnesses) and time_ns - standing.since_ns >= _LEAST_NS:
+            standing.stuck = True
+        return standing.stuck
 
-    def _witness(self, witnesses: dict[str, Witness]) -> None:
+    def _changed(self, time_ns: int, value: FloatArray) -> _Standing:
+        """Another value than before: a new one, or the frozen one again."""
+        before, former = self._standing, self._former
+        if former is not None and time_ns - self._left_ns <= _RECENT_NS and np.array_equal(value, former.value):
+            self._standing, self._former = former, None
+            return former
+        if before is not None:
+            if before.stuck:
+                self._former, self._left_ns = before, time_ns
+            else:
+                self._repeated.append(before.repeats > 0)
+                self._learn(before.value, value)
+        self._standing = _Standing(value, time_ns)
+        return self._standing
+
+    def _learn(self, before: FloatArray, value: FloatArray) -> None:
+        if before.shape == value.shape:
+            # Of rotations and of directions alike: the farthest that one of the axes, or stars, has turned.
+            step = float(np.max(np.linalg.norm(np.atleast_2d(value - before), axis=-1)))
+            if np.isfinite(step):
+                self._steps.append(step)
+
+    def _turned(self, standing: _Standing, witnesses: dict[str, Witness]) -> bool:
+        """Whether a witness has turned too far for the value to stand."""
+        turned = False
         for name, now in witnesses.items():
-            start = self._witnessed.setdefault(name, now)
-            sigma_rad = np.hypot(self._sigma_rad, np.hypot(start.sigma_rad, now.sigma_rad))
-            turn = log_rotation(start.rotation.T @ now.rotation)
-            if np.linalg.norm(turn) > self._SIGMAS * sigma_rad:
-                self._moved = True
+            # What it said before the value stood still says nothing of the time since.
+            if now.time_ns < standing.since_ns:
+                continue
+            testimony = standing.testimonies.setdefault(name, _Testimony(now))
+            turned = testimony.add(now, self.sigma_rad, _ACROSS * self.resolution_rad) or turned
+        return turned
+
+
+def _moved(then: Witness, now: Witness, sigma_rad: float, resolution_rad: float) -> bool:
+    noise_rad = np.hypot(sigma_rad, np.hypot(then.sigma_rad, now.sigma_rad))
+    drift_rad = now.drift_rad_per_s * (now.time_ns - then.time_ns) * 1e-9
+    bound = _SIGMAS * noise_rad + drift_rad + resolution_rad
+    return bool(np.linalg.norm(log_rotation(then.rotation.T @ now.rotation)) > bound)

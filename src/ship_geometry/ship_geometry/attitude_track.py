@@ -7,7 +7,7 @@ neighbouring samples. docs/interpolation.md states the error for a rolling ship.
 
 import bisect
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -90,6 +90,12 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             return InterpolatedAttitude(self._samples[left].rotation_nd, self.rate(left), 1.0)
         return self._between(left, fraction)
 
+    @property
+    def newest_rate_known(self) -> bool:
+        """Whether there is a rate at the newest sample: measured, or by the sample before."""
+        index = len(self._samples) - 1
+        return self._has_rate(index) or (index > 0 and self._joined(index - 1))
+
     def newest_moved(self, ahead_s: float) -> InterpolatedAttitude:
         """The attitude ``ahead_s`` (small, either sign) from the newest sample, by its rate and rate of change.
 
@@ -99,6 +105,18 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         if self._samples[index].rate_d is None:
             return self._moved_by_differences(index, ahead_s)
         return self._moved_by_rates(index, ahead_s)
+
+    def forget_rates(self, after_ns: int) -> int | None:
+        """Take the rates from all samples stamped after a moment: they were none.
+
+        Returns:
+            The stamp after which interpolated values may have changed; None where no sample had one.
+        """
+        start = bisect.bisect_right(self._times, after_ns)
+        if all(sample.rate_d is None for sample in self._samples[start:]):
+            return None
+        self._samples[start:] = [replace(sample, rate_d=None) for sample in self._samples[start:]]
+        return self._times[start - 1] if start > 0 else self._times[0] - 1
 
     def rate(self, index: int) -> FloatArray:
         """Angular velocity in the deck frame at sample ``index``: measured, or by differences; rad/s."""
@@ -184,6 +202,8 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             last = recent[-1]
             found = bisect.bisect_right(self._times, self._times[last] - _EVERY_NS) - 1
             if found < oldest or self._times[last] - self._times[found] > max(self.max_gap_ns, 2 * _EVERY_NS):
+                break
+            if self._cut_between(self._times[found], self._times[last]):
                 break
             recent.append(found)
         return recent

@@ -43,6 +43,7 @@ class SampleTrack(Generic[Sample]):
         self.max_gap_ns = max_gap_ns
         self._times: list[int] = []
         self._samples: list[Sample] = []
+        self._cuts_ns: list[int] = []
 
     def __len__(self) -> int:
         return len(self._samples)
@@ -84,6 +85,10 @@ class SampleTrack(Generic[Sample]):
         # rate, or its being there at all, is new.
         return self._times[index - 2] if index >= 2 else self._times[0] - 1
 
+    def cut(self, time_ns: int) -> None:
+        """Join no samples across a moment: the quantity has jumped there."""
+        self._cuts_ns.append(time_ns)
+
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed to interpolate at or after ``time_ns``, or to move the newest sample."""
         # Before the moment: the start of its interval, and two more that tell how good the interpolation is.
@@ -91,6 +96,7 @@ class SampleTrack(Generic[Sample]):
         if keep_from > 0:
             del self._times[:keep_from]
             del self._samples[:keep_from]
+            self._cuts_ns = [cut_ns for cut_ns in self._cuts_ns if cut_ns > self._times[0]]
 
     def covers(self, time_ns: int) -> bool:
         """True once later samples can no longer change the value at a moment, arriving in order."""
@@ -142,10 +148,10 @@ class SampleTrack(Generic[Sample]):
         if self._times[right] == time_ns:
             return right, 0.0
         left = right - 1
-        interval_ns = self._times[right] - self._times[left]
-        if interval_ns > self.max_gap_ns:
+        start_ns, end_ns = self._times[left], self._times[right]
+        if end_ns - start_ns > self.max_gap_ns or self._cut_between(start_ns, end_ns):
             return None
-        return left, (time_ns - self._times[left]) / interval_ns
+        return left, (time_ns - start_ns) / (end_ns - start_ns)
 
     def _seconds(self, first: int, second: int) -> float:
         """Time between two samples, s."""
@@ -158,7 +164,12 @@ class SampleTrack(Generic[Sample]):
         return before, after
 
     def _joined(self, left: int) -> bool:
-        return self._times[left + 1] - self._times[left] <= self.max_gap_ns
+        start_ns, end_ns = self._times[left], self._times[left + 1]
+        return end_ns - start_ns <= self.max_gap_ns and not self._cut_between(start_ns, end_ns)
+
+    def _cut_between(self, start_ns: int, end_ns: int) -> bool:
+        """Whether the quantity has jumped between two moments."""
+        return any(start_ns <= cut_ns < end_ns for cut_ns in self._cuts_ns)
 
     def noise_gain_of_mean(self, moments: Iterable[tuple[int, float]]) -> float:
         """Variance of a weighted sum of interpolated values per variance of the samples' independent noise.

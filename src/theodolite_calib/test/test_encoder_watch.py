@@ -70,17 +70,16 @@ def test_what_lights_said_before_it_stood_still_is_no_witness() -> None:
             lights(watch, number, 1.09)
 
 
-def test_stuck_when_the_lights_turn_and_back_after_twenty_changes() -> None:
+def test_mend_03_stuck_when_the_lights_turn_and_back_with_the_first_other_reading() -> None:
     watch, number = stopped()
     refusals = []
     for later in range(number + 1, number + 60):
         lights(watch, later, 1.0 + 0.001 * later)
         refusals.append(watch.check(reading(later, 1.0 + 0.02 * 0.09)))
-    # Twenty the same: the last that moved, the one after it, and eighteen of these.
-    assert [r is not None for r in refusals] == [False] * 17 + [True] * 42
+    # Half a second is not judged: that of the last reading that moved, the one after it, and forty-eight of these.
+    assert [r is not None for r in refusals] == [False] * 48 + [True] * 11
     assert refusals[-1].reason is Reason.STUCK
-    back = [watch.check(reading(number + 60 + k, 1.1 + 0.001 * k)) for k in range(25)]
-    assert [r is not None for r in back] == [True] * 19 + [False] * 6
+    assert [watch.check(reading(number + 60 + k, 1.1 + 0.001 * k)) for k in range(25)] == [None] * 25
 
 
 def test_one_reading_beyond_a_turn_is_refused_alone_a_run_of_them_for_good() -> None:

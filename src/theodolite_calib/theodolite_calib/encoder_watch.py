@@ -28,13 +28,18 @@ class EncoderWatch:
     """
 
     def __init__(self, sigma_rad: float) -> None:
-        self._sigma_rad = max(sigma_rad, ARCSEC)
-        self._guard = StuckGuard(self._sigma_rad)
+        self._guard = StuckGuard(sigma_rad)
         self._witnesses: dict[str, Witness] = {}
         self._last: tuple[EncoderSample, FloatArray] | None = None
         self._beyond_a_turn = 0
         self._still_since_ns: int | None = None
         self._in_doubt_since_ns: int | None = None
+        self.reconfigure(sigma_rad)
+
+    def reconfigure(self, sigma_rad: float) -> None:
+        """Go on with another noise."""
+        self._sigma_rad = max(sigma_rad, ARCSEC)
+        self._guard.sigma_rad = self._sigma_rad
 
     @property
     def in_doubt(self) -> bool:
@@ -56,7 +61,7 @@ class EncoderWatch:
     def check(self, sample: EncoderSample) -> Refusal | None:
         """The refusal of a reading later than all before; None where nothing is known against it."""
         self._watch_motion(sample)
-        if self._guard.observe(sample.vector, self._witnesses):
+        if self._guard.observe(sample.time_ns, sample.vector, self._witnesses):
             text = "both encoders stand still while the lights say that the telescope turns in the deck"
             return Refusal(Reason.STUCK, text)
         return None
@@ -65,7 +70,7 @@ class EncoderWatch:
         """The telescope in the deck as lights had it at a moment, shape (3, 3), with the error about its worst axis."""
         # Before the readings stood still the telescope may well have turned.
         if self._still_since_ns is not None and time_ns >= self._still_since_ns:
-            self._witnesses[_LIGHTS] = Witness(telescope_dt, sigma_rad)
+            self._witnesses[_LIGHTS] = Witness(time_ns, telescope_dt, sigma_rad)
 
     def confirm(self, time_ns: int) -> None:
         """Lights at a moment agreed with the readings of that moment."""

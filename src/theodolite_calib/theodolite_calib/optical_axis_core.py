@@ -67,6 +67,7 @@ class OpticalAxisCore:
         self.config = config
         self._take_models(config)
         self._inputs.reconfigure(config)
+        self._watch.reconfigure(config.encoder.sigma_arcsec * ARCSEC)
         self._pointing = PointingSource(config, self.filter)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> Outcome:

@@ -1,0 +1,286 @@
+"""An INS whose samples are well formed and wrong: jumped, frozen, with rates that are none; alone and together."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from adapter_runs import SECOND_NS, START_NS, Arrival, Arrivals, changed_where, in_order, index_at, replaced, stamp_of
+from small_voyage import FORE, INS, STARBOARD, Run, attitude, drive, new_adapter, quaternion_message, voyage
+
+from ship_attitude_star.samples import Reason, Status
+from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+
+Change = Callable[[Any], None]
+AXES = "xyz"
+
+
+def seconds(message: Any) -> float:
+    return (stamp_of(message) - START_NS) * 1e-9
+
+
+def rotation_of(message: Any) -> np.ndarray:
+    q = message.orientation
+    return rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
+
+
+def error_and_covariance(message: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation vector of the error in (North, Up, East), rad, and its covariance."""
+    order = [1, 2, 0]
+    covariance_n = np.reshape(message.rotation_covariance, (3, 3))[np.ix_(order, order)]
+    return log_rotation(attitude(seconds(message), 34.4) @ rotation_of(message).T), covariance_n
+
+
+def nees(run: Run, from_s: float = 0.0) -> np.ndarray:
+    """Of all attitudes that are VALID."""
+    valid = [m for m in run.messages("ship/attitude") if m.status == Status.VALID and seconds(m) >= from_s]
+    assert valid
+    return np.array([e @ np.linalg.solve(p, e) for e, p in map(error_and_covariance, valid)])
+
+
+def assert_honest(run: Run) -> None:
+    """No attitude that is VALID is off by more than five of its sigmas about any axis."""
+    for message in run.messages("ship/attitude"):
+        if message.status == Status.VALID:
+            error_n, covariance_n = error_and_covariance(message)
+            sigma_n = np.sqrt(np.diagonal(covariance_n))
+            assert np.all(np.abs(error_n) < 5.0 * sigma_n), (seconds(message), error_n / ARCSEC, sigma_n / ARCSEC)
+
+
+def of_ins(from_s: float = -1.0, until_s: float = 1e9) -> Callable[[Arrival], bool]:
+    return lambda a: a.topic == INS and from_s <= (a.stamp_ns - START_NS) * 1e-9 < until_s
+
+
+def scaled(factor: float) -> Change:
+    """Rates in another unit, or none at all."""
+
+    def change(message: Any) -> None:
+        for axis in AXES:
+            setattr(message.angular_velocity, axis, factor * getattr(message.angular_velocity, axis))
+
+    return change
+
+
+def turned(*arcsec_n: float) -> Change:
+    """The attitude turned about North, Up, East."""
+
+    def change(message: Any) -> None:
+        message.orientation = quaternion_message(exp_rotation(np.array(arcsec_n) * ARCSEC) @ rotation_of(message))
+
+    return change
+
+
+def held(arrivals: Arrivals, from_s: float) -> Change:
+    value = arrivals[index_at(arrivals, INS, from_s)].message.orientation
+
+    def change(message: Any) -> None:
+        message.orientation = value
+
+    return change
+
+
+def negated_w(message: Any) -> None:
+    message.orientation.w = -message.orientation.w
+
+
+def only_gaps(run: Run) -> int:
+    """How many messages of a star sensor at most were not used, all of them because the INS was not there."""
+    reasons = [run.reasons(topic) for topic in (FORE, STARBOARD)]
+    assert all(counts.keys() <= {"gap"} for counts in reasons)
+    return max(counts.get("gap", 0) for counts in reasons)
+
+
+def thinned(arrivals: Arrivals, keep: int) -> Arrivals:
+    """Every ``keep``-th sample of the INS."""
+    numbers = {id(a): n for n, a in enumerate(a for a in arrivals if a.topic == INS)}
+    return tuple(a for a in arrivals if a.topic != INS or numbers[id(a)] % keep == 0)
+
+
+# -- one wrong sample -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("zero_rates", [False, True])
+def test_mend_10_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> None:
+    """``orientation.w`` negated once: a unit quaternion, more than a right angle away from the ship."""
+    arrivals = changed_where(voyage(), of_ins(), scaled(0.0)) if zero_rates else voyage()
+    index = index_at(arrivals, INS, 3.0)
+    run = drive(new_adapter(), replaced(arrivals, index, negated_w))
+    without = drive(new_adapter(), (*arrivals[:index], *arrivals[index + 1 :]))
+    assert run.reasons(INS) == {"gate": 1}
+    assert "from where the samples before lead" in run.innovations(Reason.GATE)[0].reason_text
+    assert run.results() == without.results()
+    assert run.state() == without.state()
+
+
+def test_mend_10_a_wrong_sample_that_comes_late_is_refused_too() -> None:
+    index = index_at(voyage(), INS, 3.0)
+    run = drive(new_adapter(), replaced(voyage(), index, negated_w, voyage()[index].receive_ns + SECOND_NS // 2))
+    assert run.reasons(INS) == {"gate": 1}
+    assert_honest(run)
+
+
+@pytest.mark.parametrize("size_arcsec", [100.0, 3600.0, 90.0 * 3600.0])
+def test_mend_10_a_jump_for_good_opens_the_covariance_until_stars_agree(size_arcsec: float) -> None:
+    """Five are refused; the sixth is believed, DEGRADED, with an error as large as the jump, until a star was used."""
+    jumped = changed_where(voyage(8.0), of_ins(3.0), turned(0.0, size_arcsec, 0.0))
+    run = drive(new_adapter(), jumped)
+    assert run.reasons(INS) == {"gate": 5}
+    after = [m for m in run.messages("ship/attitude") if seconds(m) >= 3.0]
+    assert seconds(after[0]) == pytest.approx(3.2)
+    degraded = [m for m in after if m.status == Status.DEGRADED]
+    assert degraded[0] is after[0]
+    assert 1 <= len(degraded) <= 10
+    assert {m.status for m in after[len(degraded) :]} == {Status.VALID}
+    error_n, covariance_n = error_and_covariance(after[0])
+    assert np.abs(error_n[1]) < 1.5 * np.sqrt(covariance_n[1, 1])
+    assert_honest(run)
+    # But for one in the gap all stars are used: the jump is in the error of the INS, where it belongs.
+    assert only_gaps(run) <= 1
+
+
+def test_mend_10_without_stars_a_jump_stays_degraded() -> None:
+    arrivals = [a for a in voyage(8.0) if a.topic == INS or a.stamp_ns < START_NS + 3 * SECOND_NS]
+    run = drive(new_adapter(coasting_after_s=100.0), changed_where(arrivals, of_ins(4.0), turned(0.0, 3600.0, 0.0)))
+    after = [m for m in run.messages("ship/attitude") if seconds(m) >= 4.0]
+    assert {m.status for m in after} == {Status.DEGRADED}
+    assert run.diagnostics("attitude", run.now_ns - SECOND_NS, run.now_ns)[-1][1].endswith("confirmed it since")
+
+
+def test_mend_10_how_many_are_refused_is_a_parameter_also_live() -> None:
+    jumped = changed_where(voyage(), of_ins(3.0), turned(0.0, 3600.0, 0.0))
+    assert drive(new_adapter(ins__jump_samples=2), jumped).reasons(INS) == {"gate": 2}
+    adapter = drive(new_adapter(), [a for a in jumped if a.stamp_ns < START_NS + 2 * SECOND_NS]).adapter
+    adapter.set_parameters({"ins.jump_samples": 3})
+    run = drive(adapter, [a for a in jumped if a.stamp_ns >= START_NS + 2 * SECOND_NS])
+    assert run.reasons(INS) == {"gate": 3}
+
+
+def test_mend_10_a_late_star_of_before_a_jump_is_compared_with_the_attitude_of_before() -> None:
+    jumped = changed_where(voyage(), of_ins(3.0), turned(0.0, 3600.0, 0.0))
+    late = replaced(jumped, index_at(jumped, FORE, 2.8), lambda message: None, START_NS + 4 * SECOND_NS)
+    assert drive(new_adapter(), late).state() == drive(new_adapter(), jumped).state()
+
+
+# -- rates that are none ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("keep", [1, 2])
+def test_mend_06_rates_left_at_zero_are_not_used_and_the_attitude_is_honest(keep: int) -> None:
+    run = drive(new_adapter(), changed_where(thinned(voyage(20.0), keep), of_ins(), scaled(0.0)))
+    assert run.reasons(INS).keys() <= {"rate_not_measured"}
+    assert_honest(run)
+    # The errors of one voyage hardly change in a second: 99.9 % of chi square for what is one draw or a few.
+    assert np.mean(nees(run, 2.0)) < 12.0
+    reports = run.diagnostics("ins rates", START_NS + SECOND_NS, run.now_ns)
+    assert {level for level, _ in reports} == {1}
+    assert "not used" in reports[0][1]
+    assert_same_attitudes(run, drive(new_adapter(), changed_where(thinned(voyage(20.0), keep), of_ins(), no_rate)))
+
+
+def no_rate(message: Any) -> None:
+    """What an Imu says that measures none."""
+    message.angular_velocity_covariance[0] = -1.0
+
+
+def assert_same_attitudes(one: Run, other: Run) -> None:
+    """To the last bit, but for the first half second."""
+    attitudes = [
+        {stamp_of(m): rotation_of(m).tobytes() for m in run.messages("ship/attitude") if seconds(m) > 0.5}
+        for run in (one, other)
+    ]
+    assert attitudes[0] == attitudes[1]
+
+
+def test_mend_06_rates_that_fail_on_the_way_cost_half_a_second_and_no_star() -> None:
+    run = drive(new_adapter(), changed_where(voyage(12.0), of_ins(4.0, 9.0), scaled(0.0)))
+    refused = run.reasons(INS)["gate"]
+    assert 1 <= refused <= 16
+    assert_honest(run)
+    assert only_gaps(run) <= 3
+    # No star is forgotten: what was learnt of the INS stands.
+    sigma = [np.sqrt(m.covariance[0]) for m in run.messages("ship/attitude") if seconds(m) > 5.0]
+    assert max(sigma) < 20.0 * ARCSEC
+
+
+def test_mend_06_at_rest_the_verdict_on_the_rates_stands() -> None:
+    """Rates in degrees; the ship lies still for ten seconds, and nothing of them comes back in."""
+    arrivals = changed_where(voyage(22.0), of_ins(0.0, 22.0), scaled(np.rad2deg(1.0)))
+    first = arrivals[index_at(arrivals, INS, 8.0)].message
+
+    def rest(message: Any) -> None:
+        message.orientation = first.orientation
+        for axis in AXES:
+            setattr(message.angular_velocity, axis, 0.0)
+
+    run = drive(new_adapter(), changed_where(arrivals, of_ins(8.0, 18.0), rest))
+    used = {m.sources[0] for m in run.messages("ship/attitude") if seconds(m) > 6.0 and m.status != Status.INVALID}
+    assert "ins" not in used
+    assert set(run.reasons(INS)) <= {"units", "gate", "stuck", "rate_not_measured"}
+
+
+def test_mend_11_five_seconds_of_rates_in_degrees_poison_nothing() -> None:
+    run = drive(new_adapter(), changed_where(voyage(30.0), of_ins(6.0, 11.5), scaled(np.rad2deg(1.0))))
+    assert run.reasons(INS).keys() >= {"gate", "units"}
+    assert_honest(run)
+    assert run.messages("ship/attitude")[-1].status == Status.VALID
+    alignment = run.adapter.core.alignment()
+    index = alignment.names.index("ins.time_offset")
+    sigma_s = np.sqrt(alignment.covariance[index, index])
+    assert abs(alignment.values[index] - 0.003) < 4.0 * sigma_s
+    assert sigma_s < 0.001
+
+
+def test_mend_11_the_same_from_the_start() -> None:
+    run = drive(new_adapter(), changed_where(voyage(20.0), of_ins(0.0, 5.0), scaled(np.rad2deg(1.0))))
+    assert_honest(run)
+    assert run.messages("ship/attitude")[-1].status == Status.VALID
+
+
+# -- together -------------------------------------------------------------------------------------------------------
+
+
+def test_mend_03_a_frozen_ins_and_a_frozen_star_are_told_by_the_other_star_and_the_rates() -> None:
+    arrivals = voyage(16.0)
+    star = arrivals[index_at(arrivals, FORE, 4.0)].message
+
+    def freeze(message: Any) -> None:
+        message.azimuth, message.elevation, message.roll = star.azimuth, star.elevation, star.roll
+
+    def chosen(arrival: Arrival) -> bool:
+        return arrival.topic == FORE and 4.0 <= (arrival.stamp_ns - START_NS) * 1e-9 < 8.0
+
+    faulty = changed_where(changed_where(arrivals, of_ins(4.0, 9.0), held(arrivals, 4.0)), chosen, freeze)
+    run = drive(new_adapter(), faulty)
+    for source in ("ins", "star.fore"):
+        told = [seconds(m) for m in run.innovations(Reason.STUCK) if m.source == source]
+        assert 4.0 < told[0] < 6.0
+    assert max(seconds(m) for m in run.innovations(Reason.STUCK)) < 9.0
+    assert_honest(run)
+    assert run.messages("ship/attitude")[-1].status == Status.VALID
+
+
+def test_mend_10_a_jump_with_rates_in_degrees_and_back() -> None:
+    faulty = changed_where(voyage(25.0), of_ins(5.0, 12.0), scaled(np.rad2deg(1.0)))
+    run = drive(new_adapter(), changed_where(faulty, of_ins(5.0), turned(600.0, 3600.0, 0.0)))
+    assert_honest(run)
+    assert run.messages("ship/attitude")[-1].status == Status.VALID
+
+
+def test_mend_10_a_wrong_sample_while_frozen_is_refused() -> None:
+    frozen = changed_where(voyage(10.0), of_ins(3.0, 6.0), held(voyage(10.0), 3.0))
+    run = drive(new_adapter(), replaced(frozen, index_at(frozen, INS, 5.0), turned(0.0, 3600.0, 0.0)))
+    refused = run.reasons(INS)
+    assert refused["gate"] + refused["stuck"] == 74
+    assert_honest(run)
+    assert run.messages("ship/attitude")[-1].status == Status.VALID
+
+
+def test_mend_10_without_order_a_jump_is_never_valid_and_wrong() -> None:
+    """Samples and stars come up to a second late, in any order, around a jump."""
+    rng = np.random.default_rng(3)
+    jumped = changed_where(voyage(8.0), of_ins(3.0), turned(0.0, 3600.0, 0.0))
+    late = in_order(
+        Arrival(a.topic, a.message, a.receive_ns + round(rng.uniform(0.0, 1.0) * SECOND_NS)) for a in jumped
+    )
+    assert_honest(drive(new_adapter(), late))
