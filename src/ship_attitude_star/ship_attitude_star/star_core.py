@@ -80,7 +80,7 @@ class StarCore:
         self._ins.reconfigure(config.ins)
 
     def add_ins(self, sample: AttitudeSample) -> StarOutcome:
-        """The attitude of the deck as the INS has it: it chooses among stars and has no part in any solution."""
+        """The attitude of the deck as the INS has it: it chooses among stars, and its turn moves them to one moment."""
         if self._too_late(sample.time_ns):
             return StarOutcome(self._late(sample.time_ns))
         outcome = StarOutcome(self._ins.add(sample))

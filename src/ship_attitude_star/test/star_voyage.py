@@ -6,6 +6,7 @@ which the node does not use, and projected by the camera.
 
 import functools
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -118,17 +119,32 @@ def seen(topic: str, since_ns: int, count: int = STARS) -> tuple[FloatArray, Flo
     return rows[brightest], pixels[brightest]
 
 
-def observations(topic: str, since_ns: int, noise_px: FloatArray | float = 0.0, count: int = STARS) -> Any:
-    """What a sensor says of the stars that it sees."""
+def streak_means(topic: str, since_ns: int, pixels: FloatArray, exposure_s: float) -> FloatArray:
+    """Means of the pixels of stars over an exposure, by its true motion at two hundred moments."""
+    directions_s, middle = CAMERA.directions(pixels), true_sensor(topic, since_ns)
+    offsets_ns = (exposure_s * 1e9 * ((np.arange(200) + 0.5) / 200 - 0.5)).astype(int)
+    turns = [true_sensor(topic, since_ns + ns).T @ middle for ns in offsets_ns.tolist()]
+    return np.mean([CAMERA.pixels(directions_s @ turn.T) for turn in turns], axis=0)
+
+
+def observations(
+    topic: str,
+    since_ns: int,
+    noise_px: FloatArray | float = 0.0,
+    count: int = STARS,
+    exposure_s: float = np.nan,
+) -> Any:
+    """What a sensor says of the stars that it sees; points where no length of the exposure is given, else streaks."""
     sensor = topic.split("/")[1]
     rows, pixels = seen(topic, since_ns, count)
+    if exposure_s > 0.0:
+        pixels = streak_means(topic, since_ns, pixels, exposure_s)
     u, v = (pixels + noise_px).T
     return FACTORY.make(
         "ship_msgs/msg/StarObservationArray",
         header=make_header(FACTORY, START_NS + since_ns, f"star_{sensor}"),
         sensor_id=sensor,
-        # Its stars are points.
-        exposure_s=np.nan,
+        exposure_s=exposure_s,
         stars=[
             FACTORY.make(
                 "ship_msgs/msg/StarObservation",
@@ -202,6 +218,17 @@ def sail(arrivals: Iterable[Arrival], **changes: Any) -> Run:
     """All arrivals through a new adapter, and half a second more."""
     taken = tuple(arrivals)
     return drive(new_adapter(**changes), taken, until_ns=taken[-1].receive_ns + SECOND_NS)
+
+
+@functools.cache
+def streaked_voyage(exposure_s: float = 0.2) -> tuple[Arrival, ...]:
+    """The voyage without noise of the centroids, with exposures of some length."""
+    return tuple(
+        replace(a, message=observations(a.topic, a.stamp_ns - START_NS, exposure_s=exposure_s))
+        if a.topic in PHASE_NS
+        else a
+        for a in voyage()
+    )
 
 
 @functools.cache

@@ -6,7 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import FACTORY, SECOND_NS, START_NS, changed_where, exactly, index_at, replaced, without
+from adapter_runs import (
+    FACTORY,
+    SECOND_NS,
+    START_NS,
+    changed_where,
+    exactly,
+    in_order,
+    index_at,
+    replaced,
+    stamp_of,
+    without,
+)
 from small_voyage import INS, Run, drive, ins_message
 from star_voyage import (
     CAMERA_PARAMETERS,
@@ -18,6 +29,7 @@ from star_voyage import (
     TEMPERATURE,
     except_,
     only,
+    streaked_voyage,
     true_deck,
     voyage,
 )
@@ -27,7 +39,7 @@ from ship_attitude_star.adapter import ShipAttitudeAdapter
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.samples import Horizon, Reason, Status
 from ship_estimation.parameters import ParameterError, build
-from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, log_rotation
 
 MOMENT_S = 1.5
@@ -230,3 +242,39 @@ def test_mend_02_an_ins_that_errs_and_is_taken_for_exact_is_contradicted() -> No
     sensors = {id_: {**sensor, **EXACT_SENSOR} for id_, sensor in SENSORS.items()}
     run = sail(voyage(), ins=EXACT_INS, star_sensors=sensors)
     assert set(run.reasons(FORE)) == {"gate", "attitude_conflict"}
+
+
+def test_mend_09_streaks_wait_for_the_ins_and_any_order_of_arrival_gives_the_same_state() -> None:
+    """Stars at once, or a second late; INS samples at once, or late in the middle of an exposure."""
+    states = []
+    for star_delay_s, ins_delay_s in ((0.001, 0.001), (1.0, 0.001), (0.001, 0.3)):
+        arrivals = [
+            replace(a, receive_ns=a.stamp_ns + round((star_delay_s if a.topic in (FORE, STARBOARD) else 0.001) * 1e9))
+            for a in streaked_voyage()
+        ]
+        late = index_at(arrivals, INS, MOMENT_S)
+        arrivals[late] = replace(arrivals[late], receive_ns=arrivals[late].stamp_ns + round(ins_delay_s * 1e9))
+        run = sail(in_order(arrivals))
+        assert set(run.reasons(FORE)) <= {"gap", "revised"}
+        state = run.adapter.core.state
+        states.append((state.mean.tobytes(), state.parts.tobytes()))
+    assert states[1] == states[0]
+    assert states[2] == states[0]
+
+
+def test_mend_09_the_ship_s_attitude_by_streaks_errs_as_it_says() -> None:
+    assert worst_sigmas(sail(streaked_voyage())) < 2.5
+
+    def not_told(message: Any) -> None:
+        message.exposure_s = np.nan
+
+    believed = changed_where(streaked_voyage(), lambda a: a.topic in (FORE, STARBOARD), not_told)
+    assert worst_sigmas(sail(believed)) > 4.0
+
+
+def worst_sigmas(run: Run) -> float:
+    """Of the attitudes after the first second, in sigmas of all three axes together, over the root of three."""
+    late = [m for m in run.messages("ship/attitude") if stamp_of(m) > START_NS + SECOND_NS]
+    covariances_n = [horizon_covariance(m.rotation_covariance.reshape(3, 3)) for m in late]
+    pairs = zip(late, covariances_n, strict=True)
+    return max(float(np.sqrt(error_of(m) @ np.linalg.solve(cov, error_of(m)) / 3.0)) for m, cov in pairs)

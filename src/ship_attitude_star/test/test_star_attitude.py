@@ -31,6 +31,7 @@ from star_voyage import (
     results,
     sail,
     solution_rotation,
+    streaked_voyage,
     true_deck,
     true_sensor,
     voyage,
@@ -119,6 +120,35 @@ def test_the_prior_chooses_and_has_no_part_in_the_attitude() -> None:
     without = sail(without_ins())
     for name in SOLUTION.values():
         assert [exactly(m) for m in without.messages(name)] == [exactly(m) for m in clean_run().messages(name)]
+
+
+def spanned(messages: list[Any]) -> list[Any]:
+    """Solutions of exposures that the INS saw the whole of."""
+    return [message for message in messages if 0.1 * SECOND_NS < since(message) < 2.85 * SECOND_NS]
+
+
+@pytest.mark.parametrize("topic", [FORE, STARBOARD])
+def test_mend_09_streaks_give_the_attitude_at_the_middle_of_their_exposure(topic: str) -> None:
+    told = spanned(sail(streaked_voyage()).messages(SOLUTION[topic]))
+    as_seen = spanned(sail(except_(streaked_voyage(), INS)).messages(SOLUTION[topic]))
+    points = spanned(clean_run().messages(SOLUTION[topic]))
+    assert len(told) == len(points) >= 13
+
+    def errors_arcsec(messages: list[Any]) -> FloatArray:
+        return np.array([np.linalg.norm(error_n(m, true_sensor(topic, since(m)))) for m in messages]) / ARCSEC
+
+    # Of an arcsecond of noise in each attitude of the INS, 0.4" is in each axis of the correction.
+    assert np.sqrt(np.mean(errors_arcsec(told) ** 2)) < 1.0
+    assert np.sqrt(np.mean(errors_arcsec(as_seen) ** 2)) > 5.0
+    noise = [[np.trace(m.noise_covariance.reshape(3, 3)) for m in messages] for messages in (told, points)]
+    assert np.mean(np.divide(*noise)) > 2.0
+
+
+def test_mend_09_without_the_ins_streaks_are_taken_as_seen_and_it_says_so() -> None:
+    level, text, _ = status(sail(except_(streaked_voyage(), INS)), "solution fore")
+    assert level == 1
+    assert "ins/imu does not tell how the ship turned in 0.2 s of exposure" in text
+    assert "exposure" not in status(sail(without_ins()), "solution fore")[1]
 
 
 def test_simultaneous_exposures_make_an_exact_deck_without_any_ins() -> None:
