@@ -228,8 +228,8 @@ def _misfit_text(name: str, misfits: list[Section], node: str) -> str:
     namespace = first.node.rpartition("/")[0]
     advice = f"name it '/**/{last}' to fit in every namespace"
     if _last(first.node) == last and "*" not in namespace:
-        where = f"in namespace '{namespace}'" if namespace else "without a namespace"
-        advice += f", or run the node {where}"
+        where = f"-r __ns:={namespace}, of a tool --namespace {namespace[1:]}" if namespace else "give it no namespace"
+        advice += f", or run the node in that of the section ({where})"
     full = node if node.startswith("/") else f"/{node}"
     return f"{name}:{first.line}: section '{first.node}' does not fit node '{full}': {advice}"
 

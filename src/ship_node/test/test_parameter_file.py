@@ -147,8 +147,12 @@ AURORA = "/aurora/ship_attitude"
 @pytest.mark.parametrize(
     ("section", "node", "advice"),
     [
-        ("ship_attitude", AURORA, ", or run the node without a namespace"),
-        ("/palmer/ship_attitude", AURORA, ", or run the node in namespace '/palmer'"),
+        ("ship_attitude", AURORA, ", or run the node in that of the section (give it no namespace)"),
+        (
+            "/palmer/ship_attitude",
+            AURORA,
+            ", or run the node in that of the section (-r __ns:=/palmer, of a tool --namespace palmer)",
+        ),
         ("/palmer/**/ship_attitude", AURORA, ""),
         ("/aurora/ship_atitude", AURORA, ""),
         ("ShipAttitude", "/ship_attitude", ""),

@@ -132,12 +132,12 @@ def test_mend_12_names_are_judged_as_a_node_would(check, tmp_path):
     bag = write_bag(tmp_path / "a.mcap", prefix="/palmer/")
     code, lines, _ = check(GOOD, bag, "--namespace", "palmer")
     assert code == 2
-    advice = "name it '/**/ship_attitude' to fit in every namespace, or run the node"
+    advice = "name it '/**/ship_attitude' to fit in every namespace, or run the node in that of the section"
     misfit = f"error: suite.yaml:1: section '/ship_attitude' does not fit node '/palmer/ship_attitude': {advice}"
-    assert lines[0] == f"{misfit} without a namespace"
+    assert lines[0] == f"{misfit} (give it no namespace)"
     code, lines, _ = check(GOOD.replace("ship_attitude:", "/palmer/ship_attitude:"))
     misfit = f"error: suite.yaml:1: section '/palmer/ship_attitude' does not fit node '/ship_attitude': {advice}"
-    assert (code, lines) == (2, [f"{misfit} in namespace '/palmer'"])
+    assert (code, lines) == (2, [f"{misfit} (-r __ns:=/palmer, of a tool --namespace palmer)"])
     everywhere = "/**:\n  ros__parameters: {lag_s: 1.0}\n"
     in_palmer = everywhere + GOOD.replace("ship_attitude:", "/palmer/ship_attitude:")
     assert check(in_palmer, bag, "--namespace", "/palmer/")[:2] == (0, ["suite.yaml: good for a.mcap"])
