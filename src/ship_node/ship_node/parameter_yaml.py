@@ -110,6 +110,9 @@ def _parameters(name: str, node: yaml.Node, prefix: str) -> Iterator[tuple[str, 
         return
     for key, line, value in _entries(name, node, prefix.rstrip(".") or PARAMETERS_KEY):
         if isinstance(value, yaml.MappingNode):
+            if prefix and not value.value:
+                # rcl drops it: a device with nothing but defaults would not be there, and nobody would say so.
+                raise BadInput(f"{name}:{line}: group '{prefix}{key}' is empty: give it a parameter, or take it out")
             yield from _parameters(name, value, f"{prefix}{key}.")
         else:
             yield prefix + key, (_value(name, value, prefix + key), line)

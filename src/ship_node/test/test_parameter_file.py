@@ -170,6 +170,13 @@ def test_mend_12_a_section_meant_for_the_node_that_does_not_fit_is_refused_with_
         assert str(caught.value) == f"{said}in every namespace{advice}"
 
 
+def test_mend_12_a_device_with_nothing_but_defaults_is_not_dropped_silently():
+    """rcl drops empty groups, so the reference would not be there."""
+    text = "/**/ship_attitude:\n  ros__parameters:\n    references:\n      gyro: {}\n"
+    with pytest.raises(BadInput, match=r"configuration:4: group 'references\.gyro' is empty: give it a parameter, or"):
+        read(text, AURORA)
+
+
 def test_mend_12_a_file_about_other_nodes_is_a_warning():
     text = "/**/star_attitude: {ros__parameters: {x: 1}}\n/ship: {ros__parameters: {x: 1}}\n"
     said = f"nothing in it is for node '{AURORA}', its sections are '/**/star_attitude', '/ship'"
@@ -256,6 +263,7 @@ def test_not_a_number_is_a_number():
         ("    a: 1\n    b: {c: 2\n", 5, "not YAML: expected ',' or '}'"),
         ("    a: 1\n    a: 2\n", 4, "'a' was given before, in line 3"),
         ("    a:\n", 3, "parameter 'a' has no value"),
+        ("    a: 1\n    b:\n      c: {}\n", 5, "group 'b.c' is empty: give it a parameter, or take it out"),
         ("    a: [1, x]\n", 3, "parameter 'a' mixes int and str: all elements of a list must be of one type"),
         ("    a: [[1], [2]]\n", 3, "parameter 'a' is a list of lists: expected a plain list"),
         ("    a: [{b: 1}]\n", 3, "parameter 'a' is a list of groups: expected a plain list"),

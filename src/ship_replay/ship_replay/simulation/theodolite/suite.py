@@ -26,12 +26,11 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
     configuration["ins"] = {"frame_id": INS_FRAME, **shared(scenario.ins, InsErrorConfig)}
     configuration["encoder"]["frame_id"] = MOUNT_FRAME
     configuration["telescope"] |= {"telescope_id": TELESCOPE_ID, "frame_id": TELESCOPE_FRAME}
-    configuration["beacons"] = {}
     for key, beacon in scenario.beacons.items():
         known = shared_with_groups(beacon, BeaconConfig)
         known["rtk"] |= {"frame_id": ANTENNA_FRAME, "base_id": SHIP_ANTENNA_ID, "rover_id": key}
         known["imu"] |= {"frame_id": beacon_frame(key)}
-        configuration["beacons"][key] = known
+        configuration.setdefault("beacons", {})[key] = known
     return configuration
 
 
