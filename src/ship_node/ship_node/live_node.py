@@ -1,10 +1,9 @@
 """An adapter in a live rclpy node: its inputs, ticks, services and parameters.
 
 Nothing that an adapter raises ends the node (:mod:`ship_node.guard`). Ticks fall on a grid of the time of waiting: of
-/clock as in replay, or of a clock that nobody sets (:mod:`ship_node.tick_grid`). The events executor takes half the
-processor time of the single-threaded one and hears of messages of all topics in the order in which they came; but its
-queue of events has no bound, and timers wait in it behind all the rest. So callbacks only put messages into an inbox
-that has one (:mod:`ship_node.inbox`), and the adapter gets one of them whenever no event is left.
+/clock as in replay, or of a clock that nobody sets (:mod:`ship_node.tick_grid`). Callbacks only put messages
+into an inbox that is bounded (:mod:`ship_node.inbox`), for the events that wait are not (:mod:`ship_node.node_events`);
+the adapter gets one message whenever no event is left.
 """
 
 import time
@@ -16,7 +15,6 @@ from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_policy_name_from_kind
@@ -35,6 +33,7 @@ from ship_node.guard import Guard
 from ship_node.inbox import Arrival, Inbox
 from ship_node.message_factory import RosidlFactory, message_class
 from ship_node.node_clock import NodeClock
+from ship_node.node_events import NodeEvents
 from ship_node.node_watch import ErrorLog, name_status, stamps_status
 from ship_node.parameter_file import misfit, quoted_parameter, read_whatever_fits
 from ship_node.qos import input_qos, output_qos, overridable, overrides_checked
@@ -43,9 +42,6 @@ from ship_node.tick_grid import TickGrid
 from ship_node.topics import InputTopic, OutputTopic
 
 SPIN_TIMEOUT_S = 0.1
-MOST_EVENTS = 1000
-"""Events taken from the executor between two messages given to the adapter; a flood must not stop the work."""
-
 WATCH_PERIOD_S = 1.0
 JUMP_BACK = Duration(nanoseconds=-100_000_000)
 """Only a jump that is longer starts anew: /clock from two hosts may waver."""
@@ -74,11 +70,11 @@ class LiveNode:
     def __init__(self, adapter_class: type[Adapter], context: Context, parameter_files: tuple[Path, ...] = ()) -> None:
         self.node: Node = ParameterNode(adapter_class.node_name, context=context)
         self._full_name = self.node.get_fully_qualified_name()
-        self._event_came = False
-        self._clock = NodeClock(self.node, time.monotonic_ns, self._note_event)
+        self._guard = Guard(self.node.get_logger(), time.monotonic_ns)
+        self._events = NodeEvents(context, self._guard, time.monotonic_ns)
+        self._clock = NodeClock(self.node, time.monotonic_ns, self._events.came)
         self._context = context
         self._factory = RosidlFactory()
-        self._guard = Guard(self.node.get_logger(), time.monotonic_ns)
         try:
             self._judge(parameter_files)
             self._parameters = NodeParameters(self.node, adapter_class.config_type)
@@ -102,13 +98,12 @@ class LiveNode:
             self.node.get_logger().warning(warning)
         self._warn_of_unused_overrides()
         self._create_clocks()
-        self._executor = EventsExecutor(context=context)
-        self._executor.add_node(self.node)
+        self._events.start(self.node)
 
     def spin(self, stop: Callable[[], bool]) -> None:
         """Work until ``stop()`` or until the context ends."""
         while not stop() and self._context.ok():
-            self._take_events()
+            self._events.take(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S)
             self._guard.call("work", self._work)
             if self._clock.is_dead() and not self._error_log.tells_of("clock"):
                 self._guard.call("watch", self._watch)
@@ -118,8 +113,7 @@ class LiveNode:
         if self._box is not None:
             self._box.close()
         self._jump_handle.unregister()
-        self._executor.remove_node(self.node)
-        self._executor.shutdown()
+        self._events.close()
         self.node.destroy_node()
 
     def _judge(self, parameter_files: Iterable[Path]) -> None:
@@ -163,7 +157,7 @@ class LiveNode:
     def _create_clocks(self) -> None:
         """The tick on the node's clock, the watch on a clock that never stops, and the reset when time goes back."""
         clock = self.node.get_clock()
-        self.node.create_timer(TICK_PERIOD_NS * 1e-9, self._note_event)
+        self.node.create_timer(TICK_PERIOD_NS * 1e-9, self._events.came)
         self.node.create_timer(
             WATCH_PERIOD_S,
             partial(self._guard.call, "watch", self._watch),
@@ -179,21 +173,8 @@ class LiveNode:
             if name.startswith("qos_overrides.") and not self.node.has_parameter(name):
                 self.node.get_logger().warning(f"parameter '{name}' names no topic and policy of this node")
 
-    def _take_events(self) -> None:
-        """Call back for what happened until nothing is left; wait a while only where nothing else is to do."""
-        timeout_s = 0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S
-        for _ in range(MOST_EVENTS):
-            self._event_came = False
-            self._guard.call("executor", self._executor.spin_once, timeout_s)
-            if not self._event_came:
-                return
-            timeout_s = 0.0
-
-    def _note_event(self) -> None:
-        self._event_came = True
-
     def _on_message(self, topic: str, data: bytes) -> None:
-        self._note_event()
+        self._events.came()
         self._inbox.put(Arrival(topic, data, *self._clock.times()))
 
     def _work(self) -> None:
@@ -257,16 +238,16 @@ class LiveNode:
         self.node.get_logger().error(f"incompatible QoS: {text}")
 
     def _on_lost(self, topic: str, event: QoSMessageLostInfo) -> None:
-        self._note_event()
+        self._events.came()
         self.adapter.health.lost(topic, event.total_count_change)
 
     def _watch(self) -> None:
         """What time does not bring: publishers of the inputs, a clock that never starts, exceptions."""
-        self._note_event()
+        self._events.came()
         for topic, subscription in self._subscriptions.items():
             self.adapter.health.publisher_count(topic, self.node.count_publishers(subscription.topic_name))
         self.adapter.health.clock_unused(not self._clock.is_simulated() and self.node.count_publishers("/clock") > 0)
-        statuses = [self._clock.status(), name_status(self.node)]
+        statuses = [self._clock.status(), name_status(self.node), self._events.status()]
         self._error_log.note([*statuses, stamps_status(self.adapter.health)])
         statuses += [self._guard.status(), self._parameters.status()]
         if self._box is not None:
