@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ship_attitude_star.inertial_attitude import InertialAttitude, in_horizon
 from ship_attitude_star.measurement_models import PredictedAttitude, attitude_measurement
 from ship_attitude_star.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement, Measurement
@@ -34,6 +36,14 @@ class Compared:
     components: tuple[str, ...]
     rotation_nv: FloatArray
     stars_refused: tuple[tuple[str, Refusal], ...] = ()
+
+    @property
+    def attitude_noise_n(self) -> FloatArray:
+        """Noise of a measured attitude, rotation vector in the horizon frame, rad², (3, 3); zero for single stars."""
+        if self.components != ATTITUDE_COMPONENTS:
+            return np.zeros((3, 3))
+        noise_n: FloatArray = self.rotation_nv @ self.noise @ self.rotation_nv.T
+        return noise_n
 
 
 def compare(

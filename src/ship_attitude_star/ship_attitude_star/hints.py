@@ -1,37 +1,156 @@
-"""What a persistent disagreement in heading usually means, in words for the operator."""
+"""What a persistent disagreement usually means, in words for the operator: which source is the odd one, and why."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
+from ship_estimation.consistency import normalized_error_squared
+from ship_estimation.gates import chi_square_gate
 from ship_geometry.frames import angles_from_rotation
-from ship_geometry.rotations import FloatArray, wrap_pi
+from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
 
-_TOLERANCE_RAD = np.deg2rad(5.0)
+_EXPLAINED_RAD = np.deg2rad(5.0)
+"""A mistake explains a disagreement that it leaves no more of than this."""
+
+_PLAIN_RAD = np.deg2rad(10.0)
+"""A disagreement in heading up to this is plain: no mistake is needed for it, and near 45° and 225° any would do."""
+
+_SAME_TILT_RAD = np.deg2rad(15.0)
+"""Mistakes in heading leave the tilt as it is, but for pitch with the other sign."""
+
 _QUARTER_TURN = 0.5 * np.pi
+_STAR = "star."
+_ALIKE = 0.5
+"""Disagreements with the INS that differ by less than this share of themselves are one and the same."""
+
+_RECENT_NS = 10_000_000_000
+"""What a source said longer ago than this is no word about who is wrong now."""
+
+_ALIKE_CHI2 = chi_square_gate(0.999, 3)
 
 
-def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray) -> str:
+@dataclass(frozen=True)
+class Departure:
+    """How far a refused measurement is from what the INS let expect.
+
+    Attributes:
+        time_ns: its stamp.
+        turn_n: from the expected attitude to the measured one, rotation vector in the horizon frame, rad, shape (3,).
+        noise_n: covariance of it by the measurement's own noise, rad², shape (3, 3).
+    """
+
+    time_ns: int
+    turn_n: FloatArray
+    noise_n: FloatArray
+
+
+def who_is_wrong(
+    source: str,
+    refusals: Mapping[str, int],
+    used_ns: Mapping[str, int],
+    departures: Mapping[str, Departure],
+    ins_nd: FloatArray,
+    measured_nd: FloatArray,
+) -> str:
+    """What the usual mistakes and the other sources say about a source that keeps disagreeing with the INS.
+
+    Args:
+        source: the one that disagrees.
+        refusals: by source, its refusals in a row.
+        used_ns: by source, the stamp of its last measurement used.
+        departures: by source, its last measurement refused.
+        ins_nd: attitude of the deck by the INS, shape (3, 3).
+        measured_nd: the same by the source.
+    """
+    since_ns = departures[source].time_ns - _RECENT_NS
+    agreeing = [name for name, time_ns in used_ns.items() if time_ns >= since_ns and not refusals.get(name, 0)]
+    disagreeing = {
+        name: departure
+        for name, departure in departures.items()
+        if departure.time_ns >= since_ns and refusals.get(name, 0)
+    }
+    hint = heading_hint(ins_nd, measured_nd, source, ins_confirmed=bool(agreeing) and len(disagreeing) == 1)
+    return f"{hint}; {odd_one_out(source, agreeing, disagreeing)}"
+
+
+def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_confirmed: bool) -> str:
     """A hint where the headings differ as they do by the common mistakes of marine drivers; otherwise empty.
 
     Args:
         ins_nd: attitude of the deck by the INS, shape (3, 3).
         measured_nd: the same by the other source, shape (3, 3).
+        source: the other source, ``star.<id>`` or ``reference.<name>``.
+        ins_confirmed: whether others agree with the INS, so that the mistake is not there.
     """
     by_ins, measured = angles_from_rotation(ins_nd)[0], angles_from_rotation(measured_nd)[0]
-    if _near(by_ins + measured, _QUARTER_TURN):
-        return ", as if heading were given as yaw (90° - heading): look at ins.convention and at the driver of the INS"
     difference = abs(float(wrap_pi(measured - by_ins)))
+    # Up as the deck has it.
+    tilt = float(angle_between(ins_nd[1], measured_nd[1]))
+    # Written so that NaN explains nothing.
+    if not (difference > _PLAIN_RAD and tilt < _SAME_TILT_RAD):
+        return ""
+    mounted = f"star_sensors.{_id(source)}.azimuth_deg" if _is_star(source) else f"references.{_id(source)}.heading_deg"
+    if _near(by_ins + measured, _QUARTER_TURN) and not (ins_confirmed and _is_star(source)):
+        look = f"references.{_id(source)}.convention" if ins_confirmed else "ins.convention"
+        driver = source if ins_confirmed else "the INS"
+        return f", as if heading were given as yaw (90° - heading): look at {look} and at the driver of {driver}"
     if _near(difference, _QUARTER_TURN):
-        return (
-            " by about 90° in heading: look at ins.convention and at the azimuth of the sensor's or the INS's "
-            "installation"
-        )
+        ins = "" if ins_confirmed else "ins.convention, ins.installation_heading_deg and "
+        return f" by about 90° in heading: look at {ins}{mounted}"
     if _near(difference, np.pi):
-        return (
-            " by about 180° in heading: look at the azimuth of the sensor's installation and at "
-            "ins.installation_heading_deg"
-        )
+        ins = "" if ins_confirmed else " and ins.installation_heading_deg"
+        return f" by about 180° in heading: look at {mounted}{ins}"
     return ""
 
 
+def odd_one_out(source: str, agreeing: Sequence[str], disagreeing: Mapping[str, Departure]) -> str:
+    """Who is wrong where a source and the INS disagree, by what the other sources say.
+
+    Args:
+        source: that disagrees.
+        agreeing: other sources that agree with the INS.
+        disagreeing: those that do not, ``source`` among them.
+    """
+    others = [other for other in disagreeing if other != source]
+    if agreeing and not others:
+        return f"{source} is the odd one out, {_listed(agreeing)} with the INS"
+    if agreeing:
+        against = f"{', '.join(sorted(disagreeing))} disagree with the INS"
+        return f"{against}, {_listed(agreeing)} with it"
+    if not others:
+        return "which of the two is wrong, no other source tells"
+    if _all_alike(list(disagreeing.values())):
+        return f"the INS is the odd one out, {', '.join(sorted(disagreeing))} disagree with it alike"
+    return f"{', '.join(sorted(disagreeing))} disagree with the INS, and with one another"
+
+
+def _listed(agreeing: Sequence[str]) -> str:
+    return f"{', '.join(sorted(agreeing))} {'agree' if len(agreeing) > 1 else 'agrees'}"
+
+
+def _all_alike(departures: Sequence[Departure]) -> bool:
+    return all(_alike(first, second) for first, second in combinations(departures, 2))
+
+
+def _alike(first: Departure, second: Departure) -> bool:
+    """Whether two are one and the same, as far as their size or their noise tells."""
+    apart = first.turn_n - second.turn_n
+    size = min(float(np.linalg.norm(first.turn_n)), float(np.linalg.norm(second.turn_n)))
+    if float(np.linalg.norm(apart)) <= _ALIKE * size:
+        return True
+    noise_n = first.noise_n + second.noise_n
+    return bool(noise_n.any()) and bool(normalized_error_squared(apart, noise_n) <= _ALIKE_CHI2)
+
+
+def _is_star(source: str) -> bool:
+    return source.startswith(_STAR)
+
+
+def _id(source: str) -> str:
+    return source.partition(".")[2]
+
+
 def _near(angle: float, target: float) -> bool:
-    return abs(float(wrap_pi(angle - target))) < _TOLERANCE_RAD
+    return abs(float(wrap_pi(angle - target))) < _EXPLAINED_RAD

@@ -20,7 +20,7 @@ from ship_attitude_star.filter_model import (
     devices,
     state_model,
 )
-from ship_attitude_star.hints import heading_hint
+from ship_attitude_star.hints import Departure, who_is_wrong
 from ship_attitude_star.inertial_attitude import InertialAttitude, in_horizon
 from ship_attitude_star.ins_guard import InsJump
 from ship_attitude_star.measurement_models import ins_time_of, predict_attitude
@@ -31,9 +31,9 @@ from ship_attitude_star.star_streaks import at_middle
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
 from ship_estimation.refusals import Reason, Refusal
-from ship_geometry.attitude_track import AttitudeTrack
+from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
-from ship_geometry.rotations import FloatArray
+from ship_geometry.rotations import FloatArray, log_rotation
 
 Value = TypeVar("Value")
 
@@ -41,6 +41,7 @@ _BEYOND_SIGMAS = 5.0
 _STEPS = 5
 _LARGE_STEP = 5e-3
 """The square of a smaller correction (rad) is nothing beside the errors of what was measured."""
+
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class FilterState:
         refusals: by source, its refusals in a row.
         used_ns: by source, the stamp of its last measurement used.
         jumped: whether the INS has jumped since the last star measurement used.
+        departures: by source, its last measurement refused.
     """
 
     time_ns: int | None
@@ -64,6 +66,7 @@ class FilterState:
     refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     jumped: bool = False
+    departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def covariance(self) -> FloatArray:
@@ -152,21 +155,10 @@ class ShipFilter:
             text = "no INS samples on both sides of it: it cannot be compared"
             return state, Decision(measurement, Reason.GAP, ins_time_ns, text=text)
         device = self.devices[measurement.source]
-        looked_at = measurement
-        if isinstance(measurement, InertialAttitude):
-            assert watch is not None
-            turned = in_horizon(measurement, watch)
-            if isinstance(turned, Refusal):
-                return state, Decision(measurement, turned.reason, ins_time_ns, text=turned.text)
-            looked_at = turned
-        if isinstance(measurement, StarExposure) and measurement.length is not None:
-            turning = turning_over(track, ins_time_ns, measurement.length.nodes)
-            if turning is None:
-                text = f"no INS samples over its whole exposure of {measurement.length.exposure_s:g} s"
-                return state, Decision(measurement, Reason.GAP, ins_time_ns, text=text)
-            looked_at = at_middle(measurement, turning.mounted(device.rotation_dv0))
-            # What is predicted is the mean over the exposure: its errors are those of the mean.
-            ins = replace(ins, noise_gain=turning.noise_gain, error_covariance_d=turning.error_covariance)
+        looked = self._looked_at(measurement, device, track, ins, ins_time_ns, watch)
+        if isinstance(looked, Refusal):
+            return state, Decision(measurement, looked.reason, ins_time_ns, text=looked.text)
+        looked_at, ins = looked
         before, state = state, self._with_common(self.predicted(state, measurement.time_ns), looked_at)
         predicted = predict_attitude(device, self.model, state.mean, ins)
         compared = compare(looked_at, predicted, self.model, state.mean, state.covariance, watch)
@@ -195,7 +187,10 @@ class ShipFilter:
             # Not even the prediction is kept: the state stays, to the last bit, as without this measurement.
             # The deck as the measurement has it: the predicted deck turned as the predicted device must be.
             measured_nd = compared.rotation_nv @ predicted.rotation_nv.T @ ins.rotation_nd
-            return self._refused(before, decision, ins.rotation_nd, measured_nd)
+            departure = Departure(
+                measurement.time_ns, log_rotation(measured_nd @ ins.rotation_nd.T), compared.attitude_noise_n
+            )
+            return self._refused(before, decision, departure, ins.rotation_nd, measured_nd)
 
         def linearised(mean: FloatArray) -> LinearMeasurement | None:
             there = predict_attitude(device, self.model, mean, ins)
@@ -216,6 +211,30 @@ class ShipFilter:
             jumped=state.jumped and not device.is_star,
         )
         return state, decision
+
+    @staticmethod
+    def _looked_at(
+        measurement: Measurement,
+        device: Device,
+        track: AttitudeTrack,
+        ins: InterpolatedAttitude,
+        ins_time_ns: int,
+        watch: SkyWatch | None,
+    ) -> tuple[Measurement, InterpolatedAttitude] | Refusal:
+        """What of a measurement is compared, and with which attitude of the INS; or why it cannot be."""
+        if isinstance(measurement, InertialAttitude):
+            assert watch is not None
+            turned = in_horizon(measurement, watch)
+            return turned if isinstance(turned, Refusal) else (turned, ins)
+        if isinstance(measurement, StarExposure) and measurement.length is not None:
+            turning = turning_over(track, ins_time_ns, measurement.length.nodes)
+            if turning is None:
+                text = f"no INS samples over its whole exposure of {measurement.length.exposure_s:g} s"
+                return Refusal(Reason.GAP, text)
+            # What is predicted is the mean over the exposure: its errors are those of the mean.
+            ins = replace(ins, noise_gain=turning.noise_gain, error_covariance_d=turning.error_covariance)
+            return at_middle(measurement, turning.mounted(device.rotation_dv0)), ins
+        return measurement, ins
 
     def _updated(
         self,
@@ -258,16 +277,26 @@ class ShipFilter:
         )
 
     def _refused(
-        self, state: FilterState, decision: Decision, ins_nd: FloatArray, measured_nd: FloatArray
+        self,
+        state: FilterState,
+        decision: Decision,
+        departure: Departure,
+        ins_nd: FloatArray,
+        measured_nd: FloatArray,
     ) -> tuple[FilterState, Decision]:
         """Hold the estimate; after a run of refusals say so and, where configured, re-open the gate."""
         source = decision.measurement.source
         run = state.refusals.get(source, 0) + 1
+        state = replace(
+            state,
+            refusals=_with(state.refusals, source, run),
+            departures=_with(state.departures, source, departure),
+        )
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
         if run >= self._gate.conflict_after:
             reason = Reason.ATTITUDE_CONFLICT
-            text = f"{run} refusals in a row: {source} and the INS disagree{heading_hint(ins_nd, measured_nd)}"
-        state = replace(state, refusals=_with(state.refusals, source, run))
+            who = who_is_wrong(source, state.refusals, state.used_ns, state.departures, ins_nd, measured_nd)
+            text = f"{run} refusals in a row: {source} and the INS disagree{who}"
         if self._gate.reopen_after and run % self._gate.reopen_after == 0:
             state = replace(state, parts=state.parts * self._gate.reopen_factor)
             text += f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"

@@ -327,6 +327,29 @@ def test_a_sensor_at_another_azimuth_is_the_only_one_in_conflict(changes: dict[s
     assert_honest(outputs(run)[-1])
 
 
+def test_mend_05_a_sensor_against_the_ins_and_another_sensor_is_named_in_the_diagnostics() -> None:
+    run = drive(new_adapter(star_sensors__fore__azimuth_deg=0.5), voyage())
+    last_ns = run.now_ns
+    ((_, text),) = run.diagnostics("conflict star.fore", last_ns - SECOND_NS, last_ns)[-1:]
+    assert text.endswith("; star.fore is the odd one out, star.starboard agrees with the INS")
+    assert "yaw" not in text
+
+
+def test_mend_05_an_ins_against_all_sensors_is_named_in_the_diagnostics() -> None:
+    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, heading_off))
+    for source in ("star.fore", "star.starboard"):
+        _, text = run.diagnostics(f"conflict {source}", run.now_ns - SECOND_NS, run.now_ns)[-1]
+        assert "the INS is the odd one out, star.fore, star.starboard disagree with it alike" in text
+
+
+@pytest.mark.parametrize("heading_deg", [45.0, 225.0, 44.0])
+def test_mend_05_half_a_degree_near_45_is_not_called_yaw(heading_deg: float) -> None:
+    run = drive(new_adapter(), changed_where(voyage(4.0, heading_deg), lambda a: a.topic == INS, heading_off))
+    conflicts = run.innovations(Reason.ATTITUDE_CONFLICT)
+    assert conflicts
+    assert not any("yaw" in m.reason_text for m in conflicts)
+
+
 def heading_off(message: Any) -> None:
     """0.5° in heading: 25 times the sigma that the INS is given."""
     message.orientation = quaternion_message(exp_rotation(np.array([0.0, np.deg2rad(0.5), 0.0])) @ rotation_of(message))
