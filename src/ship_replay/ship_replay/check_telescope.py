@@ -60,8 +60,9 @@ def _focal_length_m(config: OpticalAxisConfig, bag: Bag, usable: dict[str, str])
         lines = {id_: line for id_ in points_m if (line := _nearest(baselines.get(id_, []), time_ns)) is not None}
         for one, other in combinations(sorted(lines), 2):
             angle = float(angle_between(lines[one], lines[other]))
-            if angle > _LEAST_ANGLE:
-                ratios_m.append(float(np.linalg.norm(points_m[one] - points_m[other])) / angle)
+            distance_m = float(np.linalg.norm(points_m[one] - points_m[other]))
+            if angle > _LEAST_ANGLE and distance_m > 0.0:
+                ratios_m.append(distance_m / angle)
     return float(np.median(ratios_m)) if len(ratios_m) >= _FEWEST_PAIRS else None
 
 

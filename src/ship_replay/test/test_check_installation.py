@@ -166,3 +166,33 @@ def test_mend_15_a_reference_is_held_against_the_ins_too(check, tmp_path):
     assert code == 2
     said = "parameter 'references.b.heading_deg' = 0.5 deg, but 'reference/b/imu' and 'ins/imu' in reference.mcap"
     assert lines == [f"error: suite.yaml:1: {said} say 28.65 deg: radians for degrees?"]
+
+
+@pytest.mark.parametrize("name", ["demo", "theodolite"])
+def test_mend_15_a_bag_of_nothing_but_nan_is_no_contradiction(check, tmp_path, name):
+    """What cannot be read shows no installation: what the nodes would refuse is said, and no more."""
+    bag = tmp_path / "nan.mcap"
+    with read_bag(BAGS / f"{name}.mcap") as whole, BagWriter(bag) as writer:
+        for record in whole.records():
+            if record.log_time_ns > whole.start_ns + 3_000_000_000:
+                break
+            message = record.decode()
+            if record.topic != "theodolite/encoder":
+                without_numbers(message)
+            writer.write(record.topic, message, record.log_time_ns)
+    _, lines = check(suite_of(BAGS / f"{name}.mcap"), bag)
+    assert len(lines) > 1
+    for line in lines[:-1]:
+        assert re.search(r"in the first 20 s: .* 0 were used, \d+ times for non_finite", line), line
+
+
+def without_numbers(message):
+    """Every float of a message is NaN."""
+    for field in message.__dataclass_fields__:
+        value = getattr(message, field)
+        if isinstance(value, float):
+            setattr(message, field, float("nan"))
+        elif isinstance(value, list) or hasattr(value, "__dataclass_fields__"):
+            for part in value if isinstance(value, list) else [value]:
+                if hasattr(part, "__dataclass_fields__"):
+                    without_numbers(part)
