@@ -1,5 +1,6 @@
 """A configuration as the text of a ROS 2 parameter file."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import yaml
@@ -23,5 +24,18 @@ def parameter_text(node_name: str, config: Any) -> str:
         node_name: name without namespace.
         config: a dataclass in the style of :mod:`ship_estimation.parameters`.
     """
-    document = {anywhere(node_name): {PARAMETERS_KEY: nest(flatten(config))}}
+    return _text({anywhere(node_name): nest(flatten(config))})
+
+
+def sections_text(nodes: Mapping[str, Mapping[str, Any]]) -> str:
+    """A parameter file for several nodes.
+
+    Args:
+        nodes: full name → dotted name of a parameter → value.
+    """
+    return _text({name: dict(nodes[name]) for name in sorted(nodes)})
+
+
+def _text(sections: dict[str, Any]) -> str:
+    document = {name: {PARAMETERS_KEY: values} for name, values in sections.items()}
     return yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1_000_000)

@@ -9,11 +9,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from ship_replay.bag_writer import BagWriter
+from ship_replay.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_replay.clock_watch import ClockWatch
 from ship_replay.errors import BadInput
 from ship_replay.installed_types import use_installed_definition
 from ship_replay.message_class import message_class
+from ship_replay.record_parameters import HeardParameters
 from ship_replay.record_topics import DEPTH, REPORTS, adapted_qos, is_activity, offers, qos_texts
 from ship_replay.split_bag import FolderWriter
 from ship_replay.times import NS_PER_S, utc_text
@@ -21,6 +22,7 @@ from ship_replay.times import NS_PER_S, utc_text
 _DISCOVERY_PERIOD_S = 0.1
 # Publishers that go on past the end must not hold it up.
 _DRAIN_S = 1.0
+_HEAR_OUT_S = 1.0
 # A flush begins after this share of its period, so that its writing is over within it.
 _FLUSH_SHARE = 0.7
 
@@ -65,6 +67,12 @@ class Recorder:
         self._is_simulated_time = bool(node.get_parameter("use_sim_time").value)
         self._clock_watch = ClockWatch()
         self._step_count = 0
+        self._parameters = HeardParameters(node, lambda text: bag.add_attachment(SUITE_ATTACHMENT, text))
+
+    @property
+    def unanswered(self) -> list[str]:
+        """Nodes that did not say their parameters."""
+        return self._parameters.unanswered
 
     def stop(self) -> None:
         """End soon; for signal handlers."""
@@ -97,6 +105,7 @@ class Recorder:
             now_s = time.monotonic()
             if now_s >= next_discovery_s:
                 self._discover()
+                self._parameters.look()
                 next_discovery_s = now_s + _DISCOVERY_PERIOD_S
             if now_s >= next_flush_s:
                 self._look_at_clock()
@@ -106,6 +115,7 @@ class Recorder:
                 next_flush_s = now_s + max(_FLUSH_SHARE * self._options.flush_period_s, 2.0 * spent_s)
             executor.spin_once(timeout_sec=max(0.0, min(next_discovery_s, next_flush_s) - now_s))
         self._drain(executor)
+        self._hear_out(executor)
         if self._before_clock:
             self._say(f"no /clock came: {len(self._before_clock)} messages get their publishers' time")
             for topic, type_name, data, sent_ns in self._before_clock:
@@ -132,6 +142,14 @@ class Recorder:
             before = sum(self.counts.values())
             for _ in range(2 * len(self._known) + 1):
                 executor.spin_once(timeout_sec=0.0)
+
+    def _hear_out(self, executor: SingleThreadedExecutor) -> None:
+        """Wait a moment for nodes that are being asked for their parameters."""
+        deadline_s = time.monotonic() + _HEAR_OUT_S
+        while self._parameters.pending and time.monotonic() < deadline_s:
+            executor.spin_once(timeout_sec=_DISCOVERY_PERIOD_S)
+            self._parameters.look()
+        self._parameters.close()
 
     def _discover(self) -> None:
         for topic, endpoints in offers(self._node, self._options.topics).items():

@@ -18,7 +18,8 @@ from ship_replay.split_bag import FolderWriter, SplitLimits
 _DESCRIPTION = """\
 Records live topics into one MCAP file or a rosbag2 folder, byte for byte, with definitions and quality of service as
 ros2 bag does. A crash costs one flush period at most. New topics are taken as they appear; subscriptions follow what
-publishers offer (reliable, latched). Log time is the node's clock at receipt, publish time the publisher's. Ctrl-C or
+publishers offer (reliable, latched). Log time is the node's clock at receipt, publish time the publisher's. The
+parameters of the nodes on the network are asked for and attached as suite.yaml, which replay takes by itself. Ctrl-C or
 SIGTERM ends it. ROS arguments may follow after --ros-args (namespace, use_sim_time, remaps).
 
 With --recover it records nothing: of each bag named it takes every message up to the cut, past damaged chunks, whose
@@ -131,6 +132,8 @@ def _record(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         on_end_signals(recorder.stop)
         print(f"record: recording to {parsed.out}", flush=True)
         recorder.run()
+    for name in sorted(recorder.unanswered):
+        print(f"record: {name} did not say its parameters: they are not in the recording")
     for topic in sorted(recorder.counts):
         lost = f", {recorder.lost[topic]} lost on the way" if recorder.lost[topic] else ""
         print(f"record: {topic}: {recorder.counts[topic]} messages{lost}")

@@ -82,6 +82,10 @@ class FolderWriter:
         """Add a metadata record to the file being written."""
         self._bag.add_metadata(name, entries)
 
+    def add_attachment(self, name: str, content: str | bytes) -> None:
+        """Attach a file to the file being written; a later one of the same name takes its place."""
+        self._bag.add_attachment(name, content)
+
     def flush(self) -> None:
         """Bring every message written so far onto the disk, and begin a new file when it is time."""
         self._bag.flush()
