@@ -43,6 +43,12 @@ FLUSH_PERIOD_S = 0.07
 LONGEST_QUEUE = 50_000
 """Entries that wait for a slow disk, about a minute of a node at 200 Hz; what comes then is lost, and said."""
 
+LARGEST_QUEUE_BYTES = 64 * 2**20
+"""Likewise of their contents; the files that the node read and wrote aside."""
+
+MOST_BEFORE_TIME = 1000
+"""Entries kept while there is no time for them yet; of more, the newest."""
+
 
 class _Message(NamedTuple):
     topic: str
@@ -98,7 +104,8 @@ class BlackBox:
             self._writer.add_topic(topic.topic, topic.type_name, topic.latched)
         self._writer.flush()
         self._queue: deque[_Message | _Attachment] = deque()
-        self._before_time: list[_Message] = []
+        self._bytes_put = self._bytes_written = 0
+        self._before_time: deque[_Message] = deque()
         self._last_ns = 0
         self._file_count = self._lost = self._lost_unsaid = 0
         self._failure = ""
@@ -117,6 +124,10 @@ class BlackBox:
             waiting_ns: the time of waiting; None where it is the same.
         """
         if time_ns == 0:
+            if len(self._before_time) >= MOST_BEFORE_TIME:
+                self._before_time.popleft()
+                self._lost += 1
+                self._lost_unsaid += 1
             self._before_time.append(_Message(topic, data, 0, 0))
             return
         self._last_ns = time_ns
@@ -160,14 +171,19 @@ class BlackBox:
         self._guarded(self._writer.close)
 
     def _append(self, message: _Message) -> None:
-        if len(self._queue) >= LONGEST_QUEUE:
+        waiting_bytes = self._bytes_put - self._bytes_written
+        if len(self._queue) >= LONGEST_QUEUE or waiting_bytes + len(message.data) > LARGEST_QUEUE_BYTES:
             self._lost += 1
             self._lost_unsaid += 1
             return
         if self._lost_unsaid:
             lost = _event_data(EntriesLost(self._lost_unsaid))
-            self._queue.append(message._replace(topic=EVENTS_TOPIC, data=lost))
             self._lost_unsaid = 0
+            self._put_in_queue(message._replace(topic=EVENTS_TOPIC, data=lost))
+        self._put_in_queue(message)
+
+    def _put_in_queue(self, message: _Message) -> None:
+        self._bytes_put += len(message.data)
         self._queue.append(message)
 
     def _write_on(self) -> None:
@@ -187,6 +203,7 @@ class BlackBox:
                 # Counted over all topics: where one is missing, that shows at the very next.
                 number = self._writer.message_count + 1
                 kind = self._types[entry.topic]
+                self._bytes_written += len(entry.data)
                 self._writer.write_raw(entry.topic, kind, entry.data, entry.time_ns, entry.waiting_ns, number)
         if count:
             self._writer.flush()

@@ -15,7 +15,7 @@ from ship_estimation.parameters import build
 from ship_node import black_box
 from ship_node.adapter_calls import AdapterCalls
 from ship_node.bag_writer import SUITE_ATTACHMENT
-from ship_node.black_box import BlackBox, free_path
+from ship_node.black_box import MOST_BEFORE_TIME, BlackBox, free_path
 from ship_node.black_box_format import (
     EVENTS_TOPIC,
     FORMAT,
@@ -189,6 +189,32 @@ def test_a_disk_that_is_too_slow_costs_entries_and_is_said(tmp_path: Path, monke
         ("ins/imu", b"late"),
         (EVENTS_TOPIC, Closed()),
     ]
+
+
+def test_mend_18_what_waits_for_the_disk_is_bounded_in_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(black_box, "LARGEST_QUEUE_BYTES", 2500)
+    monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
+    box = new_box(tmp_path / "box.mcap")
+    for number in range(5):
+        box.put("ins/imu", bytes(1000), SECOND_NS + number)
+    assert box.status().values["lost"] == "3"
+    box._write_all()
+    box.put("ins/imu", bytes(1000), 2 * SECOND_NS)
+    assert box.status().values["lost"] == "3"
+    box.close()
+    events = [what for topic, what, _ in entries(box.path) if topic == EVENTS_TOPIC]
+    assert events == [EntriesLost(3), Closed()]
+
+
+def test_mend_18_what_waits_for_the_first_clock_is_bounded(tmp_path: Path) -> None:
+    box = new_box(tmp_path / "box.mcap")
+    for number in range(MOST_BEFORE_TIME + 5):
+        box.put("ins/imu", number.to_bytes(4, "little"), 0)
+    box.put("ins/imu", b"last", SECOND_NS)
+    box.close()
+    kept = [what for topic, what, _ in entries(box.path) if topic == "ins/imu"]
+    assert kept == [number.to_bytes(4, "little") for number in range(5, MOST_BEFORE_TIME + 5)] + [b"last"]
+    assert EntriesLost(5) in [what for topic, what, _ in entries(box.path) if topic == EVENTS_TOPIC]
 
 
 def test_a_full_disk_ends_the_box_and_not_the_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

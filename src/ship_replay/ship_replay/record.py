@@ -1,7 +1,7 @@
 """Records live topics into a bag that survives a crash: each message as it came, flushed in short periods."""
 
 import time
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -25,6 +25,8 @@ _DRAIN_S = 1.0
 _HEAR_OUT_S = 1.0
 # A flush begins after this share of its period, so that its writing is over within it.
 _FLUSH_SHARE = 0.7
+# Messages held for a /clock that does not come; of more, the newest.
+_MOST_BEFORE_CLOCK = 50_000
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class Recorder:
         self._stopped = False
         self._known: set[str] = set()
         self._only_reports = True
-        self._before_clock: list[tuple[str, str, bytes, int]] = []
+        self._before_clock: deque[tuple[str, str, bytes, int]] = deque()
         self._last_activity_s: float | None = None
         self._last_log_ns = 0
         self._is_simulated_time = bool(node.get_parameter("use_sim_time").value)
@@ -195,6 +197,10 @@ class Recorder:
         now_ns = self._node.get_clock().now().nanoseconds
         if now_ns == 0:
             # With use_sim_time there is no time before the first /clock; what came before it was not later.
+            if len(self._before_clock) == _MOST_BEFORE_CLOCK:
+                oldest = self._before_clock.popleft()[0]
+                self.counts[oldest] -= 1
+                self.lost[oldest] += 1
             self._before_clock.append((topic, type_name, data, info["source_timestamp"]))
             return
         if self._is_simulated_time and now_ns < self._last_log_ns:
