@@ -53,6 +53,8 @@ def test_each_message_is_handled_at_its_own_time(context):
         publish(number)
     while COUNT - 1 not in seen and time.monotonic() < deadline_s:
         executor.spin_once(0.01)
+    executor.shutdown()
+    node.destroy_node()  # and its DDS participant, which would outlive the context
     assert seen == {number: number * 10**9 for number in range(1, COUNT)}
 
 
@@ -60,4 +62,6 @@ def test_wall_time_stays_as_it_is(context):
     node = rclpy.create_node("wall", context=context)
     queue_clock(node)
     # Its own subscriptions: the graph may still hold nodes of other tests.
-    assert "/clock" not in [subscription.topic_name for subscription in node.subscriptions]
+    topics = [subscription.topic_name for subscription in node.subscriptions]
+    node.destroy_node()
+    assert "/clock" not in topics

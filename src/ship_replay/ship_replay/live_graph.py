@@ -65,4 +65,7 @@ class GraphObserver:
         self, kind: type[BaseException] | None, problem: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.executor.shutdown()
+        # The node holds the DDS participant, and two participants of one process can lock each other up for good
+        # while they take note that a third has died.
+        self.node.destroy_node()
         rclpy.shutdown(context=self._context)
