@@ -114,6 +114,8 @@ def _over_the_field(
     lift, about = lifting_axis(forward), np.outer(forward, forward)
     common_n = (towards**2 + left_in**2) * middle**2 * (np.eye(3) - about)
     bent = field.radius**2 / 8.0 * (curvature + 2.0 * angle)
-    common_n += ((slope**2 - towards**2) * middle**2 + bent**2 / _STARS) * np.outer(lift, lift)
-    common_n += (slope + towards) ** 2 / (6.0 * (_STARS - 1)) * about
+    # The slope itself changes over the field, near the horizon by as much as it is.
+    uneven = (0.5 * field.radius * curvature) ** 2
+    common_n += ((slope**2 + uneven - towards**2) * middle**2 + bent**2 / _STARS) * np.outer(lift, lift)
+    common_n += ((slope + towards) ** 2 + uneven) / (6.0 * (_STARS - 1)) * about
     return bent, common_n

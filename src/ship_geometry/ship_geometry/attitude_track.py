@@ -131,24 +131,25 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
 
     def _moved_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
         """The newest sample moved by its measured rate and the change of that since the sample before."""
-        rotation_nd, recent = self._samples[index].rotation_nd, self._recent_rates(index)
-        rates = np.array(recent)
-        vector, rate, errors = ahead_s * rates[0], rates[0], np.zeros((1, 3))
-        if len(recent) > 1:
-            times_s = np.array([self._seconds(index, index - back) for back in range(len(recent))])
-            step_s = -float(times_s[1])
-            changes = (rates[1:] - rates[:-1]) / (times_s[1:] - times_s[:-1])[:, None]
-            vector = vector + 0.5 * ahead_s * ahead_s * changes[0]
-            rate = rate + ahead_s * changes[0]
-            # As large as it can be where no third rate tells: all of the change came within the step.
-            jerks = changes / step_s
-            if len(recent) > 2:
-                jerks = (changes[1:] - changes[:-1]) * (2.0 / (times_s[2:] - times_s[:-2]))[:, None]
-            # The acceleration is that of half a step ago.
-            lacking = ahead_s**3 / 6.0 + ahead_s * ahead_s * step_s / 4.0
-            errors = jerks * (lacking / math.sqrt(len(jerks)))
-        covariance_d = as_covariance(errors, _LARGEST_VARIANCE)
-        return InterpolatedAttitude(rotation_nd @ exp_rotation(vector), rate, 1.0, covariance_d)
+        rotation_nd, rates = self._samples[index].rotation_nd, self._recent_rates(index)
+        # At the INS's rate, hence step by step: arrays of arrays take three times as long.
+        steps_s = [self._seconds(index - back - 1, index - back) for back in range(len(rates) - 1)]
+        changes = [(rates[back] - rates[back + 1]) / step_s for back, step_s in enumerate(steps_s)]
+        if not changes:
+            return InterpolatedAttitude(rotation_nd @ exp_rotation(ahead_s * rates[0]), rates[0], 1.0)
+        vector = ahead_s * rates[0] + 0.5 * ahead_s * ahead_s * changes[0]
+        # As large as it can be where no third rate tells: all of the change came within the step.
+        jerks = [changes[0] / steps_s[0]]
+        if len(changes) > 1:
+            jerks = [
+                (changes[back] - changes[back + 1]) * (2.0 / (steps_s[back] + steps_s[back + 1]))
+                for back in range(len(changes) - 1)
+            ]
+        # The acceleration is that of half a step ago.
+        lacking = (ahead_s**3 / 6.0 + ahead_s * ahead_s * steps_s[0] / 4.0) / math.sqrt(len(jerks))
+        covariance_d = as_covariance([lacking * jerk for jerk in jerks], _LARGEST_VARIANCE)
+        rotation_nd = rotation_nd @ exp_rotation(vector)
+        return InterpolatedAttitude(rotation_nd, rates[0] + ahead_s * changes[0], 1.0, covariance_d)
 
     def _recent_rates(self, index: int) -> list[FloatArray]:
         """Measured rates of the newest sample and of those before it, four at most, as far as nothing is between."""
