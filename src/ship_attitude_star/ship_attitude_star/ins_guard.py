@@ -208,7 +208,9 @@ class InsGuard:
         judged = self._jumps.judge(kept, step.kept)
         wrong_after_ns = self._judge_rates(previous, known)
         if judged is Judged.REFUSED:
-            self._jumped_ns = known.sample.time_ns if self._jumps.refused == 1 else self._jumped_ns
+            if self._jumps.refused == 1:
+                self._jumped_ns = known.sample.time_ns
+                self._previous = replace(known, before=_moved_back(known.sample, taken))
             return JudgedIns(self.usable(known.sample), way.refusal(), None, wrong_after_ns)
         jump = None
         if judged is Judged.JUMPED:
@@ -334,6 +336,18 @@ class InsGuard:
             "degrees for radians? ins/imu must be in rad/s"
         )
         return Refusal(Reason.UNITS, text)
+
+
+def _moved_back(sample: AttitudeSample, taken: _Known) -> AttitudeSample | None:
+    """Where the deck would have been before a sample, had it moved as it did before the last sample that was taken.
+
+    After a jump this leads to the next sample.
+    """
+    if taken.before is None:
+        return None
+    ratio = _seconds(taken.sample, sample) / _seconds(taken.before, taken.sample)
+    turn_d = ratio * log_rotation(taken.before.rotation_nd.T @ taken.sample.rotation_nd)
+    return replace(taken.sample, rotation_nd=sample.rotation_nd @ exp_rotation(-turn_d))
 
 
 def _seconds(first: AttitudeSample, second: AttitudeSample) -> float:

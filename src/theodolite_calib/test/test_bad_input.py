@@ -154,7 +154,7 @@ def test_the_same_message_again_changes_nothing(topic: str) -> None:
 
 
 OTHER = [
-    (ENCODER, put("elevation", 0.3)),
+    (ENCODER, put("elevation", 0.5274)),
     (SHIP, put("status", 1)),
     (ALPHA, put("enu.x", 1.0)),
     (IMU["alpha"], put("orientation", session()[index_at(session(), IMU["alpha"], 1.0)].message.orientation)),

@@ -10,8 +10,10 @@ import numpy as np
 
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
 from ship_geometry.rotations import FloatArray
+from theodolite_calib.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter_model import SOURCE_SHIP, state_model
+from theodolite_calib.encoder_jumps import EncoderJump
+from theodolite_calib.filter_model import SOURCE_AXES, SOURCE_SHIP, state_model
 from theodolite_calib.observability import Observability, Unaided
 from theodolite_calib.ship_error import ShipErrorStep, ship_error_step, with_step
 from theodolite_calib.sighting_at import Sighting
@@ -126,6 +128,14 @@ class CalibrationFilter:
             unaided=unaided,
             ship_steady_n=ship_now_n,
         )
+
+    def opened(self, state: FilterState, jump: EncoderJump) -> FilterState:
+        """The state after a jump of the encoders: their zero points may be off by as much."""
+        axes, parts = self.model.slices["axes"].start, state.parts.copy()
+        rows = [axes + NAMES.index("g"), axes + NAMES.index("h")]
+        covariance = np.outer(jump.jump, jump.jump) + jump.sigma_rad**2 * np.eye(2)
+        parts[np.ix_([self.model.sources.index(SOURCE_AXES)], rows, rows)] += covariance
+        return replace(state, parts=parts)
 
     def ship_step(self, state: FilterState, ship_now_n: FloatArray | None) -> ShipErrorStep | None:
         """What happens to the ship's error at once, for the covariance now stated; None where nothing does."""

@@ -54,6 +54,14 @@ class EncoderConfig:
 
     frame_id: str = parameter("", doc="frame_id that theodolite/encoder must carry; empty accepts any")
     sigma_arcsec: float = arcsec(1.0, doc="noise of each reading where the message gives none", live=True)
+    max_acceleration_deg_per_s2: float = parameter(
+        100.0,
+        doc="no axis is accelerated more: a reading that needs more is wrong (fast tracking mounts reach 60)",
+        unit="deg/s^2",
+        minimum=0.1,
+        maximum=1e6,
+        live=True,
+    )
     max_gap_s: float = parameter(
         0.2, doc="readings further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
     )

@@ -5,6 +5,7 @@ pointing is published at the stamp of each encoder reading, as soon as the ship'
 Arrivals and ticks are given in the time of waiting (:mod:`ship_estimation.output_order`), stamps in that of the data.
 """
 
+import math
 from collections import deque
 from dataclasses import replace
 from typing import Any
@@ -18,6 +19,7 @@ from ship_geometry.sample_track import SECOND_NS, SampleTrack
 from theodolite_calib.calibration import Calibration, CalibrationPrior, calibration_of, prior_of, state_from_prior
 from theodolite_calib.calibration_filter import CalibrationFilter, FilterState
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.encoder_jumps import EncoderJump
 from theodolite_calib.encoder_watch import EncoderWatch
 from theodolite_calib.pointing_estimate import PointingSource, no_pointing
 from theodolite_calib.samples import BaselineSample, Decision, EncoderSample, Exposure, Outcome, ShipSample
@@ -52,12 +54,13 @@ class OpticalAxisCore:
         initial = self.filter.initial_state()
         if self._start is not None:
             initial, _ = state_from_prior(self.filter, self.config, *self._start)
-        self._log: TimeOrderedLog[FilterState, Exposure, Decision] = TimeOrderedLog(initial)
+        self._log: TimeOrderedLog[FilterState, Exposure | EncoderJump, Decision | EncoderJump] = TimeOrderedLog(initial)
+        self._jump: EncoderJump | None = None
         self._inputs = SightingInputs(self.config)
-        self._watch = EncoderWatch(self.config.encoder.sigma_arcsec * ARCSEC)
+        self._watch = EncoderWatch(*_encoder_limits(self.config))
         self._pointing = PointingSource(self.config, self.filter)
         self._newest_ns = 0
-        self._waiting: deque[tuple[EncoderSample, bool]] = deque()
+        self._waiting: deque[tuple[EncoderSample, str]] = deque()
         self._encoder_arrival_ns: int | None = None
         if clock_jumped:
             self._order.restart()
@@ -67,7 +70,7 @@ class OpticalAxisCore:
         self.config = config
         self._take_models(config)
         self._inputs.reconfigure(config)
-        self._watch.reconfigure(config.encoder.sigma_arcsec * ARCSEC)
+        self._watch.reconfigure(*_encoder_limits(config))
         self._pointing = PointingSource(config, self.filter)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> Outcome:
@@ -81,15 +84,17 @@ class OpticalAxisCore:
         newest = self._inputs.encoder.newest
         latest = newest is None or sample.time_ns > newest.time_ns
         refusal = self._watch.check_units(sample) or self._late(sample.time_ns)
-        if refusal is None and latest:
-            refusal = self._watch.check(sample)
+        if refusal is None:
+            refusal = self._watch.check(sample, self._inputs.encoder)
         if refusal is not None:
             return Outcome(refusal)
+        if latest and self._watch.jump is not None:
+            self._take_jump(self._watch.jump)
         outcome = self._insert(self._inputs.encoder, sample)
         if latest and outcome.refusal is None:
             self._encoder_arrival_ns = arrival_ns
             if self._order.follows(sample.time_ns):
-                self._waiting.append((sample, self._watch.in_doubt))
+                self._waiting.append((sample, self._watch.doubt))
                 self._publish(outcome, arrival_ns)
         return outcome
 
@@ -185,9 +190,7 @@ class OpticalAxisCore:
         outcome, changed_after_ns = Outcome(inserted.refusal), inserted.changed_after_ns
         if inserted.taken:
             if changed_after_ns is not None:
-                self._log.rewind_where(
-                    lambda decision: decision.exposure.time_ns + decision.exposure.reach_ns > changed_after_ns
-                )
+                self._log.rewind_where(lambda decided: _until_ns(decided) > changed_after_ns)
             self._advance(sample.time_ns, outcome)
         return outcome
 
@@ -195,16 +198,29 @@ class OpticalAxisCore:
         """Apply what can be applied now, then close the window behind ``lag_s``."""
         self._newest_ns = max(self._newest_ns, time_ns)
         for decision, previous in self._log.apply(self._step, _failed, (self._oldest_ns, self._newest_ns)):
+            if isinstance(decision, EncoderJump):
+                self._jump = None if decision is self._jump else self._jump
+                continue
             self._tell_watch(decision)
             if previous is None:
                 outcome.decisions.append(decision)
-            elif previous.accepted != decision.accepted:
+            elif not isinstance(previous, EncoderJump) and previous.accepted != decision.accepted:
                 outcome.decisions.append(replace(decision, revised=True))
         reach_ns = self._oldest_ns - self._inputs.reach_ns
         self._log.forget_before(reach_ns)
         self._inputs.drop_before(reach_ns)
 
-    def _step(self, state: FilterState, exposure: Exposure) -> tuple[FilterState, Decision] | None:
+    def _take_jump(self, jump: EncoderJump) -> None:
+        """Nothing is drawn through a jump of the encoders, and the zero points may be off by as much."""
+        self._inputs.encoder.cut(jump.time_ns)
+        self._log.insert((jump.time_ns, "encoder"), jump)
+        self._jump = jump
+
+    def _step(
+        self, state: FilterState, exposure: Exposure | EncoderJump
+    ) -> tuple[FilterState, Decision | EncoderJump] | None:
+        if isinstance(exposure, EncoderJump):
+            return self.filter.opened(state, exposure), exposure
         if exposure.time_ns >= self._oldest_ns and self._inputs.awaits(exposure):
             return None
         assembled = self._inputs.assemble(exposure)
@@ -226,14 +242,16 @@ class OpticalAxisCore:
     def _publish(self, outcome: Outcome, waiting_ns: int) -> None:
         """The pointings of readings whose moment the ship's attitude now covers."""
         while self._waiting:
-            sample, in_doubt = self._waiting[0]
+            sample, doubt = self._waiting[0]
             if sample.time_ns >= self._oldest_ns and not self._inputs.ship_covers(sample.time_ns):
                 return
             self._waiting.popleft()
             ship = self._inputs.ship_at(sample.time_ns)
             if ship is not None and self._order.follows(sample.time_ns):
                 try:
-                    estimate = self._pointing.estimate(self.state, sample, *ship, in_doubt)
+                    # A jump counts at once, also where exposures of before it still wait.
+                    state = self.state if self._jump is None else self.filter.opened(self.state, self._jump)
+                    estimate = self._pointing.estimate(state, sample, *ship, doubt)
                 except Exception as error:
                     outcome.failures.append((sample.time_ns, failure(error)))
                     continue
@@ -241,6 +259,20 @@ class OpticalAxisCore:
                 self._order.claimed(sample.time_ns, waiting_ns)
 
 
-def _failed(exposure: Exposure, error: Exception) -> Decision:
+def _encoder_limits(config: OpticalAxisConfig) -> tuple[float, float]:
+    """Noise of a reading, rad, and largest acceleration of an axis, rad/s²."""
+    return config.encoder.sigma_arcsec * ARCSEC, math.radians(config.encoder.max_acceleration_deg_per_s2)
+
+
+def _until_ns(decided: Decision | EncoderJump) -> int:
+    """Up to when data matter to what was decided."""
+    if isinstance(decided, EncoderJump):
+        return decided.time_ns
+    return decided.exposure.time_ns + decided.exposure.reach_ns
+
+
+def _failed(exposure: Exposure | EncoderJump, error: Exception) -> Decision | EncoderJump:
+    if isinstance(exposure, EncoderJump):
+        return exposure
     refusal = failure(error)
     return Decision(exposure, refusal.reason, text=refusal.text)

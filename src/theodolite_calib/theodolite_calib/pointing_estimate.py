@@ -26,7 +26,7 @@ class PointingSource:
         self._saved = filter_.model.sources.index(SOURCE_SAVED)
 
     def estimate(
-        self, state: FilterState, sample: EncoderSample, ship: ShipAt, ship_status: Status, in_doubt: bool
+        self, state: FilterState, sample: EncoderSample, ship: ShipAt, ship_status: Status, doubt: str
     ) -> PointingEstimate:
         """The pointing at a reading.
 
@@ -35,7 +35,7 @@ class PointingSource:
             sample: the reading.
             ship: of its moment.
             ship_status: what the source of the ship's attitude says that it is worth.
-            in_doubt: whether the encoder may be stuck.
+            doubt: why the encoders are in doubt; empty where they are not.
         """
         if self._corrected is None or self._corrected.state is not state:
             self._corrected = CorrectedAxis(self._filter, state)
@@ -43,7 +43,7 @@ class PointingSource:
         axis = self._corrected.at(sample.time_ns, ship, EncoderAt(azimuth, elevation, sample.sigma**2))
         recent = state.used_ns is not None and sample.time_ns - state.used_ns <= self._recent_ns
         mode = Mode.ENCODER if not recent else Mode.ONE_LIGHT if state.light_count == 1 else Mode.TWO_LIGHTS
-        status, text = self._worth(state, mode, ship_status, in_doubt)
+        status, text = self._worth(state, mode, ship_status, doubt)
         return PointingEstimate(
             time_ns=sample.time_ns,
             rotation_nm=axis.rotation_nm,
@@ -55,9 +55,9 @@ class PointingSource:
             text=text,
         )
 
-    def _worth(self, state: FilterState, mode: Mode, ship_status: Status, in_doubt: bool) -> tuple[Status, str]:
-        if in_doubt:
-            return Status.DEGRADED, "the encoders stopped dead in a motion: at rest, or stuck"
+    def _worth(self, state: FilterState, mode: Mode, ship_status: Status, doubt: str) -> tuple[Status, str]:
+        if doubt:
+            return Status.DEGRADED, doubt
         if state.refusals:
             return Status.DEGRADED, "the last lights disagreed with the encoders and the ship's attitude"
         if ship_status is Status.DEGRADED:
