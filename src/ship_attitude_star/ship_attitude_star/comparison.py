@@ -103,8 +103,16 @@ def _compare_attitude(
     )
 
 
-def attitude_alone(measurement: Measurement, watch: SkyWatch | None) -> AttitudeMeasurement | None:
-    """The attitude of a star sensor by one measurement and nothing else; None where it does not give one."""
+def attitude_alone(
+    measurement: Measurement, watch: SkyWatch | None, untold_acceleration: float
+) -> AttitudeMeasurement | None:
+    """The attitude of a star sensor by one measurement and nothing else; None where it does not give one.
+
+    Args:
+        measurement: of the sensor.
+        watch: the sky; None where no sensor needs it.
+        untold_acceleration: angular acceleration of the deck that nothing tells, sigma of each axis, rad/s².
+    """
     if isinstance(measurement, AttitudeMeasurement):
         return measurement
     assert watch is not None
@@ -118,5 +126,5 @@ def attitude_alone(measurement: Measurement, watch: SkyWatch | None) -> Attitude
     assert isinstance(measurement, StarExposure)
     if watch.reason_against(measurement.time_ns) is not None:
         return None
-    by_stars = attitude_by_stars(measurement, watch)
+    by_stars = attitude_by_stars(measurement, watch, untold_acceleration)
     return None if isinstance(by_stars, Refusal) else by_stars

@@ -7,6 +7,8 @@ Arrivals and ticks are given in the time of waiting (:mod:`ship_estimation.outpu
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from ship_attitude_star.alignment import Alignment, AlignmentPrior, alignment_of, prior_of, state_from_prior
 from ship_attitude_star.arrivals import Arrivals
 from ship_attitude_star.attitude_output import CorrectedIns, estimate_from_star, no_estimate
@@ -275,7 +277,8 @@ class ShipAttitudeCore:
             return
 
         def by_star(_time_ns: int) -> AttitudeEstimate | None:
-            attitude = attitude_alone(measurement, self._watch)
+            untold = np.deg2rad(self.config.ins.untold_acceleration_deg_per_s2)
+            attitude = attitude_alone(measurement, self._watch, float(untold))
             return None if attitude is None else estimate_from_star(self.filter, self.state, attitude)
 
         self._put_out(outcome, measurement.time_ns, by_star, waiting_ns, _SECOND_NS)

@@ -212,11 +212,14 @@ class StarCore:
     def _at_middle(self, exposure: StarExposure) -> tuple[StarExposure, float]:
         """The stars where they stood at the middle, and the variance of that turn of all of them, each axis, rad².
 
-        Where the INS does not tell how the ship turned, they are as they were seen.
+        Where the INS does not tell how the ship turned, they are as they were seen, with what it may have turned.
         """
-        told = None if exposure.length is None else self._ins.turning(exposure.time_ns, exposure.length.nodes)
-        if told is None:
+        if exposure.length is None:
             return exposure, 0.0
+        told = self._ins.turning(exposure.time_ns, exposure.length.nodes)
+        if told is None:
+            untold = np.deg2rad(self._config.ins.untold_acceleration_deg_per_s2)
+            return exposure, exposure.length.untold_turn_variance(float(untold))
         turning, variance = told
         return at_middle(exposure, turning.mounted(self._sensor(exposure.source).rotation_ds)), variance
 

@@ -34,6 +34,14 @@ class ExposureLength:
         """Moments by which the mean over it is found."""
         return exposure_nodes(self.exposure_s)
 
+    def untold_turn_variance(self, acceleration: float) -> float:
+        """Variance of the turn from the mean of the exposure to its middle, each axis, where nothing tells it, rad².
+
+        Args:
+            acceleration: angular acceleration that the sensor may have, standard deviation of each axis, rad/s².
+        """
+        return (acceleration * self.exposure_s**2 / 24.0) ** 2
+
 
 @dataclass(frozen=True)
 class StarExposure:

@@ -126,8 +126,16 @@ def _noise(stars: SightedStars, basis: FloatArray, members: NDArray[np.bool_]) -
     return noise
 
 
-def attitude_by_stars(exposure: StarExposure, watch: SkyWatch) -> AttitudeMeasurement | Refusal:
-    """The sensor's attitude by one exposure alone: what is left to go by when the INS is gone."""
+def attitude_by_stars(
+    exposure: StarExposure, watch: SkyWatch, untold_acceleration: float
+) -> AttitudeMeasurement | Refusal:
+    """The sensor's attitude by one exposure alone: what is left to go by when the INS is gone.
+
+    Args:
+        exposure: its stars.
+        watch: the sky.
+        untold_acceleration: angular acceleration of the sensor that nothing tells, sigma of each axis, rad/s².
+    """
     _, stars, refused = visible_stars(exposure, watch, None)
     solution = solve_stars(stars)
     if solution.status is SolutionStatus.INVALID:
@@ -137,6 +145,8 @@ def attitude_by_stars(exposure: StarExposure, watch: SkyWatch) -> AttitudeMeasur
         return Refusal(Reason.TOO_FEW_STARS, f"{len(stars)} stars, and nothing else to verify them by")
     rotation_ns = solution.rotation_nb
     noise_s = rotation_ns.T @ solution.noise_n @ rotation_ns
+    if exposure.length is not None:
+        noise_s = noise_s + exposure.length.untold_turn_variance(untold_acceleration) * np.eye(3)
     return AttitudeMeasurement(
         exposure.source, exposure.time_ns, rotation_ns, noise_s, solution.covariance_n - solution.noise_n
     )

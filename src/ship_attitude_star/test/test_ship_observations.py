@@ -1,6 +1,7 @@
 """``ship_attitude`` fed with single stars: its attitude against the truth, and each bad input of star_attitude."""
 
 import functools
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,7 @@ from adapter_runs import (
     FACTORY,
     SECOND_NS,
     START_NS,
+    Arrival,
     changed_where,
     exactly,
     in_order,
@@ -179,9 +181,10 @@ def test_solutions_of_a_sensor_that_gives_its_stars_are_no_input() -> None:
     assert not {"star/fore/solution", "star/fore/horizon_attitude", "star/fore/inertial_attitude"} & topics
 
 
-def test_with_the_ins_gone_the_stars_carry_the_attitude_alone() -> None:
+@pytest.mark.parametrize("arrivals", [voyage, streaked_voyage])
+def test_with_the_ins_gone_the_stars_carry_the_attitude_alone(arrivals: Callable[[], tuple[Arrival, ...]]) -> None:
     cut_ns = START_NS + SECOND_NS
-    run = sail([a for a in voyage() if a.topic != INS or a.receive_ns < cut_ns])
+    run = sail([a for a in arrivals() if a.topic != INS or a.receive_ns < cut_ns])
     alone = [m for m in run.messages("ship/attitude") if list(m.sources) in (["star.fore"], ["star.starboard"])]
     assert alone
     assert all(m.status == Status.DEGRADED for m in alone)

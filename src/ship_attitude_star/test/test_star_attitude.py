@@ -151,6 +151,16 @@ def test_mend_09_without_the_ins_streaks_are_taken_as_seen_and_it_says_so() -> N
     assert "exposure" not in status(sail(without_ins()), "solution fore")[1]
 
 
+@pytest.mark.parametrize("topic", [FORE, STARBOARD])
+def test_mend_09_without_the_ins_the_covariance_holds_the_untold_turn(topic: str) -> None:
+    messages = sail(except_(streaked_voyage(), INS)).messages(SOLUTION[topic])
+    assert len(messages) >= 13
+    for message in messages:
+        error = error_n(message, true_sensor(topic, since(message)))
+        covariance_n = horizon_covariance(message.rotation_covariance.reshape(3, 3))
+        assert normalized_error_squared(error, covariance_n) < chi_square_gate(0.9999, 3)
+
+
 def test_simultaneous_exposures_make_an_exact_deck_without_any_ins() -> None:
     run = sail(simultaneous(STARS, STARS), use_ins=False)
     assert len(run.messages(JOINT)) == 5

@@ -33,13 +33,21 @@ class InsInputConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class GuardedInsConfig(InsInputConfig):
-    """The same of an INS whose attitudes are watched for jumps."""
+    """The same of an INS beside stars: its attitudes are watched for jumps, and it tells how exposures turned."""
 
     jump_samples: int = parameter(
         JUMP_SAMPLES,
         doc="samples refused for a jump of the attitude that agree among themselves; the next is believed",
         minimum=1,
         maximum=1000,
+        live=True,
+    )
+    untold_acceleration_deg_per_s2: float = parameter(
+        2.0,
+        doc="angular acceleration of the deck, each axis, taken for an exposure during which the INS tells none",
+        unit="deg/s2",
+        minimum=0.0,
+        maximum=100.0,
         live=True,
     )
 
