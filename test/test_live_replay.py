@@ -95,11 +95,13 @@ class Outcome:
         attitudes: stamp → (orientation x, y, z, w; what was the last measurement in).
         saved: the alignment or calibration saved at the end.
         counts: relative topic → messages in the recorded bag; empty offline.
+        cut: messages that the node could not take in time.
     """
 
     attitudes: dict[int, tuple[np.ndarray, float]]
     saved: dict
     counts: dict[str, int]
+    cut: int = 0
 
 
 @pytest.fixture(scope="module", params=BAGS, ids=lambda path: path.stem)
@@ -109,8 +111,7 @@ def runs(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param.stem)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        recorded_path = folder / "live" / "recorded.mcap"
-        live = run_live(node, request.param, folder / "live")
+        live, recorded_path = run_live(node, request.param, folder)
     return request.param, node, run_offline(node, request.param, folder / "offline.yaml"), live, recorded_path
 
 
@@ -140,13 +141,27 @@ def run_offline(node: Node, path: Path, saved_path: Path) -> Outcome:
     return Outcome(by_stamp(node, attitudes), yaml.safe_load(saved_path.read_text(encoding="utf-8")), {})
 
 
-def run_live(node: Node, path: Path, folder: Path) -> Outcome:
-    """The bag through the node's process, and what its service saves."""
+def run_live(node: Node, path: Path, folder: Path) -> tuple[Outcome, Path]:
+    """The bag through the node's process, what its service saves, and the recording.
+
+    Where the machine is so busy that messages were cut from what waits for the node (it says so), the bag is played
+    more slowly: what was lost cannot be compared.
+    """
+    for slower in (1, 2, 4):
+        run_folder = folder / f"live_{slower}"
+        outcome, recorded_path = run_live_once(node, path, run_folder, node.rate / slower)
+        if outcome.cut == 0:
+            break
+    return outcome, recorded_path
+
+
+def run_live_once(node: Node, path: Path, folder: Path, rate: float) -> tuple[Outcome, Path]:
+    """The same at one rate."""
     from std_srvs.srv import Trigger
 
     saved_path = folder / "saved.yaml"
     with LiveRun(path, node.adapter, node.package, folder, {node.file: str(saved_path)}) as run:
-        run.play(node.rate)
+        run.play(rate)
         client = run.observer.node.create_client(Trigger, f"/{node.adapter.node_name}/save_alignment")
         assert run.observer.spin_until(client.service_is_ready)
         answer = client.call_async(Trigger.Request())
@@ -154,6 +169,7 @@ def run_live(node: Node, path: Path, folder: Path) -> Outcome:
         assert answer.result().success, answer.result().message
         assert run.node.end() == 0, run.node.log()
     counts: dict[str, int] = {}
+    cut: dict[str, int] = {}
     attitudes = []
     with read_bag(run.recorded_path) as bag:
         for record in bag.records():
@@ -161,8 +177,12 @@ def run_live(node: Node, path: Path, folder: Path) -> Outcome:
             counts[topic] = counts.get(topic, 0) + 1
             if topic == node.topic:
                 attitudes.append(record.decode())
+            elif topic == "input_health":
+                health = record.decode()
+                cut[health.topic] = dict(zip(health.reasons, health.reason_counts, strict=True)).get("overflow", 0)
         assert bag.problems == []
-    return Outcome(by_stamp(node, attitudes), yaml.safe_load(saved_path.read_text(encoding="utf-8")), counts)
+    saved = yaml.safe_load(saved_path.read_text(encoding="utf-8"))
+    return Outcome(by_stamp(node, attitudes), saved, counts, int(sum(cut.values()))), run.recorded_path
 
 
 def with_file(bag, node_name: str, parameter: str, path: Path) -> str:
@@ -205,6 +225,7 @@ def test_no_message_is_lost(runs):
     played = {topic: count for topic, count in live.counts.items() if topic in sent.keys() - given}
     assert {node.sample, "truth/attitude"} <= played.keys()
     assert played == {topic: sent[topic] for topic in played}
+    assert live.cut == 0
 
 
 def test_the_node_answers_every_sample(runs):

@@ -188,3 +188,14 @@ def test_mend_17_where_the_clock_stands_invalid_is_told_at_its_time() -> None:
     assert_invalid_once_a_second(run, 3.0, 6.0)
     invalid = [m for m in run.messages(ATTITUDE) if m.status == Status.INVALID]
     assert {stamp_of(m) for m in invalid[-2:]} == {at(3.0)}
+
+
+def test_mend_04_stars_carry_the_attitude_while_the_ins_comes_too_late() -> None:
+    """It arrives at its full rate, each sample 3 s old: more than the lag behind the stars."""
+    run = drive(new_adapter(), later(voyage(8.0), lambda topic: 3.0 if topic == INS else 0.0))
+    assert run.reasons(INS)["late"] > 100
+    carried = [m for m in claimed(run) if "ins" not in m.sources]
+    assert {m.status for m in carried} == {Status.DEGRADED}
+    assert len(carried) > 60
+    assert [ns for ns in said_invalid(run) if ns < at(9.0)] == []
+    assert_in_order(run)
