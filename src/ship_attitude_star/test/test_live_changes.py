@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import changed_where
-from small_voyage import FORE, INS, Run, clean_run, config, drive, new_adapter, voyage
+from adapter_runs import changed_where, index_at, replaced
+from small_voyage import FORE, INS, Run, clean_run, config, drive, new_adapter, quaternion_message, voyage
 
 from ship_attitude_star.samples import Reason, Status
 from ship_estimation.parameters import ParameterError
+from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, exp_rotation
 
 HALF = len(voyage()) // 2
 
@@ -122,3 +124,17 @@ def test_a_reset_keeps_the_live_changes() -> None:
     alignment = adapter.core.alignment()
     up = alignment.names.index("ins.up")
     assert np.sqrt(alignment.covariance[up, up]) == pytest.approx(np.deg2rad(500.0 / 3600.0))
+
+
+def test_mend_07_another_noise_of_the_ins_reaches_its_guard() -> None:
+    """One sample off by 60": seven sigmas of the one noise, and far within the other."""
+
+    def off(message: Any) -> None:
+        rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))
+        message.orientation = quaternion_message(exp_rotation(np.array([0.0, 60.0, 0.0]) * ARCSEC) @ rotation_nd)
+
+    spoilt = replaced(voyage(), index_at(voyage(), INS, 4.0), off)
+    for white_arcsec, reasons in ((1.0, {"gate": 1}), (20.0, {})):
+        adapter = drive(new_adapter(), spoilt[:HALF]).adapter
+        adapter.set_parameters({"ins.white_sigma_arcsec": white_arcsec})
+        assert drive(adapter, spoilt[HALF:]).reasons(INS) == reasons

@@ -1,0 +1,183 @@
+"""The guard of an INS's samples, over minutes of healthy streams of many kinds, and over faults in them."""
+
+from collections import Counter
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.ins_guard import InsGuard
+from ship_attitude_star.rate_guard import Rates
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.frames import angles_from_rotation, rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+
+CALM, SWELL, STORM = (0.05, 0.1, 0.2), (0.5, 2.0, 4.0), (5.0, 8.0, 25.0)
+PERIODS_S = (30.0, 8.0, 11.0)
+
+
+def attitudes(t_s: FloatArray, amplitude_deg: tuple[float, ...]) -> FloatArray:
+    swing = np.sin(2.0 * np.pi * t_s[:, None] / np.array(PERIODS_S) + np.array([0.0, 0.0, 0.3]))
+    angles = np.deg2rad(np.array([34.0, 0.0, 0.0]) + np.array(amplitude_deg) * swing)
+    return rotation_from_angles(*angles.T)
+
+
+def stream(
+    duration_s: float,
+    rate_hz: float,
+    amplitude_deg: tuple[float, ...] = SWELL,
+    printed_deg: float = 0.0,
+    white_arcsec: float = 1.0,
+    rate_noise_arcsec_per_s: float = 0.0,
+    bias_arcsec_per_s: float = 0.0,
+    rate_factor: float = 1.0,
+    rate_delay_s: float = 0.0,
+) -> list[AttitudeSample]:
+    """Samples of an INS, as it might be built."""
+    rng = np.random.default_rng(7)
+    t_s = np.arange(0.0, duration_s, 1.0 / rate_hz)
+    noise = ARCSEC * rng.standard_normal((2, t_s.size, 3))
+    before, after = (attitudes(t_s - rate_delay_s + step_s, amplitude_deg) for step_s in (-1e-4, 1e-4))
+    rate_d = rate_factor * log_rotation(np.swapaxes(before, 1, 2) @ after) / 2e-4
+    rate_d += rate_noise_arcsec_per_s * noise[0] + bias_arcsec_per_s * ARCSEC
+    rotation_nd = exp_rotation(white_arcsec * noise[1]) @ attitudes(t_s, amplitude_deg)
+    if printed_deg:
+        angles = angles_from_rotation(rotation_nd)
+        rotation_nd = rotation_from_angles(*(np.round(angles / np.deg2rad(printed_deg)) * np.deg2rad(printed_deg)).T)
+    times_ns = 10**18 + np.rint(1e9 * t_s).astype(int)
+    return [AttitudeSample(*values) for values in zip(times_ns.tolist(), rotation_nd, rate_d, strict=True)]
+
+
+def judged(samples: list[AttitudeSample]) -> tuple[list[str], InsGuard, int]:
+    """What became of each sample, the guard after them, and how many jumps it saw."""
+    guard, results, jumps = InsGuard(ARCSEC, 5), [], 0
+    for sample in samples:
+        result = guard.check(sample, {})
+        results.append("" if result.refusal is None else result.refusal.reason.name)
+        jumps += result.jump is not None
+    return results, guard, jumps
+
+
+PRINTED = "0.01° at 100 Hz in calm swell"
+HEALTHY: dict[str, dict[str, Any]] = {
+    PRINTED: {"duration_s": 120.0, "rate_hz": 100.0, "amplitude_deg": CALM, "printed_deg": 0.01},
+    "0.01° at 100 Hz in swell": {"duration_s": 60.0, "rate_hz": 100.0, "printed_deg": 0.01},
+    "0.01° at 10 Hz": {"duration_s": 120.0, "rate_hz": 10.0, "amplitude_deg": CALM, "printed_deg": 0.01},
+    "0.1° at 50 Hz": {"duration_s": 60.0, "rate_hz": 50.0, "amplitude_deg": CALM, "printed_deg": 0.1},
+    "at rest, rates with the Earth's turn": {
+        "duration_s": 60.0,
+        "rate_hz": 50.0,
+        "amplitude_deg": (0.0, 0.0, 0.0),
+        "printed_deg": 0.01,
+        "white_arcsec": 0.1,
+        "bias_arcsec_per_s": 15.0,
+    },
+    "noisier than configured": {"duration_s": 60.0, "rate_hz": 50.0, "white_arcsec": 10.0},
+    "noisy rates": {"duration_s": 60.0, "rate_hz": 100.0, "amplitude_deg": CALM, "rate_noise_arcsec_per_s": 180.0},
+    "rates that lag": {"duration_s": 60.0, "rate_hz": 10.0, "rate_delay_s": 0.02},
+    "storm": {"duration_s": 60.0, "rate_hz": 20.0, "amplitude_deg": STORM},
+    "2 Hz": {"duration_s": 120.0, "rate_hz": 2.0},
+}
+
+
+@pytest.mark.parametrize("name", HEALTHY)
+def test_mend_03_no_sample_of_a_healthy_ins_is_refused(name: str) -> None:
+    results, guard, jumps = judged(stream(**HEALTHY[name]))
+    assert (set(results), jumps) == ({""}, 0)
+    assert guard.rates in (Rates.UNPROVEN, Rates.MEASURED)
+
+
+def test_mend_03_a_freeze_in_calm_swell_is_told_within_two_seconds_and_ends_with_the_first_other_value() -> None:
+    """An INS that prints a hundredth of a degree, frozen for three seconds, its rates going on."""
+    samples = stream(**HEALTHY[PRINTED])
+    frozen = [replace(s, rotation_nd=samples[3000].rotation_nd) for s in samples[3000:3300]]
+    results, _, jumps = judged([*samples[:3000], *frozen, *samples[3300:]])
+    told = results.index("STUCK")
+    assert 3000 < told <= 3200
+    assert set(results[told:3300]) == {"STUCK"}
+    moved = next(i for i in range(3300, 3400) if np.any(samples[i].rotation_nd != frozen[0].rotation_nd))
+    assert set(results[moved:]) == {""}
+    assert jumps == 0
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 50.0, 20.0, 10.0, 2.0])
+@pytest.mark.parametrize("factor", [0.0, -1.0])
+def test_mend_06_rates_that_are_none_are_known_before_they_do_harm(rate_hz: float, factor: float) -> None:
+    guard, samples = InsGuard(ARCSEC, 5), stream(10.0, rate_hz, rate_factor=factor)
+    results = [guard.check(sample, {}) for sample in samples]
+    assert all(result.refusal is None for result in results)
+    dropped = [n for n, result in enumerate(results) if result.rates_wrong_after_ns is not None]
+    assert len(dropped) == 1
+    assert dropped[0] <= max(0.3 * rate_hz, 3)
+    assert all(result.sample.rate_d is None for result in results[dropped[0] :])
+    assert guard.rates is Rates.NOT_MEASURED
+
+
+def test_mend_06_noise_is_no_rate() -> None:
+    results, guard, _ = judged(stream(20.0, 100.0, rate_factor=0.0, rate_noise_arcsec_per_s=3600.0))
+    assert set(results) == {""}
+    assert guard.rates is Rates.NOT_MEASURED
+
+
+@pytest.mark.parametrize(("factor", "slope"), [(np.rad2deg(1.0), 57.3), (np.deg2rad(1.0), 1.0 / 57.3)])
+def test_mend_06_a_wrong_unit_is_named_and_right_rates_are_proven_again(factor: float, slope: float) -> None:
+    wrong, right = stream(20.0, 50.0, rate_factor=factor), stream(40.0, 50.0)
+    results, guard, _ = judged(wrong)
+    assert 5.0 <= results.index("UNITS") / 50.0 <= 6.5
+    assert set(results[results.index("UNITS") :]) == {"UNITS"}
+    back = [guard.check(sample, {}) for sample in right[1000:]]
+    refused = [n for n, result in enumerate(back) if result.refusal is not None]
+    assert max(refused) < 2.5 * 50.0
+    assert guard.rates is Rates.MEASURED
+    assert back[-1].sample.rate_d is not None
+
+
+def test_mend_06_rates_at_rest_say_nothing() -> None:
+    """Zero rates are right at rest: only motion tells."""
+    still, moving = stream(10.0, 50.0, (0.0, 0.0, 0.0), rate_factor=0.0), stream(20.0, 50.0, rate_factor=0.0)[500:]
+    _, guard, _ = judged(still)
+    assert guard.rates is Rates.UNPROVEN
+    # Where the swell begins, attitude and motion jump.
+    assert [guard.check(sample, {}).refusal for sample in moving][8:] == [None] * (len(moving) - 8)
+    assert guard.rates is Rates.NOT_MEASURED
+
+
+@pytest.mark.parametrize("arcsec", [30.0, 100.0, 3600.0])
+def test_mend_10_a_step_of_ten_sigmas_is_seen_at_the_sample(arcsec: float) -> None:
+    samples = stream(20.0, 100.0)
+    step = exp_rotation(np.array([arcsec, 0.0, 0.0]) * ARCSEC)
+    results, _, jumps = judged(
+        [replace(s, rotation_nd=step @ s.rotation_nd) if n >= 1000 else s for n, s in enumerate(samples)]
+    )
+    assert [n for n, result in enumerate(results) if result] == list(range(1000, 1005))
+    assert (set(results), jumps) == ({"", "GATE"}, 1)
+
+
+def test_mend_10_a_wrong_rate_alone_is_no_jump() -> None:
+    samples = stream(20.0, 50.0)
+    samples[500] = replace(samples[500], rate_d=np.array([0.0, 3.0, 0.0]))
+    results, guard, jumps = judged(samples)
+    assert [n for n, result in enumerate(results) if result] == [500]
+    assert (jumps, guard.rates) == (0, Rates.MEASURED)
+
+
+def test_mend_08_what_is_not_a_number_is_refused() -> None:
+    samples = stream(10.0, 50.0)
+    samples[300] = replace(samples[300], rotation_nd=np.full((3, 3), np.nan))
+    results, _, jumps = judged(samples)
+    assert [n for n, result in enumerate(results) if result] == [300]
+    assert jumps == 0
+
+
+def test_mend_07_another_noise_holds_at_once() -> None:
+    samples = stream(20.0, 50.0)
+    samples[700] = replace(samples[700], rotation_nd=exp_rotation(np.full(3, 40.0 * ARCSEC)) @ samples[700].rotation_nd)
+    for sigma_arcsec, refused in ((1.0, {"", "GATE"}), (20.0, {""})):
+        guard = InsGuard(ARCSEC, 5)
+        for sample in samples[:500]:
+            guard.check(sample, {})
+        guard.reconfigure(sigma_arcsec * ARCSEC, 5)
+        later = [guard.check(sample, {}).refusal for sample in samples[500:]]
+        assert {"" if refusal is None else refusal.reason.name for refusal in later} == refused
+        assert Counter(refusal is None for refusal in later)[False] <= 1
