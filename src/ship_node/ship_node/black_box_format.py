@@ -122,5 +122,5 @@ def event_from_text(text: str) -> Event:
     try:
         fields = json.loads(text)
         return _KINDS[fields.pop("event")](**fields)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise BadInput(f"'{text:.100}' on {EVENTS_TOPIC} is no event of a black box") from error

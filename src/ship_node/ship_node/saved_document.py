@@ -11,11 +11,10 @@ import yaml
 
 from ship_node.errors import BadInput
 from ship_node.files import DISK, Files
+from ship_node.stamps import END_OF_TIME_NS
 from ship_node.yaml_text import plain_data
 
 _ROUNDING = 1e-6
-# Seconds of a stamp in a message are a signed 32-bit number.
-_END_OF_TIME_NS = 2**31 * 1_000_000_000
 
 Content = TypeVar("Content")
 
@@ -115,7 +114,7 @@ def stamp_ns(value: Any) -> int:
     Raises:
         ValueError: it is none that a message can carry.
     """
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _END_OF_TIME_NS:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < END_OF_TIME_NS:
         raise ValueError("expected a whole number of nanoseconds since 1970")
     return value
 

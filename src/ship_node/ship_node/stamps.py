@@ -7,6 +7,9 @@ from ship_node.message_factory import MessageFactory
 
 _NS_PER_S = 1_000_000_000
 
+END_OF_TIME_NS = 2**31 * _NS_PER_S
+"""In 2038: the seconds of a stamp are a signed 32-bit number."""
+
 _UNITS = (
     ("minutes", 60.0, 7200.0),
     ("hours", 3600.0, 172_800.0),

@@ -78,7 +78,12 @@ def data_of(name: str, node: yaml.Node) -> Any:
 
 
 def _size(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int:
-    """Number of values of a node, its aliases unfolded; a RecursionError where it is too deep."""
+    """Number of values of a node, its aliases unfolded.
+
+    Raises:
+        RecursionError: it is too deep.
+        ValueError: a text in it is none.
+    """
     if id(node) in known:
         return known[id(node)]
     if len(above) > DEEPEST_NESTING or id(node) in above:
@@ -89,6 +94,9 @@ def _size(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int
         children = [part for entry in node.value for part in entry]
     elif isinstance(node, yaml.SequenceNode):
         children = node.value
+    elif any("\ud800" <= character <= "\udfff" for character in node.value):
+        # Half of a character, by an escape: it can be neither written nor shown.
+        raise ValueError(f"a character that is none, in line {node.start_mark.line + 1}")
     known[id(node)] = 1 + sum(_size(child, known, above) for child in children)
     return known[id(node)]
 

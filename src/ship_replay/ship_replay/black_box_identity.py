@@ -99,7 +99,7 @@ def _check_versions(bag: Bag, adapter_class: type[Adapter], config_path: Path | 
     try:
         there = json.loads(bag.attachments[VERSIONS_ATTACHMENT])
         suite, others = dict(there["suite"]), {key: there[key] for key in ("python", "machine", "libraries")}
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInput(f"{bag.path}: attachment {VERSIONS_ATTACHMENT} cannot be read: {error!r}") from error
     if differing := _differing(suite, here["suite"]):
         _refuse_or_note(bag, f"written by another version of the suite ({differing})", config_path, notes)

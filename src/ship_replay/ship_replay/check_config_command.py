@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ship_node.errors import one_line
 from ship_replay.bag_reader import read_bag
 from ship_replay.check_bag import check_bag
 from ship_replay.check_config import Findings, check_file
@@ -51,15 +52,15 @@ def _run(options: argparse.Namespace) -> int:
                 # What is wrong already would only be told a second time, as what follows from it.
                 check_trial(nodes, bag, options.namespace, findings)
     for line in findings.errors:
-        print(f"error: {line}")
+        print(f"error: {one_line(line)}")
     for line in findings.warnings:
-        print(f"warning: {line}")
+        print(f"warning: {one_line(line)}")
     if not findings.errors:
         print(f"{options.config}: good" + (f" for {options.bag}" if options.bag is not None else ""))
         return EXIT_DONE
-    errors, warnings = len(findings.errors), len(findings.warnings)
+    errors, warnings, first = len(findings.errors), len(findings.warnings), one_line(findings.errors[0])
     print(
-        f"check_config: {options.config}: errors: {errors}, warnings: {warnings}; first: {findings.errors[0]}",
+        f"check_config: {options.config}: errors: {errors}, warnings: {warnings}; first: {first}",
         file=sys.stderr,
     )
     return EXIT_BAD_INPUT

@@ -13,6 +13,8 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk, McapRecord, Message
 from mcap.stream_reader import breakup_chunk
 
+from ship_node.stamps import END_OF_TIME_NS
+
 COMPRESSIONS = ("", "zstd", "lz4")
 """Known here; the empty one is none."""
 
@@ -26,6 +28,8 @@ MAX_CHUNK_RECORDS = 1_000_000
 """So many records: one without content takes twenty times its bytes in memory."""
 
 _BYTES_PER_MB = 1_000_000
+# A day of ticks may follow.
+_LATEST_NS = END_OF_TIME_NS - 86_400_000_000_000
 _MAX_CHUNK_BYTES = MAX_CHUNK_MB * _BYTES_PER_MB
 
 Result = TypeVar("Result")
@@ -89,7 +93,7 @@ class RecordFile:
                 announced.
         """
         if place.loose:
-            return list(self._loose_messages(place))
+            return _of_our_time(list(self._loose_messages(place)))
         record = self.record_at(place.offset)
         if record is None or record[0] != Opcode.CHUNK or len(record[1]) + HEADER.size != place.length:
             raise DamagedChunk("its header is wrong")
@@ -101,7 +105,7 @@ class RecordFile:
         times = [record.log_time for record in records if isinstance(record, Message)]
         if check_times and times and (min(times) < place.start_ns or max(times) > place.end_ns):
             raise DamagedChunk("its header has other times than its messages")
-        return records
+        return _of_our_time(records)
 
     def _loose_messages(self, place: ChunkPlace) -> Iterator[McapRecord]:
         offset = place.offset
@@ -116,6 +120,17 @@ class RecordFile:
 def parsed(read: Callable[[ReadDataStream], Result], body: bytes) -> Result:
     """A record from its body, by the ``read`` of its class."""
     return read(ReadDataStream(io.BytesIO(body)))
+
+
+def _of_our_time(records: list[McapRecord]) -> list[McapRecord]:
+    """The records, where a replay can give each of them its time.
+
+    Raises:
+        DamagedChunk: no stamp can carry a log time.
+    """
+    if any(isinstance(record, Message) and record.log_time >= _LATEST_NS for record in records):
+        raise DamagedChunk("it has log times beyond the year 2038, which no stamp can carry")
+    return records
 
 
 def _unfolded(chunk: Chunk) -> bytes:

@@ -13,11 +13,13 @@ from typing import Any
 
 import pynmea2
 
+from ship_node.stamps import END_OF_TIME_NS
 from ship_replay.errors import BadInput
 from ship_replay.times import NS_PER_S
 
 _FIRST_FEW = 3
 _DAY = timedelta(days=1)
+_DAY_NS = 86_400 * NS_PER_S
 
 # Fields of the line MET of the station mwx1.
 _MET_TEMPERATURE, _MET_HUMIDITY, _MET_PRESSURE = 3, 4, -1
@@ -175,20 +177,34 @@ def _of_interest(number: int, receive_ns: int, text: str, content: Any, report: 
         report.unused[text.split(" ", 1)[1].split(",")[0].lstrip("$") + kind.removeprefix("SXN") * ("SXN" in kind)] += 1
         return None
     # pynmea2 hands out the text itself where a field is no number.
-    if any(getattr(content, name) is None or isinstance(getattr(content, name), str) for name in needed):
+    is_whole = all(not isinstance(getattr(content, name), (str, type(None))) for name in needed)
+    if kind == "ZDA" and is_whole and not 1970 < content.year < 2038:
+        report.reject("no year of ours", number, text)
+        return None
+    if not is_whole or (kind == "GGA" and not _has_readable_position(content)):
         report.reject("unparsed", number, text)
         return None
     names = {"SXN20": "PSXN20", "SXN23": "PSXN23", "ASHRATT": "PASHR"}
     return LogLine(number, receive_ns, names.get(kind, kind), content)
 
 
+def _has_readable_position(gga: Any) -> bool:
+    """Whether latitude and longitude are numbers, or not given."""
+    try:
+        return not (gga.lat and gga.lon) or abs(gga.latitude) + abs(gga.longitude) >= 0.0
+    except ValueError:
+        return False
+
+
 def _receive_ns(text: str) -> int | None:
     base, _, fraction = text.removesuffix("Z").partition(".")
     try:
         moment = datetime.fromisoformat(base).replace(tzinfo=timezone.utc)
-        return datetime_ns(moment) + (int(fraction[:9].ljust(9, "0")) if fraction else 0)
+        time_ns = datetime_ns(moment) + (int(fraction[:9].ljust(9, "0")) if fraction else 0)
     except ValueError:
         return None
+    # The time of day of a sentence may lead a day further.
+    return time_ns if _DAY_NS <= time_ns < END_OF_TIME_NS - 2 * _DAY_NS else None
 
 
 def _weather(sentence: str) -> Weather | None:

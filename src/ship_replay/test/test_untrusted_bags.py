@@ -14,6 +14,12 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 from test_recover import places
 
+from ship_replay import (
+    axis_sightings_command,
+    calibrate_installation_command,
+    evaluate_command,
+    replay_command,
+)
 from ship_replay.bag_reader import read_bag
 from ship_replay.errors import BadInput
 from ship_replay.mcap_records import MAX_CHUNK_RECORDS
@@ -99,9 +105,9 @@ def test_mend_25_chunks_that_all_overlap_are_refused_before_they_fill_the_memory
         list(bag.records())
 
 
-def test_mend_25_a_bag_that_unfolds_to_a_gigabyte_takes_no_gigabyte(tmp_path):
+def test_mend_25_a_bag_that_unfolds_to_more_than_it_may_takes_no_more_memory(tmp_path):
     """Stated size, frame and chunk agree; only the bound stands against them."""
-    with_chunks(tmp_path / "a.mcap", chunk_bytes(message(1_000_000_000), "zstd", 1000, checked=False))
+    with_chunks(tmp_path / "a.mcap", chunk_bytes(message(600_000_000), "zstd", 1000, checked=False))
     program = f"""
 import resource
 from pathlib import Path
@@ -118,6 +124,25 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
     counts, growth_kib = done.stdout.splitlines()
     assert counts == "100 100"
     assert int(growth_kib) < 600_000
+
+
+@pytest.mark.parametrize("text", [b"{secret}", b"\x00" * 1000, b"9" * 5000, b"[" * 100_000, b"a: &a [*a]", b"\xff\xfe"])
+def test_mend_25_an_attached_configuration_is_one_line_and_no_file_is_read(tmp_path, capsys, text):
+    (tmp_path / "secret").write_text("root:$6$hash:19000\n")
+    attached = text.replace(b"{secret}", str(tmp_path / "secret").encode())
+    bag = write_imu_bag(tmp_path / "in.mcap", attachments=[("suite.yaml", attached)])
+    for main, arguments in (
+        (replay_command.main, ["--out", str(tmp_path / "out.mcap")]),
+        (evaluate_command.main, []),
+        (calibrate_installation_command.main, ["--out", str(tmp_path / "out.yaml")]),
+        (axis_sightings_command.main, ["--out", str(tmp_path / "out.csv")]),
+    ):
+        assert main([str(bag), *arguments]) == 2
+        said = capsys.readouterr()
+        assert said.err.count("\n") == 1
+        assert f"{bag}: " in said.err
+        assert "hash" not in said.err + said.out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "secret"]
 
 
 INFORMATION = "rosbag2_bagfile_information:\n"

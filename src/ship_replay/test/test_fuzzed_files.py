@@ -1,0 +1,245 @@
+"""Files with random mutations through every command that reads them: one line or a result, never a traceback.
+
+Mutated bags are sealed anew: their checksums are right, as whoever means harm would make them.
+"""
+
+import io
+import os
+import random
+import shutil
+import struct
+import zlib
+from dataclasses import replace
+
+import pytest
+import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Schema
+from test_import_nmea import GYR1, MWX1, SEAP
+from test_recover import places
+from test_simulate_command import SHORT
+
+from ship_node.black_box_format import VERSIONS_ATTACHMENT
+from ship_replay import (
+    axis_sightings_command,
+    calibrate_installation_command,
+    check_config_command,
+    evaluate_command,
+    import_nmea_command,
+    record_command,
+    replay_command,
+    simulate_command,
+)
+from ship_replay.bag_reader import read_bag
+from ship_replay.bag_writer import BagWriter
+from theodolite_calib import fit_axes_command
+
+# Mutations of each kind of file; FUZZ_COUNT=500 tries harder.
+COUNT = int(os.environ.get("FUZZ_COUNT", "12"))
+
+TEXTS = (
+    b"5", b"null", b"[]", b"{}", b"\x00" * 50, b"9" * 5000, b"0x" + b"f" * 5000, b"[" * 3000, b"{a: " * 300,
+    b"&a [*a]", b"<<: *x", b".nan", b".inf", b"-1", b"1e999", b"2001-99-99", b"!!binary x", b"!!python/object:os.x {}",
+    b"'", b'"\\ud800"', b"\xff\xfe", b"/etc/passwd", b"\x1b[2J", b"~", b"true", b": :", b"? [a]\n: b", b"",
+)  # fmt: skip
+INFORMATION = """\
+rosbag2_bagfile_information:
+  version: 9
+  storage_identifier: mcap
+  relative_file_paths: [in.mcap]
+  compression_format: ""
+  compression_mode: ""
+"""
+SIGHTINGS = "encoder_azimuth_deg,encoder_elevation_deg,azimuth_offset_deg,elevation_offset_deg\n" + "".join(
+    f"{40 * number},{10 + 7 * number},{0.01 + 0.001 * number},{-0.01 + 0.002 * (number % 3)}\n" for number in range(9)
+)
+BOUNDS = "skip_s: 0.5\nfused.heading.rms_arcsec: {max: 300.0}\n"
+SCENARIO = SHORT.replace("duration_s: 4.0", "duration_s: 1.0")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Whole inputs of all commands."""
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "scenario.yaml").write_text(SCENARIO)
+    assert simulate_command.main([str(folder / "scenario.yaml"), "--out", str(folder / "in.mcap")]) == 0
+    assert replay_command.main([str(folder / "in.mcap"), "--out", str(folder / "out.mcap")]) == 0
+    with BagWriter(folder / "run.mcap") as run:
+        for name in ("in.mcap", "out.mcap"):
+            with read_bag(folder / name) as bag:
+                for attachment, content in bag.attachments.items():
+                    run.add_attachment(attachment, content)
+                for record in bag.records():
+                    run.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
+                (folder / "suite.yaml").write_bytes(bag.attachments["suite.yaml"])
+        run.add_attachment(VERSIONS_ATTACHMENT, "{}")
+        run.add_metadata("note", {"a": "b"})
+    for name, text in (
+        ("metadata.yaml", INFORMATION), ("sightings.csv", SIGHTINGS), ("bounds.yaml", BOUNDS),
+        ("ins.log", SEAP * 3), ("gyro.log", GYR1), ("weather.log", MWX1),
+    ):  # fmt: skip
+        (folder / name).write_text(text)
+    return folder
+
+
+def mutated(draw, data):
+    """Some bytes changed, cut out, doubled or replaced by a text that is hard to read."""
+    data = bytearray(data)
+    for _ in range(draw.choice((1, 1, 2, 5))):
+        place = draw.randrange(len(data) + 1)
+        length = draw.choice((1, 1, 4, 8, 40))
+        kind = draw.randrange(5)
+        if kind == 0 and place < len(data):
+            data[place] ^= 1 << draw.randrange(8)
+        elif kind == 1:
+            data[place : place + length] = draw.randbytes(length)
+        elif kind == 2:
+            data[place:place] = data[place : place + length]
+        elif kind == 3:
+            data[place : place + length] = draw.choice(TEXTS)
+        else:
+            data[place : place + length] = draw.choice((b"\x00", b"\xff", b"\x7f")) * length
+    return bytes(data)
+
+
+def mutated_text(draw, data):
+    """As :func:`mutated`, or one value of the text replaced by another."""
+    if draw.random() < 0.3:
+        return mutated(draw, data)
+    words = data.replace(b"\n", b" \n ").split(b" ")
+    words[draw.randrange(len(words))] = draw.choice(TEXTS)
+    return b" ".join(words)
+
+
+def raw(opcode, body):
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def record_bytes(record):
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
+
+def sealed(draw, data):
+    """A bag with a mutation within one of its records, and right checksums; without its summary."""
+    end = next(offset for offset, opcode, _ in places(data[:-8]) if opcode == Opcode.DATA_END)
+    records = [(opcode, data[offset + 9 : offset + length]) for offset, opcode, length in places(data[:end])]
+    target = draw.choice([n for n, (opcode, _) in enumerate(records) if opcode != Opcode.MESSAGE_INDEX])
+    opcode, body = records[target]
+    if opcode == Opcode.CHUNK:
+        chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
+        content = mutated_content(draw, zstandard.decompress(chunk.data))
+        packed = zstandard.ZstdCompressor().compress(content)
+        checksum, size = zlib.crc32(content), len(content)
+        new = record_bytes(replace(chunk, data=packed, uncompressed_crc=checksum, uncompressed_size=size))
+    elif opcode == Opcode.ATTACHMENT:
+        attachment = Attachment.read(ReadDataStream(io.BytesIO(body)))
+        text = draw.choice((mutated_text(draw, attachment.data), draw.choice(TEXTS)))
+        new = record_bytes(replace(attachment, data=text))
+    else:
+        new = raw(opcode, mutated(draw, body))
+    return data[:8] + b"".join(new if n == target else raw(*record) for n, record in enumerate(records))
+
+
+def mutated_content(draw, content):
+    """A mutation within one record of a chunk, often a definition: these come first and weigh most."""
+    if draw.random() < 0.1:
+        return mutated(draw, content)
+    records, offset = [], 0
+    while offset < len(content):
+        opcode, length = struct.unpack_from("<BQ", content, offset)
+        records.append((opcode, content[offset + 9 : offset + 9 + length]))
+        offset += 9 + length
+    kinds = sorted({opcode for opcode, _ in records})
+    kind = draw.choice(kinds)
+    target = draw.choice([n for n, (opcode, _) in enumerate(records) if opcode == kind])
+    new = mutated(draw, records[target][1])
+    if kind == Opcode.SCHEMA:
+        schema = Schema.read(ReadDataStream(io.BytesIO(records[target][1])))
+        new = record_bytes(replace(schema, data=mutated_text(draw, schema.data)))[9:]
+    elif kind == Opcode.CHANNEL:
+        channel = Channel.read(ReadDataStream(io.BytesIO(records[target][1])))
+        texts = {key: mutated(draw, text.encode()).decode("latin-1") for key, text in channel.metadata.items()}
+        new = record_bytes(replace(channel, metadata=texts))[9:]
+    return b"".join(raw(opcode, new if n == target else body) for n, (opcode, body) in enumerate(records))
+
+
+def bag(draw, data):
+    """A mutated bag: sealed, or damaged as a disk does."""
+    choice = draw.random()
+    if choice < 0.75:
+        return sealed(draw, data)
+    return mutated(draw, data) if choice < 0.9 else data[: draw.randrange(len(data))]
+
+
+# Kind of file → its name, how it is mutated, the commands that read it; {} is the mutated one.
+KINDS = {
+    "bag": (
+        "run.mcap",
+        bag,
+        [
+            (replay_command, ["{}", "--out", "new.mcap"]),
+            (replay_command, ["{}", "--verify"]),
+            (evaluate_command, ["{}", "--json", "new.json"]),
+            (calibrate_installation_command, ["{}", "--out", "new.yaml"]),
+            (axis_sightings_command, ["{}", "--out", "new.csv"]),
+            (check_config_command, ["suite.yaml", "{}"]),
+            (record_command, ["--recover", "{}", "--out", "new.mcap"]),
+        ],
+    ),
+    "suite": (
+        "suite.yaml",
+        mutated_text,
+        [
+            (check_config_command, ["{}", "in.mcap"]),
+            (replay_command, ["in.mcap", "--out", "new.mcap", "--config", "{}"]),
+            (calibrate_installation_command, ["in.mcap", "--out", "new.yaml", "--config", "{}"]),
+        ],
+    ),
+    "scenario": ("scenario.yaml", mutated_text, [(simulate_command, ["{}", "--out", "new.mcap"])]),
+    "information": ("metadata.yaml", mutated_text, [(evaluate_command, ["{folder}"])]),
+    "bounds": ("bounds.yaml", mutated_text, [(evaluate_command, ["run.mcap", "--bounds", "{}"])]),
+    "sightings": ("sightings.csv", mutated_text, [(fit_axes_command, ["{}", "--out", "fit"])]),
+    "log": ("ins.log", mutated_text, [(import_nmea_command, ["--ins", "{}", "--out", "new.mcap"])]),
+    "gyro log": (
+        "gyro.log",
+        mutated_text,
+        [(import_nmea_command, ["--ins", "ins.log", "--gyro", "{}", "--out", "new.mcap"])],
+    ),
+    "weather log": (
+        "weather.log",
+        mutated_text,
+        [(import_nmea_command, ["--ins", "ins.log", "--weather", "{}", "--out", "new.mcap"])],
+    ),
+}
+
+
+# What a mutated message says may be beyond all numbers.
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("kind", KINDS)
+def test_mend_25_no_mutation_of_a_file_ends_in_a_traceback(kind, whole, tmp_path, monkeypatch, capsys):
+    name, mutate, commands = KINDS[kind]
+    data = (whole / name).read_bytes()
+    monkeypatch.chdir(whole)
+    for seed in range(COUNT * len(commands)):
+        place = tmp_path / str(seed)
+        place.mkdir()
+        path = place / name
+        path.write_bytes(mutate(random.Random(seed), data))
+        if kind == "information":
+            shutil.copy(whole / "in.mcap", place)
+        command, arguments = commands[seed % len(commands)]
+        given = [argument.format(path, folder=place) for argument in arguments]
+        given = [str(place / text) if text == "fit" or text.startswith("new.") else text for text in given]
+        code = command.main(given)
+        said = capsys.readouterr()
+        assert code in (0, 1, 2), seed
+        assert code == 2 or not said.err, (seed, said.err)
+        if code == 2 and command is not check_config_command:
+            assert said.err.count("\n") == 1, (seed, said.err)
+        assert len(said.err) < 3000, seed
+        assert "\x1b" not in said.err + said.out, seed
+        assert not list(place.rglob("*.part*")), seed
+        shutil.rmtree(place)
