@@ -126,11 +126,11 @@ def test_a_long_silence_does_not_tick_for_ever(tmp_path):
     path = tmp_path / "in.mcap"
     with BagWriter(path) as bag:
         bag.add_attachment("suite.yaml", SUITE)
-        for log_time_ns in (START_NS, START_NS + 10**18):
+        for log_time_ns in (START_NS, START_NS + 4 * 10**17):
             bag.write("ins/imu", imu(START_NS), log_time_ns)
     replay(path, tmp_path / "out.mcap", (TinyAdapter,))
     assert [name for name, _ in TinyAdapter.calls].count("tick") == 6000
-    assert TinyAdapter.calls[-1] == ("ins/imu", START_NS + 10**18)
+    assert TinyAdapter.calls[-1] == ("ins/imu", START_NS + 4 * 10**17)
 
 
 def test_the_same_bag_gives_the_same_bytes(tmp_path):
