@@ -225,8 +225,8 @@ class ShipAttitudeCore:
     def _apply(self, outcome: Outcome) -> None:
         for decision, previous in self._log.apply(self._step, _failed, self._arrivals.window_ns):
             if isinstance(decision.measurement, InsJump):
-                self._jump = None if decision.measurement is self._jump else self._jump
-            elif previous is None:
+                continue
+            if previous is None:
                 outcome.decisions.append(decision)
             elif previous.accepted != decision.accepted:
                 outcome.decisions.append(replace(decision, revised=True))
@@ -262,7 +262,9 @@ class ShipAttitudeCore:
 
     def _estimate_from_ins(self, time_ns: int) -> AttitudeEstimate:
         # A jump counts at once, also where measurements of before it still wait.
-        state = self.state if self._jump is None else self.filter.opened(self.state, self._jump)
+        state, jump = self.state, self._jump
+        if jump is not None and (state.time_ns is None or state.time_ns < jump.time_ns):
+            state = self.filter.opened(state, jump)
         if state is not self._corrected.state:
             self._corrected = CorrectedIns(self.filter, state)
         moved_s = -(self.config.ins.time_offset_s + self._corrected.time_offset_s)

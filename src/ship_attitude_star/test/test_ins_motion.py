@@ -1,5 +1,7 @@
 """What the INS says of the ship's motion: about where the deck is, how it turned, and how well that is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_voyage import attitude
@@ -128,3 +130,34 @@ def test_what_is_dropped_is_needed_no_more() -> None:
     some.drop_before(START_NS + 500 * MS)
     np.testing.assert_array_equal(some.deck(START_NS + 500 * MS).rotation_nb, before.rotation_nb)
     assert some.deck(START_NS + 100 * MS) is None
+
+
+def jumped_motion(size_rad: float) -> InsMotion:
+    """Its attitude jumps about Up at 0.8 s; five samples are refused."""
+    some, step = InsMotion(GuardedInsConfig(), StreamGuards(GuardedInsConfig())), np.array([0.0, size_rad, 0.0])
+    refusals = []
+    for one in map(sample, range(0, 2000, 40)):
+        late = one.time_ns >= START_NS + 800 * MS
+        refusals.append(some.add(replace(one, rotation_nd=exp_rotation(step) @ one.rotation_nd) if late else one))
+    assert [r is None for r in refusals] == [True] * 20 + [False] * 5 + [True] * 25
+    return some
+
+
+def test_mend_10_after_a_jump_the_ins_may_be_as_far_off_and_no_way_leads_across() -> None:
+    some = jumped_motion(0.01)
+    before, after = (some.deck(START_NS + time_ms * MS) for time_ms in (700, 1500))
+    sigma_up = [np.sqrt(prior.covariance_n[1, 1]) for prior in (before, after)]
+    assert sigma_up[0] < 0.001
+    assert sigma_up[1] == pytest.approx(0.01, rel=0.02)
+    assert some.deck(START_NS + 900 * MS) is None
+    assert some.turn(START_NS + 700 * MS, START_NS + 1500 * MS) is None
+    assert some.turn(START_NS + 1400 * MS, START_NS + 1500 * MS) is not None
+
+
+def test_mend_06_rates_that_are_none_leave_the_track() -> None:
+    some = InsMotion(GuardedInsConfig(), StreamGuards(GuardedInsConfig()))
+    for one in map(sample, range(0, 1000, 40)):
+        assert some.add(replace(one, rate_d=np.zeros(3))) is None
+    turn, _ = some.turn(START_NS + 20 * MS, START_NS + 500 * MS)
+    expected = attitude(0.02, HEADING_DEG).T @ attitude(0.5, HEADING_DEG)
+    assert np.linalg.norm(log_rotation(turn @ expected.T)) < 2.0 * ARCSEC
