@@ -22,7 +22,7 @@ from adapter_runs import (
     stamp_of,
     without,
 )
-from small_voyage import INS, Run, drive
+from small_voyage import INS, Run, drive, quaternion_message
 from small_voyage import voyage as small_voyage
 from star_voyage import (
     FIX,
@@ -47,7 +47,8 @@ from star_voyage import (
 from ship_attitude_star.samples import Reason
 from ship_attitude_star.star_solution import SolutionStatus
 from ship_geometry.earth_orientation import earth_orientation_table
-from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 
 MOMENT_S = 1.5
 SOURCE = {FORE: "star.fore", INS: "ins", FIX: FIX, PRESSURE: PRESSURE, HUMIDITY: HUMIDITY}
@@ -374,3 +375,17 @@ def test_a_night_of_clouds_is_no_fault() -> None:
     assert {message.status for message in run.messages(FORE_SOLUTION)} == {SolutionStatus.INVALID}
     assert {message.star_count for message in run.messages("star/joint/solution")} == {STARS}
     assert run.health(FORE).rejected == 0
+
+
+def test_mend_07_another_noise_of_the_ins_reaches_its_guard() -> None:
+    """One sample off by 60", as in the test of ship_attitude."""
+
+    def off(message: Any) -> None:
+        rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))
+        message.orientation = quaternion_message(exp_rotation(np.array([0.0, 60.0, 0.0]) * ARCSEC) @ rotation_nd)
+
+    spoilt = replaced(ins_only(5.0), index_at(ins_only(5.0), INS, 4.0), off)
+    for white_arcsec, reasons in ((1.0, {"gate": 1}), (20.0, {})):
+        adapter = drive(new_adapter(), spoilt[:50]).adapter
+        adapter.set_parameters({"ins.white_sigma_arcsec": white_arcsec})
+        assert drive(adapter, spoilt[50:]).reasons(INS) == reasons
