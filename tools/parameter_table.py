@@ -51,8 +51,8 @@ def _allowed(parameter: ParameterDescription) -> str:
         return ", ".join(f"`{choice}`" for choice in parameter.choices)
     if parameter.minimum is None and parameter.maximum is None:
         return ""
-    low = "" if parameter.minimum is None else f"{parameter.minimum:g}"
-    high = "" if parameter.maximum is None else f"{parameter.maximum:g}"
+    low = "" if parameter.minimum is None else f"{parameter.minimum:.12g}"
+    high = "" if parameter.maximum is None else f"{parameter.maximum:.12g}"
     return f"{low} … {high}"
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ship_attitude_star import alignment_file, messages_out
+from ship_attitude_star.alignment import AlignmentPrior
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.diagnosis import attitude_status, conflict_statuses, rates_status, start_warnings
 from ship_attitude_star.samples import AttitudeEstimate, Decision, Outcome, Status
@@ -22,6 +23,7 @@ from ship_node.input_health import InputHealthBook
 from ship_node.message_checks import Refused
 from ship_node.message_factory import MessageFactory
 from ship_node.refusal_message import refusal_message
+from ship_node.saved_document import age_words
 from ship_node.stamps import ns_from_stamp
 from ship_node.topics import InputTopic, OutputTopic, Published
 
@@ -68,7 +70,10 @@ class ShipAttitudeAdapter:
         self.inputs: tuple[InputTopic, ...] = self._inputs.topics
         self.health = InputHealthBook(self.inputs, config.max_age_s)
         self.start_warnings = start_warnings(config)
+        self.notices: list[str] = []
         self._saved = self._read_alignment_at_start()
+        if self._saved is None and config.alignment_file:
+            self.notices.append(f"no alignment at {config.alignment_file} yet: the filter starts as configured")
         self._alignment_messages: list[str] = []
         self._latest: AttitudeEstimate | None = None
         self._budget_due: AttitudeEstimate | None = None
@@ -147,6 +152,12 @@ class ShipAttitudeAdapter:
         if self._saved is not None:
             saved, self._saved = self._saved, None
             self._alignment_messages = self.core.start_from(saved, now_ns)
+            self._note_start_from(saved, now_ns)
+
+    def _note_start_from(self, saved: AlignmentPrior, now_ns: int) -> None:
+        """Tell which alignment the filter starts from, and how old it is."""
+        told = f"alignment {self._config.alignment_file}, {age_words(saved.time_ns, now_ns)}"
+        self.notices.append("; ".join([told, *self._alignment_messages]))
 
     def _read_alignment_at_start(self) -> Any:
         if not self._config.alignment_file:
@@ -259,7 +270,9 @@ class ShipAttitudeAdapter:
 
     def _load_alignment(self, now_ns: int) -> str:
         path = self._alignment_path()
-        self._alignment_messages = self.core.start_from(alignment_file.load(path, self._files), now_ns)
+        saved = alignment_file.load(path, self._files)
+        self._alignment_messages = self.core.start_from(saved, now_ns)
+        self._note_start_from(saved, now_ns)
         self.health.restart()
         self._conflicts.clear()
         return "; ".join([f"alignment loaded from {path}", *self._alignment_messages])

@@ -49,6 +49,7 @@ def _keys() -> str:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="layout_study",
+        example="./ros2run ship_attitude_star layout_study layout.yaml --out study",
         description="Study where star sensors are bolted: errors [arcsec, 1 sigma] of heading, pitch and roll of all "
         "sensors together, by source of error and over all directions [deg], recommended azimuths [deg], and the six "
         "figures of [Z14] in both readings of its installation angles. Writes layout_study.html (one file with "

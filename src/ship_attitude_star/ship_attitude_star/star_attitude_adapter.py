@@ -66,6 +66,7 @@ class StarAttitudeAdapter:
         )
         self.health = InputHealthBook(self.inputs, config.max_age_s)
         self.start_warnings: tuple[str, ...] = ()
+        self.notices: list[str] = []
         if not config.star_sensors:
             self.start_warnings = ("no star_sensors are configured: there is nothing to solve",)
         self._latest: dict[str, tuple[Solved, int]] = {}

@@ -7,11 +7,12 @@ and ``dict[str, Dataclass]`` (one entry per sensor id) give dotted names such as
 """
 
 import dataclasses
+import difflib
 import math
 import re
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 Config = TypeVar("Config")
@@ -108,7 +109,7 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for name in values:
         if name not in fields:
-            raise ParameterError(f"parameter '{prefix}{name}' is unknown: expected one of {', '.join(sorted(fields))}")
+            raise ParameterError(f"parameter '{prefix}{name}' is unknown: {_expected(str(name), fields)}")
     arguments: dict[str, Any] = {}
     for name, field in fields.items():
         full_name = prefix + name
@@ -170,7 +171,7 @@ def changed(config: Config, changes: Mapping[str, Any]) -> Config:
     live = _live_names(config)
     for name in changes:
         if name not in flat:
-            raise ParameterError(f"parameter '{name}' is unknown")
+            raise ParameterError(f"parameter '{name}' is unknown: {_near(name, flat)}")
         if name not in live:
             raise ParameterError(f"parameter '{name}' cannot be changed while the node runs: set it at the start")
     return build(type(config), nest({**flat, **changes}))
@@ -202,6 +203,18 @@ def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
                 raise ParameterError(f"parameter '{name}': '{group}' is a value, not a group")
         level[leaf] = value
     return nested
+
+
+def _near(name: str, known: Iterable[str]) -> str:
+    """The dotted name that was probably meant."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean '{near[0]}'?" if near else "ros2 param list tells them all"
+
+
+def _expected(name: str, known: Iterable[str]) -> str:
+    """The name that was probably meant, and all that there are."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"expected one of {', '.join(sorted(known))}" + "".join(f"; did you mean '{meant}'?" for meant in near)
 
 
 def _ids(name: str, group: Mapping[Any, Any], placeholder: str) -> list[str]:

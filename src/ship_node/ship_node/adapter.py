@@ -31,7 +31,7 @@ class Adapter(Protocol):
     where that rules, or the log time in replay; without it the two are one. Files are read and written through
     ``files`` alone, so that a black box can hold what was read. ``health`` is fed by the adapter and, with what only
     the middleware knows, by the shell; the adapter publishes it in :meth:`tick`. ``start_warnings`` say what the
-    configuration lacks, one line each.
+    configuration lacks, one line each; ``notices`` what happened that a log should tell, until the shell has taken it.
     """
 
     node_name: ClassVar[str]
@@ -41,6 +41,7 @@ class Adapter(Protocol):
     outputs: tuple[OutputTopic, ...]
     health: InputHealthBook
     start_warnings: tuple[str, ...]
+    notices: list[str]
 
     def __init__(self, config: Any, factory: MessageFactory, files: Files = DISK) -> None: ...
 

@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from ship_estimation.parameters import ParameterError
 from ship_node.errors import BadInput, one_line
@@ -19,7 +19,20 @@ EXIT_INTERRUPTED = 130
 
 
 class CommandParser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line."""
+    """An argument parser whose complaint is one line, and whose help ends with an example.
+
+    Args:
+        example: a whole command line, as it is typed; empty for a tool that is no executable of the suite.
+        options: as of argparse.
+    """
+
+    def __init__(self, *, example: str = "", **options: Any) -> None:
+        super().__init__(**options)
+        self._example = example
+
+    def format_help(self) -> str:
+        """The help, and the example as it stands: long lines stay whole."""
+        return super().format_help() + (f"\nexample:\n  {self._example}\n" if self._example else "")
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong with the arguments, in one line, and leave."""

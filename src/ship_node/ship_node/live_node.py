@@ -38,6 +38,7 @@ from ship_node.node_watch import ErrorLog, name_status, stamps_status
 from ship_node.parameter_file import misfit, quoted_parameter, read_whatever_fits
 from ship_node.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.ros_parameters import NodeParameters, ParameterNode
+from ship_node.start_line import start_line
 from ship_node.tick_grid import TickGrid
 from ship_node.topics import InputTopic, OutputTopic
 
@@ -94,6 +95,9 @@ class LiveNode:
         self._inbox = Inbox({i.topic: i.depth for i in self.adapter.inputs})
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
+        # The box has said its path itself, which is another one where a box was there.
+        simulated, box = bool(self.node.get_parameter("use_sim_time").value), self._parameters.black_box
+        self.node.get_logger().info(start_line(self.adapter, self._parameters.config, simulated, box))
         for warning in self.adapter.start_warnings:
             self.node.get_logger().warning(warning)
         self._warn_of_unused_overrides()
@@ -186,6 +190,12 @@ class LiveNode:
             now_ns, waiting_ns = (arrival.now_ns, arrival.waiting_ns) if arrival.now_ns else self._clock.times()
             self._advance(now_ns, waiting_ns)
             self._guard.call(arrival.topic, self._handle, arrival.topic, arrival.data, now_ns, waiting_ns)
+        self._tell_notices()
+
+    def _tell_notices(self) -> None:
+        for notice in self.adapter.notices:
+            self.node.get_logger().info(notice)
+        self.adapter.notices.clear()
 
     def _handle_all(self) -> None:
         """Give the adapter all that waits: what is asked of it next comes after that."""

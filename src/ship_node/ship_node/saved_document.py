@@ -94,6 +94,16 @@ class SavedFormat:
             raise BadInput(f"{path}: the {self.what} cannot be used: {error}; save it anew") from error
 
 
+def age_words(time_ns: int, now_ns: int) -> str:
+    """How old the data of a saved document are, by the node's clock."""
+    if time_ns <= 0:
+        return "of unknown age"
+    age_s = (now_ns - time_ns) * 1e-9
+    if age_s < 0.0:
+        return f"from {-age_s:.0f} s in the future"
+    return f"{age_s / 86400.0:.1f} d old" if age_s >= 8640.0 else f"{age_s / 60.0:.0f} min old"
+
+
 def section(document: dict[str, Any], key: str, read: Callable[[Any], Content]) -> Content:
     """One section of a document.
 

@@ -64,6 +64,7 @@ class RelayAdapter:
         )
         self.health = InputHealthBook(self.inputs)
         self.start_warnings: tuple[str, ...] = ()
+        self.notices: list[str] = []
         self.changes: dict[str, Any] = {}
         self.ticks: list[int] = []
         self.node_times: list[int] = []

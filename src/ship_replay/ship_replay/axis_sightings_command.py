@@ -20,6 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="axis_sightings",
+        example="./ros2run ship_replay axis_sightings bags/theodolite.mcap --out sightings.csv",
         epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
         description="Write the sightings of a bag as a table for fit_axes: of every exposure of two lights or more "
         "that the node optical_axis used, the encoder angles and the true direction of the main axis in the deck minus "

@@ -25,6 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="check_config",
+        example="./ros2run ship_replay check_config examples/two_sensors.yaml bags/demo.mcap",
         epilog="exit code: 0 good, or warnings only; 2 something is wrong, or bad usage",
         description="Check a suite configuration (ROS 2 parameter file; units stand in the names of the parameters) "
         "and, with a bag, whether it fits: topics, types, frame_ids, rates; installation angles and focal lengths of "

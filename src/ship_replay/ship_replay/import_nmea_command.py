@@ -22,6 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="import_nmea",
+        example="./ros2run ship_replay import_nmea --ins seapath.log --out voyage.mcap --resample 20",
         epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
         description="Turn ship logs (lines 'RECEIVE_TIME SENTENCE': GGA, ZDA, HDT, PSXN 20 and 23, PASHR, MET) into a "
         "bag with ins/imu, reference/<name>/imu, gnss/fix and met/*. Log time is the receive time.",

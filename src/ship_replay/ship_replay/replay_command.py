@@ -32,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="replay",
+        example="./ros2run ship_replay replay bags/demo.mcap --out out.mcap --report report",
         epilog="exit code: 0 replayed, with --verify: and equal to the last bit; 1 --verify found a difference or "
         "could not compare all; 2 bad input or usage, with one line that says which; 130 "
         "interrupted",

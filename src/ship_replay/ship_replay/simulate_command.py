@@ -1,16 +1,20 @@
 """``simulate``: a scenario file becomes a bag with truth, scenario and suite configuration inside."""
 
 import argparse
+import inspect
 from collections.abc import Sequence
 from pathlib import Path
 
 from ship_node.output_files import add_force, check_file
+from ship_node.usage import key_rows
 from ship_replay.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_replay.command_line import EXIT_DONE, CommandParser, run_command
 from ship_replay.message_store import RosbagsFactory
 from ship_replay.progress import with_bar
+from ship_replay.simulation import faults
 from ship_replay.simulation.noise import SECOND_NS
 from ship_replay.simulation.run import SimulatedRun, simulate
+from ship_replay.simulation.scenario import Scenario
 from ship_replay.simulation.scenario_file import load_scenario
 from ship_replay.simulation.suite import suite_yaml
 from ship_replay.simulation.to_messages import messages
@@ -32,8 +36,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         prog="simulate",
+        example="./ros2run ship_replay simulate bags/scenarios/demo.yaml --out demo.mcap --seed 1",
         description=_DESCRIPTION,
-        epilog="exit code: 0 written; 2 bad input or usage; 130 interrupted",
+        epilog=f"keys of SCENARIO.yaml, nested at the dots (<id>: any name):\n{_keys()}\n\n"
+        f"kinds of faults (faults.<id>.kind):\n{_faults()}\n\n"
+        "exit code: 0 written; 2 bad input or usage; 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scenario", type=Path, metavar="SCENARIO.yaml", help="what to simulate")
@@ -44,6 +51,16 @@ def _parser() -> CommandParser:
     )
     add_force(parser)
     return parser
+
+
+def _keys() -> str:
+    return "\n".join(key_rows(Scenario))
+
+
+def _faults() -> str:
+    """The kinds as the module that does them explains them, one line each."""
+    lines = (inspect.getdoc(faults) or "").splitlines()
+    return "\n".join(f"  {line}" for line in lines[1:] if line)
 
 
 def _seed(text: str) -> int:

@@ -14,6 +14,7 @@ from ship_node.input_health import InputHealthBook
 from ship_node.message_checks import Refused
 from ship_node.message_factory import MessageFactory
 from ship_node.refusal_message import refusal_message
+from ship_node.saved_document import age_words
 from ship_node.stamps import ns_from_stamp
 from ship_node.topics import InputTopic, OutputTopic, Published
 from theodolite_calib import calibration_file, messages_out
@@ -62,7 +63,10 @@ class OpticalAxisAdapter:
         self.inputs: tuple[InputTopic, ...] = self._inputs.topics
         self.health = InputHealthBook(self.inputs, config.max_age_s)
         self.start_warnings: tuple[str, ...] = ()
+        self.notices: list[str] = []
         self._saved = self._read_calibration_at_start()
+        if self._saved is None and config.calibration_file:
+            self.notices.append(f"no calibration at {config.calibration_file} yet: the filter starts as configured")
         self._calibration_messages: list[str] = []
         self._latest: PointingEstimate | None = None
         self._budget_due: PointingEstimate | None = None
@@ -139,6 +143,12 @@ class OpticalAxisAdapter:
         if self._saved is not None:
             saved, self._saved = self._saved, None
             self._calibration_messages = self.core.start_from(saved, now_ns)
+            self._note_start_from(saved, now_ns)
+
+    def _note_start_from(self, saved: CalibrationPrior, now_ns: int) -> None:
+        """Tell which calibration the filter starts from, and how old it is."""
+        told = f"calibration {self._config.calibration_file}, {age_words(saved.time_ns, now_ns)}"
+        self.notices.append("; ".join([told, *self._calibration_messages]))
 
     def _read_calibration_at_start(self) -> CalibrationPrior | None:
         if not self._config.calibration_file:
@@ -237,7 +247,9 @@ class OpticalAxisAdapter:
 
     def _load_calibration(self, now_ns: int) -> str:
         path = self._calibration_path()
-        self._calibration_messages = self.core.start_from(calibration_file.load(path, self._files), now_ns)
+        saved = calibration_file.load(path, self._files)
+        self._calibration_messages = self.core.start_from(saved, now_ns)
+        self._note_start_from(saved, now_ns)
         self.health.restart()
         self._conflict = None
         return "; ".join([f"calibration loaded from {path}", *self._calibration_messages])

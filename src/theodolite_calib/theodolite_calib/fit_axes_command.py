@@ -45,6 +45,7 @@ def _parser() -> CommandParser:
     terms = "\n".join(f"  {name:10}{meaning}" for name, meaning in MEANINGS.items())
     parser = CommandParser(
         prog="fit_axes",
+        example="./ros2run theodolite_calib fit_axes sightings.csv --out fit --flexure",
         description="Axis errors [arcsec, 1 sigma] of a theodolite from sightings of known directions.",
         epilog=f"columns of the table, all in degrees:\n{columns}\n  {LABEL_COLUMN:26}number or name, optional\n"
         f"  {TIME_COLUMN:26}moment, UTC as POSIX time [s], optional\n"

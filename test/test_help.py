@@ -1,0 +1,80 @@
+"""The help of every executable: what it is for, what it takes, an example at the end."""
+
+import importlib
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
+from ship_estimation.parameters import describe
+from ship_node.message_factory import RosidlFactory
+from ship_node.usage import usage_text
+from ship_replay.simulation.scenario import Fault, Scenario
+from theodolite_calib.adapter import OpticalAxisAdapter
+
+ROOT = Path(__file__).parents[1]
+NODES = {"ship_attitude": ShipAttitudeAdapter, "star_attitude": StarAttitudeAdapter, "optical_axis": OpticalAxisAdapter}
+EXECUTABLES = re.findall(
+    r'"(\w+) = ([\w.]+):main"', "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("src/*/setup.py"))
+)
+
+
+def help_of(name, module, capsys):
+    if name in NODES:
+        return usage_text(NODES[name], module.partition(".")[0], RosidlFactory())
+    with pytest.raises(SystemExit) as left:
+        importlib.import_module(module).main(["--help"])
+    assert left.value.code == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("name", "module"), EXECUTABLES)
+def test_mend_16_every_help_ends_with_an_example(name, module, capsys):
+    shown = help_of(name, module, capsys)
+    *_, head, example = shown.rstrip().splitlines()
+    assert head == "example:"
+    command = shlex.split(example)
+    assert command[:3] == ["./ros2run", module.partition(".")[0], name]
+    assert "exit code" in shown
+    # Files of the repository that it names are there, and its options are known.
+    assert all((ROOT / word).exists() for word in command if word.startswith(("bags/", "examples/")))
+    assert all(word in shown for word in command if word.startswith("--"))
+
+
+def test_mend_16_the_help_of_a_node_lists_what_any_configuration_asks_for():
+    shown = usage_text(ShipAttitudeAdapter, "ship_attitude_star", RosidlFactory())
+    (choices,) = [d.choices for d in describe(ShipAttitudeConfig) if d.name == "star_sensors.<id>.input"]
+    topics = shown.partition("topics out")[0]
+    for choice in choices:
+        assert f"star/<id>/{choice}" in topics, choice
+    for topic in ("gnss/fix", "met/pressure", "met/temperature", "met/humidity", "reference/<id>/imu"):
+        assert re.search(rf"^  {topic} ", topics, re.MULTILINE), topic
+
+
+def test_mend_16_replay_names_all_nodes_and_simulate_all_keys_and_faults(capsys):
+    shown = " ".join(help_of("replay", "ship_replay.replay_command", capsys).split())
+    assert "(ship_attitude, star_attitude, optical_axis;" in shown
+    shown = help_of("simulate", "ship_replay.simulate_command", capsys)
+    assert all(f"  {d.name}" in shown for d in describe(Scenario))
+    (kinds,) = [d.choices for d in describe(Fault) if d.name == "kind"]
+    assert all(re.search(rf"^  {kind} ", shown, re.MULTILINE) for kind in kinds)
+
+
+def test_mend_16_bounds_on_the_page_are_those_of_the_code():
+    """Read back from the page, digit for digit."""
+    page = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
+    rows = {(section.split("`")[0], row[0]): row[1] for section in page.split("\n## `")[1:] for row in re.findall(
+        r"^\| `([^`]+)` \|[^|]*\|[^|]*\| ([^|]*) \|", section, re.MULTILINE)}  # fmt: skip
+    count = 0
+    for name, adapter in NODES.items():
+        for parameter in describe(adapter.config_type):
+            if parameter.choices or (parameter.minimum is None and parameter.maximum is None):
+                continue
+            low, high = (float(bound) if bound else None for bound in rows[name, parameter.name].split(" … "))
+            assert (low, high) == (parameter.minimum, parameter.maximum), parameter.name
+            count += 1
+    assert count > 100
