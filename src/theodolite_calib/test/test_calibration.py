@@ -11,6 +11,7 @@ from small_session import AXES, BEACONS, FOCAL_LENGTH_M, clean_run, config, driv
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC
 from ship_node.errors import BadInput
+from ship_node.start_line import start_line
 from theodolite_calib import calibration_file
 from theodolite_calib.adapter import OpticalAxisAdapter
 from theodolite_calib.calibration import SAVED_NAMES, CalibrationPrior, prior_of, state_from_prior
@@ -189,3 +190,18 @@ def test_noise_can_be_changed_while_it_runs_geometry_not() -> None:
         adapter.set_parameters({"telescope.focal_length_m": 0.2})
     with pytest.raises(ParameterError, match="out of its range"):
         adapter.set_parameters({"gate.probability": 2.0})
+
+
+def test_mend_16_the_node_says_what_it_is_and_which_calibration_it_starts_from(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    absent = new_adapter(calibration_file=str(path))
+    assert absent.notices == [f"no calibration at {path} yet: the filter starts as configured"]
+    calibration_file.save(path, replace(saved(), time_ns=NOW_NS - 3 * DAY_NS))
+    adapter = new_adapter(calibration_file=str(path))
+    assert adapter.notices == []
+    adapter.tick(NOW_NS)
+    assert adapter.notices == [f"calibration {path}, 3.0 d old"]
+    line = start_line(adapter, config(calibration_file=str(path)), is_simulated_time=True, black_box="")
+    assert line.startswith("beacons: alpha, bravo; ")
+    for part in (f"calibration_file: {path}", "clock: /clock", "black box: none", "needs theodolite/encoder"):
+        assert part in line, line
