@@ -79,6 +79,7 @@ def test_signal_ends_the_node_cleanly(number):
     arguments = ["--ros-args", "-p", "qos_overrides./absent.subscription.depth:=1"]
     with subprocess.Popen([*RELAY, *arguments], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
+        assert "clock: system time; black box: none" in process.stderr.readline()
         assert "names no topic and policy" in process.stderr.readline()
         os.kill(process.pid, number)
         rest = process.stderr.read()
@@ -118,6 +119,7 @@ def test_mend_12_a_file_about_other_nodes_is_one_warning_and_each_file_is_judged
         assert process.stderr is not None
         warning = f"{other}: nothing in it is for node '/aurora/relay', its sections are '/**/radar'"
         assert warning in process.stderr.readline()
+        assert "clock: system time; black box: none" in process.stderr.readline()
         assert "names no topic and policy" in process.stderr.readline()
         process.terminate()
         assert process.stderr.read() == ""
