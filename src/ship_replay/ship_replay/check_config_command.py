@@ -53,15 +53,12 @@ def _run(options: argparse.Namespace) -> int:
                 # What is wrong already would only be told a second time, as what follows from it.
                 check_trial(nodes, bag, options.namespace, findings)
     for line in findings.errors:
-        print(f"error: {one_line(line)}")
+        print(f"error: {one_line(line)}", file=sys.stderr)
     for line in findings.warnings:
         print(f"warning: {one_line(line)}")
     if not findings.errors:
         print(f"{options.config}: good" + (f" for {options.bag}" if options.bag is not None else ""))
         return EXIT_DONE
-    errors, warnings, first = len(findings.errors), len(findings.warnings), one_line(findings.errors[0])
-    print(
-        f"check_config: {options.config}: errors: {errors}, warnings: {warnings}; first: {first}",
-        file=sys.stderr,
-    )
+    errors, warnings = len(findings.errors), len(findings.warnings)
+    print(f"check_config: {options.config}: errors: {errors}, warnings: {warnings}", file=sys.stderr)
     return EXIT_BAD_INPUT

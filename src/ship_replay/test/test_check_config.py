@@ -21,14 +21,16 @@ ship_attitude:
 
 @pytest.fixture
 def check(tmp_path, capsys):
-    """Runs the command on texts; returns exit code, lines on stdout, lines on stderr."""
+    """Runs the command on texts; returns exit code, what it found, and what else it said on stderr."""
 
     def run(text, bag=None, *options):
         config = tmp_path / "suite.yaml"
         config.write_text(text)
         code = main([str(config), *([str(bag)] if bag else []), *options])
         captured = capsys.readouterr()
-        return code, captured.out.replace(f"{tmp_path}/", "").splitlines(), captured.err.splitlines()
+        said, found = (text.replace(f"{tmp_path}/", "").splitlines() for text in (captured.err, captured.out))
+        errors = [line for line in said if line.startswith("error: ")]
+        return code, errors + found, [line for line in said if line not in errors]
 
     return run
 
@@ -76,8 +78,13 @@ ship_attitude:
         "error: suite.yaml:11: parameter 'star_sensors.aft.elevation_deg'",
     }
     assert len(lines) == 7
-    assert len(errors) == 1
-    assert "errors: 7, warnings: 0" in errors[0]
+    assert errors == ["check_config: suite.yaml: errors: 7, warnings: 0"]
+
+
+def test_mend_16_each_error_is_said_once(check):
+    _, lines, errors = check(GOOD.replace("    ins:", "    lagg_s: 1.0\n    ins:"))
+    assert "".join(lines + errors).count("lagg_s") == 1
+    assert "did you mean 'lag_s'?" in lines[0]
 
 
 def test_wrong_frame_id(check, tmp_path):

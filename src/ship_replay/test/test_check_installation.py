@@ -19,13 +19,15 @@ BAGS = Path(__file__).parents[3] / "bags"
 
 @pytest.fixture
 def check(tmp_path, capsys):
-    """Runs the command; returns exit code and lines on stdout."""
+    """Runs the command; returns exit code and what it found."""
 
     def run(text, bag):
         config = tmp_path / "suite.yaml"
         config.write_text(text)
         code = main([str(config), str(bag)])
-        return code, capsys.readouterr().out.replace(f"{tmp_path}/", "").replace(str(bag), "BAG").splitlines()
+        captured = capsys.readouterr()
+        lines = (captured.err + captured.out).replace(f"{tmp_path}/", "").replace(str(bag), "BAG").splitlines()
+        return code, [line for line in lines if not line.startswith("check_config: ")]
 
     return run
 

@@ -94,7 +94,7 @@ def test_mend_14_an_ins_at_one_hertz_is_an_error_that_says_what_to_change(tmp_pa
     config, bag = tmp_path / "suite.yaml", slow_bag(tmp_path / "a.mcap")
     config.write_text(SUITE)
     assert check_config([str(config), str(bag)]) == 2
-    lines = capsys.readouterr().out.splitlines()
+    lines = capsys.readouterr().err.splitlines()
     said = f"error: {config}:3: parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in {bag} are stamped 1 s"
     assert lines[0].startswith(f"{said} apart (59 of 59 gaps are longer): nothing is interpolated there")
     assert lines[0].endswith("record it faster (import_nmea --resample HZ), or set 'ins.max_gap_s' to 1.5")
