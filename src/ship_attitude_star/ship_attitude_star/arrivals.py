@@ -2,11 +2,11 @@
 
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.inertial_attitude import InertialAttitude
-from ship_attitude_star.ins_guard import JudgedIns
-from ship_attitude_star.rate_guard import Rates
 from ship_attitude_star.samples import AttitudeMeasurement, Measurement
 from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.stream_guards import StreamGuards
+from ship_estimation.ins_guard import JudgedIns
+from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 

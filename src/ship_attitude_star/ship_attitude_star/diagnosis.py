@@ -4,8 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.rate_guard import Rates
 from ship_attitude_star.samples import AttitudeEstimate, Decision, Status
+from ship_estimation.rate_guard import Rates
 from ship_node.diagnostics import Level
 from ship_node.diagnostics import Status as DiagnosticStatus
 

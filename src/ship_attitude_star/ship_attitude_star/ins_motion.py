@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ship_attitude_star.ins_guard import InsJump
 from ship_attitude_star.star_selection import AttitudePrior
 from ship_attitude_star.stream_guards import StreamGuards
 from ship_estimation.ins_config import GuardedInsConfig
+from ship_estimation.ins_guard import InsJump
 from ship_estimation.refusals import Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import Nodes, Turning, turning_over

@@ -14,14 +14,14 @@ from ship_attitude_star.arrivals import Arrivals
 from ship_attitude_star.attitude_output import CorrectedIns, estimate_from_star, no_estimate
 from ship_attitude_star.comparison import attitude_alone
 from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.ins_guard import InsJump
-from ship_attitude_star.rate_guard import Rates
 from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, Decision, Measurement, Outcome
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
 from ship_attitude_star.sky_inputs import SkyInput
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_attitude_star.star_exposure import StarExposure
+from ship_estimation.ins_guard import InsJump
 from ship_estimation.output_order import OutputOrder
+from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Reason, failure, same_stamp
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack

@@ -22,13 +22,13 @@ from ship_attitude_star.filter_model import (
 )
 from ship_attitude_star.hints import Departure, who_is_wrong
 from ship_attitude_star.inertial_attitude import InertialAttitude, in_horizon
-from ship_attitude_star.ins_guard import InsJump
 from ship_attitude_star.measurement_models import ins_time_of, predict_attitude
 from ship_attitude_star.samples import AttitudeMeasurement, Decision, Measurement
 from ship_attitude_star.sky_watch import SkyWatch
 from ship_attitude_star.star_exposure import StarExposure
 from ship_attitude_star.star_streaks import at_middle
 from ship_estimation.gates import GateConfig, chi_square_gate
+from ship_estimation.ins_guard import InsJump
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude

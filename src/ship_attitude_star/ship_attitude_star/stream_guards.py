@@ -3,11 +3,11 @@
 import numpy as np
 
 from ship_attitude_star.inertial_attitude import InertialAttitude
-from ship_attitude_star.ins_guard import InsGuard, JudgedIns
-from ship_attitude_star.rate_guard import Rates
 from ship_attitude_star.samples import AttitudeMeasurement, Measurement
 from ship_attitude_star.star_exposure import StarExposure
 from ship_estimation.ins_config import GuardedInsConfig
+from ship_estimation.ins_guard import InsGuard, JudgedIns
+from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.stuck_guard import StuckGuard, Witness
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack

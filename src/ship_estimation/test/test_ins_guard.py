@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.ins_guard import InsGuard
-from ship_attitude_star.rate_guard import Rates
+from ship_estimation.ins_guard import InsGuard
+from ship_estimation.rate_guard import Rates
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
