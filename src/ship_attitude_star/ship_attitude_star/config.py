@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from ship_attitude_star.device_config import MountingConfig, check_sensor_ids
 from ship_attitude_star.star_config import CameraConfig, InertialConfig, SkyConfig
 from ship_estimation.gates import GateConfig
-from ship_estimation.ins_config import GuardedInsConfig, InsErrorConfig
+from ship_estimation.ins_config import InsErrorConfig, StarInsConfig
 from ship_estimation.parameters import arcsec, degrees, mapping_of, parameter, section
 
 
 @dataclass(frozen=True, kw_only=True)
-class InsConfig(GuardedInsConfig, InsErrorConfig):
+class InsConfig(StarInsConfig, InsErrorConfig):
     """The inertial navigation system."""
 
     silence_s: float = parameter(

@@ -31,17 +31,16 @@ from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.ins_guard import InsJump
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
 from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.state import slow_error_later
 from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.rotations import FloatArray, log_rotation
 
 Value = TypeVar("Value")
 
-_BEYOND_SIGMAS = 5.0
 _STEPS = 5
 _LARGE_STEP = 5e-3
 """The square of a smaller correction (rad) is nothing beside the errors of what was measured."""
-
 
 
 @dataclass(frozen=True)
@@ -122,18 +121,14 @@ class ShipFilter:
         return replace(state, time_ns=max(time_ns, state.time_ns), mean=mean, parts=parts)
 
     def ins_error(self, error_n: FloatArray, decay: FloatArray) -> FloatArray:
-        """The INS's slow error later, shape (3,): it dies out; what is far beyond its sigma, as after a jump, stays."""
-        sigma = self.model.blocks["ins.attitude"].sigma
-        return np.where(np.abs(error_n) > _BEYOND_SIGMAS * sigma, error_n, decay * error_n)
+        """The INS's slow error later, shape (3,)."""
+        return slow_error_later(error_n, decay, self.model.blocks["ins.attitude"].sigma)
 
     def opened(self, state: FilterState, jump: InsJump) -> FilterState:
         """The state after a jump of the INS: its slow error may be as large as that."""
         state = self.predicted(state, jump.time_ns)
         rows, parts = self.model.slices["ins.attitude"], state.parts.copy()
-        # Along the jump; about every axis what is not known of it and, as two large turns do not commute, its square.
-        across = np.hypot(jump.sigma_rad, 0.5 * float(jump.jump_n @ jump.jump_n))
-        index = self.model.sources.index(SOURCE_INS)
-        parts[index, rows, rows] += np.outer(jump.jump_n, jump.jump_n) + across**2 * np.eye(3)
+        parts[self.model.sources.index(SOURCE_INS), rows, rows] += jump.covariance_n
         return replace(state, parts=parts, jumped=True)
 
     def step(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from ship_attitude_star.device_config import MountingConfig, check_sensor_ids
 from ship_attitude_star.star_config import CameraConfig, SkyConfig
-from ship_estimation.ins_config import GuardedInsConfig
+from ship_estimation.ins_config import StarInsConfig
 from ship_estimation.parameters import mapping_of, parameter, section
 
 
@@ -59,7 +59,7 @@ class StarAttitudeConfig:
     use_ins: bool = parameter(
         True, doc="ins/imu, where it is there, helps to choose among stars and moves exposures to one moment"
     )
-    ins: GuardedInsConfig = section(GuardedInsConfig)
+    ins: StarInsConfig = section(StarInsConfig)
     joint: JointConfig = section(JointConfig)
     lag_s: float = parameter(
         2.0, doc="exposures later than this behind the newest data are not used", unit="s", minimum=0.0, maximum=600.0

@@ -33,7 +33,7 @@ class InsInputConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class GuardedInsConfig(InsInputConfig):
-    """The same of an INS beside stars: its attitudes are watched for jumps, and it tells how exposures turned."""
+    """The same of an INS whose attitudes are watched for jumps."""
 
     jump_samples: int = parameter(
         JUMP_SAMPLES,
@@ -42,6 +42,12 @@ class GuardedInsConfig(InsInputConfig):
         maximum=1000,
         live=True,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarInsConfig(GuardedInsConfig):
+    """The same of an INS beside stars: it tells how their exposures turned."""
+
     untold_acceleration_deg_per_s2: float = parameter(
         2.0,
         doc="angular acceleration of the deck, each axis, taken for an exposure during which the INS tells none",

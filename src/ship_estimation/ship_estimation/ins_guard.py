@@ -7,6 +7,8 @@ are not measured are left out of the samples, and what was taken with them befor
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ship_estimation.ins_continuation import InsContinuation, Known, Way, moved_back
 from ship_estimation.jump_guard import Judged, JumpGuard, within
 from ship_estimation.rate_guard import RateGuard, Rates
@@ -39,6 +41,16 @@ class InsJump:
     sigma_rad: float
     source: str = "ins"
     covariance_known: bool = True
+
+    @property
+    def covariance_n(self) -> FloatArray:
+        """Covariance of what the INS's slow error may have become by it, rad², shape (3, 3).
+
+        Along the jump; about every axis what is not known of it and, as two large turns do not commute, its square.
+        """
+        across_rad = math.hypot(self.sigma_rad, 0.5 * float(self.jump_n @ self.jump_n))
+        covariance_n: FloatArray = np.outer(self.jump_n, self.jump_n) + across_rad**2 * np.eye(3)
+        return covariance_n
 
     def content(self) -> bytes:
         """All values as bytes."""

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
 
+_BEYOND_SIGMAS = 5.0
+
 
 @dataclass(frozen=True)
 class StateBlock:
@@ -29,6 +31,11 @@ class StateBlock:
     time_s: FloatArray
     walk: FloatArray
     source: str
+
+
+def slow_error_later(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
+    """A slow error after some time, shape (n,): it dies out; what is far beyond its sigma, as after a jump, stays."""
+    return np.where(np.abs(error) > _BEYOND_SIGMAS * sigma, error, decay * error)
 
 
 def block(

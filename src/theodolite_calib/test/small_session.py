@@ -25,7 +25,7 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.image import Camera
 from theodolite_calib.line_of_sight import EARTH_RADIUS_M
 
-ENCODER, SHIP, BEACONS = "theodolite/encoder", "ship/attitude", "theodolite/beacons"
+ENCODER, SHIP, INS, BEACONS = "theodolite/encoder", "ship/attitude", "ins/imu", "theodolite/beacons"
 BASELINE = {"alpha": "beacon/alpha/baseline", "bravo": "beacon/bravo/baseline"}
 IMU = {"alpha": "beacon/alpha/imu", "bravo": "beacon/bravo/imu"}
 ALL_TOPICS = (ENCODER, SHIP, BEACONS, *BASELINE.values(), *IMU.values())
@@ -221,6 +221,26 @@ def session(duration_s: float = 6.0) -> tuple[Arrival, ...]:
             latency_ns = _LATENCY_NS.get(topic, _DEVICE_LATENCY_NS)
             arrivals.append(Arrival(topic, maker(since_ns * 1e-9, since_ns), START_NS + since_ns + latency_ns))
     return in_order(arrivals)
+
+
+def ins_alone(duration_s: float = 6.0) -> tuple[Arrival, ...]:
+    """The same where the ship's attitude is that of an INS."""
+    zero = FACTORY.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+
+    def by_ins(ship: Any) -> Any:
+        return FACTORY.make(
+            "sensor_msgs/msg/Imu",
+            header=ship.header,
+            orientation=ship.orientation,
+            orientation_covariance=(ARCSEC**2 * np.eye(3)).ravel(),
+            angular_velocity=ship.angular_velocity,
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=zero,
+            linear_acceleration_covariance=np.zeros(9),
+        )
+
+    arrivals = session(duration_s)
+    return tuple(Arrival(INS, by_ins(a.message), a.receive_ns) if a.topic == SHIP else a for a in arrivals)
 
 
 def _baseline(name: str, rng: np.random.Generator, t_s: float, since_ns: int) -> Any:

@@ -1,13 +1,14 @@
 """What the pointing rests on and what it is worth: a ship that coasts, the INS alone."""
 
 import numpy as np
-from adapter_runs import FACTORY, Arrival, changed_where
+from adapter_runs import changed_where
 from small_session import (
     BEACONS,
     SHIP,
     clean_run,
     drive,
     error_in_sigmas,
+    ins_alone,
     new_adapter,
     session,
 )
@@ -35,30 +36,6 @@ def test_a_ship_that_coasts_or_is_degraded() -> None:
     degraded = drive(new_adapter(), changed_where(session(), lambda a: a.topic == SHIP, status(2)))
     assert {m.status for m in degraded.pointings[20:]} == {Status.DEGRADED}
     assert degraded.state() == coasting.state() == clean_run().state()
-
-
-def ins_alone() -> tuple[Arrival, ...]:
-    """The ship's attitude as an INS says it."""
-    zero = FACTORY.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-    return tuple(
-        Arrival(
-            "ins/imu",
-            FACTORY.make(
-                "sensor_msgs/msg/Imu",
-                header=a.message.header,
-                orientation=a.message.orientation,
-                orientation_covariance=np.zeros(9),
-                angular_velocity=zero,
-                angular_velocity_covariance=np.zeros(9),
-                linear_acceleration=zero,
-                linear_acceleration_covariance=np.zeros(9),
-            ),
-            a.receive_ns,
-        )
-        if a.topic == SHIP
-        else a
-        for a in session()
-    )
 
 
 def test_without_a_fused_attitude_the_ins_serves_with_its_configured_errors() -> None:

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ship_estimation.ins_guard import InsJump
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
+from ship_estimation.state import slow_error_later
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
@@ -18,6 +20,8 @@ from theodolite_calib.observability import Observability, Unaided
 from theodolite_calib.ship_error import ShipErrorStep, ship_error_step, with_step
 from theodolite_calib.sighting_at import Sighting
 from theodolite_calib.sighting_model import Prediction, SightingModel
+
+Jump = EncoderJump | InsJump
 
 _STEPS = 5
 # A step of this size (rad) leaves its square of what is not linear: nothing.
@@ -96,6 +100,7 @@ class CalibrationFilter:
         self.observability = Observability(self.model)
         self._ship = self.model.slices["ship.attitude"]
         self._ship_source = self.model.sources.index(SOURCE_SHIP)
+        self._by_ins = config.ship.source == "ins/imu"
 
     def initial_state(self) -> FilterState:
         """The state before any sighting: no error known beyond the configuration, all of them possible."""
@@ -113,6 +118,7 @@ class CalibrationFilter:
         decay, noise = self.model.transition(dt_s)
         parts = predict(state.parts, decay, self.model.booked_noise(noise))
         mean, unaided, steady_n = decay * state.mean, state.unaided, state.ship_steady_n
+        mean[self._ship] = self.ship_error(state.mean[self._ship], decay[self._ship])
         if steady_n is not None:
             parts[self._ship_source, self._ship, self._ship] += (1.0 - decay[self._ship.start] ** 2) * steady_n
         unaided = self.observability.predicted(unaided, dt_s, steady_n)
@@ -129,8 +135,19 @@ class CalibrationFilter:
             ship_steady_n=ship_now_n,
         )
 
-    def opened(self, state: FilterState, jump: EncoderJump) -> FilterState:
-        """The state after a jump of the encoders: their zero points may be off by as much."""
+    def ship_error(self, error_n: FloatArray, decay: FloatArray) -> FloatArray:
+        """The ship's slow error later, shape (3,); that of the INS alone may have jumped."""
+        if not self._by_ins:
+            return decay * error_n
+        return slow_error_later(error_n, decay, self.model.blocks["ship.attitude"].sigma)
+
+    def opened(self, state: FilterState, jump: Jump) -> FilterState:
+        """The state after a jump: the INS's slow error, or the encoders' zero points, may be off by as much."""
+        if isinstance(jump, InsJump):
+            state = self.predicted(state, jump.time_ns, None)
+            parts = state.parts.copy()
+            parts[self._ship_source, self._ship, self._ship] += jump.covariance_n
+            return replace(state, parts=parts)
         axes, parts = self.model.slices["axes"].start, state.parts.copy()
         rows = [axes + NAMES.index("g"), axes + NAMES.index("h")]
         covariance = np.outer(jump.jump, jump.jump) + jump.sigma_rad**2 * np.eye(2)

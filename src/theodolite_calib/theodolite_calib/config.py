@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ship_estimation.gates import GateConfig
-from ship_estimation.ins_config import InsErrorConfig
+from ship_estimation.ins_config import GuardedInsConfig, InsErrorConfig
 from ship_estimation.parameters import arcsec, mapping_of, parameter, section
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.axes import NAMES
@@ -46,6 +46,11 @@ class ShipConfig:
     max_gap_s: float = parameter(
         0.5, doc="samples of ship/attitude further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class InsConfig(GuardedInsConfig, InsErrorConfig):
+    """The INS, where the ship's attitude is that of it alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +191,7 @@ class OpticalAxisConfig:
 
     serial: str = parameter("", doc="serial number of the theodolite; a saved calibration of another one is not used")
     ship: ShipConfig = section(ShipConfig)
-    ins: InsErrorConfig = section(InsErrorConfig)
+    ins: InsConfig = section(InsConfig)
     encoder: EncoderConfig = section(EncoderConfig)
     axes: AxesConfig = section(AxesConfig)
     deformation: DeformationConfig = section(DeformationConfig)

@@ -102,15 +102,14 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> C
 
 
 def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Converted:
-    """``ins/imu`` → attitude; its errors are those of the configuration.
-
-    The rates are left: in a wrong unit they would spoil what lies between two samples, and nobody here would know.
+    """``ins/imu`` → attitude and rate; their errors are those of the configuration.
 
     Raises:
         Refused: with the reason.
     """
     converted = ins_sample(message, config.ins, receive_ns)
-    return Converted(ShipSample(converted.value.time_ns, converted.value.rotation_nd), converted.covariance_known)
+    sample = converted.value
+    return Converted(ShipSample(sample.time_ns, sample.rotation_nd, sample.rate_d), converted.covariance_known)
 
 
 def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int) -> Converted:

@@ -5,6 +5,7 @@ pointing is published at the stamp of each encoder reading, as soon as the ship'
 Arrivals and ticks are given in the time of waiting (:mod:`ship_estimation.output_order`), stamps in that of the data.
 """
 
+import functools
 import math
 from collections import deque
 from dataclasses import replace
@@ -17,12 +18,12 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SECOND_NS, SampleTrack
 from theodolite_calib.calibration import Calibration, CalibrationPrior, calibration_of, prior_of, state_from_prior
-from theodolite_calib.calibration_filter import CalibrationFilter, FilterState
+from theodolite_calib.calibration_filter import CalibrationFilter, FilterState, Jump
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.encoder_jumps import EncoderJump
 from theodolite_calib.encoder_watch import EncoderWatch
 from theodolite_calib.pointing_estimate import PointingSource, no_pointing
 from theodolite_calib.samples import BaselineSample, Decision, EncoderSample, Exposure, Outcome, ShipSample
+from theodolite_calib.ship_watch import ShipWatch
 from theodolite_calib.sighting_at import Sighting
 from theodolite_calib.sighting_inputs import SightingInputs, insert
 from theodolite_calib.sighting_step import SightingStep
@@ -54,10 +55,11 @@ class OpticalAxisCore:
         initial = self.filter.initial_state()
         if self._start is not None:
             initial, _ = state_from_prior(self.filter, self.config, *self._start)
-        self._log: TimeOrderedLog[FilterState, Exposure | EncoderJump, Decision | EncoderJump] = TimeOrderedLog(initial)
-        self._jump: EncoderJump | None = None
+        self._log: TimeOrderedLog[FilterState, Exposure | Jump, Decision | Jump] = TimeOrderedLog(initial)
+        self._jumps: list[Jump] = []
         self._inputs = SightingInputs(self.config)
         self._watch = EncoderWatch(*_encoder_limits(self.config))
+        self._ship_watch = ShipWatch(self.config.ins) if self.config.ship.source == "ins/imu" else None
         self._pointing = PointingSource(self.config, self.filter)
         self._newest_ns = 0
         self._waiting: deque[tuple[EncoderSample, str]] = deque()
@@ -71,6 +73,8 @@ class OpticalAxisCore:
         self._take_models(config)
         self._inputs.reconfigure(config)
         self._watch.reconfigure(*_encoder_limits(config))
+        if self._ship_watch is not None:
+            self._ship_watch.reconfigure(config.ins)
         self._pointing = PointingSource(config, self.filter)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> Outcome:
@@ -89,7 +93,8 @@ class OpticalAxisCore:
         if refusal is not None:
             return Outcome(refusal)
         if latest and self._watch.jump is not None:
-            self._take_jump(self._watch.jump)
+            self._inputs.encoder.cut(self._watch.jump.time_ns)
+            self._take_jump("encoder", self._watch.jump)
         outcome = self._insert(self._inputs.encoder, sample)
         if latest and outcome.refusal is None:
             self._encoder_arrival_ns = arrival_ns
@@ -100,7 +105,11 @@ class OpticalAxisCore:
 
     def add_ship(self, sample: ShipSample, arrival_ns: int | None = None) -> Outcome:
         """An attitude of the ship; the arrival is that of :meth:`add_encoder`."""
-        outcome = self._add(self._inputs.ship, sample)
+        refusal = self._late(sample.time_ns)
+        if refusal is None and self._ship_watch is not None:
+            refusal = self._judge_ins(self._ship_watch, sample)
+            sample = replace(sample, rate_d=None)
+        outcome = self._insert(self._inputs.ship, sample) if refusal is None else Outcome(refusal)
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
 
@@ -198,28 +207,37 @@ class OpticalAxisCore:
         """Apply what can be applied now, then close the window behind ``lag_s``."""
         self._newest_ns = max(self._newest_ns, time_ns)
         for decision, previous in self._log.apply(self._step, _failed, (self._oldest_ns, self._newest_ns)):
-            if isinstance(decision, EncoderJump):
-                self._jump = None if decision is self._jump else self._jump
+            if isinstance(decision, Jump):
+                self._jumps = [jump for jump in self._jumps if jump is not decision]
                 continue
             self._tell_watch(decision)
             if previous is None:
                 outcome.decisions.append(decision)
-            elif not isinstance(previous, EncoderJump) and previous.accepted != decision.accepted:
+            elif not isinstance(previous, Jump) and previous.accepted != decision.accepted:
                 outcome.decisions.append(replace(decision, revised=True))
         reach_ns = self._oldest_ns - self._inputs.reach_ns
         self._log.forget_before(reach_ns)
         self._inputs.drop_before(reach_ns)
+        if self._ship_watch is not None:
+            self._ship_watch.drop_before(reach_ns)
 
-    def _take_jump(self, jump: EncoderJump) -> None:
-        """Nothing is drawn through a jump of the encoders, and the zero points may be off by as much."""
-        self._inputs.encoder.cut(jump.time_ns)
-        self._log.insert((jump.time_ns, "encoder"), jump)
-        self._jump = jump
+    def _judge_ins(self, watch: ShipWatch, sample: ShipSample) -> Refusal | None:
+        """Why a sample of the INS is not used."""
+        judged = watch.judge(sample)
+        if judged.jump is not None:
+            self._inputs.ship.cut(judged.jump.time_ns)
+            time_ns = judged.jump.time_ns + self._inputs.ship_shift_ns  # in the time of the exposures
+            watch.jumped(time_ns)
+            self._take_jump("ins", replace(judged.jump, time_ns=time_ns))
+        return judged.refusal
 
-    def _step(
-        self, state: FilterState, exposure: Exposure | EncoderJump
-    ) -> tuple[FilterState, Decision | EncoderJump] | None:
-        if isinstance(exposure, EncoderJump):
+    def _take_jump(self, source: str, jump: Jump) -> None:
+        """The state behind a jump is open by as much."""
+        self._log.insert((jump.time_ns, source), jump)
+        self._jumps.append(jump)
+
+    def _step(self, state: FilterState, exposure: Exposure | Jump) -> tuple[FilterState, Decision | Jump] | None:
+        if isinstance(exposure, Jump):
             return self.filter.opened(state, exposure), exposure
         if exposure.time_ns >= self._oldest_ns and self._inputs.awaits(exposure):
             return None
@@ -236,6 +254,8 @@ class OpticalAxisCore:
             self._watch.see_lights(decision.exposure.time_ns, *decision.telescope_dt)
         if decision.accepted:
             self._watch.confirm(decision.exposure.time_ns)
+            if self._ship_watch is not None:
+                self._ship_watch.confirm(decision.exposure.time_ns)
 
     # -- outputs --------------------------------------------------------------------------------------------
 
@@ -246,11 +266,13 @@ class OpticalAxisCore:
             if sample.time_ns >= self._oldest_ns and not self._inputs.ship_covers(sample.time_ns):
                 return
             self._waiting.popleft()
+            if not doubt and self._ship_watch is not None:
+                doubt = self._ship_watch.doubt(sample.time_ns)
             ship = self._inputs.ship_at(sample.time_ns)
             if ship is not None and self._order.follows(sample.time_ns):
                 try:
                     # A jump counts at once, also where exposures of before it still wait.
-                    state = self.state if self._jump is None else self.filter.opened(self.state, self._jump)
+                    state = functools.reduce(self.filter.opened, self._jumps, self.state)
                     estimate = self._pointing.estimate(state, sample, *ship, doubt)
                 except Exception as error:
                     outcome.failures.append((sample.time_ns, failure(error)))
@@ -264,15 +286,15 @@ def _encoder_limits(config: OpticalAxisConfig) -> tuple[float, float]:
     return config.encoder.sigma_arcsec * ARCSEC, math.radians(config.encoder.max_acceleration_deg_per_s2)
 
 
-def _until_ns(decided: Decision | EncoderJump) -> int:
+def _until_ns(decided: Decision | Jump) -> int:
     """Up to when data matter to what was decided."""
-    if isinstance(decided, EncoderJump):
+    if isinstance(decided, Jump):
         return decided.time_ns
     return decided.exposure.time_ns + decided.exposure.reach_ns
 
 
-def _failed(exposure: Exposure | EncoderJump, error: Exception) -> Decision | EncoderJump:
-    if isinstance(exposure, EncoderJump):
+def _failed(exposure: Exposure | Jump, error: Exception) -> Decision | Jump:
+    if isinstance(exposure, Jump):
         return exposure
     refusal = failure(error)
     return Decision(exposure, refusal.reason, text=refusal.text)

@@ -67,6 +67,7 @@ class CorrectedAxis:
         """Errors and covariance of the chain after ``dt_s``."""
         decay, noise = (values[self._rows] for values in self._model.transition(dt_s))
         mean = decay * self._mean
+        mean[:3] = self._filter.ship_error(self._mean[:3], decay[:3])
         parts = self._parts * (decay[:, None] * decay)
         ship_rows, deformation = slice(0, 3), np.arange(3, 6)
         parts[self._source[SOURCE_SHIP], [0, 1, 2], [0, 1, 2]] += noise[:3]

@@ -63,12 +63,15 @@ class SightingInputs:
 
     Args:
         config: the node's parameters.
+
+    Attributes:
+        ship_shift_ns: the ship's attitudes are valid so much later than their stamps.
     """
 
     def __init__(self, config: OpticalAxisConfig) -> None:
         self.reconfigure(config)
         by_ins = config.ship.source == "ins/imu"
-        self._ship_shift_ns = round(config.ins.time_offset_s * SECOND_NS) if by_ins else 0
+        self.ship_shift_ns = round(config.ins.time_offset_s * SECOND_NS) if by_ins else 0
         self.encoder: VectorTrack[EncoderSample] = VectorTrack(_ns(config.encoder.max_gap_s), 2.0 * np.pi)
         self.ship = AttitudeTrack(_ns(config.ins.max_gap_s if by_ins else config.ship.max_gap_s))
         self.baselines = {id_: BaselineTrack(_ns(b.rtk.max_gap_s)) for id_, b in config.beacons.items()}
@@ -88,12 +91,12 @@ class SightingInputs:
     @property
     def reach_ns(self) -> int:
         """How far from its moment data may lie that an exposure is compared with."""
-        return max(track.max_gap_ns for track in self._tracks()) + abs(self._ship_shift_ns) + _LONGEST_REACH_NS
+        return max(track.max_gap_ns for track in self._tracks()) + abs(self.ship_shift_ns) + _LONGEST_REACH_NS
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what no exposure at or after ``time_ns`` needs."""
         for track in self._tracks():
-            track.drop_before(time_ns - abs(self._ship_shift_ns))
+            track.drop_before(time_ns - abs(self.ship_shift_ns))
 
     def awaits(self, exposure: Exposure) -> bool:
         """True while data still to come may belong to an exposure."""
@@ -108,7 +111,7 @@ class SightingInputs:
 
     def ship_covers(self, time_ns: int) -> bool:
         """True once later samples can no longer change the ship's attitude at a moment."""
-        return self.ship.covers(time_ns - self._ship_shift_ns)
+        return self.ship.covers(time_ns - self.ship_shift_ns)
 
     def ship_at(self, time_ns: int, over: Nodes | None = None) -> tuple[ShipAt, Status] | None:
         """The ship's attitude at a moment, and what its source says that it is worth; None in a gap.
@@ -117,13 +120,13 @@ class SightingInputs:
             time_ns: the moment.
             over: of an exposure about it that the track spans, where the noise is to be that of the mean over it.
         """
-        attitude = self.ship.at(time_ns - self._ship_shift_ns)
-        sample = self.ship.last_before(time_ns - self._ship_shift_ns)
+        attitude = self.ship.at(time_ns - self.ship_shift_ns)
+        sample = self.ship.last_before(time_ns - self.ship_shift_ns)
         if attitude is None or not isinstance(sample, ShipSample):
             return None
         gain = attitude.noise_gain
         if over is not None:
-            gain = self.ship.noise_gain_of_mean(over.moments(time_ns - self._ship_shift_ns))
+            gain = self.ship.noise_gain_of_mean(over.moments(time_ns - self.ship_shift_ns))
         noise = gain * self._ship_noise + float(np.trace(attitude.error_covariance_d))
         return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.slow_covariance_n, noise), sample.status
 

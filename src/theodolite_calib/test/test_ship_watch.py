@@ -1,0 +1,193 @@
+"""With the INS alone as the ship's attitude: samples that are well formed and wrong, alone and together with others."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, in_order, index_at, replaced, without
+from small_session import BEACONS, ENCODER, INS, Run, drive, error_in_sigmas, ins_alone, new_adapter, stamp_of
+
+from ship_estimation.refusals import Reason
+from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion
+from ship_geometry.rotations import exp_rotation
+from theodolite_calib.adapter import OpticalAxisAdapter
+from theodolite_calib.samples import Status
+
+Change = Callable[[Any], None]
+ZERO, TRUE, DEGREES = 0.0, 1.0, np.rad2deg(1.0)
+
+
+def adapter(**changes: Any) -> OpticalAxisAdapter:
+    # The time offset of 5 ms alone is 36" at 2°/s.
+    return new_adapter(**{"ship__source": INS, "ins__time_offset_sigma_s": 0.0, **changes})
+
+
+def seconds(message: Any) -> float:
+    return (stamp_of(message) - START_NS) * 1e-9
+
+
+def of_topic(topic: str, from_s: float = -1.0, until_s: float = 1e9) -> Callable[[Arrival], bool]:
+    return lambda a: a.topic == topic and from_s <= (a.stamp_ns - START_NS) * 1e-9 < until_s
+
+
+def rates(factor: float) -> Change:
+    def change(message: Any) -> None:
+        for axis in "xyz":
+            setattr(message.angular_velocity, axis, factor * getattr(message.angular_velocity, axis))
+
+    return change
+
+
+def turned(*degrees_n: float) -> Change:
+    """The attitude turned about North, Up, East."""
+
+    def change(message: Any) -> None:
+        q = message.orientation
+        rotation_nd = rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
+        rotation_nd = exp_rotation(np.deg2rad(degrees_n)) @ rotation_nd
+        q.x, q.y, q.z, q.w = quaternion_from_rotation(rotation_nd).tolist()
+
+    return change
+
+
+def negated_w(message: Any) -> None:
+    message.orientation.w = -message.orientation.w
+
+
+def never_wrong(run: Run) -> bool:
+    claimed = [m for m in run.pointings if m.status in (Status.VALID, Status.COASTING)]
+    return bool(claimed) and max(error_in_sigmas(m) for m in claimed) < 6.0
+
+
+@pytest.mark.parametrize("factor", [TRUE, ZERO])
+@pytest.mark.parametrize("wrong", [negated_w, turned(0.0, 1.0, 0.0)])
+def test_mend_10_one_wrong_sample_is_refused_and_changes_nothing(wrong: Change, factor: float) -> None:
+    arrivals = changed_where(ins_alone(), of_topic(INS), rates(factor))
+    index = index_at(arrivals, INS, 3.017)
+    run = drive(adapter(), replaced(arrivals, index, wrong))
+    assert run.reasons(INS) == {"gate": 1}
+    assert "from where the samples before lead" in run.innovations(Reason.GATE)[0].reason_text
+    assert run.results() == drive(adapter(), without(arrivals, index)).results()
+
+
+def test_mend_10_a_wrong_sample_that_comes_late_is_refused_too() -> None:
+    """It is off by a degree, which only the rates of its neighbour contradict."""
+    arrivals = ins_alone()
+    index = index_at(arrivals, INS, 3.017)
+    spoilt = replaced(arrivals, index, turned(1.0, 0.0, 0.0))
+    late = Arrival(INS, spoilt[index].message, spoilt[index].receive_ns + SECOND_NS // 2)
+    run = drive(adapter(), in_order([*without(arrivals, index), late]))
+    assert run.reasons(INS) == {"gate": 1}
+    assert run.results() == drive(adapter(), without(arrivals, index)).results()
+
+
+@pytest.mark.parametrize("degrees_n", [(0.3, 0.0, 0.0), (0.0, 0.5, 0.3)])
+@pytest.mark.parametrize("offset_s", [0.0, 0.02])
+def test_mend_10_a_jump_for_good_opens_the_covariance_until_lights_agree(
+    degrees_n: tuple[float, ...], offset_s: float
+) -> None:
+    def earlier(message: Any) -> None:
+        # A clock that lags by the configured offset.
+        stamp_ns = stamp_of(message) - round(offset_s * SECOND_NS)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, SECOND_NS)
+
+    arrivals = changed_where(ins_alone(10.0), of_topic(INS, 3.0), turned(*degrees_n))
+    run = drive(adapter(ins__time_offset_s=offset_s), changed_where(arrivals, of_topic(INS), earlier))
+    assert run.reasons(INS) == {"gate": 5}
+    after = [m for m in run.pointings if seconds(m) >= 3.0 and m.status != Status.INVALID]
+    degraded = [m for m in after if m.status == Status.DEGRADED]
+    assert degraded[0] is after[0]
+    assert 3.2 < seconds(degraded[0]) < 3.4
+    assert seconds(degraded[-1]) < 4.5
+    assert max(error_in_sigmas(m) for m in degraded) < 4.0
+    assert {m.status for m in after[len(degraded) :]} == {Status.VALID}
+    assert never_wrong(run)
+    assert run.reasons(BEACONS).keys() <= {"gap"}
+
+
+def test_mend_10_without_lights_a_jump_stays_degraded() -> None:
+    dark = [a for a in ins_alone(10.0) if a.topic != BEACONS or seconds(a.message) < 3.0]
+    run = drive(adapter(), changed_where(dark, of_topic(INS, 4.0), turned(0.0, 2.0, 0.0)))
+    after = [m for m in run.pointings if seconds(m) >= 4.1]
+    assert {m.status for m in after} == {Status.DEGRADED}
+    assert max(error_in_sigmas(m) for m in after) < 3.0
+    assert run.adapter.core.state.time_ns is not None
+
+
+def test_mend_10_lights_of_before_a_jump_do_not_confirm_it() -> None:
+    """Those of 2.6 s come late by 0.9 s, when the jump of 3 s is believed already."""
+    arrivals = [
+        Arrival(a.topic, a.message, a.receive_ns + 900_000_000 * of_topic(BEACONS, 2.6)(a))
+        for a in ins_alone(5.0)
+        if not of_topic(BEACONS, 3.0)(a)
+    ]
+    run = drive(adapter(), changed_where(in_order(arrivals), of_topic(INS, 3.0), turned(0.0, 0.5, 0.0)))
+    after = [m for m in run.pointings if seconds(m) >= 3.1]
+    assert {m.status for m in after} == {Status.DEGRADED}
+    assert max(error_in_sigmas(m) for m in after) < 3.0
+
+
+def test_mend_10_a_slip_of_the_encoders_and_a_jump_of_the_ins_at_once() -> None:
+    def slipped(message: Any) -> None:
+        message.azimuth = (message.azimuth + np.deg2rad(0.4)) % (2.0 * np.pi)
+
+    arrivals = changed_where(ins_alone(10.0), of_topic(INS, 3.0), turned(0.0, 0.3, 0.2))
+    run = drive(adapter(), changed_where(arrivals, of_topic(ENCODER, 3.1), slipped))
+    assert (run.reasons(INS), run.reasons(ENCODER)) == ({"gate": 5}, {"gate": 5})
+    assert never_wrong(run)
+    assert run.pointings[-1].status == Status.VALID
+
+
+def test_mend_10_how_many_are_refused_is_a_parameter_also_live() -> None:
+    jumped = changed_where(ins_alone(), of_topic(INS, 3.0), turned(0.0, 0.5, 0.0))
+    assert drive(adapter(ins__jump_samples=2), jumped).reasons(INS) == {"gate": 2}
+    half = index_at(jumped, ENCODER, 2.0)
+    changed = drive(adapter(), jumped[:half]).adapter
+    changed.set_parameters({"ins.jump_samples": 9})
+    assert drive(changed, jumped[half:]).reasons(INS) == {"gate": 9}
+
+
+@pytest.mark.parametrize(("sigma_arcsec", "refused"), [(1.0, 1), (100.0, 0)])
+def test_mend_07_a_live_change_of_the_noise_reaches_the_guard(sigma_arcsec: float, refused: int) -> None:
+    arrivals = ins_alone()
+    spoilt = replaced(arrivals, index_at(arrivals, INS, 4.017), turned(0.0, 0.1, 0.0))
+    half = index_at(spoilt, ENCODER, 2.0)
+    changed = drive(adapter(), spoilt[:half]).adapter
+    changed.set_parameters({"ins.white_sigma_arcsec": sigma_arcsec})
+    assert drive(changed, spoilt[half:]).reasons(INS).get("gate", 0) == refused
+
+
+@pytest.mark.parametrize("factor", [ZERO, -1.0, 2.0])
+def test_mend_06_rates_that_are_none_change_no_bit_of_a_pointing(factor: float) -> None:
+    true = drive(adapter(), ins_alone())
+    run = drive(adapter(), changed_where(ins_alone(), of_topic(INS), rates(factor)))
+    assert run.reasons(INS) == {}
+    assert run.results() == true.results()
+    assert never_wrong(run)
+
+
+def test_mend_06_rates_in_degrees_are_told_and_the_ins_is_not_used() -> None:
+    run = drive(adapter(), changed_where(ins_alone(10.0), of_topic(INS), rates(DEGREES)))
+    assert run.reasons(INS).keys() == {"units"}
+    assert "degrees for radians?" in run.innovations(Reason.UNITS)[0].reason_text
+    told_s = min(seconds(m) for m in run.innovations(Reason.UNITS))
+    assert 5.0 < told_s < 7.0
+    assert {m.status for m in run.pointings if seconds(m) > told_s + 0.1} == {Status.INVALID}
+    assert never_wrong(run)
+
+
+def test_mend_03_a_frozen_ins_is_told_by_its_own_rates() -> None:
+    arrivals = ins_alone(8.0)
+    held = arrivals[index_at(arrivals, INS, 3.017)].message.orientation
+
+    def freeze(message: Any) -> None:
+        message.orientation = held
+
+    run = drive(adapter(), changed_where(arrivals, of_topic(INS, 3.0, 5.0), freeze))
+    assert run.reasons(INS).keys() <= {"stuck", "gate"}
+    refused_s = [seconds(m) for m in run.innovations(Reason.STUCK)]
+    assert refused_s
+    assert max(refused_s) < 5.0
+    assert never_wrong(run)
+    assert run.pointings[-1].status == Status.VALID
