@@ -333,7 +333,10 @@ def test_configuration_is_built_and_checked():
         ),
         (
             "    gate:\n      probabilty: 0.9\n",
-            "configuration:4: parameter 'gate.probabilty' is unknown: expected one of probability",
+            (
+                "configuration:4: parameter 'gate.probabilty' is unknown: expected one of probability; "
+                "did you mean 'probability'?"
+            ),
         ),
         ("    gate: 5\n", "configuration:3: parameter 'gate' must be a group of parameters, got 5"),
     ],

@@ -168,7 +168,9 @@ class Recorder:
             self._say(f"topic '{topic}' is not recorded: {problem}")
             return
         self._bag.add_topic(topic, type_name, latched, qos_profiles)
-        self._only_reports = self._only_reports and type_name in REPORTS
+        if self._only_reports and type_name not in REPORTS:
+            # From now on reports are no activity, and those heard until now were none.
+            self._only_reports, self._last_activity_s = False, None
         events = SubscriptionEventCallbacks(
             message_lost=lambda info: self._note_loss(topic, info.total_count_change)
         )
