@@ -77,25 +77,24 @@ def star_exposure(
     directions_s = camera.directions(np.where(np.abs(pixels) < _LARGEST_PIXEL, pixels, np.nan))
 
     rows = catalogue.rows(hip)
-    refused: list[RefusedStar] = []
-    used: list[int] = []
     seen: dict[Hashable, FloatArray] = {}
-    for row in range(len(stars)):
-        refusal = (
+
+    def reason_against(row: int) -> Refusal | None:
+        """Why a star is not used; called in the order of the rows."""
+        return (
             _pixel_refusal(pixels[row], directions_s[row])
             or _sigma_refusal(float(sigma_px[row]))
             or _number_refusal(int(hip[row]), int(rows[row]), catalogue)
             or _place_refusal(int(hip[row]), float(right_ascension[row]), float(declination[row]))
             or _repeated(_identity(int(hip[row]), right_ascension[row], declination[row]), pixels[row], seen)
         )
-        if refusal is None:
-            used.append(row)
-        else:
-            refused.append((row, refusal))
+
+    refusals = [reason_against(row) for row in range(len(stars))]
+    refused = [(row, refusal) for row, refusal in enumerate(refusals) if refusal is not None]
     if len(message.stars) > MOST_STARS:
         text = f"{len(message.stars)} stars in one exposure: only the first {MOST_STARS} are looked at"
         refused.append((MOST_STARS, Refusal(Reason.OVERFLOW, text)))
-    kept = np.array(used, dtype=np.intp)
+    kept = np.flatnonzero([refusal is None for refusal in refusals])
     positions, position_sigma = _positions(
         rows[kept], hip[kept] != 0, right_ascension[kept], declination[kept], catalogue, time_ns
     )
