@@ -6,6 +6,7 @@ from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.filter_model import SOURCE_INS_NOISE, SOURCE_INTERPOLATION
 from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, Horizon, Status
 from ship_attitude_star.ship_filter import FilterState, ShipFilter
+from ship_estimation.state import lasting
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
 
@@ -32,6 +33,7 @@ class CorrectedIns:
         self._drift_index = self._model.sources.index(self._model.blocks["ins.attitude"].source)
         self._white_index = self._model.sources.index(SOURCE_INS_NOISE)
         self._interpolation_index = self._model.sources.index(SOURCE_INTERPOLATION)
+        self._lasting = lasting(self._mean[:3], self._model.blocks["ins.attitude"].sigma)
         self._white_variance = self._model.blocks["ins.noise"].sigma ** 2
 
     @property
@@ -48,21 +50,24 @@ class CorrectedIns:
         """
         since_ns = self.state.time_ns if self.state.time_ns is not None else time_ns
         decay, noise = self._model.transition(max(time_ns - since_ns, 0) * 1e-9)
-        error = self._filter.ins_error(self._mean[:3], decay[self._attitude_rows])
+        decay = decay[self._attitude_rows]
+        error = np.where(self._lasting, self._mean[:3], decay * self._mean[:3])
         correction = exp_rotation(error)
-        rotation_nd = correction @ ins.rotation_nd
+        # At the INS's rate; of single matrices the method takes half the time of the operator.
+        rotation_nd = correction.dot(ins.rotation_nd)
 
         # Errors now, from errors at the state's moment.
         jacobian = np.empty((3, 4))
         jacobian[:, :3] = left_jacobian(error)
-        jacobian[:, 3] = -(rotation_nd @ ins.rate_d)
-        propagated = jacobian * np.append(decay[self._attitude_rows], 1.0)
+        jacobian[:, 3] = -rotation_nd.dot(ins.rate_d)
+        propagated = jacobian.copy()
+        propagated[:, :3] *= decay
         parts = propagated @ self._parts @ propagated.T
         drift = jacobian[:, :3] * np.sqrt(noise[self._attitude_rows])
-        parts[self._drift_index] += drift @ drift.T
+        parts[self._drift_index] += drift.dot(drift.T)
         white = correction * np.sqrt(self._white_variance * ins.noise_gain)
-        parts[self._white_index] += white @ white.T
-        parts[self._interpolation_index] += rotation_nd @ ins.error_covariance_d @ rotation_nd.T
+        parts[self._white_index] += white.dot(white.T)
+        parts[self._interpolation_index] += rotation_nd.dot(ins.error_covariance_d).dot(rotation_nd.T)
         return rotation_nd, parts
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:

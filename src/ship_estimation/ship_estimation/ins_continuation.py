@@ -1,7 +1,8 @@
 """Where the samples of an INS lead: by its rates, by the motion before, or only by what a hull can turn in the time."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +22,7 @@ _SHORTEST_PERIOD_S = 4.0
 """Of a hull's motion: the mean of two rates then gives the turn but for (2 pi h / period)² / 12 of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Known:
+class Known(NamedTuple):
     """A sample and what led to it.
 
     Attributes:
@@ -46,8 +46,7 @@ class Known:
         return Known(self.sample, self.number, before, self.integrated, self.leg, self.missed_rad)
 
 
-@dataclass(frozen=True, slots=True)
-class Way:
+class Way(NamedTuple):
     """Where an earlier sample leads, and where the later one is.
 
     Attributes:
@@ -142,11 +141,18 @@ class InsContinuation:
         return Way(log_rotation(end.rotation_nd @ predicted_nd.T), self._by_rates.bound_rad(step))
 
     def far(self, start: AttitudeSample, end: AttitudeSample) -> Way:
-        """The way that a hull may have turned in the time."""
+        """The way, of which is known only what a hull can turn in the time."""
         seconds = _seconds(start, end)
         step = Step(seconds, 1, far_bound_rad(seconds), 2.0, self._stuck.coarseness_rad)
         difference_n = log_rotation(end.rotation_nd @ start.rotation_nd.T)
         return Way(difference_n, self._by_motion.bound_rad(step), led=False)
+
+    def within_reach(self, start: AttitudeSample, end: AttitudeSample) -> bool:
+        """Whether a hull can turn from one to the other in the time."""
+        bound_rad = far_bound_rad(_seconds(start, end))
+        # 0.75 of the chord between two matrices is more than the turn: good samples need no logarithm.
+        chord = size((end.rotation_nd - start.rotation_nd).ravel())
+        return 0.75 * chord <= bound_rad <= 1.0 or self.far(start, end).kept
 
     def learn(self, taken: Known, known: Known, way: Way) -> None:
         """How far good samples are from where the ones before lead; ``way`` is that from ``taken`` to ``known``."""
@@ -167,9 +173,10 @@ class InsContinuation:
         """The way by the integrated rates."""
         assert start.integrated is not None
         assert end.integrated is not None
-        predicted_nd = start.sample.rotation_nd @ start.integrated.T @ end.integrated
+        # At the INS's rate; the method takes half the time of the operator.
+        predicted_nd = start.sample.rotation_nd.dot(start.integrated.T).dot(end.integrated)
         step = Step(_seconds(start.sample, end.sample), samples, missed_rad, 2.0, self._stuck.coarseness_rad)
-        return Way(log_rotation(end.sample.rotation_nd @ predicted_nd.T), self._by_rates.bound_rad(step))
+        return Way(log_rotation(end.sample.rotation_nd.dot(predicted_nd.T)), self._by_rates.bound_rad(step))
 
 
 def moved_back(sample: AttitudeSample, taken: Known) -> AttitudeSample | None:

@@ -6,6 +6,7 @@ are not measured are left out of the samples, and what was taken with them befor
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,8 +58,7 @@ class InsJump:
         return self.jump_n.tobytes()
 
 
-@dataclass(frozen=True)
-class JudgedIns:
+class JudgedIns(NamedTuple):
     """What is to be done with a sample.
 
     Attributes:
@@ -196,7 +196,7 @@ class InsGuard:
         """Let the rates be judged where the attitude can be true; the stamp after which they are wrong."""
         if known.leg != previous.leg or known.integrated is None or self._stuck.stands:
             return None
-        if not self._leads.far(previous.sample, known.sample).kept:
+        if not self._leads.within_reach(previous.sample, known.sample):
             self._rates.restart()
             return None
         usable = self._rates.usable

@@ -7,7 +7,7 @@ the angles of a mount, the motion goes on as it was, and no faster can it change
 
 import enum
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -67,8 +67,7 @@ class JumpGuard:
         return Judged.REFUSED
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(NamedTuple):
     """The way from one sample to another.
 
     Attributes:
@@ -112,16 +111,17 @@ class Continuation:
 
     def bound_rad(self, step: Step) -> float:
         """How far a good value may be from where the one before leads."""
-        noise = max(_SIGMAS * math.sqrt(step.noise_gain) * self.sigma_rad, _TYPICAL * self.typical_rad)
-        more = self.typical_rad * math.sqrt(step.samples - 1)
+        typical_rad, gain = self.typical_rad, math.sqrt(step.noise_gain)
+        noise = max(_SIGMAS * gain * self.sigma_rad, _TYPICAL * typical_rad)
+        more = typical_rad * math.sqrt(step.samples - 1)
         unknown = _UNKNOWN_RAD if self._count < _LEARNING else 0.0
-        coarse = _ACROSS * math.sqrt(0.5 * step.noise_gain) * step.coarseness_rad
+        coarse = _ACROSS * math.sqrt(0.5) * gain * step.coarseness_rad
         return noise + more + unknown + coarse + step.uncertain_rad + _BIAS_RAD_PER_S * step.seconds
 
     def learn(self, difference: FloatArray) -> None:
         """A value that was taken, one sample after the one before, was so far from where that led."""
         self._count = min(self._count + 1, _MEMORY)
-        self._mean_square += (float(difference @ difference) - self._mean_square) / self._count
+        self._mean_square += (size(difference) ** 2 - self._mean_square) / self._count
 
 
 def size(vector: FloatArray) -> float:

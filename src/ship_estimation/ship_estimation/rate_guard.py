@@ -41,7 +41,7 @@ class RateIntegrator:
         last, self._last = self._last, (time_ns, rate_d)
         if last is None or not 0 < time_ns - last[0] <= self._LONGEST_STEP_NS:
             return False
-        self.rotation = self.rotation @ exp_rotation(0.5 * (last[1] + rate_d) * ((time_ns - last[0]) * 1e-9))
+        self.rotation = self.rotation.dot(exp_rotation((last[1] + rate_d) * ((time_ns - last[0]) * 0.5e-9)))
         return True
 
 

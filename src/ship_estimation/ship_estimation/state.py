@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ship_geometry.rotations import FloatArray
 
 _BEYOND_SIGMAS = 5.0
+_NO_TIME_S = 1e-200
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,13 @@ class StateBlock:
 
 def slow_error_later(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
     """A slow error after some time, shape (n,): it dies out; what is far beyond its sigma, as after a jump, stays."""
-    return np.where(np.abs(error) > _BEYOND_SIGMAS * sigma, error, decay * error)
+    return np.where(lasting(error, sigma), error, decay * error)
+
+
+def lasting(error: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
+    """Which elements of a slow error are far beyond their sigma, and so do not die out, shape (n,)."""
+    beyond: NDArray[np.bool_] = np.abs(error) > _BEYOND_SIGMAS * sigma
+    return beyond
 
 
 def block(
@@ -73,7 +80,9 @@ class StateModel:
             start += b.sigma.size
         self.size = start
         self.sources = list(dict.fromkeys([b.source for b in blocks] + noise_sources))
-        self._time_s = np.concatenate([b.time_s for b in blocks])
+        time_s = np.concatenate([b.time_s for b in blocks])
+        # White noise decays to nothing in any time but 0, and without a division by zero.
+        self._time_s = np.where(time_s == 0.0, _NO_TIME_S, time_s)
         sigma = np.concatenate([b.sigma for b in blocks])
         walk = np.concatenate([b.walk for b in blocks])
         self._steady_variance = np.where(np.isfinite(self._time_s), sigma**2, 0.0)
@@ -103,8 +112,7 @@ class StateModel:
         """Diagonal of the transition matrix and of the process noise over ``dt_s`` >= 0, shapes (n,), (n,)."""
         if dt_s == 0.0:
             return np.ones(self.size), np.zeros(self.size)
-        with np.errstate(divide="ignore"):
-            decay = np.exp(-dt_s / self._time_s)
+        decay = np.exp(-dt_s / self._time_s)
         return decay, self._steady_variance * (1.0 - decay * decay) + self._walk_variance * dt_s
 
     def booked_noise(self, noise_diagonal: FloatArray) -> FloatArray:

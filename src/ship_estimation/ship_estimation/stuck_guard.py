@@ -5,8 +5,10 @@ tells them apart is how far others say that the ship has turned meanwhile: a hea
 the turn exceeds its own resolution, and that is learnt from the steps in which it changes.
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,8 +30,7 @@ _ACROSS = 1.8
 """Rounding to steps of one in each of three axes hides a turn of up to sqrt(3), and a little."""
 
 
-@dataclass(frozen=True)
-class Witness:
+class Witness(NamedTuple):
     """What another source says of the ship's attitude.
 
     Attributes:
@@ -53,7 +54,7 @@ class _Testimony:
     """
 
     def __init__(self, first: Witness) -> None:
-        self._first, self._last = first, first
+        self._first = self._last = first
         self._recent: deque[Witness] = deque([first])
         self._moved = 0
 
@@ -102,6 +103,7 @@ class StuckGuard:
         self._left_ns = 0
         self._steps: deque[float] = deque(maxlen=_STEPS)
         self._repeated: deque[bool] = deque(maxlen=_STEPS)
+        self._resolution_rad = self._coarseness_rad = float(_UNKNOWN_RESOLUTION)
 
     @property
     def stands(self) -> bool:
@@ -111,16 +113,16 @@ class StuckGuard:
     @property
     def resolution_rad(self) -> float:
         """Smallest step of the value: it is not printed more coarsely than so."""
-        return min(self._steps) if self._steps else _UNKNOWN_RESOLUTION
+        return self._resolution_rad
 
     @property
     def coarseness_rad(self) -> float:
         """The same of a source that healthily repeats values; zero for one whose every value is new."""
-        return self.resolution_rad if any(self._repeated) or not self._steps else 0.0
+        return self._coarseness_rad
 
     def is_frozen(self, value: FloatArray) -> bool:
         """Whether a value is the one at which the source is stuck."""
-        return self._standing is not None and self._standing.stuck and np.array_equal(value, self._standing.value)
+        return self._standing is not None and self._standing.stuck and _same(value, self._standing.value)
 
     def observe(self, time_ns: int, value: FloatArray, witnesses: dict[str, Witness]) -> bool:
         """True where the source is stuck.
@@ -131,7 +133,7 @@ class StuckGuard:
             witnesses: by name, the attitude as others have it at about this time.
         """
         standing = self._standing
-        if standing is not None and np.array_equal(value, standing.value):
+        if standing is not None and _same(value, standing.value):
             standing.repeats += 1
         else:
             standing = self._changed(time_ns, value)
@@ -142,7 +144,7 @@ class StuckGuard:
     def _changed(self, time_ns: int, value: FloatArray) -> _Standing:
         """Another value than before: a new one, or the frozen one again."""
         before, former = self._standing, self._former
-        if former is not None and time_ns - self._left_ns <= _RECENT_NS and np.array_equal(value, former.value):
+        if former is not None and time_ns - self._left_ns <= _RECENT_NS and _same(value, former.value):
             self._standing, self._former = former, None
             return former
         if before is not None:
@@ -151,15 +153,18 @@ class StuckGuard:
             else:
                 self._repeated.append(before.repeats > 0)
                 self._learn(before.value, value)
+                self._coarseness_rad = self._resolution_rad if any(self._repeated) or not self._steps else 0.0
         self._standing = _Standing(value, time_ns)
         return self._standing
 
     def _learn(self, before: FloatArray, value: FloatArray) -> None:
         if before.shape == value.shape:
             # Of rotations and of directions alike: the farthest that one of the axes, or stars, has turned.
-            step = float(np.max(np.linalg.norm(np.atleast_2d(value - before), axis=-1)))
-            if np.isfinite(step):
-                self._steps.append(step)
+            rows = (value - before).tolist()
+            sizes = [math.hypot(*row) for row in (rows if value.ndim > 1 else [rows])]
+            if math.isfinite(sum(sizes)):
+                self._steps.append(max(sizes))
+                self._resolution_rad = min(self._steps)
 
     def _turned(self, standing: _Standing, witnesses: dict[str, Witness]) -> bool:
         """Whether a witness has turned too far for the value to stand."""
@@ -168,9 +173,17 @@ class StuckGuard:
             # What it said before the value stood still says nothing of the time since.
             if now.time_ns < standing.since_ns:
                 continue
-            testimony = standing.testimonies.setdefault(name, _Testimony(now))
+            testimony = standing.testimonies.get(name)
+            if testimony is None:
+                standing.testimonies[name] = _Testimony(now)
+                continue
             turned = testimony.add(now, self.sigma_rad, _ACROSS * self.resolution_rad) or turned
         return turned
+
+
+def _same(value: FloatArray, other: FloatArray) -> bool:
+    """Whether two values, not empty, are equal to the bit; mostly their first numbers tell that they are not."""
+    return bool(value.item(0) == other.item(0)) and np.array_equal(value, other)
 
 
 def _moved(then: Witness, now: Witness, sigma_rad: float, resolution_rad: float) -> bool:

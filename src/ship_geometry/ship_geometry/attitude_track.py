@@ -147,21 +147,17 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             ]
         # The acceleration is that of half a step ago.
         lacking = (ahead_s**3 / 6.0 + ahead_s * ahead_s * steps_s[0] / 4.0) / math.sqrt(len(jerks))
-        covariance_d = as_covariance([lacking * jerk for jerk in jerks], _LARGEST_VARIANCE)
-        rotation_nd = rotation_nd @ exp_rotation(vector)
+        covariance_d = as_covariance(lacking * np.array(jerks), _LARGEST_VARIANCE)
+        rotation_nd = rotation_nd.dot(exp_rotation(vector))
         return InterpolatedAttitude(rotation_nd, rates[0] + ahead_s * changes[0], 1.0, covariance_d)
 
     def _recent_rates(self, index: int) -> list[FloatArray]:
         """Measured rates of the newest sample and of those before it, four at most, as far as nothing is between."""
         recent: list[FloatArray] = []
-        while len(recent) < _RATES:
-            rate_d = self._samples[index].rate_d
-            if rate_d is None:
+        for sample in reversed(self._samples[max(index + 1 - _RATES, 0) : index + 1]):
+            if sample.rate_d is None or (recent and not self._joined(index - len(recent))):
                 break
-            recent.append(rate_d)
-            if index == 0 or not self._joined(index - 1):
-                break
-            index -= 1
+            recent.append(sample.rate_d)
         return recent
 
     def _moved_by_differences(self, index: int, ahead_s: float) -> InterpolatedAttitude:
@@ -170,7 +166,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         recent = self._recent(index)
         if len(recent) == 1:
             return InterpolatedAttitude(sample.rotation_nd, np.zeros(3), 1.0)
-        rotations = np.stack([self._samples[other].rotation_nd for other in recent])
+        rotations = np.array([self._samples[other].rotation_nd for other in recent])
         turns = log_rotation(sample.rotation_nd.T @ rotations)
         nodes_s = np.array([self._seconds(index, other) for other in recent])
         to_nodes_s = ahead_s - nodes_s
@@ -181,8 +177,8 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             return InterpolatedAttitude(
                 sample.rotation_nd @ exp_rotation(ahead_s * rate), rate, (1.0 + part) ** 2 + part**2, error
             )
-        first = np.diff(turns, axis=0) / np.diff(nodes_s)[:, None]
-        second = np.diff(first, axis=0) / (nodes_s[2:] - nodes_s[:-2])[:, None]
+        first = (turns[1:] - turns[:-1]) / (nodes_s[1:] - nodes_s[:-1])[:, None]
+        second = (first[1:] - first[:-1]) / (nodes_s[2:] - nodes_s[:-2])[:, None]
         steady, bent = first[0], second[0]
         vector = ahead_s * (steady + to_nodes_s[1] * bent)
         rate = steady + (ahead_s + to_nodes_s[1]) * bent
@@ -271,7 +267,7 @@ def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: floa
     if len(nodes_s) == 3:
         third, beyond_s = second / step_s, step_s
     else:
-        third = np.diff(second, axis=0) / (nodes_s[3:] - nodes_s[:-3])[:, None]
+        third = (second[1:] - second[:-1]) / (nodes_s[3:] - nodes_s[:-3])[:, None]
         third, beyond_s = third / math.sqrt(len(third)), ahead_s - float(nodes_s[2])
     of_parabola = ahead_s * (ahead_s + step_s) * beyond_s
     of_offset = _WORST_OF_DIFFERENCED * step_s**3

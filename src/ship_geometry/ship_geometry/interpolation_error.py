@@ -32,7 +32,7 @@ def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = ma
     """
     rows = np.asarray(errors)
     squares = float(np.vdot(rows, rows))
-    covariance: FloatArray = rows.T @ rows
+    covariance: FloatArray = rows.T.dot(rows)
     covariance.ravel()[:: rows.shape[1] + 1] += _ANY_DIRECTION**2 * squares
     return covariance if squares <= largest else covariance * (largest / squares)
 

@@ -124,15 +124,11 @@ def log_rotation(rotation: FloatArray) -> FloatArray:
         vector = _log_of_one(rotation)
         if vector is not None:
             return vector
-    twice_sine = np.stack(
-        [
-            rotation[..., 2, 1] - rotation[..., 1, 2],
-            rotation[..., 0, 2] - rotation[..., 2, 0],
-            rotation[..., 1, 0] - rotation[..., 0, 1],
-        ],
-        axis=-1,
-    )
-    sine = 0.5 * np.linalg.norm(twice_sine, axis=-1)
+    twice_sine = np.empty(rotation.shape[:-1])
+    twice_sine[..., 0] = rotation[..., 2, 1] - rotation[..., 1, 2]
+    twice_sine[..., 1] = rotation[..., 0, 2] - rotation[..., 2, 0]
+    twice_sine[..., 2] = rotation[..., 1, 0] - rotation[..., 0, 1]
+    sine = 0.5 * np.sqrt(np.sum(twice_sine * twice_sine, axis=-1))
     cosine = 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0)
     angle = np.arctan2(sine, cosine)
     small = sine < _SMALL_ANGLE

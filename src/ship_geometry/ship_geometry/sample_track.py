@@ -169,7 +169,7 @@ class SampleTrack(Generic[Sample]):
 
     def _cut_between(self, start_ns: int, end_ns: int) -> bool:
         """Whether the quantity has jumped between two moments."""
-        return any(start_ns <= cut_ns < end_ns for cut_ns in self._cuts_ns)
+        return bool(self._cuts_ns) and any(start_ns <= cut_ns < end_ns for cut_ns in self._cuts_ns)
 
     def noise_gain_of_mean(self, moments: Iterable[tuple[int, float]]) -> float:
         """Variance of a weighted sum of interpolated values per variance of the samples' independent noise.
