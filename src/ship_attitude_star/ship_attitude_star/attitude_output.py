@@ -1,5 +1,7 @@
 """From the filter's state and the newest data to the published attitude and its covariance by source."""
 
+import math
+
 import numpy as np
 
 from ship_attitude_star.config import ShipAttitudeConfig
@@ -25,7 +27,7 @@ class CorrectedIns:
 
     def __init__(self, filter_: ShipFilter, state: FilterState) -> None:
         self.state = state
-        self._filter, self._model = filter_, filter_.model
+        self._model = filter_.model
         rows = np.r_[self._model.rows("ins.attitude"), self._model.rows("ins.time_offset")]
         self._attitude_rows = rows[:3]
         self._mean = state.mean[rows]
@@ -34,6 +36,7 @@ class CorrectedIns:
         self._white_index = self._model.sources.index(SOURCE_INS_NOISE)
         self._interpolation_index = self._model.sources.index(SOURCE_INTERPOLATION)
         self._lasting = lasting(self._mean[:3], self._model.blocks["ins.attitude"].sigma)
+        self._newest_star_ns = _newest_star_ns(filter_, state)
         self._white_variance = self._model.blocks["ins.noise"].sigma ** 2
 
     @property
@@ -75,8 +78,8 @@ class CorrectedIns:
         rotation_nd, parts = self.attitude(time_ns, ins)
         recent_ns = time_ns - config.coasting_after_s * _SECOND_NS
         used = sorted(source for source, used_ns in self.state.used_ns.items() if used_ns >= recent_ns)
-        star_age_s = _star_age_s(self._filter, self.state, time_ns)
-        if np.isnan(star_age_s) or self.state.jumped:
+        star_age_s = _age_s(self._newest_star_ns, time_ns)
+        if math.isnan(star_age_s) or self.state.jumped:
             status = Status.DEGRADED
         elif star_age_s <= config.coasting_after_s:
             status = Status.VALID
@@ -129,11 +132,16 @@ def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int) -> Attitud
         status=Status.INVALID,
         horizon=Horizon.GRAVITY,
         sources=(),
-        star_age_s=_star_age_s(filter_, state, now_ns),
+        star_age_s=_age_s(_newest_star_ns(filter_, state), now_ns),
     )
 
 
-def _star_age_s(filter_: ShipFilter, state: FilterState, time_ns: int) -> float:
-    """Time since the last star measurement used; NaN where there was none."""
-    stars = [used_ns for source, used_ns in state.used_ns.items() if filter_.devices[source].is_star]
-    return (time_ns - max(stars)) / _SECOND_NS if stars else float("nan")
+def _newest_star_ns(filter_: ShipFilter, state: FilterState) -> int | None:
+    """Stamp of the last star measurement used; None where there was none."""
+    stars = (used_ns for source, used_ns in state.used_ns.items() if filter_.devices[source].is_star)
+    return max(stars, default=None)
+
+
+def _age_s(since_ns: int | None, time_ns: int) -> float:
+    """Time since a moment; NaN where there was none."""
+    return float("nan") if since_ns is None else (time_ns - since_ns) / _SECOND_NS

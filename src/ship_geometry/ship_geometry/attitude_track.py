@@ -133,8 +133,9 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         """The newest sample moved by its measured rate and the change of that since the sample before."""
         rotation_nd, rates = self._samples[index].rotation_nd, self._recent_rates(index)
         # At the INS's rate, hence step by step: arrays of arrays take three times as long.
-        steps_s = [self._seconds(index - back - 1, index - back) for back in range(len(rates) - 1)]
-        changes = [(rates[back] - rates[back + 1]) / step_s for back, step_s in enumerate(steps_s)]
+        times = self._times
+        steps_s = [(times[k] - times[k - 1]) / SECOND_NS for k in range(index, index - len(rates) + 1, -1)]
+        changes = [(later - rate) / step_s for later, rate, step_s in zip(rates, rates[1:], steps_s, strict=False)]
         if not changes:
             return InterpolatedAttitude(rotation_nd @ exp_rotation(ahead_s * rates[0]), rates[0], 1.0)
         vector = ahead_s * rates[0] + 0.5 * ahead_s * ahead_s * changes[0]
