@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ship_attitude_star.comparison import compare
+from ship_attitude_star.comparison import Compared, compare
 from ship_attitude_star.config import ShipAttitudeConfig
 from ship_attitude_star.filter_model import (
     SOURCE_INS,
@@ -159,9 +159,7 @@ class ShipFilter:
         compared = compare(looked_at, predicted, self.model, state.mean, state.covariance, watch)
         if isinstance(compared, Refusal):
             return before, Decision(measurement, compared.reason, ins_time_ns, text=compared.text)
-        source_index = self.model.sources.index(device.noise_source)
-        noise = {source_index: compared.noise, self._interpolation_index: compared.interpolation}
-        linear = LinearMeasurement(compared.residual, compared.jacobian, noise)
+        linear = self._linear(compared, device, compared.residual)
         try:
             covariance, nis = innovation(state.parts, linear)
         except np.linalg.LinAlgError as error:
@@ -182,22 +180,29 @@ class ShipFilter:
             # Not even the prediction is kept: the state stays, to the last bit, as without this measurement.
             # The deck as the measurement has it: the predicted deck turned as the predicted device must be.
             measured_nd = compared.rotation_nv @ predicted.rotation_nv.T @ ins.rotation_nd
-            departure = Departure(
-                measurement.time_ns, log_rotation(measured_nd @ ins.rotation_nd.T), compared.attitude_noise_n
-            )
-            return self._refused(before, decision, departure, ins.rotation_nd, measured_nd)
+            return self._refused(before, decision, compared.attitude_noise_n, ins.rotation_nd, measured_nd)
 
         def linearised(mean: FloatArray) -> LinearMeasurement | None:
             there = predict_attitude(device, self.model, mean, ins)
             compared = compare(looked_at, there, self.model, mean, state.covariance, watch)
             if isinstance(compared, Refusal):
                 return None
-            residual = compared.residual + compared.jacobian @ (mean - state.mean)
-            noise = {source_index: compared.noise, self._interpolation_index: compared.interpolation}
-            return LinearMeasurement(residual, compared.jacobian, noise)
+            return self._linear(compared, device, compared.residual + compared.jacobian @ (mean - state.mean))
 
-        correction, parts = self._updated(state, linear, covariance, linearised)
-        state = replace(
+        return self._used(state, device, measurement, *self._updated(state, linear, covariance, linearised)), decision
+
+    def _linear(self, compared: Compared, device: Device, residual: FloatArray) -> LinearMeasurement:
+        """What was compared as the Kalman step takes it, its noise by source."""
+        source_index = self.model.sources.index(device.noise_source)
+        noise = {source_index: compared.noise, self._interpolation_index: compared.interpolation}
+        return LinearMeasurement(residual, compared.jacobian, noise)
+
+    @staticmethod
+    def _used(
+        state: FilterState, device: Device, measurement: Measurement, correction: FloatArray, parts: FloatArray
+    ) -> FilterState:
+        """The state after a measurement that passed the gate."""
+        return replace(
             state,
             mean=state.mean + correction,
             parts=parts,
@@ -205,7 +210,6 @@ class ShipFilter:
             used_ns=_with(state.used_ns, device.name, measurement.time_ns),
             jumped=state.jumped and not device.is_star,
         )
-        return state, decision
 
     @staticmethod
     def _looked_at(
@@ -275,12 +279,13 @@ class ShipFilter:
         self,
         state: FilterState,
         decision: Decision,
-        departure: Departure,
+        noise_n: FloatArray,
         ins_nd: FloatArray,
         measured_nd: FloatArray,
     ) -> tuple[FilterState, Decision]:
         """Hold the estimate; after a run of refusals say so and, where configured, re-open the gate."""
-        source = decision.measurement.source
+        source, turn_n = decision.measurement.source, log_rotation(measured_nd @ ins_nd.T)
+        departure = Departure(decision.measurement.time_ns, turn_n, noise_n)
         run = state.refusals.get(source, 0) + 1
         state = replace(
             state,

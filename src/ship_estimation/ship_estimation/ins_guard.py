@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_estimation.ins_continuation import InsContinuation, Known, Way, moved_back
-from ship_estimation.jump_guard import Judged, JumpGuard, within
+from ship_estimation.jump_guard import JumpGuard, JumpVerdict, within
 from ship_estimation.rate_guard import RateGuard, Rates
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.stuck_guard import StuckGuard, Witness
@@ -167,13 +167,13 @@ class InsGuard:
             kept = smooth and not self._leads.rates_trusted
         judged = self._jumps.judge(kept, step.kept)
         wrong_after_ns = self._judge_rates(previous, known)
-        if judged is Judged.REFUSED:
+        if judged is JumpVerdict.REFUSED:
             if self._jumps.refused == 1:
                 self._jumped_ns = known.sample.time_ns
                 self._previous = known.moved_by(moved_back(known.sample, taken))
             return JudgedIns(self.usable(known.sample), way.refusal(), None, wrong_after_ns)
         jump = None
-        if judged is Judged.JUMPED:
+        if judged is JumpVerdict.JUMPED:
             jump = InsJump(self._jumped_ns - 1, way.difference_n, way.bound_rad / _BOUND_SIGMAS)
         elif step is way:
             self._leads.learn(taken, known, way)

@@ -28,7 +28,7 @@ _ACROSS = 1.8
 """Rounding to steps of one in each of three axes makes errors of up to sqrt(3)."""
 
 
-class Judged(enum.Enum):
+class JumpVerdict(enum.Enum):
     """What becomes of a sample."""
 
     TAKEN = "taken"
@@ -50,7 +50,7 @@ class JumpGuard:
         self.samples = samples
         self.refused = 0
 
-    def judge(self, continues: bool, agrees: bool) -> Judged:
+    def judge(self, continues: bool, agrees: bool) -> JumpVerdict:
         """Judge a sample.
 
         Args:
@@ -59,12 +59,12 @@ class JumpGuard:
         """
         if continues:
             self.refused = 0
-            return Judged.TAKEN
+            return JumpVerdict.TAKEN
         if self.refused >= self.samples and agrees:
             self.refused = 0
-            return Judged.JUMPED
+            return JumpVerdict.JUMPED
         self.refused = self.refused + 1 if agrees else 1
-        return Judged.REFUSED
+        return JumpVerdict.REFUSED
 
 
 class Step(NamedTuple):

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.jump_guard import Continuation, Judged, JumpGuard, Step, far_bound_rad, size, within
+from ship_estimation.jump_guard import Continuation, JumpGuard, JumpVerdict, Step, far_bound_rad, size, within
 from ship_geometry.rotations import ARCSEC
 
-TAKEN, REFUSED, JUMPED = Judged.TAKEN, Judged.REFUSED, Judged.JUMPED
+TAKEN, REFUSED, JUMPED = JumpVerdict.TAKEN, JumpVerdict.REFUSED, JumpVerdict.JUMPED
 NEXT = Step(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
 
 

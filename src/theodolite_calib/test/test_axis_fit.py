@@ -12,7 +12,7 @@ from theodolite_calib.axes import NAMES, AxisErrors, direction_change
 from theodolite_calib.axis_fit.coverage import coverage
 from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, fit, rms, sizes
 from theodolite_calib.axis_fit.sightings import Sightings, directions, right_and_up
-from theodolite_calib.axis_fit.slow_errors import SlowError, slow_map
+from theodolite_calib.axis_fit.slow_errors import SharedError, slow_map
 from theodolite_calib.axis_fit.told_apart import condition_number, correlated_pairs, poorly_told_apart, unobservable
 
 SEEDS = 200
@@ -61,8 +61,8 @@ def test_mend_23_errors_that_sightings_share_are_in_the_covariance(stated: bool)
     direction_d = directions(*angles)
     turned = 20.0 * ARCSEC * right_and_up(direction_d) @ direction_change(direction_d, np.eye(3))
     slow = (
-        *(SlowError(f"hull.{axis}", 600.0, turned[..., axis]) for axis in range(3)),
-        SlowError("lever", np.inf, 8.0 * ARCSEC * np.array([[1.0, 0.3]] * count)),
+        *(SharedError(f"hull.{axis}", 600.0, turned[..., axis]) for axis in range(3)),
+        SharedError("lever", np.inf, 8.0 * ARCSEC * np.array([[1.0, 0.3]] * count)),
     )
     moves = np.concatenate([slow_map((error,), time_s, count) for error in slow], axis=-1)
     ratios, nees, known = [], [], []

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.jump_guard import Continuation, Judged, JumpGuard, Step, within
+from ship_estimation.jump_guard import Continuation, JumpGuard, JumpVerdict, Step, within
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.samples import EncoderSample
 
@@ -73,7 +73,7 @@ class EncoderJumps:
         self._taken: list[EncoderSample] = []
         self._all: list[EncoderSample] = []
 
-    def judge(self, sample: EncoderSample, coarseness_rad: float) -> tuple[Judged, EncoderJump | None, str]:
+    def judge(self, sample: EncoderSample, coarseness_rad: float) -> tuple[JumpVerdict, EncoderJump | None, str]:
         """What becomes of a reading later than all before; with the jump where it is one, and why where it is refused.
 
         Args:
@@ -89,13 +89,13 @@ class EncoderJumps:
         after_refused = self._guard.refused > 0
         judged = self._guard.judge(kept, agrees)
         jump = None
-        if judged is Judged.REFUSED:
+        if judged is JumpVerdict.REFUSED:
             assert way is not None
             if self._guard.refused == 1:
                 self._refused_from_ns = sample.time_ns
                 self._all = [_moved_back(sample, *self._taken), sample]
             return judged, None, way.text()
-        if judged is Judged.JUMPED:
+        if judged is JumpVerdict.JUMPED:
             assert way is not None
             jump = EncoderJump(self._refused_from_ns - 1, way.difference, way.bound_rad / _BOUND_SIGMAS)
         elif way is not None and not after_refused:

@@ -7,7 +7,7 @@ that stopped dead in the midst of a motion are in doubt.
 
 import numpy as np
 
-from ship_estimation.jump_guard import Judged
+from ship_estimation.jump_guard import JumpVerdict
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.stuck_guard import StuckGuard, Witness
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -85,7 +85,7 @@ class EncoderWatch:
             text = self._jumps.refusal(sample, _before(track, sample.time_ns), self._guard.coarseness_rad)
             return Refusal(Reason.GATE, text) if text else None
         judged, self.jump, text = self._jumps.judge(sample, self._guard.coarseness_rad)
-        if judged is Judged.REFUSED:
+        if judged is JumpVerdict.REFUSED:
             return Refusal(Reason.GATE, text)
         if self.jump is not None:
             self._unconfirmed = self.jump.time_ns, "the encoders have jumped"

@@ -21,7 +21,7 @@ from ship_node.errors import BadInput
 from ship_node.yaml_text import plain_data
 from theodolite_calib.axes import direction_change
 from theodolite_calib.axis_fit.sightings import Sightings, directions, right_and_up
-from theodolite_calib.axis_fit.slow_errors import SlowError
+from theodolite_calib.axis_fit.slow_errors import SharedError
 
 COLUMNS = {
     "encoder_azimuth_deg": "azimuth encoder, clockwise seen from above",
@@ -103,7 +103,7 @@ def _column(table: list[_Row], column: str, unit: str) -> np.ndarray:
     return np.array([_number(place, values, column, unit) for place, values in table])
 
 
-def _slow_errors(path: Path, table: list[_Row]) -> Iterator[SlowError]:
+def _slow_errors(path: Path, table: list[_Row]) -> Iterator[SharedError]:
     """Of the columns of slow errors, in pairs."""
     names = [column for column in table[0][1] if str(column).startswith(tuple(f"{side}:" for side in _SIDES))]
     for key in dict.fromkeys(column.split(":", 1)[1] for column in names):
@@ -118,10 +118,10 @@ def _slow_errors(path: Path, table: list[_Row]) -> Iterator[SlowError]:
         if not time_s >= 0.0:
             raise BadInput(f"{path}: slow error '{key}': correlation time '{time}': expected seconds, or inf")
         effect = np.stack([_column(table, column, "arcsec") for column in pair], axis=-1)
-        yield SlowError(name, time_s, ARCSEC * effect)
+        yield SharedError(name, time_s, ARCSEC * effect)
 
 
-def _group_errors(table: list[_Row], direction_d: np.ndarray) -> Iterator[SlowError]:
+def _group_errors(table: list[_Row], direction_d: np.ndarray) -> Iterator[SharedError]:
     """A turn of the base about each of its axes for each group."""
     group, sigma = GROUP_COLUMNS
     if group not in table[0][1]:
@@ -135,7 +135,7 @@ def _group_errors(table: list[_Row], direction_d: np.ndarray) -> Iterator[SlowEr
     for name in dict.fromkeys(groups.tolist()):
         inside = np.where(groups == name, sigmas, 0.0)[:, None]
         for axis in range(3):
-            yield SlowError(f"{group} {name}.{axis + 1}", math.inf, inside * turned[..., axis])
+            yield SharedError(f"{group} {name}.{axis + 1}", math.inf, inside * turned[..., axis])
 
 
 def _csv_rows(path: Path, text: str) -> Iterator[_Row]:

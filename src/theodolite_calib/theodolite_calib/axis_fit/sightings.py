@@ -6,7 +6,7 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
 from theodolite_calib.axes import AxisErrors, direction_change, encoder_angles, main_axis, main_axis_rotation
-from theodolite_calib.axis_fit.slow_errors import SlowError, slow_map
+from theodolite_calib.axis_fit.slow_errors import SharedError, slow_map
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Sightings:
     elevation: FloatArray
     direction_d: FloatArray
     time_s: FloatArray | None = None
-    slow_errors: tuple[SlowError, ...] = ()
+    slow_errors: tuple[SharedError, ...] = ()
     repeated: tuple[str, ...] = ()
 
     def slow_map(self) -> FloatArray:

@@ -23,7 +23,7 @@ _LEAST_EFFECT = 0.1 * ARCSEC
 
 
 @dataclass(frozen=True)
-class SlowError:
+class SharedError:
     """One error that lasts over several sightings.
 
     Attributes:
@@ -37,7 +37,7 @@ class SlowError:
     effect: FloatArray
 
 
-def slow_map(errors: tuple[SlowError, ...], time_s: FloatArray | None, count: int) -> FloatArray:
+def slow_map(errors: tuple[SharedError, ...], time_s: FloatArray | None, count: int) -> FloatArray:
     """What independent errors of variance 1 move the sightings by, shape (count, 2, q), rad.
 
     Args:
@@ -53,7 +53,7 @@ def slow_map(errors: tuple[SlowError, ...], time_s: FloatArray | None, count: in
     return np.hstack([np.zeros((2 * count, 0)), *columns]).reshape(count, 2, -1)
 
 
-def _covariance(fading: list[SlowError], time_s: FloatArray) -> FloatArray:
+def _covariance(fading: list[SharedError], time_s: FloatArray) -> FloatArray:
     """Of the sightings, right and up in turn, shape (2 n, 2 n), rad²."""
     apart_s = np.abs(np.subtract.outer(time_s, time_s))
     covariance = np.zeros((2 * len(time_s), 2 * len(time_s)))
