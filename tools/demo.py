@@ -68,7 +68,7 @@ LEGS = (
         orientation=SHIP_ATTITUDE,
         sample_topic="ins/imu",
         rate=2.0,
-        title="Ship attitude live: errors inside their ±3σ",
+        title="Ship attitude live: errors and their ±3σ; clouds from 70 s to 90 s",
     ),
     Leg(
         bag="theodolite",
@@ -122,7 +122,7 @@ def _sail_and_judge(leg: Leg, options: argparse.Namespace, console: Console) -> 
     figure_path = options.figures / f"{leg.bag}.png"
     save_figure(attitude_error_figure(whole.errors, leg.title), figure_path)
     print(f"recorded bag: {_shown(recorded_path)}")
-    print(f"figure of the errors inside their ±3σ: {_shown(figure_path)}")
+    print(f"figure of the errors and their ±3σ: {_shown(figure_path)}")
     judged = judge(evaluation.flat(), bounds, str(bounds_path))
     return complaints + [bound.line for bound in judged if not bound.met]
 

@@ -70,8 +70,8 @@ class ShipInputs:
         types = {topic: _STAR_TYPES[topic.rpartition("/")[2]] for topic in stars}
         self.topics: tuple[InputTopic, ...] = (
             InputTopic(INS_TOPIC, _IMU, required=True, depth=1000),
-            *(InputTopic(topic, type_name, required=False, depth=1000) for topic, type_name in types.items()),
-            *(InputTopic(topic, _IMU, required=False, depth=1000) for topic in references),
+            *(InputTopic(topic, type_name, False, depth=1000, named=True) for topic, type_name in types.items()),
+            *(InputTopic(topic, _IMU, False, depth=1000, named=True) for topic in references),
             *sky,
         )
 

@@ -24,6 +24,7 @@ from ship_node.stamps import ns_from_stamp
 from ship_node.topics import InputTopic, OutputTopic, Published
 
 _INS_TOPIC = "ins/imu"
+_STARS_TYPE = "ship_msgs/msg/StarObservationArray"
 _SOLUTION = "ship_msgs/msg/StarHorizonAttitude"
 _NOT_LOOKED_AT = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION, Reason.FAILED)
 """Why an exposure is refused as a whole."""
@@ -53,7 +54,7 @@ class StarAttitudeAdapter:
         }
         self._sensors = {f"star/{id_}/observations": id_ for id_ in config.star_sensors}
         self.inputs: tuple[InputTopic, ...] = (
-            *(InputTopic(topic, "ship_msgs/msg/StarObservationArray", False, depth=100) for topic in self._sensors),
+            *(InputTopic(topic, _STARS_TYPE, False, depth=100, named=True) for topic in self._sensors),
             *surroundings_messages_in.TOPICS,
             *([InputTopic(_INS_TOPIC, "sensor_msgs/msg/Imu", False, depth=1000)] if config.use_ins else []),
         )

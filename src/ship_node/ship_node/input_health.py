@@ -214,7 +214,7 @@ class InputHealthBook:
         ]
         if record.received == 0:
             judgements.append((Level.OK, "no message yet"))
-        judgements.append((Level.OK, f"{record.rate_hz(waiting_ns):.1f} Hz, latency {_latency_text(record)}"))
+        judgements.append((Level.OK, f"{_rate_text(record, waiting_ns)}, latency {_latency_text(record)}"))
         return max(judgements, key=lambda judgement: judgement[0])
 
     def _age_text(self, record: InputRecord) -> str:
@@ -237,7 +237,7 @@ class InputHealthBook:
                 hint += ": nobody publishes it" if publishers == 0 else ""
             if record.input.required:
                 judgements.append((Level.ERROR, f"required: {hint}"))
-            elif publishers:
+            elif publishers or record.input.named:
                 judgements.append((Level.WARN, hint))
         return judgements
 
@@ -254,6 +254,11 @@ def _judge_refusals(record: InputRecord, waiting_ns: int) -> list[_Judgement]:
     if recent and record.last_refusal not in _EXPECTED_REASONS:
         return [(Level.WARN, f"refused, {record.last_refusal}: {record.last_text}")]
     return []
+
+
+def _rate_text(record: InputRecord, waiting_ns: int) -> str:
+    rate_hz = record.rate_hz(waiting_ns)
+    return f"messages: {record.received}" if math.isnan(rate_hz) else f"{rate_hz:.1f} Hz"
 
 
 def _latency_text(record: InputRecord) -> str:

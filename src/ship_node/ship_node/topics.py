@@ -16,12 +16,14 @@ class InputTopic:
         type_name: as ``"sensor_msgs/msg/Imu"``.
         required: whether the node is of no use without it.
         depth: messages that may wait for the node: a second of data.
+        named: whether the configuration names the device behind it, so that its silence from the start is a fault.
     """
 
     topic: str
     type_name: str
     required: bool
     depth: int
+    named: bool = False
 
 
 @dataclass(frozen=True)

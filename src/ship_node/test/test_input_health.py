@@ -85,6 +85,21 @@ def test_watchdog_names_publishers_where_they_are_known(book):
     assert star.message == "2 publisher(s) but no message for 6 s: QoS mismatch, or it is silent"
 
 
+def test_a_device_that_the_configuration_names_and_nobody_hears_of_is_a_warning():
+    """As after a mistyped id: its topic has no publisher and never will."""
+    book = InputHealthBook([InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, named=True)])
+    book.statuses(START_NS)
+    book.publisher_count(STAR, 0)
+    (early,), (late,) = book.statuses(START_NS + 4 * S), book.statuses(START_NS + 5 * S)
+    assert (early.level, early.message) == (Level.OK, "no message yet")
+    assert (late.level, late.message) == (Level.WARN, "no message for 5 s since the start: nobody publishes it")
+
+
+def test_one_message_has_no_rate(book):
+    imu, _ = book.statuses(feed(book, 1))
+    assert imu.message == "messages: 1, latency 0.005 s"
+
+
 @pytest.mark.parametrize(("silence_ms", "level"), [(100, Level.OK), (101, Level.WARN), (1001, Level.ERROR)])
 def test_silence_of_a_required_fast_topic(book, silence_ms, level):
     last_ns = feed(book, 100)
