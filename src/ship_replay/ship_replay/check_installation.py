@@ -57,15 +57,18 @@ def check_installation(path: Path, nodes: Sequence[CheckedNode], bag: Bag, names
     """
     found = relative_topics(bag.topics, namespace)
     usable = {t: name for t, name in found.items() if bag.topics[name] not in bag.differences}
-    told = set(findings.errors) | set(findings.warnings)
+    told, refused = set(findings.errors) | set(findings.warnings), tuple(findings.errors)
     for node in nodes:
         if not isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig)):
             continue
         mountings = list(measured_mountings(node.config, bag, usable))
         for is_error, parameter, text in _contradictions(mountings, node.config, bag):
             line = node.file.line_of(parameter)
-            said = f"{path}:{line}: {text}" if line else f"{path}: {text}"
-            if said not in told:
+            place = f"{path}:{line}:" if line else f"{path}:"
+            said = f"{place} {text}"
+            # A value that is refused was replaced to look at the rest: there is nothing to say of the replacement.
+            is_refused = any(earlier.startswith(f"{place} parameter '{parameter}'") for earlier in refused)
+            if said not in told and not is_refused:
                 told.add(said)
                 (findings.errors if is_error else findings.warnings).append(said)
 

@@ -89,6 +89,14 @@ def test_mend_15_a_focal_length_ten_times_off_contradicts_the_bag(check, observe
         assert line.endswith("are those of 0.05 m with pixels of 5.5e-06 m")
 
 
+def test_mend_15_nothing_is_said_of_what_stands_in_for_a_refused_value(check, observed):
+    bag, text = observed
+    code, lines = check(text.replace("focal_length_m: 0.05", "focal_length_m: 50.0"), bag)
+    assert code == 2
+    assert len(lines) == 4  # two sensors, of two nodes
+    assert all(".camera.focal_length_m' = 50.0 m is out of its range" in line for line in lines)
+
+
 def test_mend_15_wrong_angles_are_found_beside_a_wrong_focal_length(check, observed):
     bag, text = observed
     text = text.replace("focal_length_m: 0.05", "focal_length_m: 0.5").replace("_deg: 90.0", "_deg: 1.5708")
