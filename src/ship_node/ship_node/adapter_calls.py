@@ -1,6 +1,6 @@
 """Every use of an adapter by a live node: its results published, all of it noted in the black box if there is one."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from rclpy.publisher import Publisher
@@ -10,7 +10,9 @@ from ship_estimation.parameters import ParameterError
 from ship_node.adapter import Adapter, ServiceResult
 from ship_node.black_box import BlackBox
 from ship_node.black_box_format import ChangeRefused, ClockJumpedBack, Event, ParametersChanged, ServiceCalled, Tick
+from ship_node.diagnostics import DIAGNOSTICS_TOPIC, Level, Status
 from ship_node.files import NotedFiles
+from ship_node.status_log import StatusLog
 from ship_node.topics import Published
 
 
@@ -24,15 +26,22 @@ class AdapterCalls:
         publishers: topic → publisher, of all its outputs.
         files: what the adapter reads and writes.
         box: notes everything; None where there is none.
+        status_log: is shown the adapter's diagnostics; None where there is none.
     """
 
     def __init__(
-        self, adapter: Adapter, publishers: Mapping[str, Publisher], files: NotedFiles, box: BlackBox | None
+        self,
+        adapter: Adapter,
+        publishers: Mapping[str, Publisher],
+        files: NotedFiles,
+        box: BlackBox | None,
+        status_log: StatusLog | None = None,
     ) -> None:
         self._adapter = adapter
         self._publishers = publishers
         self._files = files
         self._box = box
+        self._status_log = status_log
         self._note_files(0)
 
     def handle(self, topic: str, data: bytes, message: Any, now_ns: int, waiting_ns: int | None = None) -> None:
@@ -54,6 +63,10 @@ class AdapterCalls:
         finally:
             self._note(Tick(), now_ns, waiting_ns)
         self.publish(published, now_ns)
+        if self._status_log is not None:
+            for topic, message in published:
+                if topic == DIAGNOSTICS_TOPIC:
+                    self._status_log.see(_told_in_the_log(message))
 
     def clock_jumped_back(self, now_ns: int) -> None:
         """Tell the adapter that the clock went back."""
@@ -112,3 +125,11 @@ class AdapterCalls:
             if self._box is not None:
                 self._box.put_file(use, now_ns)
         self._files.uses.clear()
+
+
+def _told_in_the_log(message: Any) -> Iterator[Status]:
+    """The statuses of a DiagnosticArray but its inputs: these change often, and what is grave shows in the others."""
+    for status in message.status:
+        name = status.name.partition(": ")[2]
+        if not name.startswith("input "):
+            yield Status(name, Level(status.level[0]), status.message)

@@ -34,11 +34,12 @@ from ship_node.inbox import Arrival, Inbox
 from ship_node.message_factory import RosidlFactory, message_class
 from ship_node.node_clock import NodeClock
 from ship_node.node_events import NodeEvents
-from ship_node.node_watch import ErrorLog, name_status, stamps_status
+from ship_node.node_watch import name_status, stamps_status
 from ship_node.parameter_file import misfit, quoted_parameter, read_whatever_fits
 from ship_node.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.ros_parameters import NodeParameters, ParameterNode
 from ship_node.start_line import start_line
+from ship_node.status_log import StatusLog
 from ship_node.tick_grid import TickGrid
 from ship_node.topics import InputTopic, OutputTopic
 
@@ -87,11 +88,13 @@ class LiveNode:
         except (ParameterError, BadInput) as error:
             self.node.destroy_node()
             raise _with_line(error, parameter_files, self._full_name) from error
-        self._calls = AdapterCalls(self.adapter, self._publishers, files, self._box)
+        self._calls = AdapterCalls(
+            self.adapter, self._publishers, files, self._box, StatusLog(self.node.get_logger())
+        )
         self._parameters.give_changes_to(self._calls, self._clock.now_ns, self._handle_all)
         self._grid = TickGrid()
         self._last_node_ns = self._last_ns = 0
-        self._error_log = ErrorLog(self.node)
+        self._status_log = StatusLog(self.node.get_logger())
         self._inbox = Inbox({i.topic: i.depth for i in self.adapter.inputs})
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
@@ -109,7 +112,7 @@ class LiveNode:
         while not stop() and self._context.ok():
             self._events.take(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S)
             self._guard.call("work", self._work)
-            if self._clock.is_dead() and not self._error_log.tells_of("clock"):
+            if self._clock.is_dead() and not self._status_log.tells_of("clock"):
                 self._guard.call("watch", self._watch)
 
     def close(self) -> None:
@@ -258,7 +261,7 @@ class LiveNode:
             self.adapter.health.publisher_count(topic, self.node.count_publishers(subscription.topic_name))
         self.adapter.health.clock_unused(not self._clock.is_simulated() and self.node.count_publishers("/clock") > 0)
         statuses = [self._clock.status(), name_status(self.node), self._events.status()]
-        self._error_log.note([*statuses, stamps_status(self.adapter.health)])
+        self._status_log.see([*statuses, stamps_status(self.adapter.health)])
         statuses += [self._guard.status(), self._parameters.status()]
         if self._box is not None:
             statuses.append(self._box.status())
