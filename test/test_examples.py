@@ -38,14 +38,7 @@ def two_sensors() -> Any:
 
 
 def three_sensors() -> Any:
-    """A sensor of each kind; their magnitudes as in the case of single stars."""
-    voyage = scenario("paper_stars")
-    sensors = voyage["star_sensors"]
-    solved = {key: value for key, value in sensors["fore"].items() if key.startswith(("install", "elevation", "rate"))}
-    noise = {"sigma_forward_arcsec": 100.0, "sigma_up_arcsec": 3.0, "sigma_right_arcsec": 3.0}
-    sensors["fore"] = {"output": "horizon_attitude", "azimuth_deg": 0.0, **solved, **noise}
-    sensors["aft"] = {"output": "inertial_attitude", "azimuth_deg": 180.0, **solved, **noise}
-    return voyage
+    return scenario("three_sensors")
 
 
 def theodolite() -> Any:
