@@ -114,11 +114,11 @@ class ShipAttitudeCore:
         if changed_after_ns is not None:
             self._rewind(changed_after_ns)
         self._advance(sample.time_ns, outcome)
-        if self._track.newest is sample:
+        # An attitude that is moved by a clock offset needs its rate. Without it the sample leads to nothing.
+        movable = self._track.newest_rate_known or self.state.time_ns is None
+        if self._track.newest is sample and movable:
             self._ins_arrival_ns = arrival_ns
-            # An attitude that is moved by a clock offset needs its rate.
-            movable = self._track.newest_rate_known or self.state.time_ns is None
-            if estimate and movable and self._order.follows(sample.time_ns):
+            if estimate and self._order.follows(sample.time_ns):
                 self._put_out(outcome, sample.time_ns, self._estimate_from_ins, arrival_ns, self._silence_ns)
         return outcome
 

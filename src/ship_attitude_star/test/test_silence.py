@@ -85,6 +85,25 @@ def test_mend_01_stars_carry_the_attitude_while_the_ins_is_refused() -> None:
     assert_in_order(run)
 
 
+def test_mend_01_stars_carry_the_attitude_while_no_ins_sample_has_a_rate() -> None:
+    """From 3 s on the INS comes once in 0.9 s, too far apart to be joined, and measures no rates."""
+
+    def without_rates(message: Any) -> None:
+        message.angular_velocity_covariance = [-1.0] + 8 * [0.0]
+
+    def is_kept(arrival: Arrival) -> bool:
+        sparse = (arrival.stamp_ns - START_NS) % (9 * SECOND_NS // 10) == 0
+        return arrival.topic != INS or arrival.stamp_ns < at(3.0) or sparse
+
+    arrivals = changed_where([a for a in voyage(8.0) if is_kept(a)], lambda a: a.topic == INS, without_rates)
+    run = drive(new_adapter(), arrivals)
+    carried = [m for m in claimed(run) if at(4.2) < stamp_of(m) < at(7.5)]
+    assert {m.status for m in carried} == {Status.DEGRADED}
+    assert len(carried) > 25
+    assert [ns for ns in said_invalid(run) if ns > at(4.2)] == []
+    assert_in_order(run)
+
+
 def test_mend_01_ins_and_stars_stop_and_come_back() -> None:
     """First one of them, then both, then the stars, then both."""
     arrivals = cut(cut(voyage(14.0), 3.0, 9.0, INS), 5.0, 7.0, FORE, STARBOARD)

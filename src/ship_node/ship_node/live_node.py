@@ -65,8 +65,8 @@ class LiveNode:
         parameter_files: files given on the command line, to say where a bad parameter stands.
 
     Raises:
-        BadInput: a parameter is unknown, of the wrong type, out of its range or missing; or a file is hardly meant for
-            another node, but has no section that fits this one.
+        BadInput: a parameter is unknown, of the wrong type, out of its range or missing; or a file has a section for a
+            node of (nearly) this name, and none that fits this node.
     """
 
     def __init__(self, adapter_class: type[Adapter], context: Context, parameter_files: tuple[Path, ...] = ()) -> None:
