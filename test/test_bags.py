@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_replay.bag_reader import read_bag
-from ship_replay.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
-from ship_replay.bounds import judge, read_bounds
-from ship_replay.evaluate import evaluate
-from ship_replay.replay import replay
-from ship_replay.replay_command import ADAPTERS
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.stored_messages_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
+from ship_replay.commands.replay import ADAPTERS
+from ship_replay.evaluation.bounds import judge, read_bounds
+from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.offline.replay import replay
 
 ROOT = Path(__file__).parents[1]
 BAGS = sorted((ROOT / "bags").glob("*.mcap"))

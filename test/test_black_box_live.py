@@ -7,20 +7,17 @@ import os
 import re
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_replay.bag_reader import read_bag
-from ship_replay.live_run import LiveFailure, LiveRun, executable
-from ship_replay.recover import recovered_path
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.recover import recovered_path
+from ship_replay.trials.live_run import LiveFailure, LiveRun, executable
+from tools.black_box_run import eventful_runs, verified
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tools"))
-
-from black_box_run import eventful_runs, verified  # noqa: E402  a script beside the tests, not an installed package
 
 pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.xdist_group("dds")]
 
@@ -87,7 +84,7 @@ def test_a_killed_nodes_box_is_verified_up_to_the_cut(killed_box):
 
 
 def test_so_is_what_was_recovered_of_it(killed_box):
-    command = [*executable("ship_replay", "record"), "--recover", str(killed_box)]
+    command = [*executable("ship_bags", "record"), "--recover", str(killed_box)]
     recovery = subprocess.run(command, capture_output=True, text=True, check=False)
     assert recovery.returncode == 0, recovery.stdout + recovery.stderr
     assert "all read back by mcap and rosbags" in recovery.stdout

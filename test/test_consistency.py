@@ -11,19 +11,19 @@ import pytest
 import scipy.sparse as sparse
 from scipy.sparse.linalg import splu
 
-from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.ship_core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.parameters import build
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.monte_carlo import feed, final_error
-from ship_replay.simulation.attitude_device import DeviceSamples
-from ship_replay.simulation.ins import InsSamples
-from ship_replay.simulation.run import SimulatedRun, simulate
-from ship_replay.simulation.scenario import Outage, Scenario
-from ship_replay.simulation.scenario_file import load_scenario
-from ship_replay.simulation.suite import suite_configuration
+from ship_replay.trials.attitude_monte_carlo import feed, final_error
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.scenario import Outage, Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.ship.attitude_device import DeviceSamples
+from ship_simulation.ship.ins import InsSamples
+from ship_simulation.suite.suite import suite_configuration
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = 24

@@ -1,12 +1,10 @@
 """What the documentation says is what the code does."""
 
-import sys
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tools"))
+from tools import parameter_table
 
-import parameter_table  # noqa: E402  the tool is a script beside the tests, not an installed package
+ROOT = Path(__file__).parents[1]
 
 
 def test_parameter_page_is_current() -> None:

@@ -9,18 +9,18 @@ from typing import Any
 import pytest
 import yaml
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.stored_messages_writer import BagWriter
 from ship_estimation.parameters import describe
-from ship_node.parameter_yaml import read_sections
-from ship_replay.bag_reader import read_bag
-from ship_replay.bag_writer import BagWriter
-from ship_replay.check_config_command import main as check_config
-from ship_replay.live_process import LiveProcess, free_domain_id, live_environment
-from ship_replay.live_run import executable
-from ship_replay.replay_command import main as replay
-from ship_replay.simulate_command import main as simulate
-from theodolite_calib.adapter import OpticalAxisAdapter
+from ship_node.parameters.parameter_yaml import read_sections
+from ship_replay.commands.check_config import main as check_config
+from ship_replay.commands.replay import main as replay
+from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_replay.trials.live_run import executable
+from ship_simulation.simulate_command import main as simulate
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters import describe
-from ship_node.message_factory import RosidlFactory
-from ship_node.usage import usage_text
-from ship_replay.simulation.scenario import Fault, Scenario
-from theodolite_calib.adapter import OpticalAxisAdapter
+from ship_node.parameters.usage import usage_text
+from ship_simulation.scenario.scenario import Fault, Scenario
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ROOT = Path(__file__).parents[1]
 NODES = {"ship_attitude": ShipAttitudeAdapter, "star_attitude": StarAttitudeAdapter, "optical_axis": OpticalAxisAdapter}
@@ -56,9 +56,9 @@ def test_mend_16_the_help_of_a_node_lists_what_any_configuration_asks_for():
 
 
 def test_mend_16_replay_names_all_nodes_and_simulate_all_keys_and_faults(capsys):
-    shown = " ".join(help_of("replay", "ship_replay.replay_command", capsys).split())
+    shown = " ".join(help_of("replay", "ship_replay.commands.replay", capsys).split())
     assert "(ship_attitude, star_attitude, optical_axis;" in shown
-    shown = help_of("simulate", "ship_replay.simulate_command", capsys)
+    shown = help_of("simulate", "ship_simulation.simulate_command", capsys)
     assert all(f"  {d.name}" in shown for d in describe(Scenario))
     (kinds,) = [d.choices for d in describe(Fault) if d.name == "kind"]
     assert all(re.search(rf"^  {kind} ", shown, re.MULTILINE) for kind in kinds)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_replay.live_run import LiveFailure, LiveRun
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_replay.trials.live_run import LiveFailure, LiveRun
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
 

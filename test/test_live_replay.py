@@ -15,21 +15,21 @@ import numpy as np
 import pytest
 import yaml
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.stamps import ns_from_stamp
+from ship_bags.topic_names import relative_topic
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import quaternion_from_rotation
-from ship_node.adapter import Adapter
-from ship_node.parameter_file import has_section, load_config
-from ship_node.stamps import ns_from_stamp
-from ship_node.tick_grid import TickGrid
-from ship_replay.bag_reader import read_bag
-from ship_replay.bag_writer import SUITE_ATTACHMENT
-from ship_replay.bounds import judge, read_bounds
-from ship_replay.evaluate import evaluate
-from ship_replay.live_run import LiveRun
-from ship_replay.message_store import RosbagsFactory
-from ship_replay.topic_names import relative_topic
-from theodolite_calib.adapter import OpticalAxisAdapter
+from ship_node.edge.adapter import Adapter
+from ship_node.live.tick_grid import TickGrid
+from ship_node.parameters.parameter_file import has_section, load_config
+from ship_replay.evaluation.bounds import judge, read_bounds
+from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.trials.live_run import LiveRun
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.xdist_group("dds")]
 

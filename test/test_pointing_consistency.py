@@ -1,7 +1,6 @@
 """Simulated sessions of the theodolite through the core of optical_axis: errors against the covariance claimed."""
 
 import dataclasses
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +10,18 @@ import pytest
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.pointing_monte_carlo import PointingErrors, feed, pointing_errors
-from ship_replay.simulation.run import simulate
-from ship_replay.simulation.scenario import Scenario
-from ship_replay.simulation.scenario_file import load_scenario
-from ship_replay.simulation.theodolite.images import points_on_detector
-from ship_replay.simulation.theodolite.suite import optical_axis_configuration
-from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.optical_axis_core import OpticalAxisCore
-from theodolite_calib.samples import Exposure, Mode, SeenLight
+from ship_replay.trials.pointing_monte_carlo import PointingErrors, feed, pointing_errors
+from ship_simulation.run import simulate
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.theodolite_suite import optical_axis_configuration
+from ship_simulation.theodolite.images import points_on_detector
+from ship_testing.theodolite_scenes import replaced, sweeping_over, with_beacons, with_theodolite
+from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.measured.samples import Exposure, Mode, SeenLight
+from theodolite_calib.optical_axis.core import OpticalAxisCore
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "src" / "ship_replay" / "test"))
-
-from theodolite_scenes import replaced, sweeping_over, with_beacons, with_theodolite  # noqa: E402
 
 SEEDS = 16
 LEAVE_S, END_S = 120.0, 240.0

@@ -1,32 +1,29 @@
 """Simulated bags of the theodolite replayed through the suite's nodes: what goes wrong is named, and never believed."""
 
 import dataclasses
-import sys
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC
-from ship_node.stamps import ns_from_stamp
-from ship_replay.attitude_sources import Truth
-from ship_replay.bag_reader import read_bag
-from ship_replay.evaluate import evaluate
-from ship_replay.innovations import reason_name
-from ship_replay.orientations import POINTING
-from ship_replay.replay import replay
-from ship_replay.replay_command import ADAPTERS
-from ship_replay.simulate_command import write_bag
-from ship_replay.simulation.run import simulate
-from ship_replay.simulation.scenario import Fault, FusedAttitude, Scenario
-from ship_replay.simulation.scenario_file import load_scenario
-from ship_replay.simulation.scenario_units import Outage
+from ship_replay.commands.replay import ADAPTERS
+from ship_replay.evaluation.attitude_sources import Truth
+from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.evaluation.innovations import reason_name
+from ship_replay.offline.orientations import POINTING
+from ship_replay.offline.replay import replay
+from ship_simulation.run import simulate
+from ship_simulation.scenario.scenario import Fault, FusedAttitude, Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.scenario.scenario_units import Outage
+from ship_simulation.simulate_command import write_bag
+from ship_testing.theodolite_scenes import bag_scenario, replaced
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "src" / "ship_replay" / "test"))
-
-from theodolite_scenes import bag_scenario, replaced  # noqa: E402
 
 START_S, END_S = 6.0, 10.0
 IMAGE, ENCODER, BASELINE = "theodolite/beacons", "theodolite/encoder", "beacon/a/baseline"

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ship_bags.commands.import_nmea import main as import_nmea
+from ship_bags.mcap.bag_reader import read_bag
 from ship_estimation.consistency import mean_nees_band, sigma_ratio_band
-from ship_replay.bag_reader import read_bag
-from ship_replay.import_nmea_command import main as import_nmea
-from ship_replay.monte_carlo import final_error
-from ship_replay.replay_command import main as replay
-from ship_replay.simulation.scenario_file import load_scenario
+from ship_replay.commands.replay import main as replay
+from ship_replay.trials.attitude_monte_carlo import final_error
+from ship_simulation.scenario.scenario_file import load_scenario
 
 ROOT = Path(__file__).parents[1]
 LOGS = ROOT.parent / "shared" / "data" / "nbp1406"

@@ -4,6 +4,10 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import pytest
+
+from ship_replay.commands.moved import PLACES
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -18,7 +22,9 @@ def test_alone_it_lists_packages_and_their_executables() -> None:
     assert usage.startswith("usage: ros2run PACKAGE EXECUTABLE")
     listed = dict(line.split(": ") for line in lines)
     assert {"ship_attitude", "star_attitude"} <= set(listed["ship_attitude_star"].split())
-    assert {"replay", "check_config", "simulate"} <= set(listed["ship_replay"].split())
+    assert {"replay", "check_config"} <= set(listed["ship_replay"].split())
+    assert {"play", "record", "import_nmea"} <= set(listed["ship_bags"].split())
+    assert "simulate" in listed["ship_simulation"].split()
     assert "optical_axis" in listed["theodolite_calib"].split()
     assert "ship_geometry" not in listed
     assert ros2run(ROOT, "--help").stdout == alone.stdout
@@ -30,3 +36,11 @@ def test_before_the_first_build_the_list_says_how_to_get_one_and_builds_nothing(
     assert (alone.returncode, alone.stderr) == (0, "")
     assert alone.stdout.splitlines()[-1].startswith("nothing is built yet: 'make setup'")
     assert [path.name for path in tmp_path.iterdir()] == ["ros2run"]
+
+
+@pytest.mark.parametrize(("name", "package"), PLACES.items())
+def test_an_executable_that_moved_is_named_where_it_used_to_be(name: str, package: str) -> None:
+    asked = ros2run(ROOT, "ship_replay", name, "--help")
+    assert asked.returncode == 2
+    assert asked.stderr == f"{name}: moved from ship_replay: ros2 run {package} {name}\n"
+    assert ros2run(ROOT, package, name, "--help").returncode == 0

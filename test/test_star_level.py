@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.inertial_attitude import InertialAttitude, in_horizon
-from ship_attitude_star.sky_watch import SkyWatch, installed_sky
-from ship_attitude_star.star_exposure import StarExposure
-from ship_attitude_star.star_fit import SightedStars
-from ship_attitude_star.star_solution import SolutionStatus, solve_stars
+from ship_attitude_star.measurements.inertial_attitude import InertialAttitude, in_horizon
+from ship_attitude_star.measurements.star_exposure import StarExposure
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.stars.fit import SightedStars
+from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.monte_carlo import sky_input
-from ship_replay.simulation.run import SKY_SOURCES, SimulatedRun, simulate
-from ship_replay.simulation.scenario import Scenario
-from ship_replay.simulation.scenario_file import load_scenario
-from ship_replay.simulation.suite import suite_configuration
+from ship_replay.trials.attitude_monte_carlo import sky_input
+from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.suite import suite_configuration
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = 120

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.samples import AttitudeEstimate
-from ship_attitude_star.sky import ApparentStars, Sky
+from ship_attitude_star.measurements.samples import AttitudeEstimate
+from ship_attitude_star.sky.apparent_sky import ApparentStars, Sky
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
 from ship_geometry.refraction import elevation_of, lifted
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.star_directions import RefreshedSky
-from ship_replay.monte_carlo import core_for, feed
-from ship_replay.simulation.run import SimulatedRun, simulate
-from ship_replay.simulation.scenario import Scenario
-from ship_replay.simulation.scenario_file import load_scenario
+from ship_replay.trials.attitude_monte_carlo import core_for, feed
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = 12

@@ -1,7 +1,6 @@
 """star_attitude in the suite: replayed with ship_attitude in one pass, from its black box, and live over DDS."""
 
 import dataclasses
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -11,35 +10,31 @@ import pytest
 import yaml
 from rclpy.serialization import deserialize_message, serialize_message
 
-from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
-from ship_attitude_star.star_attitude_config import StarAttitudeConfig
+from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.star_attitude.config import StarAttitudeConfig
+from ship_bags.mcap.bag_reader import BagRecord, read_bag
+from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.message_factory import RosidlFactory
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.stamps import ns_from_stamp
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import log_rotation
-from ship_node.adapter_calls import AdapterCalls
-from ship_node.black_box import BlackBox
-from ship_node.files import NotedFiles
-from ship_node.message_factory import RosidlFactory
-from ship_node.stamps import ns_from_stamp
-from ship_node.tick_grid import TickGrid
-from ship_replay.bag_reader import BagRecord, read_bag
-from ship_replay.bag_writer import SUITE_ATTACHMENT, BagWriter
-from ship_replay.live_run import LiveRun
-from ship_replay.message_store import RosbagsFactory
-from ship_replay.replay_command import main as replay
-from ship_replay.simulation.run import simulate
-from ship_replay.simulation.scenario_file import load_scenario
-from ship_replay.simulation.suite import star_attitude_configuration
-from ship_replay.simulation.to_messages import messages
+from ship_node.black_box.black_box import BlackBox
+from ship_node.documents.files import NotedFiles
+from ship_node.live.adapter_calls import AdapterCalls
+from ship_node.live.tick_grid import TickGrid
+from ship_replay.commands.replay import main as replay
+from ship_replay.trials.live_run import LiveRun
+from ship_simulation.messages.to_messages import messages
+from ship_simulation.run import simulate
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.suite import star_attitude_configuration
+from ship_testing import small_voyage, star_voyage
 
 ROOT = Path(__file__).parents[1]
-for package in ("ship_node", "ship_attitude_star"):
-    sys.path.insert(0, str(ROOT / "src" / package / "test"))
-
-import small_voyage  # noqa: E402  the ship of the package's own tests
-import star_voyage  # noqa: E402
 
 SEEDS = 50
 SOLUTIONS = ("star/fore/solution", "star/starboard/solution")

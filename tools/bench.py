@@ -17,18 +17,18 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_attitude_star.exposure_solver import Mounted, solve_deck, solve_exposure
-from ship_attitude_star.sky_watch import installed_sky
-from ship_attitude_star.star_attitude_config import StarAttitudeConfig
-from ship_attitude_star.star_solution import SolutionStatus
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.star_attitude.config import StarAttitudeConfig
+from ship_attitude_star.star_attitude.exposure_solver import Mounted, solve_deck, solve_exposure
+from ship_attitude_star.stars.solution import SolutionStatus
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_estimation.parameters import build
-from ship_replay.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_replay.live_run import LiveFailure, LiveRun
-from ship_replay.monte_carlo import sky_input
-from ship_replay.simulation.run import SKY_SOURCES, simulate
-from ship_replay.simulation.scenario_file import load_scenario
-from ship_replay.simulation.suite import star_attitude_configuration
+from ship_replay.trials.attitude_monte_carlo import sky_input
+from ship_replay.trials.live_run import LiveFailure, LiveRun
+from ship_simulation.run import SKY_SOURCES, simulate
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.suite import star_attitude_configuration
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "demo.mcap"

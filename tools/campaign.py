@@ -16,9 +16,9 @@ from rich.progress import track
 
 from ship_estimation.consistency import mean_nees_band, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC
-from ship_replay.monte_carlo import FinalError, final_error
-from ship_replay.simulation.scenario import Scenario
-from ship_replay.simulation.scenario_file import load_scenario
+from ship_replay.trials.attitude_monte_carlo import FinalError, final_error
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 NAMES = ("paper", "one_sensor", "turn", "outage", "late_shuffled", "sea_state_5", "paper_stars")

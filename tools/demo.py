@@ -14,19 +14,19 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_node.adapter import Adapter
-from ship_replay.bag_reader import read_bag
-from ship_replay.bounds import judge, read_bounds
-from ship_replay.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_replay.evaluate import Evaluation, evaluate
-from ship_replay.evaluation_tables import attitude_table
-from ship_replay.figures import attitude_error_figure, save_figure
-from ship_replay.live_run import LiveFailure, LiveRun
-from ship_replay.orientations import POINTING, SHIP_ATTITUDE, Orientation
-from ship_replay.times import NS_PER_S
-from ship_replay.topic_names import relative_topic
-from theodolite_calib.adapter import OpticalAxisAdapter
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.times import NS_PER_S
+from ship_bags.topic_names import relative_topic
+from ship_node.edge.adapter import Adapter
+from ship_replay.evaluation.bounds import judge, read_bounds
+from ship_replay.evaluation.evaluate import Evaluation, evaluate
+from ship_replay.evaluation.figures import attitude_error_figure, save_figure
+from ship_replay.evaluation.tables import attitude_table
+from ship_replay.offline.orientations import POINTING, SHIP_ATTITUDE, Orientation
+from ship_replay.trials.live_run import LiveFailure, LiveRun
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "build" / "demo"

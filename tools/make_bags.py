@@ -7,10 +7,10 @@ import argparse
 import hashlib
 from pathlib import Path
 
-from ship_replay.command_line import EXIT_DONE, CommandParser, run_command
-from ship_replay.simulate_command import write_bag
-from ship_replay.simulation.run import simulate
-from ship_replay.simulation.scenario_file import load_scenario
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_simulation.run import simulate
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.simulate_command import write_bag
 
 FOLDER = Path(__file__).resolve().parents[1] / "bags"
 SUMS = "SHA256SUMS"

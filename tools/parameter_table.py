@@ -3,10 +3,10 @@
 import sys
 from pathlib import Path
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_estimation.parameters import ParameterDescription, describe
-from theodolite_calib.adapter import OpticalAxisAdapter
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
 PAGE = Path(__file__).parents[1] / "docs" / "parameters.md"

@@ -20,9 +20,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "ship_attitude = ship_attitude_star.ship_attitude_node:main",
-            "star_attitude = ship_attitude_star.star_attitude_node:main",
-            "layout_study = ship_attitude_star.layout_study_command:main",
+            "ship_attitude = ship_attitude_star.ros.ship_attitude_node:main",
+            "star_attitude = ship_attitude_star.ros.star_attitude_node:main",
+            "layout_study = ship_attitude_star.layout.layout_study_command:main",
         ],
     },
 )

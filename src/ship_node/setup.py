@@ -10,7 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=["setuptools", "numpy", "PyYAML", "mcap", "mcap-ros2-support", "zstandard", "matplotlib"],
+    install_requires=["setuptools", "numpy", "PyYAML", "matplotlib"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Ship attitude team",

@@ -19,8 +19,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "fit_axes = theodolite_calib.fit_axes_command:main",
-            "optical_axis = theodolite_calib.optical_axis_node:main",
+            "fit_axes = theodolite_calib.axis_fit.fit_axes_command:main",
+            "optical_axis = theodolite_calib.ros.optical_axis_node:main",
         ],
     },
 )

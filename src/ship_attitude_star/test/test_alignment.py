@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from adapter_runs import FACTORY, START_NS
-from small_voyage import FORE, clean_run, config, drive, new_adapter, voyage
 
-from ship_attitude_star import alignment_file
-from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros import alignment_file
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_bags.errors import BadInput
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_node.errors import BadInput
+from ship_testing.adapter_runs import FACTORY, START_NS
+from ship_testing.small_voyage import FORE, clean_run, config, drive, new_adapter, voyage
 
 DAY_NS = 86_400 * 10**9
 

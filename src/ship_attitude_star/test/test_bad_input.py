@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import (
+
+from ship_attitude_star.measurements.samples import Reason
+from ship_geometry.rotations import ARCSEC
+from ship_testing.adapter_runs import (
     SECOND_NS,
     Arrival,
     added,
@@ -19,10 +22,7 @@ from adapter_runs import (
     stamp_of,
     without,
 )
-from small_voyage import FORE, INS, Run, clean_run, drive, new_adapter, voyage
-
-from ship_attitude_star.samples import Reason
-from ship_geometry.rotations import ARCSEC
+from ship_testing.small_voyage import FORE, INS, Run, clean_run, drive, new_adapter, voyage
 
 MOMENT_S = 2.5
 SOURCE = {INS: "ins", FORE: "star.fore"}

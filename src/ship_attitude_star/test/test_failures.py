@@ -4,15 +4,16 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-import star_voyage
-from adapter_runs import SECOND_NS, START_NS, AdapterRun, exactly, index_at, stamp_of, without
-from small_voyage import FORE, STARBOARD, clean_run, cut, drive, new_adapter, voyage
-from test_star_bad_input import FORE_SOLUTION
 
-from ship_attitude_star import messages_out, star_core
-from ship_attitude_star.attitude_output import CorrectedIns
-from ship_attitude_star.samples import Reason, Status
-from ship_attitude_star.ship_filter import ShipFilter
+from ship_attitude_star.measurements.samples import Reason, Status
+from ship_attitude_star.ros import ship_messages_out as messages_out
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.output import CorrectedIns
+from ship_attitude_star.star_attitude import core as star_core
+from ship_testing import star_voyage
+from ship_testing.adapter_runs import SECOND_NS, START_NS, AdapterRun, exactly, index_at, stamp_of, without
+from ship_testing.small_voyage import FORE, STARBOARD, clean_run, cut, drive, new_adapter, voyage
+from ship_testing.star_bad_input import FORE_SOLUTION
 
 MOMENT_S = 2.5
 DEFECT = "ArithmeticError: a defect ("

@@ -5,12 +5,12 @@ import pickle
 from collections import Counter
 
 import numpy as np
-from adapter_runs import SECOND_NS, START_NS, Arrival
-from garbage import paths, spoil
 from rclpy.serialization import serialize_message
-from small_voyage import FORE, INS, Run, clean_run, new_adapter, voyage
 
-from ship_attitude_star.samples import Status
+from ship_attitude_star.measurements.samples import Status
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival
+from ship_testing.garbage import paths, spoil
+from ship_testing.small_voyage import FORE, INS, Run, clean_run, new_adapter, voyage
 
 MESSAGES = 20_000
 REFERENCE = "reference/gyro/imu"

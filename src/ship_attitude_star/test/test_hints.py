@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_attitude_star.hints import Departure, heading_hint, odd_one_out
+from ship_attitude_star.guards.hints import Departure, heading_hint, odd_one_out
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 

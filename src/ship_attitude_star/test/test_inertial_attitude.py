@@ -6,17 +6,17 @@ import erfa
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from star_sky import POSITION, TIME_NS, configuration, ins_track, told_sky
 
-from ship_attitude_star.inertial_attitude import InertialAttitude, in_horizon
-from ship_attitude_star.samples import AttitudeMeasurement
-from ship_attitude_star.ship_filter import ShipFilter
-from ship_attitude_star.star_config import FieldOfView
+from ship_attitude_star.measurements.inertial_attitude import InertialAttitude, in_horizon
+from ship_attitude_star.measurements.samples import AttitudeMeasurement
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.stars.star_config import FieldOfView
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_geometry.time_scales import julian_date, tt_julian_date
+from ship_testing.star_sky import POSITION, TIME_NS, configuration, ins_track, told_sky
 
 FIELD = FieldOfView(np.deg2rad(10.0))
 POINT = FieldOfView()

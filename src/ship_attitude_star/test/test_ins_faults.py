@@ -5,12 +5,32 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import SECOND_NS, START_NS, Arrival, Arrivals, changed_where, in_order, index_at, replaced, stamp_of
-from small_voyage import FORE, INS, STARBOARD, Run, attitude, drive, new_adapter, quaternion_message, voyage
 
-from ship_attitude_star.samples import Reason, Status
+from ship_attitude_star.measurements.samples import Reason, Status
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+from ship_testing.adapter_runs import (
+    SECOND_NS,
+    START_NS,
+    Arrival,
+    Arrivals,
+    changed_where,
+    in_order,
+    index_at,
+    replaced,
+    stamp_of,
+)
+from ship_testing.small_voyage import (
+    FORE,
+    INS,
+    STARBOARD,
+    Run,
+    attitude,
+    drive,
+    new_adapter,
+    quaternion_message,
+    voyage,
+)
 
 Change = Callable[[Any], None]
 AXES = "xyz"

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_voyage import attitude
 
-from ship_attitude_star.ins_motion import InsMotion
-from ship_attitude_star.stream_guards import StreamGuards
+from ship_attitude_star.guards.stream_guards import StreamGuards
+from ship_attitude_star.star_attitude.ins_motion import InsMotion
 from ship_estimation.ins_config import GuardedInsConfig
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+from ship_testing.small_voyage import attitude
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000 * MS

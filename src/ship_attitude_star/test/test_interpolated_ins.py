@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.filter_model import SOURCE_INTERPOLATION
-from ship_attitude_star.samples import AttitudeEstimate, AttitudeMeasurement, Status
-from ship_attitude_star.ship_core import ShipAttitudeCore
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Status
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample

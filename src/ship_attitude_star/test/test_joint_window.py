@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from ship_attitude_star.joint_window import JointWindow
-from ship_attitude_star.star_attitude_config import JointConfig
+from ship_attitude_star.star_attitude.config import JointConfig
+from ship_attitude_star.star_attitude.joint_window import JointWindow
 
 MS = 1_000_000
 

@@ -6,10 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import SECOND_NS, START_NS, Arrival, delayed, exactly, in_order, index_at, replaced, stamp_of
-from small_voyage import FORE, INS, STARBOARD, clean_run, drive, new_adapter, voyage
 
-from ship_attitude_star.samples import Reason
+from ship_attitude_star.measurements.samples import Reason
+from ship_testing.adapter_runs import (
+    SECOND_NS,
+    START_NS,
+    Arrival,
+    delayed,
+    exactly,
+    in_order,
+    index_at,
+    replaced,
+    stamp_of,
+)
+from ship_testing.small_voyage import FORE, INS, STARBOARD, clean_run, drive, new_adapter, voyage
 
 LAG_S = 2.0
 

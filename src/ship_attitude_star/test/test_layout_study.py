@@ -7,10 +7,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from ship_attitude_star.installation_model import Reading, linearise
 from ship_attitude_star.layout.azimuths import recommended, scan
 from ship_attitude_star.layout.config import OperatingPoint, study_config
 from ship_attitude_star.layout.figures import plan_figure
+from ship_attitude_star.layout.installation_model import Reading, linearise
 from ship_attitude_star.layout.joint_error import Layout, error_map, total_arcsec
 from ship_attitude_star.layout.study import study
 from ship_attitude_star.layout.sweeps import SWEEPS, Curve, all_curves

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from ship_attitude_star import layout_study_command
+from ship_attitude_star.layout import layout_study_command
 from ship_attitude_star.layout.config import LayoutStudyConfig, study_config
-from ship_attitude_star.layout_study_command import main
+from ship_attitude_star.layout.layout_study_command import main
 from ship_estimation.parameters import describe
 
 THREE_SENSORS = """\

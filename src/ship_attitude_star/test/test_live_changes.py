@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import changed_where, index_at, replaced
-from small_voyage import FORE, INS, Run, clean_run, config, drive, new_adapter, quaternion_message, voyage
 
-from ship_attitude_star.samples import Reason, Status
+from ship_attitude_star.measurements.samples import Reason, Status
 from ship_estimation.parameters import ParameterError
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation
+from ship_testing.adapter_runs import changed_where, index_at, replaced
+from ship_testing.small_voyage import FORE, INS, Run, clean_run, config, drive, new_adapter, quaternion_message, voyage
 
 HALF = len(voyage()) // 2
 

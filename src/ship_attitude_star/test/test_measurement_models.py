@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ship_attitude_star.attitude_output import CorrectedIns
-from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.filter_model import devices
-from ship_attitude_star.measurement_models import ins_time_of, predict_attitude
-from ship_attitude_star.ship_filter import FilterState, ShipFilter
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
+from ship_attitude_star.ship_attitude.measurement_models import ins_time_of, predict_attitude
+from ship_attitude_star.ship_attitude.model import devices
+from ship_attitude_star.ship_attitude.output import CorrectedIns
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import exp_rotation, log_rotation

@@ -6,10 +6,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import SECOND_NS, START_NS, changed_where, stamp_of
 from geometry_msgs.msg import Quaternion
 from scipy.spatial.transform import Rotation
-from small_voyage import (
+
+from ship_attitude_star.measurements.samples import Horizon, Reason, Status
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_bags.message_factory import RosidlFactory
+from ship_geometry.frames import angles_from_rotation
+from ship_geometry.ros_axes import FRD_FROM_DEVICE, NED_FROM_HORIZON
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation, wrap_pi
+from ship_msgs.msg import Innovation, ShipAttitude
+from ship_testing.adapter_runs import SECOND_NS, START_NS, changed_where, stamp_of
+from ship_testing.small_voyage import (
     FORE,
     INS,
     STARBOARD,
@@ -24,15 +33,6 @@ from small_voyage import (
     since_start_s,
     voyage,
 )
-
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.samples import Horizon, Reason, Status
-from ship_geometry.frames import angles_from_rotation
-from ship_geometry.ros_axes import FRD_FROM_DEVICE, NED_FROM_HORIZON
-from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation, wrap_pi
-from ship_msgs.msg import Innovation, ShipAttitude
-from ship_node.message_factory import RosidlFactory
 
 
 def outputs(run: Run, from_s: float = -1.0, until_s: float = 1e6) -> list[Any]:

@@ -7,7 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import (
+
+from ship_attitude_star.measurements.samples import Horizon, Reason, Status
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_estimation.parameters import ParameterError
+from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_testing.adapter_runs import (
     FACTORY,
     SECOND_NS,
     START_NS,
@@ -20,9 +26,10 @@ from adapter_runs import (
     stamp_of,
     without,
 )
-from small_voyage import INS, Run, drive, ins_message
-from star_voyage import (
-    CAMERA_PARAMETERS,
+from ship_testing.ship_observations import SENSORS, config, sail
+from ship_testing.small_voyage import INS, Run, ins_message
+from ship_testing.star_bad_input import DROPPED, SOURCE, STARS_REFUSED, Change, star, without_star
+from ship_testing.star_voyage import (
     FIX,
     FORE,
     HEADING_DEG,
@@ -35,33 +42,15 @@ from star_voyage import (
     true_deck,
     voyage,
 )
-from test_star_bad_input import DROPPED, SOURCE, STARS_REFUSED, Change, star, without_star
-
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.samples import Horizon, Reason, Status
-from ship_estimation.parameters import ParameterError, build
-from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
-from ship_geometry.rotations import ARCSEC, log_rotation
 
 MOMENT_S = 1.5
 SHIP_TOPICS = ("ship/attitude", "ship/imu", "ship/alignment", "ship/error_budget", "ship/error_arcsec")
 
 
-_STAR = {"elevation_deg": 45.0, "camera": CAMERA_PARAMETERS, "input": "observations"}
-SENSORS: dict[str, Any] = {
-    "fore": {**_STAR, "azimuth_deg": 0.0, "frame_id": "star_fore"},
-    "starboard": {**_STAR, "azimuth_deg": 90.0, "frame_id": "star_starboard"},
-}
 
 
-def config(**changes: Any) -> ShipAttitudeConfig:
-    values: dict[str, Any] = {"ins": {"frame_id": "ins"}, "star_sensors": SENSORS, **changes}
-    return build(ShipAttitudeConfig, values)
 
 
-def sail(arrivals, **changes: Any) -> Run:
-    return drive(ShipAttitudeAdapter(config(**changes), FACTORY), arrivals)
 
 
 @functools.cache

@@ -7,13 +7,24 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, hand_over, in_order, stamp_of
-from small_voyage import FORE, INS, STARBOARD, Run, assert_honest, clean_run, cut, drive, new_adapter, voyage
-from star_voyage import FIX, except_
-from star_voyage import voyage as voyage_of_stars
-from test_ship_observations import sail
 
-from ship_attitude_star.samples import Status
+from ship_attitude_star.measurements.samples import Status
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, hand_over, in_order, stamp_of
+from ship_testing.ship_observations import sail
+from ship_testing.small_voyage import (
+    FORE,
+    INS,
+    STARBOARD,
+    Run,
+    assert_honest,
+    clean_run,
+    cut,
+    drive,
+    new_adapter,
+    voyage,
+)
+from ship_testing.star_voyage import FIX, except_
+from ship_testing.star_voyage import voyage as voyage_of_stars
 
 ATTITUDE = "ship/attitude"
 BUDGETS = ("ship/error_budget", "ship/error_arcsec")

@@ -7,10 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-import small_voyage
-from adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, exactly, in_order, stamp_of
-from small_voyage import INS, Run, drive
-from star_voyage import (
+
+from ship_attitude_star.measurements.samples import Reason
+from ship_attitude_star.sky.catalogue import hipparcos
+from ship_attitude_star.stars.solution import SolutionStatus
+from ship_estimation.consistency import mean_nees_band, normalized_error_squared
+from ship_estimation.gates import chi_square_gate
+from ship_estimation.parameters import ParameterError
+from ship_geometry.frames import angle_covariance, rotation_from_angles
+from ship_geometry.ros_axes import horizon_covariance, quaternion_from_rotation, rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_testing import small_voyage
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, exactly, in_order, stamp_of
+from ship_testing.small_voyage import INS, Run, drive
+from ship_testing.star_voyage import (
     CAMERA_PARAMETERS,
     FIX,
     FORE,
@@ -36,16 +46,6 @@ from star_voyage import (
     true_sensor,
     voyage,
 )
-
-from ship_attitude_star.catalogue import hipparcos
-from ship_attitude_star.samples import Reason
-from ship_attitude_star.star_solution import SolutionStatus
-from ship_estimation.consistency import mean_nees_band, normalized_error_squared
-from ship_estimation.gates import chi_square_gate
-from ship_estimation.parameters import ParameterError
-from ship_geometry.frames import angle_covariance, rotation_from_angles
-from ship_geometry.ros_axes import horizon_covariance, quaternion_from_rotation, rotation_from_quaternion
-from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 
 SOLUTION = {FORE: "star/fore/solution", STARBOARD: "star/starboard/solution"}
 JOINT = "star/joint/solution"

@@ -2,13 +2,18 @@
 
 import functools
 import itertools
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import (
+
+from ship_attitude_star.measurements.samples import Reason
+from ship_attitude_star.stars.solution import SolutionStatus
+from ship_geometry.earth_orientation import earth_orientation_table
+from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+from ship_testing.adapter_runs import (
     SECOND_NS,
     START_NS,
     Arrival,
@@ -22,9 +27,20 @@ from adapter_runs import (
     stamp_of,
     without,
 )
-from small_voyage import INS, Run, drive, quaternion_message
-from small_voyage import voyage as small_voyage
-from star_voyage import (
+from ship_testing.small_voyage import INS, Run, drive, quaternion_message
+from ship_testing.small_voyage import voyage as small_voyage
+from ship_testing.star_bad_input import (
+    DROPPED,
+    FORE_SOLUTION,
+    SOURCE,
+    STARS_REFUSED,
+    Change,
+    ahead,
+    put,
+    star,
+    without_star,
+)
+from ship_testing.star_voyage import (
     FIX,
     FORE,
     HUMIDITY,
@@ -44,60 +60,19 @@ from star_voyage import (
     voyage,
 )
 
-from ship_attitude_star.samples import Reason
-from ship_attitude_star.star_solution import SolutionStatus
-from ship_geometry.earth_orientation import earth_orientation_table
-from ship_geometry.ros_axes import rotation_from_quaternion
-from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
-
 MOMENT_S = 1.5
-SOURCE = {FORE: "star.fore", INS: "ins", FIX: FIX, PRESSURE: PRESSURE, HUMIDITY: HUMIDITY}
-FORE_SOLUTION = "star/fore/solution"
 DAY_NS = 86_400 * SECOND_NS
 
-Change = Callable[[Any], None]
 
 
-def put(path: str, value: Any) -> Change:
-    """Sets a field, as ``header.frame_id``."""
-    *parents, leaf = path.split(".")
-
-    def change(message: Any) -> None:
-        setattr(functools.reduce(getattr, parents, message), leaf, value)
-
-    return change
 
 
-def ahead(seconds: float) -> Change:
-    def change(message: Any) -> None:
-        ns = stamp_of(message) + round(seconds * SECOND_NS)
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, SECOND_NS)
-
-    return change
 
 
-def no_stamp(message: Any) -> None:
-    message.header.stamp.sec = message.header.stamp.nanosec = 0
 
 
-def no_fix(message: Any) -> None:
-    message.status.status = -1
 
 
-DROPPED = [
-    ("exposure stamp zero", FORE, no_stamp, "bad_stamp", "0 ns"),
-    ("exposure from the future", FORE, ahead(0.18), "future", "0.060 s ahead"),
-    ("exposure of another sensor", FORE, put("sensor_id", "aft"), "unknown_sensor", "'aft': expected 'fore'"),
-    ("exposure in another frame", FORE, put("header.frame_id", "aft"), "frame", "'aft': expected 'star_fore'"),
-    ("fix without fix", FIX, no_fix, "no_fix", "STATUS_NO_FIX"),
-    ("fix NaN", FIX, put("latitude", np.nan), "non_finite", "latitude"),
-    ("fix in minutes", FIX, put("longitude", 7217.6), "units", "expected degrees"),
-    ("fix stamp zero", FIX, no_stamp, "bad_stamp", "0 ns"),
-    ("pressure in hPa", PRESSURE, put("fluid_pressure", 1008.3), "units", "hPa, not Pa?"),
-    ("humidity in percent", HUMIDITY, put("relative_humidity", 60.0), "units", "percent?"),
-    ("ins quaternion NaN", INS, put("orientation.x", np.nan), "non_finite", "orientation"),
-    ("ins frame", INS, put("header.frame_id", "imu"), "frame", "'imu': expected 'ins'"),
-]
 
 
 @functools.cache
@@ -139,35 +114,10 @@ def innovations(run: Run, reason: Reason) -> list[Any]:
 # -- single stars ---------------------------------------------------------------------------------------------
 
 
-def star(row: int, **fields: Any) -> Change:
-    def change(message: Any) -> None:
-        for name, value in fields.items():
-            setattr(message.stars[row], name, value)
-
-    return change
 
 
-def without_star(row: int) -> Change:
-    def change(message: Any) -> None:
-        del message.stars[row]
-
-    return change
 
 
-STARS_REFUSED = [
-    ("pixel NaN", star(3, u=np.nan), Reason.NON_FINITE, "pixel (nan"),
-    ("pixel nonsense", star(3, v=1e12), Reason.UNITS, "1e+12"),
-    ("sigma negative", star(3, sigma_px=-1.0), Reason.BAD_COVARIANCE, "sigma_px -1"),
-    ("unknown number", star(3, catalogue_id=900_000), Reason.UNKNOWN_STAR, "HIP 900000: HIP 900000 is not in"),
-    (
-        "right ascension in degrees",
-        star(3, catalogue_id=0, right_ascension=310.36, declination=0.79),
-        Reason.UNITS,
-        "degrees?",
-    ),
-    # Achernar, declination -57°: it never rises at 32° north.
-    ("below the horizon", star(3, catalogue_id=7588), Reason.BELOW_HORIZON, "HIP 7588: elevation -"),
-]
 
 
 @pytest.mark.parametrize(

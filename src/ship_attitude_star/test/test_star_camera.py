@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ship_attitude_star.star_camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
+from ship_attitude_star.stars.camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
 from ship_geometry.rotations import ARCSEC, angle_between
 
 # 50 mm, 5 µm pixels: 20.6" each; 2048 pixels see 11.7°.

@@ -3,11 +3,12 @@
 import pickle
 
 import numpy as np
-from adapter_runs import SECOND_NS, START_NS, stamp_of
-from garbage import paths, spoil
 from rclpy.serialization import serialize_message
-from small_voyage import drive
-from star_voyage import FIX, FORE, INS, PRESSURE, STARBOARD, new_adapter, results, voyage
+
+from ship_testing.adapter_runs import SECOND_NS, START_NS, stamp_of
+from ship_testing.garbage import paths, spoil
+from ship_testing.small_voyage import drive
+from ship_testing.star_voyage import FIX, FORE, INS, PRESSURE, STARBOARD, new_adapter, results, voyage
 
 ROUNDS, MIXED_IN = 3, 12
 

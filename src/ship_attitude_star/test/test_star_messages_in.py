@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.catalogue import hipparcos
-from ship_attitude_star.samples import Reason
-from ship_attitude_star.star_camera import StarCamera
-from ship_attitude_star.star_config import CameraConfig, SkyConfig
-from ship_attitude_star.star_messages_in import MOST_STARS, sigmas_given, star_exposure
-from ship_attitude_star.surroundings_messages_in import humidity, position_fix, pressure, temperature
+from ship_attitude_star.measurements.samples import Reason
+from ship_attitude_star.ros.star_messages_in import MOST_STARS, sigmas_given, star_exposure
+from ship_attitude_star.ros.surroundings_messages_in import humidity, position_fix, pressure, temperature
+from ship_attitude_star.sky.catalogue import hipparcos
+from ship_attitude_star.stars.camera import StarCamera
+from ship_attitude_star.stars.star_config import CameraConfig, SkyConfig
+from ship_bags.message_factory import RosidlFactory
+from ship_bags.stamps import make_header
 from ship_geometry.rotations import ARCSEC
-from ship_node.message_checks import Refused
-from ship_node.message_factory import RosidlFactory
-from ship_node.stamps import make_header
+from ship_node.edge.message_checks import Refused
 
 FACTORY = RosidlFactory()
 STAMP_NS = 1_404_906_607_800_000_000

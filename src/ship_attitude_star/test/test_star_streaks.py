@@ -5,23 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from star_scenes import draw_scene
-from star_sky import POSITION, ROTATION_ND, TIME_NS, configuration, exposure_of, told_sky
 
-from ship_attitude_star.comparison import compare
-from ship_attitude_star.measurement_models import predict_attitude
-from ship_attitude_star.ship_core import ShipAttitudeCore
-from ship_attitude_star.ship_filter import ShipFilter
-from ship_attitude_star.sky_inputs import PositionFix
-from ship_attitude_star.star_camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
-from ship_attitude_star.star_exposure import ExposureLength
-from ship_attitude_star.star_fit import agreement, linearized
-from ship_attitude_star.star_streaks import at_middle
+from ship_attitude_star.measurements.star_exposure import ExposureLength
+from ship_attitude_star.ship_attitude.comparison import compare
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.measurement_models import predict_attitude
+from ship_attitude_star.sky.sky_inputs import PositionFix
+from ship_attitude_star.stars.camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
+from ship_attitude_star.stars.fit import agreement, linearized
+from ship_attitude_star.stars.streaks import at_middle
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_testing.star_scenes import draw_scene
+from ship_testing.star_sky import POSITION, ROTATION_ND, TIME_NS, configuration, exposure_of, told_sky
 
 CONFIG = configuration()
 CAMERA = StarCamera(0.05, 5.5e-6, 1023.5, 1023.5, Distortion(k1=-0.08, p1=2e-4))

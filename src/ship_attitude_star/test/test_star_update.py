@@ -4,7 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from star_sky import (
+
+from ship_attitude_star.measurements.inertial_attitude import InertialAttitude
+from ship_attitude_star.measurements.samples import AttitudeMeasurement, Reason
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.measurement_models import predict_attitude
+from ship_attitude_star.ship_attitude.star_update import star_residuals
+from ship_attitude_star.sky.sky_inputs import PositionFix
+from ship_attitude_star.stars.identification import identified
+from ship_attitude_star.stars.selection import AttitudePrior
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+from ship_testing.star_sky import (
     MAGNITUDE_LIMIT,
     ROTATION_ND,
     TIME_NS,
@@ -14,19 +27,6 @@ from star_sky import (
     told_sky,
     without_identity,
 )
-
-from ship_attitude_star.identification import identified
-from ship_attitude_star.inertial_attitude import InertialAttitude
-from ship_attitude_star.measurement_models import predict_attitude
-from ship_attitude_star.samples import AttitudeMeasurement, Reason
-from ship_attitude_star.ship_core import ShipAttitudeCore
-from ship_attitude_star.ship_filter import ShipFilter
-from ship_attitude_star.sky_inputs import PositionFix
-from ship_attitude_star.star_selection import AttitudePrior
-from ship_attitude_star.star_update import star_residuals
-from ship_geometry.attitude_track import AttitudeSample
-from ship_geometry.geodetic import GeodeticPosition
-from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 
 CONFIG = configuration()
 

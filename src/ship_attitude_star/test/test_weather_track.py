@@ -4,9 +4,9 @@ import itertools
 
 import pytest
 
-from ship_attitude_star.samples import Reason
-from ship_attitude_star.star_config import SkyConfig
-from ship_attitude_star.weather_track import WeatherTrack
+from ship_attitude_star.measurements.samples import Reason
+from ship_attitude_star.sky.weather_track import WeatherTrack
+from ship_attitude_star.stars.star_config import SkyConfig
 from ship_geometry.refraction import Weather
 
 SECOND_NS = 1_000_000_000

@@ -1,13 +1,9 @@
 """Nodes of these tests meet only each other: this machine, a domain of their own."""
 
 import os
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture(autouse=True)
@@ -19,8 +15,8 @@ def own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def live_relay(own_domain: None) -> Iterator[object]:
-    """Starts relay nodes in this process; see :class:`live_relay.LiveRelay`."""
-    from live_relay import LiveRelay
+    """Starts relay nodes in this process; see :class:`ship_testing.live_relay.LiveRelay`."""
+    from ship_testing.live_relay import LiveRelay
 
     started: list[LiveRelay] = []
 

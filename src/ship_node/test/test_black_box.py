@@ -3,20 +3,20 @@
 import json
 import resource
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
 from mcap.reader import NonSeekingReader
-from relay_adapter import RelayAdapter, RelayConfig
 from std_msgs.msg import String
 
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bags.mcap.mcap_writer import CHUNK_BYTES
+from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters import build
-from ship_node import black_box
-from ship_node.adapter_calls import AdapterCalls
-from ship_node.bag_writer import SUITE_ATTACHMENT
-from ship_node.black_box import MOST_BEFORE_TIME, BlackBox, free_path
-from ship_node.black_box_format import (
+from ship_node.black_box import black_box
+from ship_node.black_box.black_box import MOST_BEFORE_TIME, BlackBox, free_path
+from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     FORMAT,
     METADATA,
@@ -33,16 +33,15 @@ from ship_node.black_box_format import (
     event_from_text,
     event_text,
 )
-from ship_node.diagnostics import Level
-from ship_node.errors import BadInput
-from ship_node.files import NotedFiles
-from ship_node.mcap_writer import CHUNK_BYTES
-from ship_node.message_factory import RosidlFactory
-from ship_node.parameter_file import load_config
-from ship_node.parameter_text import parameter_text
+from ship_node.documents.files import NotedFiles
+from ship_node.edge.diagnostics import Level
+from ship_node.live.adapter_calls import AdapterCalls
+from ship_node.parameters.parameter_file import load_config
+from ship_node.parameters.parameter_text import parameter_text
+from ship_testing.box_entries import SECOND_NS, entries
+from ship_testing.relay_adapter import RelayAdapter, RelayConfig
 
 CONFIG = build(RelayConfig, {"sensors": {"fore": {"elevation_deg": 45}}})
-SECOND_NS = 1_000_000_000
 EVENTS: list[Event] = [
     Tick(),
     ClockJumpedBack(),
@@ -64,13 +63,6 @@ def new_box(path: Path | str, failures: list[str] | None = None) -> BlackBox:
     return BlackBox(str(path), adapter, CONFIG, adapter.outputs, "/ship", told.append)
 
 
-def entries(path: Path) -> list[tuple[str, Any, int]]:
-    """(topic, event or bytes, log time) in the order of the file."""
-    with path.open("rb") as stream:
-        found = NonSeekingReader(stream).iter_messages(log_time_order=False)
-        rows = [(channel.topic, message.data, message.log_time) for _, channel, message in found]
-    # CDR of a String: head of 4 bytes, length of 4, text, one zero.
-    return [(topic, event_from_text(d[8:-1].decode()) if topic == EVENTS_TOPIC else d, ns) for topic, d, ns in rows]
 
 
 @pytest.mark.parametrize("event", EVENTS, ids=lambda event: type(event).__name__)

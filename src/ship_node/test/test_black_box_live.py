@@ -2,19 +2,16 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import Trigger
-from test_black_box import SECOND_NS, entries
 
 from ship_msgs.msg import ShipAttitude
-from ship_node.black_box_format import (
+from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     ChangeRefused,
     ClockJumpedBack,
@@ -23,6 +20,9 @@ from ship_node.black_box_format import (
     ServiceCalled,
     Tick,
 )
+from ship_testing.box_entries import SECOND_NS, entries
+from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
+from ship_testing.places import RELAY_PROGRAM
 
 REFUSAL = "parameter 'gate.count' = 13 is not wanted by the adapter"
 
@@ -133,8 +133,7 @@ def test_the_parameter_is_read_only_and_without_it_there_is_no_box(live_relay, t
 def test_a_bad_path_is_one_line_with_file_and_line(tmp_path, value, reason):
     file = tmp_path / "relay.yaml"
     file.write_text(f"relay:\n  ros__parameters:\n    black_box: {value}\n", encoding="utf-8")
-    program = Path(__file__).with_name("relay_adapter.py")
-    command = [sys.executable, str(program), "--ros-args", "--params-file", str(file)]
+    command = [sys.executable, RELAY_PROGRAM, "--ros-args", "--params-file", str(file)]
     finished = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert finished.returncode == 2
     assert finished.stderr.splitlines() == [finished.stderr.rstrip("\n")]

@@ -9,7 +9,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32
 
-from ship_node.clock_queue import CLOCK_DEPTH, queue_clock
+from ship_node.live.clock_queue import CLOCK_DEPTH, queue_clock
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
 COUNT = 200

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from ship_testing.places import RELAY_PROGRAM
+
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
 
-RELAY = [sys.executable, str(Path(__file__).with_name("relay_adapter.py"))]
+RELAY = [sys.executable, RELAY_PROGRAM]
 
 
 def run_relay(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -127,7 +129,7 @@ def test_mend_12_a_file_about_other_nodes_is_one_warning_and_each_file_is_judged
 
 
 def test_mend_18_told_to_end_while_it_still_reads_its_libraries_it_ends_well():
-    code = "from ship_node.start import start_node; start_node('relay_adapter', 'RelayAdapter')"
+    code = "from ship_node.live.start import start_node; start_node('relay_adapter', 'RelayAdapter')"
     with subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parent, stderr=subprocess.PIPE) as process:
         proc = Path(f"/proc/{process.pid}")
         deadline_s = time.monotonic() + 30.0

@@ -1,5 +1,5 @@
-from ship_node.diagnostics import Level
-from ship_node.guard import Guard
+from ship_node.edge.diagnostics import Level
+from ship_node.live.guard import Guard
 
 
 class Log:

@@ -1,6 +1,6 @@
 """What waits for an adapter: in order, bounded, what is cut is counted."""
 
-from ship_node.inbox import LARGEST_MESSAGE_BYTES, Arrival, Inbox
+from ship_node.live.inbox import LARGEST_MESSAGE_BYTES, Arrival, Inbox
 
 
 def arrivals(topic: str, *numbers: int) -> list[Arrival]:

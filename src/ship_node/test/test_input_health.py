@@ -2,11 +2,11 @@ import math
 
 import pytest
 
-from ship_node.diagnostics import Level
-from ship_node.input_health import InputHealthBook
-from ship_node.message_factory import RosidlFactory
-from ship_node.stamps import duration_text
-from ship_node.topics import InputTopic
+from ship_bags.message_factory import RosidlFactory
+from ship_bags.stamps import duration_text
+from ship_node.edge.diagnostics import Level
+from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.topics import InputTopic
 
 MS = 1_000_000
 S = 1_000_000_000

@@ -8,20 +8,20 @@ from itertools import pairwise
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from relay_adapter import EXPLOSIVE_FRAME
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from ship_node.adapter import TICK_PERIOD_NS
-from ship_node.inbox import LARGEST_MESSAGE_BYTES
-from ship_node.node_clock import DEAD_AFTER_NS
-from ship_node.stamps import ns_from_stamp
+from ship_bags.stamps import ns_from_stamp
+from ship_node.edge.adapter import TICK_PERIOD_NS
+from ship_node.live.inbox import LARGEST_MESSAGE_BYTES
+from ship_node.live.node_clock import DEAD_AFTER_NS
+from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
+from ship_testing.relay_adapter import EXPLOSIVE_FRAME
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
 

@@ -6,7 +6,7 @@ import pytest
 
 from ship_estimation.refusals import LONGEST_TEXT, Reason, Refusal, shortened
 from ship_msgs.msg import Innovation
-from ship_node.message_checks import (
+from ship_node.edge.message_checks import (
     Refused,
     covariance_3x3,
     device_id,

@@ -7,9 +7,9 @@ import rclpy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Int32
 
-from ship_node.diagnostics import Level
-from ship_node.guard import Guard
-from ship_node.node_events import MOST_EVENTS, NodeEvents
+from ship_node.edge.diagnostics import Level
+from ship_node.live.guard import Guard
+from ship_node.live.node_events import MOST_EVENTS, NodeEvents
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
 DEPTH = 100

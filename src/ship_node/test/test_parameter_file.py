@@ -7,9 +7,9 @@ from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
+from ship_bags.errors import BadInput
 from ship_estimation.parameters import parameter, section
-from ship_node.errors import BadInput
-from ship_node.parameter_file import anywhere, full_name, load, load_config, misfit, read, read_whatever_fits
+from ship_node.parameters.parameter_file import anywhere, full_name, load, load_config, misfit, read, read_whatever_fits
 
 RCLError = rclpy_implementation.RCLError
 

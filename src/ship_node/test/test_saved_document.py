@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_node.errors import BadInput
-from ship_node.saved_document import SavedFormat, finite_numbers, joint_covariance, section, stamp_ns, texts
+from ship_bags.errors import BadInput
+from ship_node.documents.saved_document import SavedFormat, finite_numbers, joint_covariance, section, stamp_ns, texts
 
 
 @pytest.mark.parametrize(

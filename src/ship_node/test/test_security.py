@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from ship_node.errors import BadInput
-from ship_node.security import ENABLE, STRATEGY, dds_has_security, is_demanded, loaded_libraries, spelled_demand
+from ship_bags.errors import BadInput
+from ship_bags.live.security import ENABLE, STRATEGY, dds_has_security, is_demanded, loaded_libraries, spelled_demand
+from ship_testing.places import RELAY_PROGRAM
 
-RELAY = [sys.executable, str(Path(__file__).with_name("relay_adapter.py"))]
+RELAY = [sys.executable, RELAY_PROGRAM]
 WITHOUT = b"\x00_ZN15MessageReceiver37process_data_message_without_securityEb\x00"
 WITH = WITHOUT + b"\x00_ZN15MessageReceiver34process_data_message_with_securityEb\x00"
 

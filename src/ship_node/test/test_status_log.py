@@ -2,8 +2,8 @@
 
 import pytest
 
-from ship_node.diagnostics import Level, Status
-from ship_node.status_log import StatusLog
+from ship_node.edge.diagnostics import Level, Status
+from ship_node.live.status_log import StatusLog
 
 
 class Lines:

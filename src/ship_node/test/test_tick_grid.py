@@ -1,4 +1,4 @@
-from ship_node.tick_grid import TickGrid, WaitingClock
+from ship_node.live.tick_grid import TickGrid, WaitingClock
 
 
 def test_first_call_only_starts_the_grid():

@@ -1,1 +1,1 @@
-"""Bags: simulate, replay, play, record, evaluate, import."""
+"""The suite offline: replay, verify, evaluate, calibrate, check before the voyage, try in many runs."""

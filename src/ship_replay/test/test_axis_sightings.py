@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import yaml
 
+from ship_bags.mcap.bag_reader import read_bag
 from ship_geometry.rotations import ARCSEC
-from ship_replay.axis_sightings import AxisSighting, AxisSightings, axis_sightings
-from ship_replay.axis_sightings_command import main
-from ship_replay.bag_reader import read_bag
-from ship_replay.bag_suite import suite_text
-from ship_replay.evaluate import evaluate
-from ship_replay.replay import replay
-from theodolite_calib import fit_axes_command
-from theodolite_calib.adapter import OpticalAxisAdapter
-from theodolite_calib.axes import NAMES
+from ship_replay.calibration.axis_sightings import AxisSighting, AxisSightings, axis_sightings
+from ship_replay.commands.axis_sightings import main
+from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.offline.bag_suite import suite_text
+from ship_replay.offline.replay import replay
+from theodolite_calib.axis_fit import fit_axes_command
 from theodolite_calib.axis_fit.sighting_file import read_sightings
+from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 BAGS = Path(__file__).parents[3] / "bags"
 

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from calibration_sessions import HEELING, STILL, TURN, session, write_session
 
-from ship_attitude_star import alignment_file
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_attitude_star.config import ShipAttitudeConfig
+from ship_attitude_star.ros import alignment_file
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_bags.message_store import RosbagsFactory
 from ship_estimation.parameters import build
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
-from ship_replay.calibrate_installation_command import main
-from ship_replay.message_store import RosbagsFactory
-from ship_replay.simulation.run import SimulatedRun
-from ship_replay.simulation.scenario_file import load_scenario
-from ship_replay.simulation.suite import suite_configuration
+from ship_replay.commands.calibrate_installation import main
+from ship_simulation.run import SimulatedRun
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.suite import suite_configuration
+from ship_testing.calibration_sessions import HEELING, STILL, TURN, session, write_session
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 

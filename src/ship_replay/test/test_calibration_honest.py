@@ -5,21 +5,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibration_sessions import HEELING, STILL, TURN, session
 
-from ship_attitude_star import alignment_file
-from ship_attitude_star.config import ShipAttitudeConfig
-from ship_attitude_star.ship_core import ShipAttitudeCore
+from ship_attitude_star.ros import alignment_file
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.parameters import build
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
 from ship_replay.calibration.result import Calibration, calibration_of
 from ship_replay.calibration.session import Session
-from ship_replay.monte_carlo import core_for, feed
-from ship_replay.simulation.run import SimulatedRun, simulate
-from ship_replay.simulation.scenario import Scenario
-from ship_replay.simulation.suite import suite_configuration
+from ship_replay.trials.attitude_monte_carlo import core_for, feed
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.suite.suite import suite_configuration
+from ship_testing.calibration_sessions import HEELING, STILL, TURN, session
 
 SEEDS = 30
 VOYAGES = 16

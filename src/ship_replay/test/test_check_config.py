@@ -1,12 +1,12 @@
 """check_config: all that is wrong, each with its line, and what does not fit the bag."""
 
 import pytest
-from hand_made_bags import START_NS, imu, vector
 
-from ship_node.stamps import make_header
-from ship_replay.bag_writer import BagWriter
-from ship_replay.check_config_command import main
-from ship_replay.message_store import RosbagsFactory
+from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.stamps import make_header
+from ship_replay.commands.check_config import main
+from ship_testing.hand_made_bags import START_NS, imu, vector
 
 GOOD = """\
 ship_attitude:

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hand_made_bags import START_NS, imu
 
-from ship_node.stamps import make_header
-from ship_replay.bag_reader import read_bag
-from ship_replay.bag_writer import SUITE_ATTACHMENT, BagWriter
-from ship_replay.check_config_command import main
-from ship_replay.message_store import RosbagsFactory
-from ship_replay.simulate_command import main as simulate
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.stamps import make_header
+from ship_replay.commands.check_config import main
+from ship_simulation.simulate_command import main as simulate
+from ship_testing.hand_made_bags import START_NS, imu
 
 BAGS = Path(__file__).parents[3] / "bags"
 

@@ -4,16 +4,16 @@ import json
 
 import numpy as np
 import pytest
-from hand_made_bags import FACTORY, START_NS, imu, innovation, ship_attitude
 
+from ship_bags.errors import BadInput
+from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.stamps import make_header
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_node.stamps import make_header
-from ship_replay.bag_writer import BagWriter
-from ship_replay.errors import BadInput
-from ship_replay.evaluate import evaluate
-from ship_replay.evaluate_command import main
-from ship_replay.evaluation_tables import innovation_table
+from ship_replay.commands.evaluate import main
+from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.evaluation.tables import innovation_table
+from ship_testing.hand_made_bags import FACTORY, START_NS, imu, innovation, ship_attitude
 
 SECOND_NS = 1_000_000_000
 SUITE = """\

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from ship_node.figure_files import settled
-from ship_replay.attitude_errors import AttitudeErrors
-from ship_replay.figures import attitude_error_figure, innovation_figure
-from ship_replay.innovations import Judged, SourceInnovations
+from ship_node.documents.figure_files import settled
+from ship_replay.evaluation.attitude_errors import AttitudeErrors
+from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
+from ship_replay.evaluation.innovations import Judged, SourceInnovations
 
 COUNT = 200
 CHANNELS = ("heading", "pitch", "roll")

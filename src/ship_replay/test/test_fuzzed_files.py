@@ -16,24 +16,22 @@ import zstandard
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Schema
-from test_import_nmea import GYR1, MWX1, SEAP
-from test_recover import places
-from test_simulate_command import SHORT
 
-from ship_node.black_box_format import VERSIONS_ATTACHMENT
-from ship_replay import (
-    axis_sightings_command,
-    calibrate_installation_command,
-    check_config_command,
-    evaluate_command,
-    import_nmea_command,
-    record_command,
-    replay_command,
-    simulate_command,
-)
-from ship_replay.bag_reader import read_bag
-from ship_replay.bag_writer import BagWriter
-from theodolite_calib import fit_axes_command
+from ship_bags.commands import import_nmea as import_nmea_command
+from ship_bags.commands import record as record_command
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_node.black_box.black_box_format import VERSIONS_ATTACHMENT
+from ship_replay.commands import axis_sightings as axis_sightings_command
+from ship_replay.commands import calibrate_installation as calibrate_installation_command
+from ship_replay.commands import check_config as check_config_command
+from ship_replay.commands import evaluate as evaluate_command
+from ship_replay.commands import replay as replay_command
+from ship_simulation import simulate_command
+from ship_testing.mcap_places import places
+from ship_testing.ship_logs import GYR1, MWX1, SEAP
+from ship_testing.short_scenario import SHORT
+from theodolite_calib.axis_fit import fit_axes_command
 
 # Mutations of each kind of file; FUZZ_COUNT=500 tries harder.
 COUNT = int(os.environ.get("FUZZ_COUNT", "12"))

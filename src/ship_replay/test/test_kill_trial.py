@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_replay.kill_trial import KillTrial, kill_node, kill_recorder
+from ship_replay.trials.kill_trial import KillTrial, kill_node, kill_recorder
 
 SEEDS = (1, 2, 3)
 

@@ -5,16 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hand_made_bags import START_NS, imu
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_node.stamps import ns_from_stamp
-from ship_replay.bag_reader import BagRecord, read_bag
-from ship_replay.bag_writer import BagWriter
-from ship_replay.log_times import LogTimes, in_order_of_stamps
-from ship_replay.message_store import message_store, serialize
-from ship_replay.replay import replay
-from ship_replay.replay_command import main
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_bags.mcap.bag_reader import BagRecord, read_bag
+from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.message_store import message_store, serialize
+from ship_bags.stamps import ns_from_stamp
+from ship_replay.commands.replay import main
+from ship_replay.offline.log_times import LogTimes, in_order_of_stamps
+from ship_replay.offline.replay import replay
+from ship_testing.hand_made_bags import START_NS, imu
 
 DEMO = Path(__file__).parents[3] / "bags" / "demo.mcap"
 SECOND_NS = 10**9

@@ -4,24 +4,24 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hand_made_bags import FACTORY, START_NS, innovation, ship_attitude
-from theodolite_scenes import bag_scenario, with_beacons, without_errors
 
+from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.stamps import make_header
 from ship_geometry.frames import rotation_vector_covariance
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC
-from ship_node.stamps import make_header
-from ship_replay.bag_writer import BagWriter
-from ship_replay.evaluate import evaluate
-from ship_replay.evaluate_command import main
-from ship_replay.figures import attitude_error_figure
-from ship_replay.message_store import RosbagsFactory
-from ship_replay.orientations import POINTING
-from ship_replay.simulate_command import write_bag
-from ship_replay.simulation.run import simulate
-from ship_replay.simulation.scenario import Ins
-from ship_replay.simulation.theodolite.truth_messages import true_pointings
-from ship_replay.truth_errors import TruthErrors
+from ship_replay.commands.evaluate import main
+from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.evaluation.figures import attitude_error_figure
+from ship_replay.offline.orientations import POINTING
+from ship_replay.offline.truth_errors import TruthErrors
+from ship_simulation.messages.theodolite_truth_messages import true_pointings
+from ship_simulation.run import simulate
+from ship_simulation.scenario.scenario import Ins
+from ship_simulation.simulate_command import write_bag
+from ship_testing.hand_made_bags import FACTORY, START_NS, innovation, ship_attitude
+from ship_testing.theodolite_scenes import bag_scenario, with_beacons, without_errors
 
 SECOND_NS = 1_000_000_000
 SIGMA_ARCSEC = np.array([6.0, 3.0, 40.0])

@@ -4,21 +4,21 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, ship_attitude, write_imu_bag
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_file import open_mcap
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.message_store import serialize
+from ship_bags.stamps import ns_from_stamp
 from ship_estimation.parameters import parameter
 from ship_geometry.rotations import ARCSEC
-from ship_node.input_health import InputHealthBook
-from ship_node.stamps import ns_from_stamp
-from ship_node.topics import InputTopic, OutputTopic
-from ship_replay.bag_file import open_mcap
-from ship_replay.bag_reader import read_bag
-from ship_replay.bag_writer import BagWriter
-from ship_replay.errors import BadInput
-from ship_replay.message_store import serialize
-from ship_replay.replay import replay
-from ship_replay.replay_command import main
+from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.topics import InputTopic, OutputTopic
+from ship_replay.commands.replay import main
+from ship_replay.offline.replay import replay
+from ship_testing.hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, ship_attitude, write_imu_bag
 
 TICK_NS = 100_000_000
 SUITE = "/**/tiny:\n  ros__parameters:\n    error_arcsec: 2.0\n"

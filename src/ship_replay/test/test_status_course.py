@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 import pytest
-from hand_made_bags import START_NS, imu, ship_attitude
 
-from ship_node.stamps import make_header
-from ship_replay.bag_writer import BagWriter
-from ship_replay.check_config_command import main as check_config
-from ship_replay.gaps import Gaps
-from ship_replay.message_store import RosbagsFactory
-from ship_replay.replay_command import main as replay
-from ship_replay.status_course import StatusCourse
+from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.stamps import make_header
+from ship_replay.commands.check_config import main as check_config
+from ship_replay.commands.replay import main as replay
+from ship_replay.offline.gaps import Gaps
+from ship_replay.offline.status_course import StatusCourse
+from ship_testing.hand_made_bags import START_NS, imu, ship_attitude
 
 SECOND_NS = 1_000_000_000
 VALID, COASTING, DEGRADED, INVALID = range(4)

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_replay.bag_reader import read_bag
-from ship_replay.bag_writer import SUITE_ATTACHMENT, BagWriter
-from ship_replay.message_store import message_store
-from ship_replay.replay import replay as replay_bag
-from ship_replay.replay_command import main
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.message_store import message_store
+from ship_replay.commands.replay import main
+from ship_replay.offline.replay import replay as replay_bag
 
 DEMO = Path(__file__).parents[3] / "bags" / "demo.mcap"
 LENGTH_NS = 5_000_000_000

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation, wrap_pi
-from theodolite_calib.axes import NAMES, AxisErrors, direction_change, encoder_angles, main_axis, main_axis_rotation
+from theodolite_calib.chain.axes import (
+    NAMES,
+    AxisErrors,
+    direction_change,
+    encoder_angles,
+    main_axis,
+    main_axis_rotation,
+)
 
 SMALL = AxisErrors(*(ARCSEC * np.array([-30.0, 20.0, -35.0, 40.0, 25.0, -38.0, 12.0])).tolist())
 LARGE = AxisErrors(g=2.0, h=-0.3, c=0.04, I=-0.03, beta_x=0.02, beta_y=0.05, flexure=0.08)

@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import (
+
+from ship_estimation.refusals import LONGEST_TEXT, Reason
+from ship_geometry.rotations import ARCSEC
+from ship_testing.adapter_runs import (
     SECOND_NS,
     Arrival,
     added,
@@ -18,7 +21,7 @@ from adapter_runs import (
     stamp_of,
     without,
 )
-from small_session import (
+from ship_testing.small_session import (
     BASELINE,
     BEACONS,
     ENCODER,
@@ -31,11 +34,8 @@ from small_session import (
     new_adapter,
     session,
 )
-
-from ship_estimation.refusals import LONGEST_TEXT, Reason
-from ship_geometry.rotations import ARCSEC
-from theodolite_calib.messages_in import MOST_LIGHTS
-from theodolite_calib.samples import Mode, Status
+from theodolite_calib.measured.samples import Mode, Status
+from theodolite_calib.ros.messages_in import MOST_LIGHTS
 
 MOMENT_S = 3.0
 ALPHA = BASELINE["alpha"]

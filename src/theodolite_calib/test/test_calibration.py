@@ -5,18 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from adapter_runs import FACTORY, SECOND_NS
-from small_session import AXES, BEACONS, FOCAL_LENGTH_M, clean_run, config, drive, new_adapter, session
 
+from ship_bags.errors import BadInput
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC
-from ship_node.errors import BadInput
-from ship_node.start_line import start_line
-from theodolite_calib import calibration_file
-from theodolite_calib.adapter import OpticalAxisAdapter
-from theodolite_calib.calibration import SAVED_NAMES, CalibrationPrior, prior_of, state_from_prior
-from theodolite_calib.calibration_filter import CalibrationFilter
-from theodolite_calib.samples import Status
+from ship_node.live.start_line import start_line
+from ship_testing.adapter_runs import FACTORY, SECOND_NS
+from ship_testing.small_session import AXES, BEACONS, FOCAL_LENGTH_M, clean_run, config, drive, new_adapter, session
+from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.measured.samples import Status
+from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior, prior_of, state_from_prior
+from theodolite_calib.ros import calibration_file
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 NOW_NS = session()[-1].receive_ns
 DAY_NS = 86400 * SECOND_NS

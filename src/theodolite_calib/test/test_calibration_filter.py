@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from simulated_session import LIGHTS_DEG, config, session, sweep
 
 from ship_estimation.consistency import mean_nees_band
 from ship_estimation.kalman import predict
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
-from theodolite_calib.calibration_filter import CalibrationFilter, FilterState
-from theodolite_calib.samples import Exposure
-from theodolite_calib.sighting_at import Sighting
-from theodolite_calib.sighting_step import SightingStep
+from ship_testing.simulated_session import LIGHTS_DEG, config, session, sweep
+from theodolite_calib.filter.filter import CalibrationFilter, FilterState
+from theodolite_calib.filter.sighting_step import SightingStep
+from theodolite_calib.measured.samples import Exposure
+from theodolite_calib.measured.sighting import Sighting
 
 EVERYTHING = {
     "ship__source": "ins/imu",

@@ -5,11 +5,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import START_NS, Arrival, changed_where, index_at, replaced, without
-from small_session import BEACONS, ENCODER, Run, clean_run, drive, error_in_sigmas, new_adapter, session, stamp_of
 
 from ship_estimation.refusals import Reason
-from theodolite_calib.samples import Status
+from ship_testing.adapter_runs import START_NS, Arrival, changed_where, index_at, replaced, without
+from ship_testing.small_session import (
+    BEACONS,
+    ENCODER,
+    Run,
+    clean_run,
+    drive,
+    error_in_sigmas,
+    new_adapter,
+    session,
+    stamp_of,
+)
+from theodolite_calib.measured.samples import Status
 
 
 def seconds(message: Any) -> float:

@@ -6,8 +6,8 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.vector_track import VectorTrack
-from theodolite_calib.encoder_watch import EncoderWatch
-from theodolite_calib.samples import EncoderSample
+from theodolite_calib.measured.encoder_watch import EncoderWatch
+from theodolite_calib.measured.samples import EncoderSample
 
 PERIOD_NS = 10_000_000
 FREE = 1e9

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from axis_sightings import ERRORS, sight, spread
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from theodolite_calib import calibration_file
-from theodolite_calib.axes import NAMES
+from ship_testing.axis_sightings import ERRORS, sight, spread
 from theodolite_calib.axis_fit.coverage import azimuth_and_elevation
+from theodolite_calib.axis_fit.fit_axes_command import WRITTEN, main
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, read_sightings
-from theodolite_calib.calibration import SAVED_NAMES
-from theodolite_calib.fit_axes_command import WRITTEN, main
+from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.optical_axis.calibration import SAVED_NAMES
+from theodolite_calib.ros import calibration_file
 
 HEADER = "observation,encoder_azimuth_deg,encoder_elevation_deg,azimuth_offset_deg,elevation_offset_deg"
 COUNT = 40

@@ -6,12 +6,21 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from simulated_sightings import CAMERA, FOUR_LIGHTS_DEG, LIGHTS_DEG, SURVEY, error_free, project, raised, truth_of
 
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
-from theodolite_calib.equations import AttitudePrior, linearised, total
-from theodolite_calib.line_of_sight import LeverArm, covariance_by_source
-from theodolite_calib.pointing import Pointing, solve
+from ship_testing.simulated_sightings import (
+    CAMERA,
+    FOUR_LIGHTS_DEG,
+    LIGHTS_DEG,
+    SURVEY,
+    error_free,
+    project,
+    raised,
+    truth_of,
+)
+from theodolite_calib.lights.equations import AttitudePrior, linearised, total
+from theodolite_calib.lights.line_of_sight import LeverArm, covariance_by_source
+from theodolite_calib.lights.telescope_attitude import Pointing, solve
 
 
 def solved(problem: "FullProblem") -> Pointing:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.image import Camera, unit_vector_jacobian
+from theodolite_calib.lights.image import Camera, unit_vector_jacobian
 
 CAMERA = Camera(0.1, 1e-4, np.array([3e-4, -5e-4]))
 

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_session import LIGHTS_DEG, config, session, sweep
 
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
-from theodolite_calib.calibration_filter import CalibrationFilter
-from theodolite_calib.samples import Exposure
-from theodolite_calib.sighting import Image
-from theodolite_calib.sighting_at import Sighting
-from theodolite_calib.sighting_step import SightingStep
+from ship_testing.simulated_session import LIGHTS_DEG, config, session, sweep
+from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.filter.sighting_step import SightingStep
+from theodolite_calib.lights.light_points import Image
+from theodolite_calib.measured.samples import Exposure
+from theodolite_calib.measured.sighting import Sighting
 
 THREE_DEG = {**LIGHTS_DEG, "charlie": (-2.0, 2.5)}
 CHARLIE = {"beacons__charlie__rtk__bias_sigma_m": 0.0}

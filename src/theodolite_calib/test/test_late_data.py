@@ -4,11 +4,22 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from adapter_runs import SECOND_NS, Arrival, delayed, index_at, replaced, stamp_of
-from small_session import ALL_TOPICS, BASELINE, BEACONS, ENCODER, IMU, SHIP, clean_run, drive, new_adapter, session
 
 from ship_estimation.refusals import Reason
-from theodolite_calib.samples import Status
+from ship_testing.adapter_runs import SECOND_NS, Arrival, delayed, index_at, replaced, stamp_of
+from ship_testing.small_session import (
+    ALL_TOPICS,
+    BASELINE,
+    BEACONS,
+    ENCODER,
+    IMU,
+    SHIP,
+    clean_run,
+    drive,
+    new_adapter,
+    session,
+)
+from theodolite_calib.measured.samples import Status
 
 LAG_S = 2.0
 ALPHA = BASELINE["alpha"]

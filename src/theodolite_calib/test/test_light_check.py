@@ -4,13 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_sightings import CAMERA, FOUR_LIGHTS_DEG, LIGHTS_DEG, Epochs, error_free, paper_epochs, truth_of
 
 from ship_estimation.consistency import mean_nees_band
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation
-from theodolite_calib.equations import AttitudePrior
-from theodolite_calib.light_check import LightCheck, Verdict, angle_residuals, check_lights
-from theodolite_calib.pointing import solve
+from ship_testing.simulated_sightings import (
+    CAMERA,
+    FOUR_LIGHTS_DEG,
+    LIGHTS_DEG,
+    Epochs,
+    error_free,
+    paper_epochs,
+    truth_of,
+)
+from theodolite_calib.lights.equations import AttitudePrior
+from theodolite_calib.lights.light_check import LightCheck, Verdict, angle_residuals, check_lights
+from theodolite_calib.lights.telescope_attitude import solve
 
 PROBABILITY = 0.999
 THREE_LIGHTS_DEG = FOUR_LIGHTS_DEG[:3]

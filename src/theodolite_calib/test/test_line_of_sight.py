@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_sightings import CAMERA, SURVEY, error_free, raised, truth_of
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from theodolite_calib.line_of_sight import (
+from ship_testing.simulated_sightings import CAMERA, SURVEY, error_free, raised, truth_of
+from theodolite_calib.lights.line_of_sight import (
     ErrorTerm,
     LeverArm,
     Lights,

@@ -1,8 +1,10 @@
 """What the pointing rests on and what it is worth: a ship that coasts, the INS alone."""
 
 import numpy as np
-from adapter_runs import changed_where
-from small_session import (
+
+from ship_msgs.msg import OpticalAxisPointing, ShipAttitude
+from ship_testing.adapter_runs import changed_where
+from ship_testing.small_session import (
     BEACONS,
     SHIP,
     clean_run,
@@ -12,9 +14,7 @@ from small_session import (
     new_adapter,
     session,
 )
-
-from ship_msgs.msg import OpticalAxisPointing, ShipAttitude
-from theodolite_calib.samples import Mode, Status
+from theodolite_calib.measured.samples import Mode, Status
 
 # The time offset of 5 ms alone is 36" at 2°/s.
 INS = {"ship__source": "ins/imu", "ins__time_offset_sigma_s": 0.0}

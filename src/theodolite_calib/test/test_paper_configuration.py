@@ -4,13 +4,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from paper_method import angles, mean_of_two_triads
-from simulated_sightings import Epochs, paper_epochs, truth_of
 
 from ship_estimation.consistency import normalized_error_squared
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
-from theodolite_calib.pointing import Pointing, solve
+from ship_testing.paper_method import angles, mean_of_two_triads
+from ship_testing.simulated_sightings import Epochs, paper_epochs, truth_of
+from theodolite_calib.lights.telescope_attitude import Pointing, solve
 
 EPOCHS = 10_000
 AZIMUTH_DEG = 77.0

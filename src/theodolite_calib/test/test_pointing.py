@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from simulated_sightings import (
+
+from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
+from ship_testing.simulated_sightings import (
     CAMERA,
     DISTANCE_M,
     FOUR_LIGHTS_DEG,
@@ -16,13 +19,10 @@ from simulated_sightings import (
     paper_epochs,
     truth_of,
 )
-
-from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
-from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
-from theodolite_calib.equations import AttitudePrior
-from theodolite_calib.image import Camera
-from theodolite_calib.line_of_sight import LeverArm
-from theodolite_calib.pointing import Pointing, solve
+from theodolite_calib.lights.equations import AttitudePrior
+from theodolite_calib.lights.image import Camera
+from theodolite_calib.lights.line_of_sight import LeverArm
+from theodolite_calib.lights.telescope_attitude import Pointing, solve
 
 RTK_ONLY = replace(SURVEY, rtk_bias_sigma_m=np.full(3, 0.027))
 

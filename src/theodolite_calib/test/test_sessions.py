@@ -5,17 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from simulated_session import LIGHTS_DEG, Session, config, session, sweep
 
 from ship_estimation.consistency import sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from theodolite_calib.axes import AxisErrors, main_axis_rotation
-from theodolite_calib.calibration_filter import CalibrationFilter, FilterState
-from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.pointing_output import CorrectedAxis
-from theodolite_calib.samples import Exposure
-from theodolite_calib.sighting_at import EncoderAt
-from theodolite_calib.sighting_step import SightingStep
+from ship_testing.simulated_session import LIGHTS_DEG, Session, config, session, sweep
+from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, FilterState
+from theodolite_calib.filter.sighting_step import SightingStep
+from theodolite_calib.measured.samples import Exposure
+from theodolite_calib.measured.sighting import EncoderAt
+from theodolite_calib.optical_axis.pointing_output import CorrectedAxis
 
 SEEDS = 16
 SWEEP_S = np.arange(0.0, 301.0)

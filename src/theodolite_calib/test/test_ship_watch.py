@@ -5,14 +5,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, in_order, index_at, replaced, without
-from small_session import BEACONS, ENCODER, INS, Run, drive, error_in_sigmas, ins_alone, new_adapter, stamp_of
 
 from ship_estimation.refusals import Reason
 from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion
 from ship_geometry.rotations import exp_rotation
-from theodolite_calib.adapter import OpticalAxisAdapter
-from theodolite_calib.samples import Status
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, in_order, index_at, replaced, without
+from ship_testing.small_session import (
+    BEACONS,
+    ENCODER,
+    INS,
+    Run,
+    drive,
+    error_in_sigmas,
+    ins_alone,
+    new_adapter,
+    stamp_of,
+)
+from theodolite_calib.measured.samples import Status
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 Change = Callable[[Any], None]
 ZERO, TRUE, DEGREES = 0.0, 1.0, np.rad2deg(1.0)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from simulated_sightings import CAMERA, error_free, truth_of
 
 from ship_geometry.rotations import exp_rotation
-from theodolite_calib.sighting import predict_points
+from ship_testing.simulated_sightings import CAMERA, error_free, truth_of
+from theodolite_calib.lights.light_points import predict_points
 
 TRUTH = truth_of(np.array([10.0, 100.0, 190.0, 280.0]), np.array([-5.0, 40.0, 85.0, 90.0]), 50.0)
 EPOCHS = error_free(TRUTH)

@@ -1,13 +1,13 @@
 """What is measured with few samples is off between them, and what is compared with it says by how much."""
 
 import numpy as np
-from simulated_session import config
 
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
-from theodolite_calib.samples import BaselineSample, EncoderSample, ShipSample
-from theodolite_calib.sighting_inputs import SightingInputs, insert
+from ship_testing.simulated_session import config
+from theodolite_calib.measured.samples import BaselineSample, EncoderSample, ShipSample
+from theodolite_calib.measured.sighting_inputs import SightingInputs, insert
 
 STEP_NS, SECOND_NS = 400_000_000, 1_000_000_000
 ENCODER_SIGMA = 1.0 * ARCSEC

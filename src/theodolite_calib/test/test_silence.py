@@ -6,10 +6,10 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from adapter_runs import SECOND_NS, START_NS, Arrival, hand_over, in_order, stamp_of
-from small_session import BEACONS, ENCODER, SHIP, Run, clean_run, drive, new_adapter, session
 
-from theodolite_calib.samples import Status
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, hand_over, in_order, stamp_of
+from ship_testing.small_session import BEACONS, ENCODER, SHIP, Run, clean_run, drive, new_adapter, session
+from theodolite_calib.measured.samples import Status
 
 POINTING = "theodolite/pointing"
 BUDGETS = ("theodolite/error_budget", "theodolite/error_arcsec")

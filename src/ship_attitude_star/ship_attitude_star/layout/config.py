@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.installation_model import Reading
+from ship_attitude_star.layout.installation_model import Reading
 from ship_estimation.parameters import ParameterError, build, mapping_of, parameter, section
 from ship_geometry.rotations import ARCSEC, FloatArray
 

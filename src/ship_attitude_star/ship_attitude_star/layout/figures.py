@@ -17,7 +17,7 @@ from ship_attitude_star.layout.study import LayoutStudy
 from ship_attitude_star.layout.sweep_figure import sweep_figure
 from ship_attitude_star.layout.sweeps import SWEEPS
 from ship_geometry.rotations import FloatArray
-from ship_node.figure_files import write_figures
+from ship_node.documents.figure_files import write_figures
 
 _ANGLES = ("heading", "pitch", "roll")
 # Readable in print and for the colour-blind (Okabe and Ito).

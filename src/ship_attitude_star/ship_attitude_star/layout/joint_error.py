@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.installation_model import Combination, combine
 from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
+from ship_attitude_star.layout.installation_model import Combination, combine
 from ship_geometry.frames import (
     angle_covariance,
     angle_errors_from_rotation_vector,

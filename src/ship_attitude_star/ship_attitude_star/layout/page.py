@@ -9,8 +9,8 @@ from string import Template
 
 import numpy as np
 
-from ship_attitude_star.installation_model import Reading
 from ship_attitude_star.layout.config import READING_NAMES
+from ship_attitude_star.layout.installation_model import Reading
 from ship_attitude_star.layout.joint_error import total_arcsec
 from ship_attitude_star.layout.study import LayoutStudy
 from ship_attitude_star.layout.sweeps import CURVE_AZIMUTHS_DEG, SOURCES, SWEEPS, source_errors_arcsec

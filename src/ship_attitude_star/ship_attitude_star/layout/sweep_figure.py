@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
-from ship_attitude_star.installation_model import Reading
+from ship_attitude_star.layout.installation_model import Reading
 from ship_attitude_star.layout.sweeps import Curve, Sweep
 from ship_geometry.rotations import FloatArray
 

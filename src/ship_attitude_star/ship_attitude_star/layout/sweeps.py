@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.installation_model import Reading, linearise
 from ship_attitude_star.layout.config import OperatingPoint
+from ship_attitude_star.layout.installation_model import Reading, linearise
 from ship_geometry.rotations import FloatArray
 
 CURVE_AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)

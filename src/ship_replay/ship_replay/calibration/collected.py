@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.times import NS_PER_S
 from ship_geometry.rotations import FloatArray
-from ship_replay.message_store import RosbagsFactory
-from ship_replay.times import NS_PER_S
 
 _ALIGNMENT_TOPIC = "ship/alignment"
 _IMPROBABLE = "gate", "attitude_conflict"

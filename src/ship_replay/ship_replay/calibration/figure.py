@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_node.figure_files import settled, write_figures
+from ship_node.documents.figure_files import settled, write_figures
 from ship_replay.calibration.result import Calibration, InstalledAngle
 
 _BAND_COLOUR = "#bcd4ea"

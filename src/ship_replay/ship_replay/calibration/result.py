@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.alignment import Alignment, AlignmentPrior, alignment_of
-from ship_attitude_star.ship_core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.alignment import Alignment, AlignmentPrior, alignment_of
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_bags.errors import BadInput
 from ship_geometry.frames import angle_errors_from_rotation_vector, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, left_jacobian, wrap_pi
 from ship_replay.calibration.collected import InputCount
 from ship_replay.calibration.observability import Combination, combinations, verdict
 from ship_replay.calibration.session import Session
-from ship_replay.errors import BadInput
 
 ANGLES = ("azimuth", "elevation", "roll")
 

@@ -8,22 +8,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ship_attitude_star.adapter import ShipAttitudeAdapter
-from ship_attitude_star.config import ShipAttitudeConfig, StarSensorConfig
-from ship_attitude_star.ship_core import ShipAttitudeCore
-from ship_attitude_star.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import Bag, read_bag
+from ship_bags.message_factory import MessageFactory
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.times import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.adapter import Adapter
-from ship_node.files import DISK, Files
-from ship_node.message_factory import MessageFactory
-from ship_replay.adapter_chain import AdapterChain, suite_chain
-from ship_replay.bag_reader import Bag, read_bag
+from ship_node.documents.files import DISK, Files
+from ship_node.edge.adapter import Adapter
 from ship_replay.calibration.collected import Course, InputCount, input_counts
-from ship_replay.errors import BadInput
-from ship_replay.message_store import RosbagsFactory
-from ship_replay.replay import Watcher, match_inputs
-from ship_replay.replay_run import ReplayRun, ReplaySummary
-from ship_replay.times import NS_PER_S
+from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
+from ship_replay.offline.replay import Watcher, match_inputs
+from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.figure_files import write_figures
+from ship_node.documents.figure_files import write_figures
 from theodolite_calib.axis_fit.coverage import azimuth_and_elevation
 from theodolite_calib.axis_fit.robust_fit import AxisFit, rms
 from theodolite_calib.axis_fit.sightings import Sightings

@@ -3,9 +3,9 @@
 import numpy as np
 
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.axes import NAMES
 from theodolite_calib.axis_fit.robust_fit import AxisFit
-from theodolite_calib.calibration import SAVED_NAMES, CalibrationPrior
+from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior
 
 
 def fitted_calibration(fit: AxisFit, time_s: FloatArray | None, serial: str) -> CalibrationPrior:

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.axes import NAMES, AxisErrors, main_axis_rotation
 from theodolite_calib.axis_fit.sightings import Sightings
+from theodolite_calib.chain.axes import NAMES, AxisErrors, main_axis_rotation
 
 HUBER_K = 1.345
 """Where the loss turns from quadratic to linear, in scales."""

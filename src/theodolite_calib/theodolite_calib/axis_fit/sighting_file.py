@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from ship_bags.errors import BadInput
+from ship_bags.yaml_text import plain_data
 from ship_geometry.rotations import ARCSEC
-from ship_node.errors import BadInput
-from ship_node.yaml_text import plain_data
-from theodolite_calib.axes import direction_change
 from theodolite_calib.axis_fit.sightings import Sightings, directions, right_and_up
 from theodolite_calib.axis_fit.slow_errors import SharedError
+from theodolite_calib.chain.axes import direction_change
 
 COLUMNS = {
     "encoder_azimuth_deg": "azimuth encoder, clockwise seen from above",

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
-from theodolite_calib.axes import AxisErrors, direction_change, encoder_angles, main_axis, main_axis_rotation
 from theodolite_calib.axis_fit.slow_errors import SharedError, slow_map
+from theodolite_calib.chain.axes import AxisErrors, direction_change, encoder_angles, main_axis, main_axis_rotation
 
 
 @dataclass(frozen=True)

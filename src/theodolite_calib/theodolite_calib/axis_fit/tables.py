@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import yaml
 
+from ship_bags.csv_table import write_csv
+from ship_bags.part_file import write_whole
 from ship_geometry.rotations import ARCSEC
-from ship_node.csv_table import write_csv
-from ship_node.part_file import write_whole
-from theodolite_calib.axes import NAMES
 from theodolite_calib.axis_fit.coverage import azimuth_and_elevation
 from theodolite_calib.axis_fit.robust_fit import AxisFit, rms, sizes
 from theodolite_calib.axis_fit.sightings import Sightings
 from theodolite_calib.axis_fit.told_apart import condition_number, poorly_told_apart, unobservable
+from theodolite_calib.chain.axes import NAMES
 
 FORMAT = "theodolite axis errors"
 VERSION = 1

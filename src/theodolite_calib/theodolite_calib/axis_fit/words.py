@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.axes import NAMES
 from theodolite_calib.axis_fit.coverage import azimuth_and_elevation, coverage
 from theodolite_calib.axis_fit.robust_fit import OUTLIER_AT, AxisFit, rms, sizes
 from theodolite_calib.axis_fit.sightings import Sightings
 from theodolite_calib.axis_fit.told_apart import condition_number, correlated_pairs, poorly_told_apart, unobservable
+from theodolite_calib.chain.axes import NAMES
 
 MEANINGS = {
     "g": "zero point of the azimuth encoder",

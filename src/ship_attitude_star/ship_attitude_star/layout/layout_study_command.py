@@ -1,0 +1,125 @@
+"""``layout_study``: where to bolt star sensors, as figures, tables and one page; with the six figures of [Z14]."""
+
+import argparse
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ship_attitude_star.layout.config import LayoutStudyConfig, study_config
+from ship_attitude_star.layout.joint_error import total_arcsec
+from ship_attitude_star.layout.study import LayoutStudy, study
+from ship_attitude_star.layout.sweeps import SWEEPS
+from ship_attitude_star.layout.tables import TABLES, write_tables
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.output_files import add_force, check_folder
+from ship_bags.part_file import write_whole
+from ship_estimation.parameters import ParameterError, describe
+from ship_node.parameters.parameter_file import read_plain
+
+PAGE = "layout_study.html"
+_DEFAULT_TITLE = "two sensors as in [Z14]"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+class _WrappedAbove(argparse.RawDescriptionHelpFormatter):
+    """Wraps the description, and leaves the lines of the table of keys alone."""
+
+    def add_text(self, text: str | None) -> None:
+        """Wrap a text that has no lines of its own."""
+        if text is not None and text is not argparse.SUPPRESS and "\n" not in text:
+            text = textwrap.fill(text, max(self._width - self._current_indent, 40))
+        super().add_text(text)
+
+
+def _keys() -> str:
+    lines = []
+    for key in describe(LayoutStudyConfig):
+        default = "must be given" if key.default is None else f"default {key.default:g}"
+        lines.append(f"  {key.name:50}{key.unit:8}{default:16}{key.doc}")
+    return "\n".join(lines)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="layout_study",
+        example="./ros2run ship_attitude_star layout_study layout.yaml --out study",
+        description="Study where star sensors are bolted: errors [arcsec, 1 sigma] of heading, pitch and roll of all "
+        "sensors together, by source of error and over all directions [deg], recommended azimuths [deg], and the six "
+        "figures of [Z14] in both readings of its installation angles. Writes layout_study.html (one file with "
+        "everything), PNG and CSV.",
+        epilog=f"keys of LAYOUT.yaml, nested at the dots (<id>: any name):\n{_keys()}\n\n"
+        "exit code: 0 written; 2 bad input or usage; 130 interrupted",
+        formatter_class=_WrappedAbove,
+    )
+    parser.add_argument(
+        "layout",
+        type=Path,
+        nargs="?",
+        metavar="LAYOUT.yaml",
+        help="sensors, angles [deg] and errors [arcsec] (default: two sensors with the values of [Z14])",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into, made if absent")
+    add_force(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    computed = _study(options)
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_tables(computed, options.out)
+    # Loading the figures' library takes longer than the study: bad input is told before.
+    from ship_attitude_star.layout.figures import draw_figures
+    from ship_attitude_star.layout.page import page_text
+
+    page = options.out / PAGE
+    title = _DEFAULT_TITLE if options.layout is None else options.layout.name
+    write_whole(page, page_text(computed, draw_figures(computed, options.out), title))
+    sys.stdout.write(_summary(computed, page))
+    return EXIT_DONE
+
+
+def _study(options: argparse.Namespace) -> LayoutStudy:
+    """The study of the file named, or of [Z14]'s sensors.
+
+    Raises:
+        BadInput: names the file, the line, the parameter and what was expected; or what cannot be written.
+    """
+    file = None if options.layout is None else read_plain(options.layout)
+    try:
+        config = study_config({} if file is None else file.values)
+        check_folder(options.out, written(config), options.force)
+        return study(config)
+    except ParameterError as error:
+        raise error if file is None else file.error(str(error)) from error
+
+
+def written(config: LayoutStudyConfig) -> list[str]:
+    """Names of all files written."""
+    figures = ["layout", "azimuth", *(f"map_{sensor}" for sensor in config.sensors)]
+    figures += [f"figure_{sweep.number}" for sweep in SWEEPS]
+    return [PAGE, *TABLES, *(f"{figure}.png" for figure in figures)]
+
+
+def _summary(computed: LayoutStudy, page: Path) -> str:
+    lines = [f"{'':24}{'heading':>10}{'pitch':>10}{'roll':>10}{'total':>10}   [arcsec, 1 sigma]"]
+    several = len(computed.layout.names) > 1
+    alone = [f"{name} alone" for name in computed.layout.names]
+    rows = [*zip(alone, computed.alone_arcsec, strict=True)]
+    if several:
+        rows += [("joint, as given", computed.joint_arcsec), ("joint, recommended", computed.best_arcsec)]
+    for words, sigmas in rows:
+        lines.append(f"{words:24}" + "".join(f"{value:10.2f}" for value in [*sigmas, total_arcsec(sigmas)]))
+    azimuths = ", ".join(
+        f"{name} {np.rad2deg(azimuth) % 360.0:.0f}"
+        for name, azimuth in zip(computed.best.names, computed.best.angles[:, 0], strict=True)
+    )
+    if several:
+        lines.append(f"recommended azimuths [deg from the bow]: {azimuths}")
+    return "\n".join([*lines, f"page: {page}"]) + "\n"

@@ -1,0 +1,1 @@
+"""What sensors say, as plain structs in radians, metres and nanoseconds."""

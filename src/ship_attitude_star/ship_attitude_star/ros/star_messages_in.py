@@ -1,0 +1,195 @@
+"""From a message to the stars of one exposure: checks, directions, identities. Two adapters share it.
+
+Reads attributes only, so any message class will do. A message that cannot be used raises
+:class:`ship_node.edge.message_checks.Refused`; a star that cannot is left out, with its reason, and the others are
+used.
+"""
+
+from collections.abc import Hashable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.measurements.star_exposure import ExposureLength, StarExposure
+from ship_attitude_star.sky.catalogue import UNKNOWN, StarCatalogue
+from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
+from ship_attitude_star.stars.star_config import CameraConfig
+from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.star_directions import StarPositions, fixed_stars
+from ship_node.edge.message_checks import device_id, exposure_length_s, frame, stamp_ns
+
+MOST_STARS = 100
+"""Of one exposure; what comes after them is not looked at, so that no message can hold up the node."""
+
+_GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
+"""Error of a direction that a message gives, rad per axis: as of a catalogue star whose motion is known."""
+
+_FARTHEST_OFF_AXIS = np.deg2rad(60.0)
+_LARGEST_PIXEL = 1e6
+_LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 1e-4, 100.0
+_ANGLE_TOLERANCE = 1e-9
+_YEAR_NS = 31_557_600 * 1_000_000_000
+_J2000_NS = 946_728_000 * 1_000_000_000
+
+RefusedStar = tuple[int, Refusal]
+"""Row of a star in its message, and why it is not used."""
+
+
+def star_exposure(
+    message: Any,
+    sensor_id: str,
+    frame_id: str,
+    camera: StarCamera,
+    camera_config: CameraConfig,
+    catalogue: StarCatalogue,
+    receive_ns: int,
+) -> tuple[StarExposure, list[RefusedStar]]:
+    """``star/<sensor>/observations`` → directions in the sensor frame, and which stars they are.
+
+    A star with a catalogue number has its place from the catalogue, one without from the message; one with neither is
+    still to be identified.
+
+    Args:
+        message: StarObservationArray.
+        sensor_id: whose topic it came on.
+        frame_id: that it must carry; empty for any.
+        camera: of the sensor.
+        camera_config: the same in parameters: the error of a centroid, the spread of a star's image.
+        catalogue: for the numbers.
+        receive_ns: when it came.
+
+    Raises:
+        Refused: the whole message.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    device_id("sensor_id", message.sensor_id, sensor_id)
+    frame(message.header.frame_id, frame_id)
+    exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
+    stars = message.stars[:MOST_STARS]
+    numbers = np.array([[star.u, star.v, star.sigma_px, star.right_ascension, star.declination] for star in stars])
+    pixels, sigma_px, right_ascension, declination = _columns(numbers)
+    hip = np.array([star.catalogue_id for star in stars], dtype=np.int64)
+    not_given = ~(sigma_px > 0.0) & ~(sigma_px < 0.0)
+    sigma_px = np.where(not_given, camera_config.centroid_sigma_px, sigma_px)
+    # Squares of the largest doubles would overflow.
+    directions_s = camera.directions(np.where(np.abs(pixels) < _LARGEST_PIXEL, pixels, np.nan))
+
+    rows = catalogue.rows(hip)
+    seen: dict[Hashable, FloatArray] = {}
+
+    def reason_against(row: int) -> Refusal | None:
+        """Why a star is not used; called in the order of the rows."""
+        return (
+            _pixel_refusal(pixels[row], directions_s[row])
+            or _sigma_refusal(float(sigma_px[row]))
+            or _number_refusal(int(hip[row]), int(rows[row]), catalogue)
+            or _place_refusal(int(hip[row]), float(right_ascension[row]), float(declination[row]))
+            or _repeated(_identity(int(hip[row]), right_ascension[row], declination[row]), pixels[row], seen)
+        )
+
+    refusals = [reason_against(row) for row in range(len(stars))]
+    refused = [(row, refusal) for row, refusal in enumerate(refusals) if refusal is not None]
+    if len(message.stars) > MOST_STARS:
+        text = f"{len(message.stars)} stars in one exposure: only the first {MOST_STARS} are looked at"
+        refused.append((MOST_STARS, Refusal(Reason.OVERFLOW, text)))
+    kept = np.flatnonzero([refusal is None for refusal in refusals])
+    positions, position_sigma = _positions(
+        rows[kept], hip[kept] != 0, right_ascension[kept], declination[kept], catalogue, time_ns
+    )
+    exposure = StarExposure(
+        source=f"star.{sensor_id}",
+        time_ns=time_ns,
+        hip=hip[kept],
+        directions_s=directions_s[kept],
+        sigma=equivalent_sigma(camera.direction_covariance(pixels[kept], sigma_px[kept])),
+        positions=positions,
+        position_sigma=position_sigma,
+        magnitude=np.array([star.magnitude for star in stars], dtype=float)[kept],
+        length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
+    )
+    return exposure, refused
+
+
+def sigmas_given(message: Any) -> bool:
+    """Whether a StarObservationArray says of every star how good its centroid is."""
+    return all(star.sigma_px != 0.0 and not np.isnan(star.sigma_px) for star in message.stars[:MOST_STARS])
+
+
+def _columns(numbers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Pixels (k, 2), sigmas, right ascensions and declinations (k,) of rows of five."""
+    numbers = numbers.reshape(-1, 5)
+    return numbers[:, :2], numbers[:, 2], numbers[:, 3], numbers[:, 4]
+
+
+def _pixel_refusal(pixel: FloatArray, direction_s: FloatArray) -> Refusal | None:
+    where = f"pixel ({pixel[0]:.6g}, {pixel[1]:.6g})"
+    if not np.all(np.isfinite(pixel)):
+        return Refusal(Reason.NON_FINITE, where)
+    if not direction_s[0] > np.cos(_FARTHEST_OFF_AXIS):
+        return Refusal(Reason.UNITS, f"{where} is nowhere in this camera's field: expected pixels from its corner")
+    return None
+
+
+def _sigma_refusal(sigma_px: float) -> Refusal | None:
+    if _LEAST_SIGMA_PX <= sigma_px <= _LARGEST_SIGMA_PX:
+        return None
+    text = f"sigma_px {sigma_px:.3g}: expected {_LEAST_SIGMA_PX:g} to {_LARGEST_SIGMA_PX:g} px"
+    return Refusal(Reason.BAD_COVARIANCE, text)
+
+
+def _number_refusal(hip: int, row: int, catalogue: StarCatalogue) -> Refusal | None:
+    if hip == 0 or row != UNKNOWN:
+        return None
+    return Refusal(Reason.UNKNOWN_STAR, catalogue.reason_against(hip) or "")
+
+
+def _place_refusal(hip: int, right_ascension: float, declination: float) -> Refusal | None:
+    """Why the place of a star without number cannot be used."""
+    if hip != 0 or (np.isnan(right_ascension) and np.isnan(declination)):
+        return None
+    where = f"right ascension {right_ascension:.6g}, declination {declination:.6g}"
+    if not np.isfinite(right_ascension) or not np.isfinite(declination):
+        return Refusal(Reason.NON_FINITE, f"{where}: expected both, or NaN for both")
+    if abs(right_ascension) > 2 * np.pi + _ANGLE_TOLERANCE or abs(declination) > np.pi / 2 + _ANGLE_TOLERANCE:
+        return Refusal(Reason.UNITS, f"{where} cannot be radians: degrees?")
+    return None
+
+
+def _identity(hip: int, right_ascension: float, declination: float) -> Hashable:
+    """What makes two stars of a message the same; None where it is not known yet."""
+    if hip != 0:
+        return hip
+    return None if np.isnan(right_ascension) else (float(right_ascension), float(declination))
+
+
+def _repeated(identity: Hashable, pixel: FloatArray, seen: dict[Hashable, FloatArray]) -> Refusal | None:
+    """No star counts twice: of two that are said to be the same one, the first is used."""
+    first = pixel if identity is None else seen.setdefault(identity, pixel)
+    if first is pixel:
+        return None
+    same = np.array_equal(first, pixel)
+    text = f"the same star twice in one exposure, first at pixel ({first[0]:.6g}, {first[1]:.6g})"
+    return Refusal(Reason.DUPLICATE if same else Reason.CONFLICT, text)
+
+
+def _positions(
+    rows: NDArray[np.int64],
+    by_catalogue: NDArray[np.bool_],
+    right_ascension: FloatArray,
+    declination: FloatArray,
+    catalogue: StarCatalogue,
+    time_ns: int,
+) -> tuple[StarPositions, FloatArray]:
+    """Places of stars and their errors: of the catalogue, else as given; NaN where neither is there."""
+    listed = np.where(by_catalogue, rows, 0)
+    of_catalogue, given = catalogue.at_j2000[listed], fixed_stars(right_ascension, declination)
+    columns = (
+        np.where(by_catalogue, getattr(of_catalogue, name), getattr(given, name))
+        for name in StarPositions.__dataclass_fields__
+    )
+    year = 2000.0 + (time_ns - _J2000_NS) / _YEAR_NS
+    sigma = np.where(by_catalogue, catalogue.sigma(listed, year), _GIVEN_DIRECTION_SIGMA)
+    return StarPositions(*columns), sigma

@@ -1,0 +1,197 @@
+"""The alignment: installation angles and clock offsets as the filter now has them.
+
+Two views of the same state: :class:`Alignment`, named values for people and for the alignment topic, and
+:class:`AlignmentPrior`, what the next voyage starts from.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
+from ship_attitude_star.ship_attitude.model import SOURCE_SAVED_ALIGNMENT, Device
+from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
+from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation, wrap_pi
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Named quantities with their joint covariance.
+
+    Attributes:
+        names: as in ship_msgs/AlignmentState.
+        values: rad or s, shape (n,).
+        covariance: of the values, shape (n, n).
+        units: "rad" or "s" for each.
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+    covariance: FloatArray
+    units: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class AlignmentPrior:
+    """What a saved alignment holds.
+
+    Attributes:
+        time_ns: moment of the data it rests on.
+        serials: star sensor id → serial number.
+        rotations_dv: device name → deck from device, shape (3, 3).
+        time_offsets_s: state name → whole clock offset, s.
+        names: state blocks of ``covariance``, in order.
+        covariance: joint, of rotation vectors in the device frames (rad) and clock offsets (s).
+    """
+
+    time_ns: int
+    serials: dict[str, str]
+    rotations_dv: dict[str, FloatArray]
+    time_offsets_s: dict[str, float]
+    names: tuple[str, ...]
+    covariance: FloatArray
+
+
+def alignment_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> Alignment:
+    """The named values of a state."""
+    model = filter_.model
+    names: list[str] = []
+    values: list[float] = []
+    units: list[str] = []
+    rows: list[FloatArray] = []
+
+    def add(name: str, value: float, unit: str, row: FloatArray) -> None:
+        names.append(name)
+        values.append(float(value))
+        units.append(unit)
+        rows.append(row)
+
+    def add_time_offset(name: str, configured_s: float) -> None:
+        row = np.zeros(model.size)
+        value_s = configured_s
+        if name in model.slices:
+            row[model.slices[name]] = 1.0
+            value_s += state.mean[model.slices[name]][0]
+        add(name, value_s, "s", row)
+
+    attitude = model.slices["ins.attitude"]
+    for axis, index in zip(("north", "up", "east"), range(attitude.start, attitude.stop), strict=True):
+        add(f"ins.{axis}", state.mean[index], "rad", np.eye(model.size)[index])
+    add_time_offset("ins.time_offset", config.ins.time_offset_s)
+    for id_, star in config.star_sensors.items():
+        angles, jacobian = _installation(filter_, state, f"star.{id_}")
+        for name, angle, row in zip(("azimuth", "elevation", "roll"), angles, jacobian, strict=True):
+            add(f"star.{id_}.{name}", angle, "rad", row)
+        add_time_offset(f"star.{id_}.time_offset", star.time_offset_s)
+    for id_, reference in config.references.items():
+        angles, jacobian = _installation(filter_, state, f"reference.{id_}")
+        for name, index in (("roll", 2), ("pitch", 1), ("heading", 0)):
+            add(f"reference.{id_}.{name}", float(wrap_pi(angles[index])), "rad", jacobian[index])
+        add_time_offset(f"reference.{id_}.time_offset", reference.time_offset_s)
+    transport = np.array(rows)
+    covariance = transport @ state.covariance @ transport.T
+    return Alignment(tuple(names), np.array(values), covariance, tuple(units))
+
+
+def prior_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> AlignmentPrior:
+    """What to save of a state that rests on measurements."""
+    assert state.time_ns is not None
+    model = filter_.model
+    names = [name for name in model.slices if name.endswith((".installation", ".time_offset"))]
+    rows = np.concatenate([model.rows(name) for name in names])
+    to_saved = np.eye(model.size)
+    rotations = {}
+    for device in filter_.devices.values():
+        block = model.slices[f"{device.name}.installation"]
+        rotations[device.name] = device.rotation_dv0 @ exp_rotation(state.mean[block])
+        to_saved[block, block] = left_jacobian(state.mean[block]).T
+    covariance = (to_saved @ state.covariance @ to_saved.T)[np.ix_(rows, rows)]
+    offsets = {
+        name: _configured_offset_s(config, name) + float(state.mean[model.slices[name]][0])
+        for name in names
+        if name.endswith(".time_offset")
+    }
+    serials = {id_: star.serial for id_, star in config.star_sensors.items()}
+    return AlignmentPrior(state.time_ns, serials, rotations, offsets, tuple(names), covariance)
+
+
+def state_from_prior(
+    filter_: ShipFilter, config: ShipAttitudeConfig, prior: AlignmentPrior, now_ns: int
+) -> tuple[FilterState, list[str]]:
+    """The start of a voyage with a saved alignment, and what is to be said of it.
+
+    A sensor with another serial number keeps its configured prior. An alignment older than
+    ``alignment_max_age_d`` keeps its values, with the configured uncertainty added; a random walk is added for
+    the time that has passed in any case.
+    """
+    model, initial = filter_.model, filter_.initial_state()
+    warnings = _changed_serials(config, prior)
+    foreign = tuple(f"star.{id_}." for id_ in warnings)
+    usable = [name for name in prior.names if name in model.slices and not name.startswith(foreign)]
+    mean = initial.mean.copy()
+    rows: list[int] = []
+    saved_rows: list[int] = []
+    start = dict(zip(prior.names, np.cumsum([0] + [_width(n) for n in prior.names]), strict=False))
+    to_state = np.eye(model.size)
+    for name in usable:
+        block = model.slices[name]
+        rows += range(block.start, block.stop)
+        saved_rows += range(start[name], start[name] + _width(name))
+        if name.endswith(".installation"):
+            device: Device = filter_.devices[name.removesuffix(".installation")]
+            mean[block] = log_rotation(device.rotation_dv0.T @ prior.rotations_dv[device.name])
+            to_state[block, block] = np.linalg.inv(left_jacobian(mean[block]).T)
+        else:
+            mean[block] = prior.time_offsets_s[name] - _configured_offset_s(config, name)
+    age_s = max(now_ns - prior.time_ns, 0) * 1e-9
+    messages = list(warnings.values())
+    saved = np.zeros((model.size, model.size))
+    saved[np.ix_(rows, rows)] = prior.covariance[np.ix_(saved_rows, saved_rows)]
+    saved = to_state @ saved @ to_state.T
+    saved[rows, rows] += model.transition(age_s)[1][rows]
+    parts = initial.parts.copy()
+    if age_s > config.alignment_max_age_d * 86400.0:
+        messages.append(
+            f"saved alignment is {age_s / 86400.0:.1f} d old, more than alignment_max_age_d = "
+            f"{config.alignment_max_age_d:g}: its uncertainty is widened by the configured one"
+        )
+    else:
+        parts[:, rows, :] = 0.0
+        parts[:, :, rows] = 0.0
+    parts[model.sources.index(SOURCE_SAVED_ALIGNMENT)] += saved
+    return replace(initial, mean=mean, parts=parts), messages
+
+
+def _installation(filter_: ShipFilter, state: FilterState, name: str) -> tuple[FloatArray, FloatArray]:
+    """Installation angles (azimuth, elevation, roll) of a device and their Jacobian by the state, (3, n)."""
+    block = filter_.model.slices[f"{name}.installation"]
+    vector = state.mean[block]
+    rotation_dv = filter_.devices[name].rotation_dv0 @ exp_rotation(vector)
+    angles = angles_from_rotation(rotation_dv)
+    jacobian = np.zeros((3, filter_.model.size))
+    to_angles = angle_errors_from_rotation_vector(angles[0], angles[1])
+    jacobian[:, block] = to_angles @ rotation_dv @ left_jacobian(vector).T
+    return angles, jacobian
+
+
+def _changed_serials(config: ShipAttitudeConfig, prior: AlignmentPrior) -> dict[str, str]:
+    return {
+        id_: f"saved alignment of star sensor '{id_}' is of serial '{prior.serials[id_]}', "
+        f"configured is '{star.serial}': its configured prior is used"
+        for id_, star in config.star_sensors.items()
+        if id_ in prior.serials and prior.serials[id_] != star.serial
+    }
+
+
+def _configured_offset_s(config: ShipAttitudeConfig, name: str) -> float:
+    kind, _, id_ = name.removesuffix(".time_offset").partition(".")
+    if kind == "star":
+        return config.star_sensors[id_].time_offset_s
+    if kind == "reference":
+        return config.references[id_].time_offset_s
+    return config.ins.time_offset_s
+
+
+def _width(name: str) -> int:
+    return 3 if name.endswith(".installation") else 1

@@ -1,0 +1,161 @@
+"""Parameters of the ``ship_attitude`` node. Each states its unit, range and meaning; names are dotted."""
+
+from dataclasses import dataclass
+
+from ship_attitude_star.measurements.device_config import MountingConfig, check_sensor_ids
+from ship_attitude_star.stars.star_config import CameraConfig, InertialConfig, SkyConfig
+from ship_estimation.gates import GateConfig
+from ship_estimation.ins_config import InsErrorConfig, StarInsConfig
+from ship_estimation.parameters import arcsec, degrees, mapping_of, parameter, section
+
+
+@dataclass(frozen=True, kw_only=True)
+class InsConfig(StarInsConfig, InsErrorConfig):
+    """The inertial navigation system."""
+
+    silence_s: float = parameter(
+        1.0,
+        doc="without samples that can be used for this long the INS counts as gone",
+        unit="s",
+        minimum=0.05,
+        maximum=60.0,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarSensorConfig(MountingConfig):
+    """One star sensor: where it is bolted, how well that is known, how good it is."""
+
+    input: str = parameter(
+        "horizon_attitude",
+        doc="topic under star/<id>/ that feeds the filter",
+        choices=("horizon_attitude", "solution", "observations", "inertial_attitude"),
+    )
+    camera: CameraConfig = section(CameraConfig)
+    inertial: InertialConfig = section(InertialConfig)
+    serial: str = parameter("", doc="serial number; a saved alignment of another one becomes a wider prior")
+    installation_walk_forward_arcsec_per_sqrt_h: float = parameter(
+        0.0, doc="random walk of the installation about the boresight", unit="arcsec/sqrt(h)", minimum=0.0
+    )
+    installation_walk_up_arcsec_per_sqrt_h: float = parameter(
+        0.0, doc="random walk of the installation about the up axis", unit="arcsec/sqrt(h)", minimum=0.0
+    )
+    installation_walk_right_arcsec_per_sqrt_h: float = parameter(
+        0.0, doc="random walk of the installation about the right axis", unit="arcsec/sqrt(h)", minimum=0.0
+    )
+    sigma_forward_arcsec: float = arcsec(
+        100.0, doc="noise about the boresight where the message gives none", live=True
+    )
+    sigma_up_arcsec: float = arcsec(
+        3.0, doc="noise about the up axis where the message gives none", live=True
+    )
+    sigma_right_arcsec: float = arcsec(
+        3.0, doc="noise about the right axis where the message gives none", live=True
+    )
+    common_time_s: float = parameter(
+        3600.0,
+        doc="correlation time of what a message's stars share (covariance minus noise_covariance)",
+        unit="s",
+        minimum=1.0,
+        maximum=1e7,
+    )
+    time_offset_s: float = parameter(
+        0.0, doc="a message is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
+    )
+    time_offset_sigma_s: float = parameter(
+        0.0, doc="uncertainty of time_offset_s; 0 holds it fixed", unit="s", minimum=0.0, maximum=1.0
+    )
+    flexure_sigma_arcsec: float = arcsec(
+        0.0, doc="hull flexure between INS and sensor, each axis; 0 leaves it out"
+    )
+    flexure_time_s: float = parameter(
+        10.0, doc="correlation time of the flexure", unit="s", minimum=0.1, maximum=1e7
+    )
+
+    @property
+    def looks_at_sky(self) -> bool:
+        """Whether its messages are about the stars, and the horizon must be found here."""
+        return self.input in ("observations", "inertial_attitude")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceConfig:
+    """Another attitude system: its turn against the INS, its noise, its clock against the INS's."""
+
+    convention: str = parameter(
+        "enu_flu", doc="axes of its messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
+    )
+    frame_id: str = parameter("", doc="frame_id that its messages must carry; empty accepts any")
+    heading_deg: float = degrees(0.0, doc="heading of the reference minus heading of the INS")
+    pitch_deg: float = degrees(0.0, doc="pitch of the reference minus pitch of the INS")
+    roll_deg: float = degrees(0.0, doc="roll of the reference minus roll of the INS")
+    installation_sigma_arcsec: float = arcsec(7200.0, doc="uncertainty of the three angles")
+    installation_walk_arcsec_per_sqrt_h: float = parameter(
+        0.0, doc="random walk of the three angles", unit="arcsec/sqrt(h)", minimum=0.0
+    )
+    sigma_roll_arcsec: float = arcsec(
+        60.0, doc="noise in roll where the message gives none", live=True
+    )
+    sigma_pitch_arcsec: float = arcsec(
+        60.0, doc="noise in pitch where the message gives none", live=True
+    )
+    sigma_heading_arcsec: float = arcsec(
+        60.0, doc="noise in heading where the message gives none", live=True
+    )
+    slow_sigma_roll_arcsec: float = arcsec(0.0, doc="slow error of its own in roll")
+    slow_sigma_pitch_arcsec: float = arcsec(0.0, doc="slow error of its own in pitch")
+    slow_sigma_heading_arcsec: float = arcsec(
+        0.0, doc="slow error of its own in heading; 0 for all three leaves it out"
+    )
+    slow_time_s: float = parameter(
+        300.0, doc="correlation time of its slow error", unit="s", minimum=0.1, maximum=1e7
+    )
+    time_offset_s: float = parameter(
+        0.0,
+        doc="stamp of the reference minus stamp of the INS for the same attitude",
+        unit="s",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    time_offset_sigma_s: float = parameter(
+        0.2, doc="uncertainty of time_offset_s; 0 holds it fixed", unit="s", minimum=0.0, maximum=10.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShipAttitudeConfig:
+    """All parameters of ``ship_attitude``."""
+
+    ins: InsConfig = section(InsConfig)
+    star_sensors: dict[str, StarSensorConfig] = mapping_of("star sensors by id")
+    references: dict[str, ReferenceConfig] = mapping_of("other attitude systems by name")
+    gate: GateConfig = section(GateConfig)
+    sky: SkyConfig = section(SkyConfig)
+    lag_s: float = parameter(
+        2.0, doc="measurements up to this late are applied at their own time", unit="s", minimum=0.0, maximum=600.0
+    )
+    coasting_after_s: float = parameter(
+        2.0, doc="without stars for this long the status is COASTING", unit="s", minimum=0.1, maximum=3600.0, live=True
+    )
+    max_age_s: float = parameter(
+        10.0,
+        doc="stamps further than this before the node's clock are an error of the input, although they are used",
+        unit="s",
+        minimum=0.1,
+        maximum=1e9,
+    )
+    slow_topics_period_s: float = parameter(
+        1.0, doc="period of budget, alignment, error and health topics", unit="s", minimum=0.1, maximum=60.0
+    )
+    alignment_file: str = parameter("", doc="file of the saved alignment, read at the start where it exists")
+    alignment_max_age_d: float = parameter(
+        30.0, doc="an alignment older than this is a wider prior", unit="d", minimum=0.0, maximum=36500.0
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse a sensor that would be all sensors.
+
+        Raises:
+            ParameterError: names the parameter.
+        """
+        check_sensor_ids(self.star_sensors)

@@ -1,0 +1,187 @@
+"""Which states the ship-attitude filter has, built from its configuration (models.md §4).
+
+==============================  =======  ====================================================================
+state                           frame    meaning
+==============================  =======  ====================================================================
+ins.attitude (3)                horizon  slow error a: R_true = exp(a) exp(w) R_ins
+ins.noise (3)                   horizon  white error w of the INS at the moment of the measurement
+ins.time_offset (1)                      tau: an INS sample is valid at its stamp + tau
+star.<id>.installation (3)      sensor   m: R(sensor -> deck) = R(A0, E0, roll0) exp(m)
+star.<id>.common (3)            horizon  error shared by successive solutions: R_measured = exp(c) R_true ...
+star.<id>.time_offset (1)                a message is valid at its stamp + this; only where it has a sigma
+star.<id>.flexure (3)           deck     hull between INS and sensor; only where it has a sigma
+sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two only where a
+                                         sensor gives single stars or an attitude against the ICRS
+sky.earth_rotation (1)                   error of UT1, in its own sigmas
+sky.position (2)                         error of the ship's position, in its own sigmas
+reference.<name>.installation   device   as for a star sensor, from the INS's deck axes
+reference.<name>.slow           device   its own slow error; only where it has a sigma
+reference.<name>.time_offset             stamp of the reference - stamp of the INS for the same attitude
+==============================  =======  ====================================================================
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.stars.star_config import SkyConfig
+from ship_estimation.state import StateBlock, StateModel, block
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+SOURCE_INS = "ins_drift"
+SOURCE_INS_NOISE = "ins_noise"
+SOURCE_INS_TIME = "ins_time_offset"
+SOURCE_INTERPOLATION = "interpolation"
+SOURCE_INSTALLATION = "installation"
+SOURCE_STAR_NOISE = "star_noise"
+SOURCE_STAR_COMMON = "star_common"
+SOURCE_STAR_TIME = "star_time_offset"
+SOURCE_FLEXURE = "flexure"
+SOURCE_REFRACTION = "refraction"
+SOURCE_EARTH_ROTATION = "earth_rotation"
+SOURCE_POSITION = "ship_position"
+SOURCE_REFERENCE = "reference_installation"
+SOURCE_REFERENCE_NOISE = "reference_noise"
+SOURCE_REFERENCE_SLOW = "reference_slow_error"
+SOURCE_REFERENCE_TIME = "reference_time_offset"
+SOURCE_SAVED_ALIGNMENT = "saved_alignment"
+
+_SQRT_HOUR = 60.0
+
+
+@dataclass(frozen=True)
+class Device:
+    """A device whose attitude is measured: how it hangs on the deck and which states describe it.
+
+    Attributes:
+        name: ``star.<id>`` or ``reference.<name>``; also the prefix of its states.
+        rotation_dv0: deck from device as configured, shape (3, 3).
+        ins_time_s: constant part of (stamp of the INS - stamp of the device) for the same attitude.
+        ins_time_states: states that add to it, with their signs.
+        noise_source: budget source of its white noise.
+        is_star: True for star sensors, which alone know the geodetic horizon.
+    """
+
+    name: str
+    rotation_dv0: FloatArray
+    ins_time_s: float
+    ins_time_states: tuple[tuple[str, float], ...]
+    noise_source: str
+    is_star: bool
+
+
+def devices(config: ShipAttitudeConfig) -> dict[str, Device]:
+    """All devices of a configuration by name."""
+    stars = [_star_device(id_, star, config.ins) for id_, star in config.star_sensors.items()]
+    references = [_reference_device(name, reference) for name, reference in config.references.items()]
+    return {device.name: device for device in stars + references}
+
+
+def state_model(config: ShipAttitudeConfig) -> StateModel:
+    """The state vector of a configuration."""
+    blocks = _ins_blocks(config.ins)
+    for id_, star in config.star_sensors.items():
+        blocks += _star_blocks(f"star.{id_}", star)
+    if any(star.looks_at_sky for star in config.star_sensors.values()):
+        blocks += _sky_blocks(config.sky)
+    for name, reference in config.references.items():
+        blocks += _reference_blocks(f"reference.{name}", reference)
+    noise_sources = [SOURCE_INTERPOLATION]
+    if config.star_sensors:
+        noise_sources.append(SOURCE_STAR_NOISE)
+    if config.references:
+        noise_sources.append(SOURCE_REFERENCE_NOISE)
+    noise_sources.append(SOURCE_SAVED_ALIGNMENT)
+    return StateModel(blocks, noise_sources)
+
+
+def _star_device(id_: str, star: StarSensorConfig, ins: InsConfig) -> Device:
+    name = f"star.{id_}"
+    time_states = [("ins.time_offset", -1.0)]
+    if star.time_offset_sigma_s > 0.0:
+        time_states.append((f"{name}.time_offset", 1.0))
+    return Device(
+        name=name,
+        rotation_dv0=star.rotation_ds,
+        ins_time_s=star.time_offset_s - ins.time_offset_s,
+        ins_time_states=tuple(time_states),
+        noise_source=SOURCE_STAR_NOISE,
+        is_star=True,
+    )
+
+
+def _reference_device(name: str, reference: ReferenceConfig) -> Device:
+    angles = np.deg2rad([reference.heading_deg, reference.pitch_deg, reference.roll_deg])
+    return Device(
+        name=f"reference.{name}",
+        rotation_dv0=rotation_from_angles(*angles),
+        ins_time_s=-reference.time_offset_s,
+        ins_time_states=((f"reference.{name}.time_offset", -1.0),),
+        noise_source=SOURCE_REFERENCE_NOISE,
+        is_star=False,
+    )
+
+
+def _ins_blocks(ins: InsConfig) -> list[StateBlock]:
+    tilt, heading, white = (
+        sigma * ARCSEC for sigma in (ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.white_sigma_arcsec)
+    )
+    tilt_time, heading_time = ins.tilt_time_s, ins.heading_time_s
+    return [
+        block("ins.attitude", [tilt, heading, tilt], SOURCE_INS, time_s=[tilt_time, heading_time, tilt_time]),
+        block("ins.noise", [white] * 3, SOURCE_INS_NOISE, time_s=0.0),
+        block("ins.time_offset", [ins.time_offset_sigma_s], SOURCE_INS_TIME),
+    ]
+
+
+def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
+    walk = [
+        star.installation_walk_forward_arcsec_per_sqrt_h,
+        star.installation_walk_up_arcsec_per_sqrt_h,
+        star.installation_walk_right_arcsec_per_sqrt_h,
+    ]
+    walk_per_sqrt_s = np.array(walk) * ARCSEC / _SQRT_HOUR
+    blocks = [
+        block(f"{name}.installation", star.installation_sigma_s, SOURCE_INSTALLATION, walk=walk_per_sqrt_s),
+        # Its size comes with the messages (ship_filter), so it starts without any.
+        block(f"{name}.common", [0.0] * 3, SOURCE_STAR_COMMON, time_s=star.common_time_s),
+    ]
+    if star.time_offset_sigma_s > 0.0:
+        blocks.append(block(f"{name}.time_offset", [star.time_offset_sigma_s], SOURCE_STAR_TIME))
+    if star.flexure_sigma_arcsec > 0.0:
+        sigma_flexure = [star.flexure_sigma_arcsec * ARCSEC] * 3
+        blocks.append(block(f"{name}.flexure", sigma_flexure, SOURCE_FLEXURE, time_s=star.flexure_time_s))
+    return blocks
+
+
+def _sky_blocks(sky: SkyConfig) -> list[StateBlock]:
+    """What all stars share, in the order of SHARED_TERMS.
+
+    Each exposure says how large its sigma is, so the states count in sigmas. UT1 errs the same for days.
+    """
+    return [
+        block("sky.refraction", [1.0], SOURCE_REFRACTION, time_s=sky.refraction_time_s),
+        block("sky.earth_rotation", [1.0], SOURCE_EARTH_ROTATION),
+        block("sky.position", [1.0, 1.0], SOURCE_POSITION, time_s=sky.position_time_s),
+    ]
+
+
+def sky_rows(model: StateModel) -> slice:
+    """Where the states are that all stars share, in the order of SHARED_TERMS."""
+    return slice(model.slices["sky.refraction"].start, model.slices["sky.position"].stop)
+
+
+def _reference_blocks(name: str, reference: ReferenceConfig) -> list[StateBlock]:
+    sigma = [reference.installation_sigma_arcsec * ARCSEC] * 3
+    walk = reference.installation_walk_arcsec_per_sqrt_h * ARCSEC / _SQRT_HOUR
+    blocks = [
+        block(f"{name}.installation", sigma, SOURCE_REFERENCE, walk=walk),
+        block(f"{name}.time_offset", [reference.time_offset_sigma_s], SOURCE_REFERENCE_TIME),
+    ]
+    slow = [reference.slow_sigma_roll_arcsec, reference.slow_sigma_heading_arcsec, reference.slow_sigma_pitch_arcsec]
+    if any(slow):
+        slow_sigma = np.array(slow) * ARCSEC
+        blocks.append(block(f"{name}.slow", slow_sigma, SOURCE_REFERENCE_SLOW, time_s=reference.slow_time_s))
+    return blocks

@@ -1,0 +1,1 @@
+"""Where stars are seen from the ship: catalogue, place, weather, apparent directions and their common errors."""

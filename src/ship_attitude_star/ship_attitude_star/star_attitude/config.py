@@ -1,0 +1,84 @@
+"""Parameters of the ``star_attitude`` node. Each states its unit, range and meaning; names are dotted."""
+
+from dataclasses import dataclass
+
+from ship_attitude_star.measurements.device_config import MountingConfig, check_sensor_ids
+from ship_attitude_star.stars.star_config import CameraConfig, SkyConfig
+from ship_estimation.ins_config import StarInsConfig
+from ship_estimation.parameters import mapping_of, parameter, section
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivenCameraConfig(CameraConfig):
+    """The camera of a sensor that gives single stars: without it no pixel means anything."""
+
+    focal_length_m: float = parameter(doc="focal length", unit="m", minimum=0.001, maximum=10.0)
+    pixel_pitch_m: float = parameter(doc="from pixel to pixel", unit="m", minimum=1e-7, maximum=0.001)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservingSensorConfig(MountingConfig):
+    """One star sensor whose ``star/<id>/observations`` are solved."""
+
+    camera: GivenCameraConfig = section(GivenCameraConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointConfig:
+    """Which exposures of different sensors make one attitude of the deck."""
+
+    window_s: float = parameter(
+        0.1,
+        doc="exposures no further apart are joined, moved to one moment by ins/imu",
+        unit="s",
+        minimum=0.0,
+        maximum=10.0,
+    )
+    simultaneous_s: float = parameter(
+        1e-4,
+        doc="the same without ins/imu: no further apart than the ship is at rest",
+        unit="s",
+        minimum=0.0,
+        maximum=0.1,
+    )
+    wait_s: float = parameter(
+        0.5,
+        doc="an exposure waits this long for those of other sensors, and for ins/imu",
+        unit="s",
+        minimum=0.0,
+        maximum=60.0,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarAttitudeConfig:
+    """All parameters of ``star_attitude``."""
+
+    star_sensors: dict[str, ObservingSensorConfig] = mapping_of("star sensors by id")
+    sky: SkyConfig = section(SkyConfig)
+    use_ins: bool = parameter(
+        True, doc="ins/imu, where it is there, helps to choose among stars and moves exposures to one moment"
+    )
+    ins: StarInsConfig = section(StarInsConfig)
+    joint: JointConfig = section(JointConfig)
+    lag_s: float = parameter(
+        2.0, doc="exposures later than this behind the newest data are not used", unit="s", minimum=0.0, maximum=600.0
+    )
+    max_age_s: float = parameter(
+        10.0,
+        doc="stamps further than this before the node's clock are an error of the input, although they are used",
+        unit="s",
+        minimum=0.1,
+        maximum=1e9,
+    )
+    slow_topics_period_s: float = parameter(
+        1.0, doc="period of budget and health topics", unit="s", minimum=0.1, maximum=60.0
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse a sensor that would be all sensors.
+
+        Raises:
+            ParameterError: names the parameter.
+        """
+        check_sensor_ids(self.star_sensors)

@@ -1,0 +1,125 @@
+"""The ship's motion by its INS, for whoever only needs to know about where the deck is and how it turns meanwhile."""
+
+import numpy as np
+
+from ship_attitude_star.guards.stream_guards import StreamGuards
+from ship_attitude_star.stars.selection import AttitudePrior
+from ship_estimation.ins_config import GuardedInsConfig
+from ship_estimation.ins_guard import InsJump
+from ship_estimation.refusals import Refusal, same_stamp
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
+from ship_geometry.exposure_mean import Nodes, Turning, turning_over
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+_SECOND_NS = 1_000_000_000
+
+
+class InsMotion:
+    """Attitudes of the deck by their stamps, with the INS's errors as configured.
+
+    Args:
+        config: the INS.
+        guards: watch its samples.
+    """
+
+    def __init__(self, config: GuardedInsConfig, guards: StreamGuards) -> None:
+        self._config = config
+        self._guards = guards
+        self._max_gap_ns = round(config.max_gap_s * _SECOND_NS)
+        self._offset_ns = round(config.time_offset_s * _SECOND_NS)
+        self._track = AttitudeTrack(self._max_gap_ns)
+        self._jumps: list[InsJump] = []
+
+    @property
+    def track(self) -> AttitudeTrack:
+        """The samples by their stamps."""
+        return self._track
+
+    def reconfigure(self, config: GuardedInsConfig) -> None:
+        """Go on with other sigmas."""
+        self._config = config
+        self._guards.reconfigure(config)
+
+    def add(self, sample: AttitudeSample) -> Refusal | None:
+        """Take a sample, or say why not."""
+        judged = self._guards.check_ins(sample, self._track)
+        if judged.rates_wrong_after_ns is not None:
+            self._track.forget_rates(judged.rates_wrong_after_ns)
+        if judged.refusal is not None:
+            return judged.refusal
+        if judged.jump is not None:
+            self._track.cut(judged.jump.time_ns)
+            self._jumps.append(judged.jump)
+        sample = judged.sample
+        known = self._track.get(sample.time_ns)
+        refusal = None if known is None else same_stamp(known.content(), sample.content())
+        if known is None or sample.content() < known.content():
+            self._track.insert(sample)
+        return refusal
+
+    def awaited(self, time_ns: int, reach_ns: int = 0) -> bool:
+        """Whether a sample still to come may tell the attitude at a moment and as long after it."""
+        newest, stamp_ns = self._track.newest, time_ns - self._offset_ns
+        if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns:
+            return False
+        return not self._track.covers(stamp_ns + reach_ns)
+
+    def deck(self, time_ns: int) -> AttitudePrior | None:
+        """The attitude of the deck at a moment, with all that the INS may have wrong; None where it is not known."""
+        found = self._at(time_ns)
+        if found is None:
+            return None
+        config = self._config
+        slow = np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec]) * ARCSEC
+        white_variance = found.noise_gain * (config.white_sigma_arcsec * ARCSEC) ** 2
+        shifted_n = config.time_offset_sigma_s * (found.rotation_nd @ found.rate_d)
+        covariance_n = np.diag(slow**2 + white_variance) + np.outer(shifted_n, shifted_n)
+        jumped_n = self._jumped_n(time_ns)
+        covariance_n += np.outer(jumped_n, jumped_n)
+        return AttitudePrior(found.rotation_nd, covariance_n + found.error_covariance_n)
+
+    def turn(self, to_ns: int, from_ns: int) -> tuple[FloatArray, FloatArray] | None:
+        """The deck's turn between two moments.
+
+        The slow error of the INS is the same at both and cancels. What is left is its noise, and its time offset where
+        the rate changes.
+
+        Returns:
+            Rotation "deck at ``to_ns`` from deck at ``from_ns``", and the covariance of its rotation vector in the
+            deck, rad²; None where the INS does not tell.
+        """
+        if to_ns == from_ns:
+            return np.eye(3), np.zeros((3, 3))
+        end, start = self._at(to_ns), self._at(from_ns)
+        if end is None or start is None or np.any(self._jumped_n(to_ns) != self._jumped_n(from_ns)):
+            return None
+        rotation = end.rotation_nd.T @ start.rotation_nd
+        shifted = self._config.time_offset_sigma_s * (rotation @ start.rate_d - end.rate_d)
+        white_variance = (end.noise_gain + start.noise_gain) * (self._config.white_sigma_arcsec * ARCSEC) ** 2
+        interpolated = end.error_covariance_d + rotation @ start.error_covariance_d @ rotation.T
+        return rotation, white_variance * np.eye(3) + np.outer(shifted, shifted) + interpolated
+
+    def turning(self, time_ns: int, nodes: Nodes) -> tuple[Turning, float] | None:
+        """The deck's turning over an exposure, whatever is constantly wrong with the INS.
+
+        Returns:
+            The turning, and the variance of the mean attitude over the exposure against that at its middle, each axis,
+            rad²; None where the INS does not tell.
+        """
+        turning = turning_over(self._track, time_ns - self._offset_ns, nodes)
+        if turning is None:
+            return None
+        white_variance = turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
+        return turning, white_variance + turning.correction_error
+
+    def drop_before(self, time_ns: int) -> None:
+        """Forget what is not needed for moments at or after ``time_ns``."""
+        self._track.drop_before(time_ns - self._offset_ns)
+
+    def _jumped_n(self, time_ns: int) -> FloatArray:
+        """How far the INS has jumped in all until a moment: it may be so far off."""
+        before = [jump.jump_n for jump in self._jumps if jump.time_ns < time_ns - self._offset_ns]
+        return np.sum(before, axis=0) if before else np.zeros(3)
+
+    def _at(self, time_ns: int) -> InterpolatedAttitude | None:
+        return self._track.at(time_ns - self._offset_ns)

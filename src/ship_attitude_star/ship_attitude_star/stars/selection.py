@@ -1,0 +1,240 @@
+"""Which stars are what they are taken for: consensus of many, without or with an attitude known beforehand.
+
+The rule of models.md §2. Trial attitudes, from pairs of stars whose angle fits or from single stars that turn the
+prior; members of a trial by Mahalanobis² < 16; the worst one dropped while p < 1e-3; accepted with p > 1e-6 and more
+members than any rival. Without a prior three stars are the least that can be verified: two with swapped identities are
+always consistent with themselves.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.stars.fit import Agreement, Judgement, SightedStars, StarFit, agreement, linearized
+from ship_geometry import wahba
+from ship_geometry.rotations import FloatArray, angle_between, skew
+
+MEMBER_DISTANCE = 16.0
+"""Mahalanobis² (two degrees of freedom) up to which a star belongs to a trial."""
+DROP_PROBABILITY, ACCEPT_PROBABILITY = 1e-3, 1e-6
+FEWEST_VERIFIED = 3
+CLEARLY_BETTER = 13.8
+"""By so much less chi² (two degrees of freedom, 1 in 1000) one of two explanations is clearly better than the other."""
+_TRIALS_REFINED = 3
+
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class AttitudePrior:
+    """An attitude known without these stars.
+
+    Attributes:
+        rotation_nb: horizon from b, shape (3, 3).
+        covariance_n: of its rotation vector in the horizon frame, rad², shape (3, 3); zero where it is exact.
+    """
+
+    rotation_nb: FloatArray
+    covariance_n: FloatArray
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A possible choice.
+
+    Attributes:
+        members: which stars, shape (k,).
+        count: how many.
+    """
+
+    members: BoolArray
+    count: int
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The stars that belong together.
+
+    Attributes:
+        members: shape (k,); none where no set is larger than its rivals.
+        agreement: the attitude that they give, where it has been found on the way.
+    """
+
+    members: BoolArray
+    agreement: Agreement | None = None
+
+
+def select(stars: SightedStars, prior: AttitudePrior | None = None) -> Choice:
+    """Choose the stars that are what they are taken for.
+
+    Args:
+        stars: all that were seen and have a place in the sky.
+        prior: chooses among sets and lets one star do; it has no part in what becomes of the stars.
+    """
+    if prior is None:
+        return _select_alone(stars)
+    return Choice(_select_by_prior(stars, prior))
+
+
+def _select_alone(stars: SightedStars) -> Choice:
+    everything = np.ones(len(stars), dtype=bool)
+    if len(stars) < 2:
+        return Choice(~everything)
+    whole = agreement(stars)
+    if whole is not None and whole.judgement.probability >= DROP_PROBABILITY:
+        return Choice(everything, whole)
+    trials = _pair_trials(stars)
+    for trial in trials[:_TRIALS_REFINED]:
+        members = _refined_alone(stars, trial.members)
+        if members.any() and not _has_rival(trials, members, shared=2):
+            refined = agreement(stars, members)
+            assert refined is not None
+            return Choice(_unambiguous(refined.fit, members))
+    return Choice(~everything)
+
+
+def _refined_alone(stars: SightedStars, members: BoolArray) -> BoolArray:
+    """Members without those that do not fit the rest; none where even the rest does not."""
+    while np.count_nonzero(members) >= 2:
+        refined = agreement(stars, members)
+        if refined is None:
+            break
+        if refined.judgement.probability >= DROP_PROBABILITY:
+            return members
+        if np.count_nonzero(members) <= FEWEST_VERIFIED:
+            return members if refined.judgement.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
+        members = _without_worst(refined.fit, refined.judgement, members)
+    return np.zeros_like(members)
+
+
+def _unambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
+    """Members without those that a star left out could stand in for: which of the two is right nobody can say."""
+    limit = fit.judge(members).chi_square + CLEARLY_BETTER
+    kept = members.copy()
+    for outsider in np.flatnonzero(~members):
+        both = members.copy()
+        both[outsider] = True
+        judgement = fit.judge(both)
+        without_one = judgement.chi_square - fit.gain_by_leaving_out(judgement, both)
+        # Written so that NaN, which nobody can judge, leaves no star in.
+        kept[np.flatnonzero(both)[~(without_one >= limit)]] = False
+    return kept
+
+
+def _has_rival(trials: list[Trial], members: BoolArray, shared: int) -> bool:
+    """Whether another set is as large. One with ``shared`` stars in common is no other: it has the same attitude."""
+    count = np.count_nonzero(members)
+    return any(trial.count >= count and np.count_nonzero(trial.members & members) < shared for trial in trials)
+
+
+def _pair_trials(stars: SightedStars) -> list[Trial]:
+    """Trial attitudes from all pairs of stars whose angle fits, the largest sets first."""
+    first, second = np.triu_indices(len(stars), 1)
+    seen = angle_between(stars.measured_b[first], stars.measured_b[second])
+    expected = angle_between(stars.reference_n[first], stars.reference_n[second])
+    common = _common_variance(stars)
+    sigma = np.sqrt(stars.worst_sigma**2 + common)
+    fitting = np.abs(seen - expected) < np.sqrt(MEMBER_DISTANCE) * np.hypot(sigma[first], sigma[second])
+    pairs = np.stack([first[fitting], second[fitting]], axis=-1)
+    solution = wahba.solve(stars.reference_n[pairs], stars.measured_b[pairs], sigma[pairs])
+    pairs, solved = pairs[solution.solved], np.atleast_1d(solution.solved)
+    rotation_nb, covariance_n = solution.rotation_nd[solved], solution.covariance_n[solved]
+    basis = across(stars.reference_n)
+    displacement = stars.reference_n - stars.measured_b @ np.swapaxes(rotation_nb, -1, -2)
+    left = np.einsum("kij,tkj->tki", basis, displacement)
+    turned = basis @ skew(stars.reference_n)
+    covariance = np.einsum("kia,tab,kjb->tkij", turned, covariance_n, turned)
+    own = (stars.white_sigma**2 + common)[:, None, None] * np.eye(2)
+    if stars.smear_b is not None:
+        turned_basis = basis @ rotation_nb[:, None]
+        own = own + turned_basis @ stars.smear_b @ np.swapaxes(turned_basis, -1, -2)
+    covariance += own
+    members = distance(left, covariance) < MEMBER_DISTANCE
+    # The two stars of the trial belong to it, and only one side of the sphere does.
+    members &= np.einsum("tkj,kj->tk", displacement, stars.reference_n) < 0.5
+    members[np.arange(len(pairs))[:, None], pairs] = True
+    return _by_size(members, np.trace(covariance_n, axis1=-2, axis2=-1))
+
+
+def _common_variance(stars: SightedStars) -> FloatArray:
+    """What mounting and shared errors add to a star's direction, mean of both axes, rad², shape (k,)."""
+    variance = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
+    if len(stars.mounting_b):
+        about_star = skew(stars.measured_b)
+        mounted = about_star @ stars.mounting_b[stars.sensor]
+        variance = variance + 0.5 * np.sum(mounted**2, axis=(-2, -1))
+    return variance
+
+
+def _select_by_prior(stars: SightedStars, prior: AttitudePrior) -> BoolArray:
+    everything = np.ones(len(stars), dtype=bool)
+    if not everything.any():
+        return everything
+    fit = linearized(stars, prior.rotation_nb).with_prior(prior.covariance_n)
+    if fit.judge(everything).probability >= DROP_PROBABILITY:
+        return everything
+    trials = _single_trials(stars, fit)
+    for trial in trials[:_TRIALS_REFINED]:
+        members = _refined_by_prior(fit, trial.members)
+        if members.any() and not _has_rival(trials, members, shared=1):
+            return _unambiguous(fit, members)
+    return ~everything
+
+
+def _refined_by_prior(fit: StarFit, members: BoolArray) -> BoolArray:
+    while members.any():
+        judgement = fit.judge(members)
+        if judgement.probability >= DROP_PROBABILITY:
+            return members
+        if np.count_nonzero(members) == 1:
+            return members if judgement.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
+        members = _without_worst(fit, judgement, members)
+    return members
+
+
+def _without_worst(fit: StarFit, judgement: Judgement, members: BoolArray) -> BoolArray:
+    """Members without the one whose absence explains most of the misfit."""
+    kept = members.copy()
+    kept[np.flatnonzero(members)[np.argmax(fit.gain_by_leaving_out(judgement, members))]] = False
+    return kept
+
+
+def _single_trials(stars: SightedStars, fit: StarFit) -> list[Trial]:
+    """What the other stars say once the prior was turned to one of them, the largest sets first."""
+    basis = across(stars.reference_n)
+    left = np.einsum("kij,kj->ki", basis, fit.displacement)
+    rows = basis @ fit.jacobian
+    covariance = np.einsum("kia,lja->klij", rows, rows)
+    own = np.arange(len(stars))
+    covariance[own, own] += np.eye(2)
+    possible = np.flatnonzero(distance(left, covariance[own, own]) < MEMBER_DISTANCE)
+    # Each possible star t updates the prior; the others k are compared with what is then predicted.
+    cross = covariance[:, possible].swapaxes(0, 1)
+    gain = cross @ np.linalg.inv(covariance[possible, possible])[:, None]
+    rest = left - np.einsum("tkij,tj->tki", gain, left[possible])
+    rest_covariance = covariance[own, own] - gain @ np.swapaxes(cross, -1, -2)
+    rest_covariance[np.arange(len(possible)), possible] = np.eye(2)
+    rest[np.arange(len(possible)), possible] = 0.0
+    members = distance(rest, rest_covariance) < MEMBER_DISTANCE
+    return _by_size(members, np.zeros(len(possible)))
+
+
+def _by_size(members: BoolArray, spread: FloatArray) -> list[Trial]:
+    """Trials with most members first; of as many, those whose attitude is better known."""
+    counts = np.count_nonzero(members, axis=-1)
+    return [Trial(members[row], int(counts[row])) for row in np.lexsort((spread, -counts)).tolist()]
+
+
+def distance(left: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Mahalanobis² of (..., 2) under (..., 2, 2)."""
+    return np.einsum("...i,...i->...", left, np.linalg.solve(covariance, left[..., None])[..., 0])
+
+
+def across(direction: FloatArray) -> FloatArray:
+    """Two unit vectors across each direction, shape (k, 2, 3)."""
+    # Beside the axis that the direction is farthest from, so that no direction is special.
+    axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
+    first = np.cross(direction, axis)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, np.cross(direction, first)], axis=-2)

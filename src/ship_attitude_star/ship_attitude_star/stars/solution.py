@@ -1,0 +1,174 @@
+"""Attitude from all stars of all sensors: Wahba's problem, with a covariance in which every error is accounted for.
+
+[P15] (13)-(16) gives the attitude. Its error is linear in the errors of :mod:`ship_attitude_star.stars.fit`, and one
+set of normal equations holds the sensitivity to each: star noise averages, the others are common and do not.
+"""
+
+import enum
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.sky.apparent_sky import SHARED_TERMS
+from ship_attitude_star.stars.fit import Agreement, SightedStars, agreement
+from ship_attitude_star.stars.selection import FEWEST_VERIFIED, AttitudePrior, select
+from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.frames import SINGULAR_ELEVATION
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+SOLUTION_TERMS = ("star_noise", "installation", "refraction", "earth_rotation", "ship_position", "catalogue")
+"""Error sources of :attr:`StarSolution.parts_n`, in order; only the first is independent from epoch to epoch."""
+
+
+_SHARED_COLUMNS = {
+    index: slice(SHARED_TERMS.index(term), SHARED_TERMS.index(term) + SHARED_TERMS.count(term))
+    for index, term in enumerate(SOLUTION_TERMS)
+    if term in SHARED_TERMS
+}
+"""Which columns of the shared errors belong to a term."""
+
+
+_SINGULAR_UP = float(np.sin(SINGULAR_ELEVATION))
+
+
+class SolutionStatus(enum.IntEnum):
+    """What a solution is worth; the values are those of ship_msgs/StarHorizonAttitude."""
+
+    VALID = 0
+    UNVERIFIED = 1
+    ANGLES_SINGULAR = 2
+    INVALID = 3
+
+
+@dataclass(frozen=True)
+class StarSolution:
+    """An attitude from stars.
+
+    Attributes:
+        status: INVALID where there is none.
+        refusal: why it is INVALID.
+        rotation_nb: horizon from b, shape (3, 3); NaN where INVALID.
+        parts_n: covariance by SOLUTION_TERMS, rotation vector in the horizon frame, rad², shape (6, 3, 3).
+        members: stars used, shape (k,).
+        residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN where INVALID.
+        rejected: by row, stars that were not used because they are not what they were taken for.
+    """
+
+    status: SolutionStatus
+    refusal: Refusal | None
+    rotation_nb: FloatArray
+    parts_n: FloatArray
+    members: NDArray[np.bool_]
+    residual_n: FloatArray
+    rejected: dict[int, Refusal] = field(default_factory=dict)
+
+    @property
+    def covariance_n(self) -> FloatArray:
+        """Of the total error, rad², shape (3, 3)."""
+        total: FloatArray = self.parts_n.sum(axis=0)
+        return total
+
+    @property
+    def noise_n(self) -> FloatArray:
+        """Of the part that is independent from epoch to epoch, rad², shape (3, 3)."""
+        noise: FloatArray = self.parts_n[0]
+        return noise
+
+    @property
+    def residual_rms(self) -> float:
+        """Root mean square of the angle between used stars and their places, rad; NaN where INVALID."""
+        squares = np.sum(self.residual_n[self.members] ** 2, axis=-1)
+        return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")
+
+
+def solve_stars(stars: SightedStars, prior: AttitudePrior | None = None) -> StarSolution:
+    """The attitude of frame b, its covariance by source, and the stars that do not belong.
+
+    Args:
+        stars: all that were seen and have a place in the sky.
+        prior: helps to choose the stars and lets two of them count as verified; it does not enter the attitude.
+    """
+    choice = select(stars, prior)
+    members = choice.members
+    count = int(np.count_nonzero(members))
+    together = members if count else np.ones_like(members)
+    found = choice.agreement or agreement(stars, together)
+    if found is None:
+        return no_attitude(members, Refusal(Reason.TOO_FEW_STARS, _open_turn(int(np.count_nonzero(together)))))
+    if not count:
+        text = f"{len(stars)} stars, no set of them belongs together more than another"
+        reason = Reason.TOO_FEW_STARS if len(stars) < FEWEST_VERIFIED else Reason.MISIDENTIFIED
+        return no_attitude(members, Refusal(reason, text))
+    residual_n = found.fit.residual_n
+    return StarSolution(
+        status=_status(count, prior, found.rotation_nb),
+        refusal=None,
+        rotation_nb=found.rotation_nb,
+        parts_n=_parts(stars, found, members),
+        members=members,
+        residual_n=residual_n,
+        rejected=_rejected(residual_n, stars.white_sigma, members),
+    )
+
+
+def _open_turn(count: int) -> str:
+    if count < 2:
+        return "no star" if count == 0 else "one star: the turn about it stays open"
+    return f"{count} stars, all in one direction: the turn about it stays open"
+
+
+def _status(count: int, prior: AttitudePrior | None, rotation_nb: FloatArray) -> SolutionStatus:
+    if prior is None and count < FEWEST_VERIFIED:
+        return SolutionStatus.UNVERIFIED
+    singular = abs(rotation_nb[1, 0]) > _SINGULAR_UP
+    return SolutionStatus.ANGLES_SINGULAR if singular else SolutionStatus.VALID
+
+
+def _parts(stars: SightedStars, found: Agreement, members: NDArray[np.bool_]) -> FloatArray:
+    """Covariance of the attitude by SOLUTION_TERMS, shape (6, 3, 3)."""
+    # The attitude is weighted by the white errors alone: this is what one sigma of each other error does to it.
+    by_sigma = found.white_covariance_n @ found.judgement.information[:3, 3:]
+    mounting = by_sigma[:, : -len(SHARED_TERMS)]
+    shared = by_sigma[:, -len(SHARED_TERMS) :]
+    parts = np.empty((len(SOLUTION_TERMS), 3, 3))
+    parts[1] = mounting @ mounting.T
+    for index, columns in _SHARED_COLUMNS.items():
+        parts[index] = shared[:, columns] @ shared[:, columns].T
+    share = stars.position_sigma / stars.white_sigma
+    share[~members] = 0.0
+    by_catalogue = (found.fit.jacobian[:, :, :3] * share[:, None, None]).reshape(-1, 3) @ found.white_covariance_n
+    parts[5] = by_catalogue.T @ by_catalogue
+    parts[0] = found.white_covariance_n - parts[5]
+    return parts
+
+
+def _rejected(residual_n: FloatArray, sigma: FloatArray, members: NDArray[np.bool_]) -> dict[int, Refusal]:
+    rejected = {}
+    for row in np.flatnonzero(~members).tolist():
+        angle = float(np.linalg.norm(residual_n[row]))
+        text = f'{_angle_text(angle)} from its place, sigma {sigma[row] / ARCSEC:.1f}"'
+        rejected[row] = Refusal(Reason.MISIDENTIFIED, text)
+    return rejected
+
+
+def _angle_text(angle: float) -> str:
+    return f'{angle / ARCSEC:.1f}"' if angle < 600.0 * ARCSEC else f"{np.rad2deg(angle):.2f}°"
+
+
+def no_attitude(members: NDArray[np.bool_], refusal: Refusal) -> StarSolution:
+    """An INVALID solution.
+
+    Args:
+        members: stars that belong together all the same, shape (k,).
+        refusal: why it is none.
+    """
+    unknown = np.full((3, 3), np.nan)
+    return StarSolution(
+        status=SolutionStatus.INVALID,
+        refusal=refusal,
+        rotation_nb=unknown,
+        parts_n=np.full((len(SOLUTION_TERMS), 3, 3), np.nan),
+        members=members,
+        residual_n=np.full((len(members), 3), np.nan),
+    )

@@ -1,0 +1,38 @@
+from setuptools import find_packages, setup
+
+package_name = "ship_bags"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={package_name: ["live/play_profile.xml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=[
+        "setuptools",
+        "numpy",
+        "PyYAML",
+        "mcap",
+        "mcap-ros2-support",
+        "rosbags",
+        "zstandard",
+        "pynmea2",
+        "rich",
+    ],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="Ship attitude team",
+    maintainer_email="maintainers@example.org",
+    description="Bags: read, write, walk, recover, record, play; ship logs in.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "record = ship_bags.commands.record:main",
+            "play = ship_bags.commands.play:main",
+            "import_nmea = ship_bags.commands.import_nmea:main",
+        ],
+    },
+)

@@ -1,0 +1,83 @@
+"""What every command of the suite does alike: one line on stderr and exit code 2 for bad input, 130 for Ctrl-C."""
+
+import argparse
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from types import FrameType
+from typing import Any, NoReturn
+
+from ship_bags.errors import BadInput, one_line
+from ship_estimation.parameters import ParameterError
+
+EXIT_DONE = 0
+EXIT_BOUND_NOT_MET = 1
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+
+class CommandParser(argparse.ArgumentParser):
+    """An argument parser whose complaint is one line, and whose help ends with an example.
+
+    Args:
+        example: a whole command line, as it is typed; empty for a tool that is no executable of the suite.
+        options: as of argparse.
+    """
+
+    def __init__(self, *, example: str = "", **options: Any) -> None:
+        super().__init__(**options)
+        self._example = example
+
+    def format_help(self) -> str:
+        """The help, and the example as it stands: long lines stay whole."""
+        return super().format_help() + (f"\nexample:\n  {self._example}\n" if self._example else "")
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong with the arguments, in one line, and leave."""
+        self.exit(EXIT_BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def run_command(
+    parser: CommandParser, command: Callable[[argparse.Namespace], int], arguments: Sequence[str] | None
+) -> int:
+    """Exit code of a command whose bad input, or interruption, becomes one line on stderr.
+
+    Args:
+        parser: parser of the command's arguments.
+        command: does the work with the parsed arguments and returns the exit code.
+        arguments: the command line without the program's name; None takes the process's own.
+    """
+    parsed = parser.parse_args(arguments)
+    code = EXIT_BAD_INPUT
+    with _one_interrupt():
+        try:
+            return command(parsed)
+        except (BadInput, ParameterError) as problem:
+            reason = str(problem)
+        except OSError as problem:
+            reason = f"{problem.filename}: {problem.strerror}" if problem.filename else str(problem)
+        except KeyboardInterrupt:
+            reason, code = "interrupted", EXIT_INTERRUPTED
+        sys.stderr.write(f"{parser.prog}: {one_line(reason)}\n")
+    return code
+
+
+@contextlib.contextmanager
+def _one_interrupt() -> Iterator[None]:
+    """The first Ctrl-C ends the work; those of an impatient user do not end the tidying up, which is short."""
+    ours = threading.current_thread() is threading.main_thread()
+    if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,0 +1,141 @@
+"""``play``: a bag's messages go out live, with its time on /clock."""
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser
+from ship_bags.live.dds_profile import use_quick_repeats
+from ship_bags.live.play import Player, PlayOptions
+from ship_bags.live.play_controls import add_services, keyboard, served
+from ship_bags.live.playback_clock import PlaybackClock
+from ship_bags.live.ros_command import command_node, on_end_signals, positive, run_ros_command
+
+_DESCRIPTION = """\
+Publishes the messages of a bag live, byte for byte, at the times of its log, and that time every 10 ms on /clock.
+Publishers are reliable; topics that were latched are latched again. It starts when subscribers match, two seconds
+after the last match where nobody takes some of its topics, which it names; it ends when every reliable subscriber has
+acknowledged the last message, and in order on Ctrl-C. On a terminal: space pauses and goes on, s plays the next
+message while it is paused, + doubles the rate and - halves it. Services of the node: ~/pause, ~/resume,
+~/toggle_paused, ~/play_next (std_srvs/Trigger).
+ROS arguments may follow after --ros-args (namespace, remaps).
+"""
+_EPILOG = "exit code: 0 played; 1 a subscriber did not acknowledge messages; 2 bad input or usage"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of ``play``; returns the exit code."""
+    return run_ros_command(_parser(), _play, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="play",
+        example="./ros2run ship_bags play bags/demo.mcap --rate 2",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("bag", type=Path, help="bag to play: .mcap file or rosbag2 folder")
+    parser.add_argument(
+        "--rate",
+        type=positive,
+        default=1.0,
+        metavar="R",
+        help="seconds of the bag per second (1); 1e9 is as fast as it goes",
+    )
+    parser.add_argument(
+        "--loop", type=_count, default=1, metavar="N", help="play it N times, 0 without end (1)"
+    )
+    parser.add_argument(
+        "--start-offset",
+        type=_seconds,
+        default=0.0,
+        metavar="S",
+        help="leave out the first S seconds of the bag (0)",
+    )
+    parser.add_argument("--paused", action="store_true", help="start paused")
+    parser.add_argument(
+        "--topics", nargs="+", default=[], metavar="TOPIC", help="play only these topics, named as in the bag"
+    )
+    parser.add_argument(
+        "--remap", nargs="+", type=_remap, default=[], metavar="OLD:=NEW", help="play topic OLD as NEW"
+    )
+    parser.add_argument(
+        "--wait-for-subscribers",
+        nargs="+",
+        type=_expected,
+        default=[],
+        metavar="TOPIC[=COUNT]",
+        help="start when these topics, named as played, have so many subscribers each (1), and fail where they do not "
+        "come; without: wait for one of every topic but truth, and play all the same where none comes",
+    )
+    parser.add_argument(
+        "--wait-timeout",
+        type=_seconds,
+        default=10.0,
+        metavar="S",
+        help="wait so many seconds for subscribers (10)",
+    )
+    return parser
+
+
+def _play(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
+    options = PlayOptions(
+        start_offset_s=parsed.start_offset,
+        loop_count=parsed.loop,
+        topics=tuple(parsed.topics),
+        remaps=dict(parsed.remap),
+        wait_for=dict(parsed.wait_for_subscribers),
+        wait_timeout_s=parsed.wait_timeout,
+    )
+    use_quick_repeats()
+    clock = PlaybackClock(parsed.rate, parsed.paused)
+    with command_node("play", ros_arguments) as node:
+        player = Player(node, parsed.bag, options, clock)
+        add_services(node, clock)
+        on_end_signals(clock.stop)
+        with served(node, clock, player.publish_clock), keyboard(clock):
+            summary = player.run()
+    print(f"play: {summary.message_count} messages, none later than {summary.latest_s * 1e3:.1f} ms")
+    if summary.unacknowledged:
+        print(
+            f"play: not acknowledged by every subscriber: {', '.join(summary.unacknowledged)}",
+            file=sys.stderr,
+        )
+        return EXIT_BOUND_NOT_MET
+    return EXIT_DONE
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value >= 0.0):
+        raise argparse.ArgumentTypeError(f"{text} is not a time in seconds, zero or more")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} is not a number of times, zero or more")
+    return value
+
+
+def _remap(text: str) -> tuple[str, str]:
+    old, separator, new = text.partition(":=")
+    if not (old and separator and new):
+        raise argparse.ArgumentTypeError(f"'{text}' is not of the form OLD:=NEW")
+    return old, new
+
+
+def _expected(text: str) -> tuple[str, int]:
+    topic, separator, count = text.partition("=")
+    if not topic or (separator and not count.isdigit()):
+        raise argparse.ArgumentTypeError(f"'{text}' is not of the form TOPIC or TOPIC=COUNT")
+    return topic, int(count) if separator else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,145 @@
+"""``record``: live topics go into a crash-safe bag; what a crash left is made whole again."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser
+from ship_bags.errors import BadInput, one_line
+from ship_bags.live.record import Recorder, RecordOptions
+from ship_bags.live.ros_command import command_node, on_end_signals, positive, run_ros_command
+from ship_bags.mcap.recover import recover, recovered_path
+from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.output_files import add_force, check_file
+from ship_bags.rosbag2.split_bag import FolderWriter, SplitLimits
+
+_DESCRIPTION = """\
+Records live topics into one MCAP file or a rosbag2 folder, byte for byte, with definitions and quality of service as
+ros2 bag does. A crash costs one flush period at most. New topics are taken as they appear; subscriptions follow what
+publishers offer (reliable, latched). Log time is the node's clock at receipt, publish time the publisher's. The
+parameters of the nodes on the network are asked for and attached as suite.yaml, which replay takes by itself. Ctrl-C or
+SIGTERM ends it. ROS arguments may follow after --ros-args (namespace, use_sim_time, remaps).
+
+With --recover it records nothing: of each bag named it takes every message up to the cut, past damaged chunks, whose
+time range it names, and writes FILE.recovered.mcap beside it (FOLDER.recovered for a folder). That is read back whole
+by two other readers before it gets its name; the original stays as it is.
+"""
+_EPILOG = "exit code: 0 recorded or recovered; 2 bad input or usage, or the disk failed"
+_BYTES_PER_MB = 1_000_000
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of ``record``; returns the exit code."""
+    parser = _parser()
+    return run_ros_command(parser, lambda parsed, ros: _run(parser, parsed, ros), arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="record",
+        example="./ros2run ship_bags record --out voyage.mcap",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="BAG", help="bag to write: BAG.mcap is one file, any other name a rosbag2 folder"
+    )
+    add_force(parser)
+    parser.add_argument(
+        "--recover", type=Path, nargs="+", metavar="FILE", help="make damaged or unfinished bags whole again"
+    )
+    parser.add_argument(
+        "--split-mb", type=positive, metavar="MB", help="folder: a new file after so many megabytes (never)"
+    )
+    parser.add_argument(
+        "--split-s", type=positive, metavar="S", help="folder: a new file after S seconds of real time (never)"
+    )
+    parser.add_argument(
+        "--topics", nargs="+", default=[], metavar="TOPIC", help="only these (all but hidden ones and /clock)"
+    )
+    parser.add_argument(
+        "--flush-period-s",
+        type=positive,
+        default=0.1,
+        metavar="S",
+        help="flush and fsync every S seconds (0.1)",
+    )
+    parser.add_argument("--duration-s", type=positive, metavar="S", help="end after S seconds (never)")
+    parser.add_argument(
+        "--until-idle-s",
+        type=positive,
+        metavar="S",
+        help="end S seconds after the last measurement or valid result (never); what nodes without input go on to say "
+        "(diagnostics, health, budgets, INVALID, /rosout) counts only where nothing else is recorded",
+    )
+    parser.add_argument("--use-sim-time", action="store_true", help="log time is that of /clock")
+    return parser
+
+
+def _run(parser: CommandParser, parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
+    if parsed.recover:
+        if parsed.out is not None and len(parsed.recover) > 1:
+            parser.error("--out names one result, but --recover several bags")
+        return _recover(parsed.recover, parsed.out, parsed.force)
+    if parsed.out is None:
+        parser.error("the following arguments are required: --out")
+    if parsed.out.suffix == ".mcap" and (parsed.split_mb or parsed.split_s):
+        parser.error(f"--split-mb and --split-s need a folder: --out {parsed.out.with_suffix('')}")
+    return _record(parsed, ros_arguments)
+
+
+def _recover(sources: list[Path], target: Path | None, force: bool) -> int:
+    """Recover each bag; one that cannot be does not keep the others from it."""
+    exit_code = EXIT_DONE
+    for source in sources:
+        try:
+            recovery = recover(source, recovered_path(source) if target is None else target, force)
+        except (BadInput, OSError) as problem:
+            print(f"record: {one_line(str(problem))}", file=sys.stderr)
+            exit_code = EXIT_BAD_INPUT
+            continue
+        for problem in recovery.problems:
+            print(f"record: {problem}")
+        print(
+            f"record: {recovery.path}: {sum(recovery.counts.values())} messages on {len(recovery.counts)} topics, "
+            "all read back by mcap and rosbags"
+        )
+    return exit_code
+
+
+def _opened(parsed: argparse.Namespace) -> BagWriter | FolderWriter:
+    if parsed.out.suffix == ".mcap":
+        check_file(parsed.out, parsed.force)
+        # Whoever reads the former one keeps it.
+        parsed.out.unlink(missing_ok=True)
+        return BagWriter(parsed.out, atomic=False)
+    size_bytes = None if parsed.split_mb is None else round(parsed.split_mb * _BYTES_PER_MB)
+    return FolderWriter(parsed.out, SplitLimits(size_bytes, parsed.split_s))
+
+
+def _record(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
+    options = RecordOptions(
+        topics=tuple(parsed.topics),
+        flush_period_s=parsed.flush_period_s,
+        duration_s=parsed.duration_s,
+        until_idle_s=parsed.until_idle_s,
+    )
+    with command_node("record", ros_arguments, parsed.use_sim_time) as node:
+        bag = _opened(parsed)
+        recorder = Recorder(node, bag, options)
+        on_end_signals(recorder.stop)
+        print(f"record: recording to {parsed.out}", flush=True)
+        recorder.run()
+    for name in sorted(recorder.unanswered):
+        print(f"record: {name} did not say its parameters: they are not in the recording")
+    for topic in sorted(recorder.counts):
+        lost = f", {recorder.lost[topic]} lost on the way" if recorder.lost[topic] else ""
+        print(f"record: {topic}: {recorder.counts[topic]} messages{lost}")
+    print(f"record: {sum(recorder.counts.values())} messages in {parsed.out}")
+    return EXIT_DONE
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

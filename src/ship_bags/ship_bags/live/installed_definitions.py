@@ -1,0 +1,55 @@
+"""Definitions of message types as this ROS installation has them, for the bags that a live node writes."""
+
+import json
+import re
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+
+from ship_bags.mcap.bag_writer import TypeDefinition
+from ship_bags.message_factory import message_class
+
+_SEPARATOR = "=" * 80
+_NESTED = re.compile(r"(\w+)/(\w+)")
+
+
+def installed_definition(type_name: str) -> TypeDefinition:
+    """The definition of a message type with all that it refers to, as rosbag2 embeds it.
+
+    Raises:
+        LookupError: the type's package is not installed.
+        OSError: its files are not.
+    """
+    own, *others = _with_all_nested(type_name)
+    parts = [_text(own)]
+    for name in others:
+        package, _, kind = name.split("/")
+        parts.append(f"{_SEPARATOR}\nMSG: {package}/{kind}\n{_text(name)}")
+    return TypeDefinition("\n".join(parts), type_hash(type_name))
+
+
+def type_hash(type_name: str) -> str:
+    """Hash of a type (RIHS01)."""
+    description = json.loads(_file(type_name, "json").read_text(encoding="utf-8"))
+    hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
+    return str(hashes[type_name])
+
+
+def _with_all_nested(type_name: str) -> list[str]:
+    """The type and the types of its fields, of their fields and so on, each once."""
+    names = [type_name]
+    for name in names:
+        for field_type in message_class(name).get_fields_and_field_types().values():
+            nested = _NESTED.search(field_type)
+            if nested is not None and (full := f"{nested[1]}/msg/{nested[2]}") not in names:
+                names.append(full)
+    return names
+
+
+def _text(type_name: str) -> str:
+    return _file(type_name, "msg").read_text(encoding="utf-8")
+
+
+def _file(type_name: str, suffix: str) -> Path:
+    package, _, kind = type_name.split("/")
+    return Path(get_package_share_directory(package)) / "msg" / f"{kind}.{suffix}"

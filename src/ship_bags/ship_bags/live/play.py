@@ -1,0 +1,276 @@
+"""Plays a bag live: its messages as they are, byte for byte, and the bag's time on /clock."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+
+from ship_bags.errors import BadInput
+from ship_bags.live.message_class import message_class
+from ship_bags.live.playback_clock import PlaybackClock
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
+from ship_bags.progress import watched
+from ship_bags.times import NS_PER_S
+
+CLOCK_PERIOD_NS = 10_000_000
+"""/clock goes out on this grid of bag time, so it is never further than this behind the message just sent."""
+
+# Steady time for which /clock runs before the first message, so that every consumer's clock is set (or has jumped
+# back, in a loop) when the first message comes.
+_LEAD_S = 0.1
+# At a high rate that would be days of the bag, at /clock's period millions of messages; so many minutes of them take
+# about as long as the lead is to be.
+_LONGEST_LEAD_S = 60.0
+# A hundred thousand ticks in a second of steady time, which nobody can send.
+_FASTEST_WITH_ALL_TICKS = 1000.0
+# Where some topics have subscribers and others none: so long after the last match nobody else is expected. Discovery
+# on one machine takes 0.06 s to 1.6 s.
+_SETTLED_S = 2.0
+_POLL_S = 0.01
+_ACKNOWLEDGE_S = 10.0
+# What a reader missed must still be there when it says so; at Fast DDS's default heartbeat (3 s) this does for 1 kHz.
+_DEPTH = 5000
+
+# A recording of these would contradict those that the playing node itself puts out.
+_OWN_TOPICS = ("/clock", "/rosout", "/parameter_events")
+
+
+@dataclass(frozen=True)
+class PlayOptions:
+    """How a bag is played; see ``play --help``. `wait_for` maps topics as played to numbers of subscribers."""
+
+    start_offset_s: float = 0.0
+    loop_count: int = 1
+    topics: tuple[str, ...] = ()
+    remaps: Mapping[str, str] = field(default_factory=dict)
+    wait_for: Mapping[str, int] = field(default_factory=dict)
+    wait_timeout_s: float = 10.0
+
+
+@dataclass(frozen=True)
+class PlaySummary:
+    """What was played: messages, the longest delay of one, and the topics where not all was acknowledged."""
+
+    message_count: int
+    latest_s: float
+    unacknowledged: tuple[str, ...]
+
+
+class Player:
+    """Publishes one bag, in the order and at the times of its log.
+
+    Args:
+        node: node that publishes; somebody else spins it.
+        bag_path: .mcap file or rosbag2 directory.
+        options: what to play, how often, and whom to wait for.
+        clock: bag time; other threads pause, step and stop it.
+
+    Raises:
+        BadInput: the bag cannot be read, a named topic is not in it, or nothing in it can be played.
+    """
+
+    def __init__(self, node: Node, bag_path: Path, options: PlayOptions, clock: PlaybackClock) -> None:
+        self._node = node
+        self._bag_path = bag_path
+        self._options = options
+        self._clock = clock
+        self._clock_publisher = node.create_publisher(Clock, "/clock", _DEPTH)
+        self.clock_ns = 0
+        self._publishers: dict[str, Publisher] = {}
+        with read_bag(bag_path) as bag:
+            if bag.start_ns is None or bag.end_ns is None:
+                raise BadInput(f"{bag_path}: there are no messages to play")
+            self.start_ns = bag.start_ns + round(options.start_offset_s * NS_PER_S)
+            self.end_ns = bag.end_ns
+            if self.start_ns > self.end_ns:
+                length_s = (bag.end_ns - bag.start_ns) / NS_PER_S
+                raise BadInput(
+                    f"{bag_path}: a start offset of {options.start_offset_s} s is past its end at {length_s:.3f} s"
+                )
+            for topic, why in bag.skipped_topics.items():
+                self._say(f"topic '{topic}' is not played: {why}")
+            self._advertise(bag)
+
+    def run(self) -> PlaySummary:
+        """Play to the end, or until the clock is stopped."""
+        self._wait_for_subscribers()
+        message_count, latest_s = 0, 0.0
+        problems: list[str] = []
+        unacknowledged: tuple[str, ...] = ()
+        endless = self._options.loop_count == 0
+        laps = 0
+        while not self._clock.stopped and (endless or laps < self._options.loop_count):
+            laps += 1
+            with read_bag(self._bag_path) as bag:
+                for record in self._due(watched(self._from_start(bag), bag)):
+                    self._publish(record)
+                    message_count += 1
+                    latest_s = max(latest_s, self._clock.behind_s(record.log_time_ns))
+                problems = bag.problems
+            # Before a loop too: nothing of this lap may come after the clock has jumped back.
+            if not self._clock.stopped:
+                unacknowledged = self._acknowledge()
+        for problem in problems:
+            self._say(problem)
+        return PlaySummary(message_count, latest_s, unacknowledged)
+
+    def publish_clock(self) -> None:
+        """Say the time again, for consumers that come while the playback is paused."""
+        if self.clock_ns:
+            self._send_clock(self.clock_ns)
+
+    def _from_start(self, bag: Bag) -> Iterator[BagRecord]:
+        """Messages from the start on; before them what latched topics said last, as who comes late gets it."""
+        earlier: dict[str, BagRecord] = {}
+        for record in bag.records(self._publishers):
+            if record.log_time_ns >= self.start_ns:
+                yield from earlier.values()
+                earlier.clear()
+                yield record
+            elif record.topic in bag.latched_topics:
+                earlier[record.topic] = replace(record, log_time_ns=self.start_ns)
+
+    def _due(self, records: Iterable[BagRecord]) -> Iterator[BagRecord]:
+        """Each record when its time has come; /clock goes out in between."""
+        lead_s = min(_LEAD_S * self._clock.rate, _LONGEST_LEAD_S)
+        lead_ns = max(CLOCK_PERIOD_NS, round(lead_s * NS_PER_S))
+        self._clock.begin(self.start_ns - lead_ns)
+        started = False
+
+        def stride() -> int:
+            """At rates at which they cannot be sent, ticks between messages are left out; not those of the lead."""
+            return round(self._clock.rate / _FASTEST_WITH_ALL_TICKS) if started else 1
+
+        for time_ns, record in with_ticks(records, self.start_ns - lead_ns, stride):
+            started = started or record is not None
+            if not self._clock.wait_until(time_ns, is_message=record is not None):
+                return
+            if record is not None:
+                yield record
+            else:
+                self._send_clock(time_ns)
+
+    def _send_clock(self, time_ns: int) -> None:
+        self.clock_ns = time_ns
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(time_ns, NS_PER_S)
+        self._clock_publisher.publish(message)
+
+    def _publish(self, record: BagRecord) -> None:
+        self._publishers[record.topic].publish(bytes(record.data))
+
+    def _acknowledge(self) -> tuple[str, ...]:
+        """Wait until every reliable subscriber has what was sent; the topics where one has not."""
+        deadline_s = time.monotonic() + _ACKNOWLEDGE_S
+        late = []
+        for topic, publisher in {"/clock": self._clock_publisher, **self._publishers}.items():
+            if not publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline_s - time.monotonic()))):
+                late.append(topic)
+        return tuple(late)
+
+    def _advertise(self, bag: Bag) -> None:
+        """Make a publisher for each topic to be played."""
+        for name in (*self._options.topics, *self._options.remaps):
+            if name not in bag.topics:
+                raise BadInput(
+                    f"{bag.path}: has no topic '{name}' to play; it has {', '.join(sorted(bag.topics))}"
+                )
+        types: dict[str, str] = {}
+        for topic, type_name in bag.topics.items():
+            if topic not in self._options.topics and (self._options.topics or topic in _OWN_TOPICS):
+                continue
+            try:
+                kind = message_class(type_name)
+            except BadInput as problem:
+                self._say(f"topic '{topic}' is not played: {problem}")
+                continue
+            if bag.differences.get(type_name):
+                # Subscribers would read the bytes by the installed definition.
+                self._say(f"topic '{topic}' is not played: {'; '.join(bag.differences[type_name])}")
+                continue
+            durability = (
+                DurabilityPolicy.TRANSIENT_LOCAL if topic in bag.latched_topics else DurabilityPolicy.VOLATILE
+            )
+            qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
+            name = self._options.remaps.get(topic, topic)
+            if types.setdefault(name, type_name) != type_name:
+                raise BadInput(
+                    f"{bag.path}: topic '{topic}' ({type_name}) cannot be played as '{name}', "
+                    f"which carries {types[name]}"
+                )
+            self._publishers[topic] = self._node.create_publisher(kind, name, qos)
+        if not self._publishers:
+            raise BadInput(f"{bag.path}: none of its topics can be played")
+
+    def _wait_for_subscribers(self) -> None:
+        """Return when every topic has its subscribers, or nobody else is to be expected.
+
+        A topic has them when there are as many as asked for (one, but for truth, which nobody needs) and none that
+        the graph already shows is still unmatched. Nobody else is expected when the time-out is over; or, unless
+        subscribers were asked for by name, some time after the last match, when one topic has them at least.
+
+        Raises:
+            BadInput: subscribers that were asked for by name did not come.
+        """
+        by_name = {p.topic_name: p for p in (self._clock_publisher, *self._publishers.values())}
+        asked = {self._node.resolve_topic_name(name): count for name, count in self._options.wait_for.items()}
+        for name in asked.keys() - by_name.keys():
+            raise BadInput(f"topic '{name}' is not played, so there are no subscribers to wait for")
+        wanted = asked or {name: 1 for name in by_name if name != "/clock" and "truth" not in name.split("/")}
+        deadline_s = time.monotonic() + self._options.wait_timeout_s
+        matches, settled_s = [0], deadline_s
+        while missing := [
+            name for name, p in by_name.items() if not self._matched(name, p, wanted.get(name, 0))
+        ]:
+            if self._clock.stopped:
+                return
+            counts = [p.get_subscription_count() for p in by_name.values()]
+            if counts != matches:
+                matches, settled_s = counts, time.monotonic() + _SETTLED_S
+            unwanted = [name for name in missing if not by_name[name].get_subscription_count()]
+            taken = any(name in wanted for name in by_name.keys() - set(unwanted))
+            if not asked and taken and unwanted == missing and time.monotonic() >= settled_s:
+                self._say(f"nobody takes {', '.join(sorted(unwanted))}; playing all the same")
+                return
+            if time.monotonic() >= deadline_s:
+                names = ", ".join(sorted(missing))
+                text = f"no match after {self._options.wait_timeout_s} s with the subscribers of {names}"
+                if asked:
+                    raise BadInput(text)
+                self._say(f"{text}; playing all the same")
+                return
+            time.sleep(_POLL_S)
+
+    def _matched(self, name: str, publisher: Publisher, wanted: int) -> bool:
+        return publisher.get_subscription_count() >= max(wanted, self._node.count_subscribers(name))
+
+    def _say(self, line: str) -> None:
+        self._node.get_logger().warning(line)
+
+
+def with_ticks(
+    records: Iterable[BagRecord], first_tick_ns: int, stride: Callable[[], int] = lambda: 1
+) -> Iterator[tuple[int, BagRecord | None]]:
+    """What goes out, in order: records with their log times, and ticks (None) of /clock on its grid.
+
+    The tick before a record is less than a period older; one more follows the last record.
+
+    Args:
+        records: of the bag.
+        first_tick_ns: where the grid begins.
+        stride: of so many ticks between two records one goes out, and the last.
+    """
+    tick_ns = first_tick_ns
+    for record in records:
+        while tick_ns <= record.log_time_ns:
+            yield tick_ns, None
+            steps_to_record = (record.log_time_ns - tick_ns) // CLOCK_PERIOD_NS
+            tick_ns += CLOCK_PERIOD_NS * max(1, min(stride(), steps_to_record))
+        yield record.log_time_ns, record
+    yield tick_ns, None

@@ -1,0 +1,129 @@
+"""When the next event of a playback is due: bag time against steady time, with rate, pause, steps and stop."""
+
+import threading
+import time
+
+from ship_bags.times import NS_PER_S
+
+# A wait of years, at a tiny rate or over a gap, is no time that a lock can be given.
+_LONGEST_WAIT_S = 3600.0
+# What is faster is as fast as it goes all the same, and a product with it may not be a number any more.
+_FASTEST = 1e9
+
+
+class PlaybackClock:
+    """Runs through bag time at a rate; other threads and signal handlers may pause, step, speed up and stop it.
+
+    Args:
+        rate: seconds of bag time per second of steady time, positive, to begin with.
+        paused: start paused.
+    """
+
+    def __init__(self, rate: float, paused: bool = False) -> None:
+        self._rate = min(rate, _FASTEST)
+        self._paused = paused
+        self._stopped = False
+        self._steps = 0
+        # Bag time `_bag_ns` is due at steady time `_steady_ns`.
+        self._bag_ns = 0
+        self._steady_ns = 0
+        # Reentrant (as Condition's own lock is): a signal handler may call stop() inside a wait.
+        self._changed = threading.Condition()
+
+    @property
+    def rate(self) -> float:
+        """Seconds of bag time per second of steady time."""
+        return self._rate
+
+    @property
+    def paused(self) -> bool:
+        """Whether nothing but steps is played now."""
+        return self._paused
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the playback is to end."""
+        return self._stopped
+
+    def change_rate(self, factor: float) -> None:
+        """Go on `factor` times as fast from the bag time reached."""
+        with self._changed:
+            if not self._paused:
+                self._bag_ns, self._steady_ns = self._bag_time_ns(), time.monotonic_ns()
+            self._rate = min(self._rate * factor, _FASTEST)
+            self._changed.notify_all()
+
+    def begin(self, bag_ns: int) -> None:
+        """Bag time is `bag_ns` now."""
+        with self._changed:
+            self._bag_ns = bag_ns
+            self._steady_ns = time.monotonic_ns()
+
+    def pause(self) -> None:
+        """Stop at the bag time reached."""
+        with self._changed:
+            if not self._paused:
+                self._bag_ns = self._bag_time_ns()
+                self._paused = True
+                self._changed.notify_all()
+
+    def resume(self) -> None:
+        """Go on from where the pause began, or from the last step."""
+        with self._changed:
+            if self._paused:
+                self._steady_ns = time.monotonic_ns()
+                self._steps = 0
+                self._paused = False
+                self._changed.notify_all()
+
+    def toggle(self) -> None:
+        """Pause, or go on."""
+        with self._changed:
+            if self._paused:
+                self.resume()
+            else:
+                self.pause()
+
+    def step(self) -> bool:
+        """Let one more message through; False, and nothing happens, unless paused."""
+        with self._changed:
+            if self._paused:
+                self._steps += 1
+                self._changed.notify_all()
+            return self._paused
+
+    def stop(self) -> None:
+        """End every wait, now and later."""
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+
+    def wait_until(self, bag_ns: int, is_message: bool) -> bool:
+        """Wait until bag time `bag_ns` is due: in its time, or by a step, which ends with the next message.
+
+        Returns:
+            False when the playback was stopped.
+        """
+        with self._changed:
+            while not self._stopped:
+                if self._paused and self._steps > 0:
+                    self._steps -= is_message
+                    self._bag_ns = max(self._bag_ns, bag_ns)
+                    return True
+                if self._paused:
+                    self._changed.wait()
+                    continue
+                remaining_s = (bag_ns - self._bag_time_ns()) / self._rate / NS_PER_S
+                if remaining_s <= 0.0:
+                    return True
+                self._changed.wait(min(remaining_s, _LONGEST_WAIT_S))
+        return False
+
+    def behind_s(self, bag_ns: int) -> float:
+        """Steady time by which bag time `bag_ns` is past; zero while paused, and before it is due."""
+        with self._changed:
+            return 0.0 if self._paused else max(0.0, (self._bag_time_ns() - bag_ns) / self._rate / NS_PER_S)
+
+    def _bag_time_ns(self) -> int:
+        """Bag time reached, while not paused."""
+        return self._bag_ns + int((time.monotonic_ns() - self._steady_ns) * self._rate)

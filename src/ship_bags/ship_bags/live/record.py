@@ -1,0 +1,236 @@
+"""Records live topics into a bag that survives a crash: each message as it came, flushed in short periods."""
+
+import time
+from collections import Counter, deque
+from dataclasses import dataclass
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from ship_bags.errors import BadInput
+from ship_bags.live.clock_watch import ClockWatch
+from ship_bags.live.installed_types import use_installed_definition
+from ship_bags.live.message_class import message_class
+from ship_bags.live.record_parameters import HeardParameters
+from ship_bags.live.record_topics import DEPTH, REPORTS, adapted_qos, is_activity, offers, qos_texts
+from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.rosbag2.split_bag import FolderWriter
+from ship_bags.times import NS_PER_S, utc_text
+
+_DISCOVERY_PERIOD_S = 0.1
+# Publishers that go on past the end must not hold it up.
+_DRAIN_S = 1.0
+_HEAR_OUT_S = 1.0
+# A flush begins after this share of its period, so that its writing is over within it.
+_FLUSH_SHARE = 0.7
+# Messages held for a /clock that does not come; of more, the newest.
+_MOST_BEFORE_CLOCK = 50_000
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """What is recorded and when it ends; see ``record --help``. Times are steady; None is without end.
+
+    Idle is the time since the last message that is an activity (:func:`is_activity`), or since the last of any kind
+    where only reports are recorded.
+    """
+
+    topics: tuple[str, ...] = ()
+    flush_period_s: float = 0.1
+    duration_s: float | None = None
+    until_idle_s: float | None = None
+
+
+class Recorder:
+    """Writes what the topics of a node's graph carry.
+
+    Log time is the node's clock at receipt — bag time with ``use_sim_time`` —, publish time the publisher's.
+
+    Args:
+        node: node that subscribes; :meth:`run` spins it.
+        bag: where it is written, crash-safe; :meth:`run` closes it.
+        options: what to record and when to end.
+    """
+
+    def __init__(self, node: Node, bag: BagWriter | FolderWriter, options: RecordOptions) -> None:
+        self.counts: Counter[str] = Counter()
+        self.lost: Counter[str] = Counter()
+        self._node = node
+        self._options = options
+        self._bag = bag
+        self._stopped = False
+        self._known: set[str] = set()
+        self._only_reports = True
+        self._before_clock: deque[tuple[str, str, bytes, int]] = deque()
+        self._last_activity_s: float | None = None
+        self._last_log_ns = 0
+        self._is_simulated_time = bool(node.get_parameter("use_sim_time").value)
+        self._clock_watch = ClockWatch()
+        self._step_count = 0
+        self._parameters = HeardParameters(node, lambda text: bag.add_attachment(SUITE_ATTACHMENT, text))
+
+    @property
+    def unanswered(self) -> list[str]:
+        """Nodes that did not say their parameters."""
+        return self._parameters.unanswered
+
+    def stop(self) -> None:
+        """End soon; for signal handlers."""
+        self._stopped = True
+
+    def run(self) -> None:
+        """Record until the end, then finish the file.
+
+        Raises:
+            BadInput: the disk is full or fails; the file is whole up to the last flush.
+        """
+        executor = SingleThreadedExecutor(context=self._node.context)
+        executor.add_node(self._node)
+        try:
+            self._spin(executor)
+            self._bag.close()
+        except OSError as problem:
+            self._bag.cut()
+            raise BadInput(
+                f"{self._bag.path}: recording ended: {problem.strerror}; the file is whole up to the last flush, "
+                f"{self._bag.whole_bytes} bytes, and record --recover finishes it"
+            ) from problem
+        finally:
+            executor.shutdown()
+
+    def _spin(self, executor: SingleThreadedExecutor) -> None:
+        start_s = time.monotonic()
+        next_flush_s = next_discovery_s = start_s
+        while not self._stopped and not self._is_over(start_s, executor):
+            now_s = time.monotonic()
+            if now_s >= next_discovery_s:
+                self._discover()
+                self._parameters.look()
+                next_discovery_s = now_s + _DISCOVERY_PERIOD_S
+            if now_s >= next_flush_s:
+                self._look_at_clock()
+                self._bag.flush()
+                # A disk that takes longer than the period for a flush must leave as much time to receive.
+                spent_s = time.monotonic() - now_s
+                next_flush_s = now_s + max(_FLUSH_SHARE * self._options.flush_period_s, 2.0 * spent_s)
+            executor.spin_once(timeout_sec=max(0.0, min(next_discovery_s, next_flush_s) - now_s))
+        self._drain(executor)
+        self._hear_out(executor)
+        if self._before_clock:
+            self._say(f"no /clock came: {len(self._before_clock)} messages get their publishers' time")
+            for topic, type_name, data, sent_ns in self._before_clock:
+                self._bag.write_raw(topic, type_name, data, sent_ns, sent_ns)
+
+    def _is_over(self, start_s: float, executor: SingleThreadedExecutor) -> bool:
+        duration_s = self._options.duration_s
+        if duration_s is not None and time.monotonic() - start_s >= duration_s:
+            return True
+        if self._is_idle():
+            # Where a slow disk held everything up, that was no silence: first what has come meanwhile.
+            self._drain(executor)
+        return self._is_idle()
+
+    def _is_idle(self) -> bool:
+        idle_s, last_s = self._options.until_idle_s, self._last_activity_s
+        return idle_s is not None and last_s is not None and time.monotonic() - last_s >= idle_s
+
+    def _drain(self, executor: SingleThreadedExecutor) -> None:
+        """Take what had arrived already when the end came."""
+        deadline_s = time.monotonic() + _DRAIN_S
+        before = -1
+        while before != sum(self.counts.values()) and time.monotonic() < deadline_s:
+            before = sum(self.counts.values())
+            for _ in range(2 * len(self._known) + 1):
+                executor.spin_once(timeout_sec=0.0)
+
+    def _hear_out(self, executor: SingleThreadedExecutor) -> None:
+        """Wait a moment for nodes that are being asked for their parameters."""
+        deadline_s = time.monotonic() + _HEAR_OUT_S
+        while self._parameters.pending and time.monotonic() < deadline_s:
+            executor.spin_once(timeout_sec=_DISCOVERY_PERIOD_S)
+            self._parameters.look()
+        self._parameters.close()
+
+    def _discover(self) -> None:
+        for topic, endpoints in offers(self._node, self._options.topics).items():
+            if topic not in self._known:
+                self._known.add(topic)
+                self._subscribe(topic, endpoints[0].topic_type, adapted_qos(endpoints), qos_texts(endpoints))
+
+    def _subscribe(self, topic: str, type_name: str, qos: QoSProfile, qos_profiles: str) -> None:
+        latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        try:
+            kind = message_class(type_name)
+            use_installed_definition(type_name)
+        except BadInput as problem:
+            self._say(f"topic '{topic}' is not recorded: {problem}")
+            return
+        self._bag.add_topic(topic, type_name, latched, qos_profiles)
+        if self._only_reports and type_name not in REPORTS:
+            # From now on reports are no activity, and those heard until now were none.
+            self._only_reports, self._last_activity_s = False, None
+        events = SubscriptionEventCallbacks(
+            message_lost=lambda info: self._note_loss(topic, info.total_count_change)
+        )
+
+        def take_all(data: bytes, info: dict[str, int]) -> None:
+            # The executor looks at every entity of the node for each message it hands over; taking the rest of the
+            # queue here keeps up with ten times the rate, and the log time near the receipt.
+            taken: tuple[bytes, dict[str, int]] | None = (data, info)
+            count = 0
+            while taken is not None and count < DEPTH:
+                if self._options.until_idle_s is not None and (
+                    self._only_reports or is_activity(type_name, kind, taken[0])
+                ):
+                    self._last_activity_s = time.monotonic()
+                self._receive(topic, type_name, *taken)
+                count += 1
+                with subscription.handle:
+                    taken = subscription.handle.take_message(kind, True)
+
+        subscription = self._node.create_subscription(
+            kind, topic, take_all, qos, raw=True, event_callbacks=events
+        )
+
+    def _receive(self, topic: str, type_name: str, data: bytes, info: dict[str, int]) -> None:
+        self.counts[topic] += 1
+        now_ns = self._node.get_clock().now().nanoseconds
+        if now_ns == 0:
+            # With use_sim_time there is no time before the first /clock; what came before it was not later.
+            if len(self._before_clock) == _MOST_BEFORE_CLOCK:
+                oldest = self._before_clock.popleft()[0]
+                self.counts[oldest] -= 1
+                self.lost[oldest] += 1
+            self._before_clock.append((topic, type_name, data, info["source_timestamp"]))
+            return
+        if self._is_simulated_time and now_ns < self._last_log_ns:
+            self._say_step("/clock", now_ns - self._last_log_ns, now_ns)
+        self._last_log_ns = now_ns
+        self._write_held(now_ns)
+        self._bag.write_raw(topic, type_name, data, now_ns, info["source_timestamp"])
+
+    def _write_held(self, now_ns: int) -> None:
+        for topic, type_name, data, sent_ns in self._before_clock:
+            self._bag.write_raw(topic, type_name, data, now_ns, sent_ns)
+        self._before_clock.clear()
+
+    def _look_at_clock(self) -> None:
+        before_ns, clock_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        step_ns = self._clock_watch.look(before_ns, clock_ns, after_ns)
+        if step_ns is not None:
+            self._say_step("the system clock", step_ns, clock_ns)
+
+    def _say_step(self, clock: str, step_ns: int, now_ns: int) -> None:
+        """Tell it, and note it in the bag, where times after the step are the new ones."""
+        self._step_count += 1
+        self._say(f"{clock} stepped by {step_ns / NS_PER_S:+.3f} s to {utc_text(now_ns)}; recording goes on")
+        entries = {"clock": clock, "step_ns": str(step_ns), "to_ns": str(now_ns)}
+        self._bag.add_metadata(f"clock_step_{self._step_count}", entries)
+
+    def _note_loss(self, topic: str, count: int) -> None:
+        self.lost[topic] += count
+
+    def _say(self, line: str) -> None:
+        self._node.get_logger().warning(line)

@@ -1,0 +1,120 @@
+"""The parameters of the nodes on the network, asked for by their own services, as a suite file for the recording."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.task import Future
+
+from ship_node.parameters.parameter_file import full_name, is_shell_parameter
+from ship_node.parameters.parameter_text import sections_text
+
+ANSWER_S = 5.0
+"""A node that has not answered so long after it was seen is named and left, s."""
+
+MOST_NODES = 200
+MOST_PARAMETERS = 5000
+
+
+@dataclass
+class _Asked:
+    """One node that is being asked: first for the names, then for the values."""
+
+    deadline_s: float
+    clients: list[Client] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    answer: Future | None = None
+
+
+class HeardParameters:
+    """Asks each node once, when it is first seen; whoever spins the node calls :meth:`look` now and then.
+
+    Attributes:
+        unanswered: full names of nodes that did not answer.
+
+    Args:
+        node: the recording node, which is not asked.
+        attach: takes the suite file whenever it has grown and nobody is being asked.
+    """
+
+    def __init__(self, node: Node, attach: Callable[[str], None]) -> None:
+        self.unanswered: list[str] = []
+        self._node, self._attach = node, attach
+        self._seen = {full_name(node.get_name(), node.get_namespace())}
+        self._asked: dict[str, _Asked] = {}
+        self._found: dict[str, dict[str, Any]] = {}
+        self._attached = 0
+
+    @property
+    def pending(self) -> bool:
+        """Whether somebody is being asked."""
+        return bool(self._asked)
+
+    def look(self) -> None:
+        """Ask nodes that are new, take answers, give up on those that are too late."""
+        for name, namespace in self._node.get_node_names_and_namespaces():
+            full = full_name(name, namespace)
+            if full not in self._seen and not name.startswith("_") and len(self._seen) <= MOST_NODES:
+                self._seen.add(full)
+                self._asked[full] = self._ask(full)
+        for full, asked in list(self._asked.items()):
+            if self._step(full, asked):
+                self._leave(full)
+            elif time.monotonic() > asked.deadline_s:
+                self.unanswered.append(full)
+                self._leave(full)
+        if not self._asked and len(self._found) > self._attached:
+            self._attached = len(self._found)
+            self._attach(sections_text(self._found))
+
+    def close(self) -> None:
+        """Ask no more: who is being asked did not answer."""
+        for full in list(self._asked):
+            self.unanswered.append(full)
+            self._leave(full)
+        if len(self._found) > self._attached:
+            self._attach(sections_text(self._found))
+
+    def _ask(self, full: str) -> _Asked:
+        kinds = ((ListParameters, "list_parameters"), (GetParameters, "get_parameters"))
+        clients = [self._node.create_client(kind, f"{full}/{service}") for kind, service in kinds]
+        return _Asked(time.monotonic() + ANSWER_S, clients)
+
+    def _step(self, full: str, asked: _Asked) -> bool:
+        """Go on with a node as far as it goes; True when it is done."""
+        by_name, by_value = asked.clients
+        if asked.answer is None:
+            if by_name.service_is_ready() and by_value.service_is_ready():
+                asked.answer = by_name.call_async(ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE))
+            return False
+        if not asked.answer.done():
+            return False
+        answer = asked.answer.result()
+        if not asked.names:
+            # How a node was run (clock, black box) is not what it computes.
+            asked.names = [name for name in answer.result.names[:MOST_PARAMETERS] if not is_shell_parameter(name)]
+            if not asked.names:
+                return True
+            asked.answer = by_value.call_async(GetParameters.Request(names=asked.names))
+            return False
+        values = map(parameter_value_to_python, answer.values)
+        self._found[full] = {
+            name: list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
+            for name, value in zip(asked.names, values, strict=False)
+            if value is not None and not _has_bytes(value)
+        }
+        return True
+
+    def _leave(self, full: str) -> None:
+        for client in self._asked.pop(full).clients:
+            self._node.destroy_client(client)
+
+
+def _has_bytes(value: Any) -> bool:
+    """Whether no parameter file could hold it."""
+    return isinstance(value, (bytes, list)) and any(isinstance(element, bytes) for element in value)

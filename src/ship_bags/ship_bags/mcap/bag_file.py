@@ -1,0 +1,240 @@
+"""One MCAP file as a list of chunks that can be read one by one, however damaged the file is.
+
+A whole file ends in a summary that says where each chunk lies. Of a file without one — a recorder was killed, a disk
+was full — the records are walked through from the start up to the cut, past damaged ones.
+"""
+
+import io
+import struct
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.summary import Summary
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.mcap_records import COMPRESSIONS, ChunkPlace, DamagedChunk, RecordFile, parsed
+from ship_bags.mcap.mcap_walk import Gap, WalkedRecord, has_header, walk
+from ship_bags.times import utc_text
+
+MAGIC = b"\x89MCAP0\r\n"
+_FOOTER = struct.Struct("<BQQQI8s")
+_LOOSE_MESSAGES_PER_PLACE = 5000
+
+
+@dataclass
+class McapFile:
+    """What an MCAP file holds besides its messages, and where the messages are.
+
+    Attributes:
+        path: the file.
+        data: its records.
+        chunks: places of the messages, in file order.
+        side_records: attachments and metadata as they lie in the file, in file order.
+        problems: one line for each thing wrong with the file that is known so far.
+    """
+
+    path: Path
+    data: RecordFile
+    chunks: list[ChunkPlace] = field(default_factory=list)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    side_records: list[Attachment | Metadata] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+    def messages(self, place: ChunkPlace) -> list[Message]:
+        """The messages of one place, in file order; none and a line in ``problems`` where it is damaged."""
+        try:
+            return [record for record in self.data.records_of(place) if isinstance(record, Message)]
+        except DamagedChunk as damage:
+            problem = (
+                f"{self.path.name}: the chunk at byte {place.offset} is damaged ({damage}): messages from "
+                f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)} are lost"
+            )
+            # A place may be read more than once.
+            if problem not in self.problems:
+                self.problems.append(problem)
+            return []
+
+
+def open_mcap(path: Path) -> McapFile:
+    """Open an MCAP file and find its chunks.
+
+    Raises:
+        BadInput: the file is missing, unreadable, empty, not MCAP, or compressed in a way unknown here.
+    """
+    try:
+        stream = open(path, "rb")  # noqa: SIM115 - closed by the bag that owns it
+    except OSError as problem:
+        raise BadInput(f"{path}: cannot be read: {problem.strerror}") from problem
+    size = stream.seek(0, io.SEEK_END)
+    stream.seek(0)
+    magic = stream.read(len(MAGIC))
+    file = McapFile(path, RecordFile(stream, size))
+    if magic != MAGIC:
+        if not has_header(file.data, len(MAGIC)):
+            stream.close()
+            raise BadInput(f"{path}: the file is empty" if size == 0 else f"{path}: not an MCAP file")
+        file.problems.append(f"{path.name}: its first {len(MAGIC)} bytes are damaged; nothing is lost by that")
+    summary = _summary(file)
+    if summary is not None:
+        _take_summary(file, summary)
+    else:
+        _walk(file)
+    return file
+
+
+def _summary(file: McapFile) -> Summary | None:
+    """The file's summary where it is there, whole, and lists every chunk."""
+    if not _has_whole_footer(file):
+        return None
+    file.data.stream.seek(0)
+    try:
+        summary = SeekingReader(file.data.stream).get_summary()
+    except Exception:
+        # Damaged bytes make the parser fail in any way; the walk does without the summary.
+        return None
+    return summary if summary is not None and _is_complete(summary) else None
+
+
+def _is_complete(summary: Summary) -> bool:
+    """Whether a summary alone tells all channels, their schemas and all places of messages."""
+    statistics = summary.statistics
+    if statistics is None or statistics.channel_count != len(summary.channels):
+        return False
+    if any(channel.schema_id and channel.schema_id not in summary.schemas for channel in summary.channels.values()):
+        return False
+    if statistics.chunk_count != len(summary.chunk_indexes):
+        return False
+    return statistics.message_count == 0 or statistics.chunk_count > 0
+
+
+def _has_whole_footer(file: McapFile) -> bool:
+    """Whether the file ends in a footer whose checksum over the summary is right."""
+    if file.data.size < len(MAGIC) + _FOOTER.size:
+        return False
+    file.data.stream.seek(-_FOOTER.size, io.SEEK_END)
+    opcode, _, summary_start, _, checksum, magic = _FOOTER.unpack(file.data.stream.read())
+    if opcode != Opcode.FOOTER or magic != MAGIC or not 0 < summary_start < file.data.size:
+        return False
+    file.data.stream.seek(summary_start)
+    summary = file.data.stream.read(file.data.size - summary_start - len(MAGIC) - 4)
+    return checksum in (0, zlib.crc32(summary))
+
+
+def _take_summary(file: McapFile, summary: Summary) -> None:
+    compressions = {index.compression for index in summary.chunk_indexes}
+    if compressions and compressions.isdisjoint(COMPRESSIONS):
+        raise BadInput(f"{file.path}: compression {min(compressions)!r} is unknown: expected zstd, lz4 or none")
+    file.schemas.update(summary.schemas)
+    file.channels.update(summary.channels)
+    for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
+        place = ChunkPlace(
+            index.chunk_start_offset, index.chunk_length, index.message_start_time, index.message_end_time
+        )
+        file.chunks.append(place)
+    for offset in [index.offset for index in [*summary.attachment_indexes, *summary.metadata_indexes]]:
+        record = file.data.record_at(offset)
+        if record is None:
+            file.problems.append(f"{file.path.name}: the attachment or metadata at byte {offset} is damaged")
+        else:
+            _take_side_record(file, *record)
+
+
+def _walk(file: McapFile) -> None:
+    """Find the chunks of a file without a usable summary, up to its end or its cut."""
+    loose: list[tuple[int, int, int]] = []
+    gaps: list[tuple[Gap, int]] = []
+    message_count, cut = 0, None
+    for part in walk(file.data, len(MAGIC)):
+        is_message = isinstance(part, WalkedRecord) and part.opcode == Opcode.MESSAGE
+        if loose and (not is_message or len(loose) == _LOOSE_MESSAGES_PER_PLACE):
+            file.chunks.append(_loose_place(loose))
+            loose = []
+        if isinstance(part, Gap):
+            if part.end is None:
+                cut = part.start
+            else:
+                gaps.append((part, len(file.chunks)))
+        elif part.opcode == Opcode.CHUNK:
+            message_count += _take_chunk(file, part)
+        elif is_message:
+            loose.append((part.offset, part.length, struct.unpack_from("<Q", part.body, 6)[0]))
+            message_count += 1
+        else:
+            _take_side_record(file, part.opcode, part.body)
+    if loose:
+        file.chunks.append(_loose_place(loose))
+    last_ns = max((place.end_ns for place in file.chunks), default=None)
+    last = "none" if last_ns is None else utc_text(last_ns)
+    what = "its summary is missing or damaged" if cut is None else f"no footer, it ends or is damaged at byte {cut}"
+    file.problems.append(f"{file.path.name}: {what}; {message_count} messages could be read, the last at {last}")
+    file.problems.extend(_gap_text(file, gap, place_number) for gap, place_number in gaps)
+
+
+def _gap_text(file: McapFile, gap: Gap, place_number: int) -> str:
+    """What a gap before a place of that number may have cost."""
+    before, after = file.chunks[:place_number], file.chunks[place_number:]
+    start = utc_text(before[-1].end_ns) if before else "the start"
+    end = utc_text(after[0].start_ns) if after else "the end"
+    return (
+        f"{file.path.name}: bytes {gap.start} to {gap.end} are damaged: "
+        f"messages between {start} and {end} are lost, if there were any"
+    )
+
+
+def _take_chunk(file: McapFile, chunk: WalkedRecord) -> int:
+    """Note a chunk met on the walk and the channels it announces; returns its number of messages."""
+    announced = ChunkPlace(chunk.offset, chunk.length, *struct.unpack_from("<QQ", chunk.body))
+    try:
+        records = file.data.records_of(announced, check_times=False)
+    except DamagedChunk:
+        file.chunks.append(announced)
+        return 0  # messages() will say so, with the time range
+    times = [record.log_time for record in records if isinstance(record, Message)]
+    if times:
+        # Those in its head are not under its checksum.
+        file.chunks.append(ChunkPlace(chunk.offset, chunk.length, min(times), max(times)))
+    for record in records:
+        # Under a checksum here, and so right, whatever stood outside a chunk.
+        if isinstance(record, Schema):
+            file.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            file.channels[record.id] = record
+    return len(times)
+
+
+def _loose_place(messages: list[tuple[int, int, int]]) -> ChunkPlace:
+    """The place of neighbouring messages given as (offset, length, log time)."""
+    times = [time_ns for _, _, time_ns in messages]
+    length = messages[-1][0] + messages[-1][1] - messages[0][0]
+    return ChunkPlace(messages[0][0], length, min(times), max(times), loose=True)
+
+
+def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
+    """Keep a schema, channel, attachment or metadata record; others are of no use here."""
+    try:
+        if opcode == Opcode.SCHEMA:
+            schema = parsed(Schema.read, body)
+            file.schemas.setdefault(schema.id, schema)
+        elif opcode == Opcode.CHANNEL:
+            channel = parsed(Channel.read, body)
+            file.channels.setdefault(channel.id, channel)
+        elif opcode == Opcode.METADATA:
+            metadata = parsed(Metadata.read, body)
+            file.metadata[metadata.name] = metadata.metadata
+            file.side_records.append(metadata)
+        elif opcode == Opcode.ATTACHMENT:
+            checksum = struct.unpack("<I", body[-4:])[0]
+            if checksum not in (0, zlib.crc32(body[:-4])):
+                raise DamagedChunk("its checksum is wrong")
+            attachment = parsed(Attachment.read, body)
+            file.attachments[attachment.name] = attachment.data
+            file.side_records.append(attachment)
+    except Exception as problem:
+        file.problems.append(f"{file.path.name}: a {Opcode(opcode).name.lower()} record is damaged: {problem}")

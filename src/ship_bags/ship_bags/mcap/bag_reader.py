@@ -1,0 +1,287 @@
+"""Reads bags — one .mcap file or a rosbag2 folder with its split files — in order of log time.
+
+Chunks are read one by one, so that memory does not grow with the length of the bag; where chunks overlap in time
+their messages are merged. Damage costs what is damaged and is told in ``Bag.problems``.
+"""
+
+import re
+from bisect import bisect_left
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from mcap.records import Message
+from rosbags.typesys.store import Typestore
+
+from ship_bags.errors import BadInput, one_line
+from ship_bags.mcap.bag_file import ChunkPlace, McapFile, open_mcap
+from ship_bags.message_store import message_store, store_with_definitions
+from ship_bags.times import utc_text
+from ship_bags.yaml_text import plain_data
+
+# A name since rosbag2's metadata version 9, a number before.
+_LATCHED = re.compile(r"durability: (transient_local|1)\b")
+_FOLDER_INFORMATION = "metadata.yaml"
+_INFORMATION_KEY = "rosbag2_bagfile_information"
+
+MAX_HELD_MB = 512
+"""So much of a bag is held at once. Of an ordinary one it is a chunk or two: others begin when these have ended."""
+
+_RECORD_BYTES = 250
+"""What a message takes in memory besides its bytes."""
+
+
+@dataclass(slots=True)
+class BagRecord:
+    """One message as it lies in the bag; ``sequence`` is what its writer counted, the publish time what it said."""
+
+    topic: str
+    type_name: str
+    log_time_ns: int
+    data: bytes
+    store: Typestore
+    sequence: int = 0
+    publish_time_ns: int = 0
+
+    def decode(self) -> Any:
+        """The message, its fields as attributes, by the definition that the bag holds.
+
+        Raises:
+            BadInput: the bytes are not such a message.
+        """
+        try:
+            return self.store.deserialize_cdr(self.data, self.type_name)
+        except Exception as problem:
+            # Whatever the generated decoder stumbles on, the bytes are to blame.
+            raise BadInput(
+                f"topic '{self.topic}' at {utc_text(self.log_time_ns)}: not a {self.type_name}: {problem}"
+            ) from problem
+
+
+class Bag:
+    """An open bag; use it in a ``with`` statement.
+
+    Attributes:
+        topics: topic → type name, of the topics that can be read.
+        skipped_topics: topic → why it cannot be read.
+        differences: type name → one line per field that the bag defines otherwise than this version of the suite.
+        attachments: name → content.
+        metadata: name → entries.
+        message_count: messages given out so far.
+        last_time_ns: log time of the last one; None before the first.
+    """
+
+    def __init__(self, path: Path, files: list[McapFile]) -> None:
+        self.path = path
+        self.topics: dict[str, str] = {}
+        self.skipped_topics: dict[str, str] = {}
+        self.attachments = {name: data for file in files for name, data in file.attachments.items()}
+        self.metadata = {name: entries for file in files for name, entries in file.metadata.items()}
+        self.message_count = 0
+        self.last_time_ns: int | None = None
+        self._files = files
+        self._usable_channels = [self._channels_of(file) for file in files]
+        self._store, self.differences = self._types()
+
+    @property
+    def start_ns(self) -> int | None:
+        """Log time of the first message."""
+        return min((place.start_ns for file in self._files for place in file.chunks), default=None)
+
+    @property
+    def end_ns(self) -> int | None:
+        """Log time of the last message."""
+        return max((place.end_ns for file in self._files for place in file.chunks), default=None)
+
+    @property
+    def latched_topics(self) -> set[str]:
+        """Topics whose publishers kept their last messages for late subscribers (transient local)."""
+        return {
+            channel.topic
+            for file in self._files
+            for channel in file.channels.values()
+            if _LATCHED.search(channel.metadata.get("offered_qos_profiles", ""))
+        }
+
+    @property
+    def problems(self) -> list[str]:
+        """One line for each thing wrong with the bag; complete once all records were read."""
+        name = self.path.name
+        lines = [problem for file in self._files for problem in file.problems]
+        lines += [f"{name}: topic '{topic}' is skipped: {why}" for topic, why in self.skipped_topics.items()]
+        lines += [f"{name}: {line}" for line in sorted({line for part in self.differences.values() for line in part})]
+        return [one_line(line) for line in lines]
+
+    def records(self, topics: Collection[str] | None = None) -> Iterator[BagRecord]:
+        """Messages in order of log time, those of equal time in the order of the files.
+
+        Args:
+            topics: names of the topics wanted; None means all that can be read.
+        """
+        channels = [
+            {number: name for number, name in usable.items() if topics is None or name in topics}
+            for usable in self._usable_channels
+        ]
+        places = self._places()
+        waiting: list[tuple[int, int, BagRecord]] = []
+        for number, (order, file_number, place) in enumerate(places):
+            waiting.extend(self._chunk_records(order, file_number, place, channels[file_number]))
+            if sum(len(record.data) + _RECORD_BYTES for _, _, record in waiting) > MAX_HELD_MB * 1_000_000:
+                raise BadInput(
+                    f"{self._files[file_number].path}: the chunk at byte {place.offset} and those that overlap it in "
+                    f"time hold more than {MAX_HELD_MB} MB"
+                )
+            # Order in the file settles equal times and is unique, so records themselves are never compared.
+            waiting.sort(key=lambda entry: entry[:2])
+            last = number + 1 == len(places)
+            ready = len(waiting) if last else bisect_left(waiting, (places[number + 1][2].start_ns,))
+            for time_ns, _, record in waiting[:ready]:
+                self.message_count += 1
+                self.last_time_ns = time_ns
+                yield record
+            del waiting[:ready]
+
+    def records_in_file_order(self) -> Iterator[BagRecord]:
+        """All messages as they lie in the bag, one file after the other, log times as they come."""
+        for file, channels in zip(self._files, self._usable_channels, strict=True):
+            for place in sorted(file.chunks, key=lambda place: place.offset):
+                for message in file.messages(place):
+                    if message.channel_id in channels:
+                        self.message_count += 1
+                        self.last_time_ns = message.log_time
+                        yield self._record(message, channels)
+
+    def close(self) -> None:
+        """Close the files."""
+        for file in self._files:
+            file.data.stream.close()
+
+    def __enter__(self) -> "Bag":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _places(self) -> list[tuple[int, int, ChunkPlace]]:
+        """(order in the bag, number of the file, place) of all messages, by the time at which they begin."""
+        in_bag_order = [(number, place) for number, file in enumerate(self._files) for place in file.chunks]
+        places = [(order, number, place) for order, (number, place) in enumerate(in_bag_order)]
+        return sorted(places, key=lambda entry: (entry[2].start_ns, entry[0]))
+
+    def _chunk_records(
+        self, place_order: int, file_number: int, place: ChunkPlace, channels: dict[int, str]
+    ) -> Iterator[tuple[int, int, BagRecord]]:
+        """(log time, order in the bag, record) of the messages of some channels of one place."""
+        for order, message in enumerate(self._files[file_number].messages(place), place_order << 32):
+            if message.channel_id in channels:
+                yield message.log_time, order, self._record(message, channels)
+
+    def _record(self, message: Message, channels: dict[int, str]) -> BagRecord:
+        topic = channels[message.channel_id]
+        return BagRecord(
+            topic,
+            self.topics[topic],
+            message.log_time,
+            message.data,
+            self._store,
+            message.sequence,
+            message.publish_time,
+        )
+
+    def _channels_of(self, file: McapFile) -> dict[int, str]:
+        """Channel → topic for those that can be read; notes topics, types and what is skipped."""
+        usable: dict[int, str] = {}
+        for channel in file.channels.values():
+            schema = file.schemas.get(channel.schema_id)
+            reason = None
+            if channel.message_encoding != "cdr":
+                reason = f"message encoding {channel.message_encoding!r} is unknown, expected 'cdr'"
+            elif schema is None or schema.encoding != "ros2msg":
+                reason = f"schema encoding {schema.encoding if schema else ''!r} is unknown, expected 'ros2msg'"
+            elif not schema.data and schema.name not in message_store().fielddefs:
+                reason = f"the definition of {schema.name} is not in the bag"
+            elif self.topics.get(channel.topic, schema.name) != schema.name:
+                reason = f"it carries {schema.name} besides {self.topics[channel.topic]}"
+            if reason is not None:
+                self.skipped_topics[channel.topic] = reason
+            elif schema is not None:
+                self.topics[channel.topic] = schema.name
+                usable[channel.id] = channel.topic
+        return usable
+
+    def _types(self) -> tuple[Typestore, dict[str, list[str]]]:
+        definitions: dict[str, str] = {}
+        for file, usable in zip(self._files, self._usable_channels, strict=True):
+            for number in usable:
+                schema = file.schemas[file.channels[number].schema_id]
+                definitions.setdefault(schema.name, schema.data.decode("utf-8", errors="replace"))
+        return store_with_definitions(definitions, str(self.path))
+
+
+def read_bag(path: Path | str) -> Bag:
+    """Open a bag: one .mcap file, or a rosbag2 folder with metadata.yaml.
+
+    Raises:
+        BadInput: names the file and what is wrong: missing, unreadable, empty, not MCAP, of an unknown compression, a
+            folder without metadata.yaml, no messages at all or none that can be read.
+    """
+    path = Path(path)
+    files: list[McapFile] = []
+    try:
+        for part in _parts(path):
+            files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
+        if not any(file.messages(place) for file in files for place in file.chunks):
+            problems = "; ".join(problem for file in files for problem in file.problems)
+            why = f" that can be read ({problems})" if problems else ""
+            raise BadInput(f"{path}: the bag holds no messages{why}")
+        return Bag(path, files)
+    except BadInput:
+        for file in files:
+            file.data.stream.close()
+        raise
+
+
+def _parts(path: Path) -> list[Path]:
+    """The MCAP files that make up a bag, in order."""
+    if not path.exists():
+        raise BadInput(f"{path}: no such file or folder")
+    if not path.is_dir():
+        return [path]
+    information_path = path / _FOLDER_INFORMATION
+    if not information_path.is_file():
+        raise BadInput(f"{path}: the folder has no {_FOLDER_INFORMATION}: give one of its .mcap files instead")
+    return [path / name for name in _file_names(information_path)]
+
+
+def _file_names(information_path: Path) -> list[str]:
+    """The files that an information file names, all of them in its own folder."""
+    try:
+        document = plain_data(str(information_path), information_path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as problem:
+        raise BadInput(f"{information_path}: cannot be read: {problem}") from problem
+    information = document.get(_INFORMATION_KEY) if isinstance(document, dict) else None
+    if not isinstance(information, dict):
+        raise BadInput(f"{information_path}: not the information file of a rosbag2 bag: it has no {_INFORMATION_KEY}")
+    storage, compression = information.get("storage_identifier"), information.get("compression_mode")
+    if storage != "mcap":
+        raise BadInput(
+            f"{information_path}: storage_identifier is '{storage!s:.40}': expected mcap (ros2 bag convert)"
+        )
+    if compression is not None and str(compression).lower() not in ("", "none"):
+        raise BadInput(
+            f"{information_path}: compression_mode is '{compression!s:.40}': unpack the bag's files first"
+        )
+    names = information.get("relative_file_paths")
+    if not isinstance(names, list) or not names:
+        raise BadInput(f"{information_path}: relative_file_paths names no file")
+    for name in names:
+        # Another folder's file is not of this bag, whoever wrote this.
+        if not isinstance(name, str) or "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
+            raise BadInput(
+                f"{information_path}: relative_file_paths: '{name!s:.80}' is no file of this folder"
+            )
+    return names

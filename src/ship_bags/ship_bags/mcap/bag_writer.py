@@ -1,0 +1,274 @@
+"""Writes MCAP bags as rosbag2 does: CDR messages, embedded definitions, quality of service per topic.
+
+The same calls give the same bytes: nothing in the file depends on the time or the place of writing.
+
+A bag that is flushed survives a crash: what was flushed is whole chunks, and definitions stand twice in it, once inside
+a chunk and once behind it, so that no single damage takes the meaning from the messages of other chunks.
+"""
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, NamedTuple, TypeVar
+
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Schema
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.disk_sync import DiskSync
+from ship_bags.mcap.mcap_writer import McapWriter
+from ship_bags.part_file import named, open_new, part_of
+
+SUITE_ATTACHMENT = "suite.yaml"
+"""Name of the attachment that holds the suite's configuration."""
+
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+_QOS_TEMPLATE = """\
+- history: {history}
+  depth: {depth}
+  reliability: {reliability}
+  durability: {durability}
+  deadline: {forever}
+  lifespan: {forever}
+  liveliness: automatic
+  liveliness_lease_duration: {forever}
+  avoid_ros_namespace_conventions: false
+"""
+
+
+Self = TypeVar("Self", bound="CdrBagWriter")
+
+
+def qos_text(history: str, depth: int, reliability: str, durability: str) -> str:
+    """One offered quality of service as rosbag2 notes it, e.g. ``qos_text("keep_last", 1, "reliable", "volatile")``."""
+    return _QOS_TEMPLATE.format(
+        history=history, depth=depth, reliability=reliability, durability=durability, forever=_FOREVER
+    )
+
+
+class TypeDefinition(NamedTuple):
+    """Definition of a message type with all that it refers to, as a bag embeds it ("ros2msg"), and its RIHS01 hash."""
+
+    text: str
+    hash: str
+
+
+class CdrBagWriter:
+    """One MCAP file being written; use it in a ``with`` statement.
+
+    Attributes:
+        path: the file.
+        message_count: messages written.
+        whole_bytes: length of the file at the last :meth:`flush`: up to there it can be read whatever happens.
+
+    Args:
+        path: file to write, ending in .mcap.
+        define: the definition of a message type by its name; it may fail in any way where there is none.
+        library: name of the program, for the header of the file.
+        atomic: write beside it (``<path>.part``) and rename at the end, so that a file of this name is always
+            whole. A recorder, whose file must survive a crash, says False.
+        exclusive: refuse to write over a file that is there.
+
+    Raises:
+        BadInput: the file cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        define: Callable[[str], TypeDefinition],
+        library: str,
+        atomic: bool = True,
+        exclusive: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        self.message_count = self.whole_bytes = 0
+        self._define = define
+        self._written_path = part_of(self.path) if atomic else self.path
+        try:
+            self._file = _opened(self._written_path, atomic, exclusive)
+        except OSError as problem:
+            raise BadInput(f"{self.path}: cannot be written: {problem.strerror}") from problem
+        self._sync = DiskSync(self._file.fileno())
+        self._writer = McapWriter(self._file, self.path.parent, profile="ros2", library=library)
+        self._definitions: dict[str, TypeDefinition] = {}
+        self._schema_ids: dict[str, int] = {}
+        self._channels: dict[str, tuple[int, str]] = {}
+        self._sequences: dict[int, int] = {}
+        self._unrepeated: list[Schema | Channel] = []
+
+    def add_topic(
+        self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
+    ) -> None:
+        """Announce a topic before its first message; needed only where it is latched or may stay empty.
+
+        Args:
+            topic: its name.
+            type_name: its type, e.g. ``sensor_msgs/msg/Imu``.
+            latched: whether its last message is kept for late subscribers.
+            qos_profiles: what its publishers offer, by :func:`qos_text`; None: what the suite's own publishers do.
+        """
+        self._channel_id(topic, type_name, latched, qos_profiles)
+
+    def write_raw(
+        self,
+        topic: str,
+        type_name: str,
+        data: bytes,
+        log_time_ns: int,
+        publish_time_ns: int | None = None,
+        sequence: int | None = None,
+    ) -> None:
+        """Add a message given by its CDR bytes, as they are; without a sequence number its topic's are counted.
+
+        Raises:
+            BadInput: the topic already carries another type, or the type is unknown.
+        """
+        channel_id = self._channel_id(topic, type_name)
+        if sequence is None:
+            sequence = self._sequences[channel_id] = self._sequences.get(channel_id, 0) + 1
+        sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
+        try:
+            self._writer.add_message(channel_id, log_time_ns, data, sent_ns, sequence)
+        except OSError as problem:
+            raise named(problem, self.path) from problem
+        self.message_count += 1
+
+    def add_attachment(self, name: str, content: str | bytes, media_type: str = "application/yaml") -> None:
+        """Attach a file."""
+        data = content.encode() if isinstance(content, str) else content
+        with self._naming():
+            self._writer.add_attachment(name, media_type, data)
+
+    def add_metadata(self, name: str, entries: dict[str, str]) -> None:
+        """Add a metadata record."""
+        with self._naming():
+            self._writer.add_metadata(name, entries)
+
+    def flush(self) -> None:
+        """Hand every message written so far to the system, so that it outlives this process, and begin to sync it.
+
+        Raises:
+            OSError: it cannot be written, or the sync of an earlier flush failed.
+        """
+        with self._naming():
+            self._writer.flush()
+            self._repeat_definitions()
+            self._file.flush()
+            self._sync.request()
+            self.whole_bytes = self._file.tell()
+
+    def close(self) -> None:
+        """Finish the file; with ``atomic`` it gets its name now, or where that fails nothing is left.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        if self._file.closed:
+            return
+        try:
+            with self._naming():
+                self._writer.finish()
+                self._file.flush()
+                self._sync.finish()
+                os.fsync(self._file.fileno())
+                if self._written_path != self.path:
+                    # Before it is closed: until then it is held against other programs.
+                    self._written_path.replace(self.path)
+                self._file.close()
+        except BaseException:
+            if self._written_path != self.path:
+                self.discard()
+            raise
+
+    def discard(self) -> None:
+        """Give up: an atomic writer leaves nothing behind, another what it wrote so far."""
+        if self._written_path != self.path:
+            self._written_path.unlink(missing_ok=True)
+        self._release()
+
+    def cut(self) -> None:
+        """Give up after a failed write: what was written since the last :meth:`flush` is cut off."""
+        self._release()
+        with contextlib.suppress(OSError):
+            os.truncate(self._written_path, self.whole_bytes)
+
+    def _release(self) -> None:
+        """Close all that is open."""
+        # Closing tries once more to write what is in the buffers, and fails again on a full disk.
+        with contextlib.suppress(OSError):
+            self._writer.discard()
+        self._sync.finish()
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    @contextlib.contextmanager
+    def _naming(self) -> Iterator[None]:
+        """Give what the system refuses the name of the file."""
+        try:
+            yield
+        except OSError as problem:
+            raise named(problem, self.path) from problem
+
+    def __enter__(self: Self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if kind is None or self._written_path == self.path:
+            self.close()
+        else:
+            self.discard()
+
+    def _channel_id(
+        self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
+    ) -> int:
+        known = self._channels.get(topic)
+        if known is not None:
+            if known[1] != type_name:
+                raise BadInput(f"{self.path}: topic '{topic}' carries {known[1]}, not {type_name}")
+            return known[0]
+        own_qos = qos_text(
+            "keep_last", 1 if latched else 100, "reliable", "transient_local" if latched else "volatile"
+        )
+        metadata = {
+            "offered_qos_profiles": own_qos if qos_profiles is None else qos_profiles,
+            "topic_type_hash": self._defined(type_name).hash,
+        }
+        schema_id = self._schema_id(type_name)
+        channel_id = self._writer.register_channel(topic, "cdr", schema_id, metadata)
+        self._unrepeated.append(Channel(channel_id, topic, "cdr", metadata, schema_id))
+        self._channels[topic] = (channel_id, type_name)
+        return channel_id
+
+    def _defined(self, type_name: str) -> TypeDefinition:
+        if type_name not in self._definitions:
+            try:
+                self._definitions[type_name] = self._define(type_name)
+            except Exception as problem:
+                raise BadInput(f"{self.path}: message type {type_name} is unknown") from problem
+        return self._definitions[type_name]
+
+    def _schema_id(self, type_name: str) -> int:
+        if type_name not in self._schema_ids:
+            data = self._defined(type_name).text.encode()
+            self._schema_ids[type_name] = self._writer.register_schema(type_name, "ros2msg", data)
+            self._unrepeated.append(Schema(self._schema_ids[type_name], data, "ros2msg", type_name))
+        return self._schema_ids[type_name]
+
+    def _repeat_definitions(self) -> None:
+        """Write the schemas and channels that are new once more, between chunks, as MCAP allows."""
+        records = RecordBuilder()
+        for record in self._unrepeated:
+            record.write(records)
+        self._unrepeated.clear()
+        self._file.write(records.end())
+
+
+def _opened(path: Path, atomic: bool, exclusive: bool) -> BinaryIO:
+    if atomic:
+        return open_new(path)
+    return open(path, "xb" if exclusive else "wb", opener=lambda name, flags: os.open(name, flags | os.O_NOFOLLOW))

@@ -1,0 +1,180 @@
+"""Message types without a ROS installation: `rosbags` types of ROS 2 Jazzy and those of ship_msgs.
+
+:func:`message_store` holds the types as this version of the suite defines them; :func:`store_with_definitions`
+adds those that a bag brings along, which rule for that bag.
+"""
+
+import functools
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from ship_bags.errors import BadInput
+
+SHIP_MESSAGES = "ship_msgs"
+
+_ARRAY_DTYPES = {"byte": "uint8", "char": "uint8"}
+_REFERENCE_SEPARATOR = "/msg/"
+
+
+@functools.cache
+def message_store() -> Typestore:
+    """Types of ROS 2 Jazzy and of ship_msgs."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for path in sorted(ship_message_folder().glob("*.msg")):
+        type_name = f"{SHIP_MESSAGES}{_REFERENCE_SEPARATOR}{path.stem}"
+        store.register(_parse(path.read_text(encoding="utf-8"), type_name, str(path)))
+    return store
+
+
+def ship_message_folder() -> Path:
+    """Folder of ship_msgs' message definitions: the installed package's, else the source tree's.
+
+    Raises:
+        BadInput: there is neither.
+    """
+    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    installed = [prefix / "share" / SHIP_MESSAGES / "msg" for prefix in prefixes]
+    beside_this_package = Path(__file__).resolve().parents[2] / SHIP_MESSAGES / "msg"
+    for folder in [*installed, beside_this_package]:
+        if folder.is_dir():
+            return folder
+    raise BadInput(f"package {SHIP_MESSAGES} was not found: source the workspace's setup file first")
+
+
+def definition(type_name: str) -> str:
+    """Definition of a type with all that it refers to, as a bag embeds it ("ros2msg")."""
+    return message_store().generate_msgdef(type_name, ros_version=2)[0]
+
+
+def type_hash(type_name: str) -> str:
+    """Hash of a type as rosbag2 notes it (RIHS01)."""
+    return message_store().hash_rihs01(type_name)
+
+
+def serialize(message: Any) -> bytes:
+    """CDR bytes (little endian) of a message made by :class:`RosbagsFactory` or decoded from a bag."""
+    return bytes(message_store().serialize_cdr(message, message.__msgtype__, little_endian=True))
+
+
+def store_with_definitions(definitions: Mapping[str, str], bag_name: str) -> tuple[Typestore, dict[str, list[str]]]:
+    """Types for reading one bag, and how its definitions differ from ours.
+
+    Args:
+        definitions: type name → text of its definition, dependencies included; empty = not embedded, ours is taken.
+        bag_name: name of the bag for the messages.
+
+    Returns:
+        The store, in which the bag's definitions rule; and per type of ``definitions`` that differs from ours, in
+        itself or in a part, one line per field.
+
+    Raises:
+        BadInput: a definition cannot be parsed, or two of the bag's disagree.
+    """
+    ours = message_store()
+    embedded: dict[str, Any] = {}
+    differences: dict[str, list[str]] = {}
+    for type_name, text in definitions.items():
+        parts = _parse(text or definition(type_name), type_name, bag_name)
+        embedded.update(parts)
+        lines = [
+            line
+            for part in sorted(parts.keys() & ours.fielddefs.keys())
+            for line in field_differences(part, parts[part][1], ours.fielddefs[part][1])
+        ]
+        if lines:
+            differences[type_name] = lines
+    if not differences and embedded.keys() <= ours.fielddefs.keys():
+        return ours, {}
+    store = Typestore()
+    try:
+        store.register(embedded)
+    except Exception as problem:
+        # A bag may define anything: the store fails over it in any way.
+        raise BadInput(f"{bag_name}: its message definitions disagree: {problem}") from problem
+    return store, differences
+
+
+def field_differences(type_name: str, theirs: Any, ours: Any) -> list[str]:
+    """One line per field that a bag's definition has otherwise than ours (name, type or place)."""
+    their_fields, our_fields = dict(theirs), dict(ours)
+    lines = [f"{type_name}.{name} is missing in the bag" for name in our_fields if name not in their_fields]
+    lines += [f"{type_name}.{name} is unknown here" for name in their_fields if name not in our_fields]
+    lines += [
+        f"{type_name}.{name} is {_type_text(their_fields[name])} in the bag and {_type_text(our_fields[name])} here"
+        for name in our_fields
+        if name in their_fields and their_fields[name] != our_fields[name]
+    ]
+    if not lines and list(their_fields) != list(our_fields):
+        moved = next(name for name, other in zip(their_fields, our_fields, strict=True) if name != other)
+        lines.append(f"{type_name}.{moved} stands at another place in the bag")
+    return lines
+
+
+class RosbagsFactory:
+    """Makes messages by the name of their type, for writing to bags (see ship_bags.message_factory)."""
+
+    def __init__(self) -> None:
+        self._store = message_store()
+        self._makers: dict[str, tuple[type, dict[str, Callable[[Any], Any]]]] = {}
+
+    def make(self, type_name: str, **fields: Any) -> Any:
+        """A message with every field given by keyword.
+
+        Arrays of numbers may be any sequence; they become numpy arrays of the field's own type. A field of type
+        byte (DiagnosticStatus.level) takes an integer or, as in rclpy, one byte.
+
+        Raises:
+            KeyError: the type is unknown.
+            TypeError: a field is missing or unknown.
+        """
+        maker = self._makers.get(type_name)
+        if maker is None:
+            maker = self._makers[type_name] = (self._store.types[type_name], self._converters(type_name))
+        message_class, converters = maker
+        for name, convert in converters.items():
+            if name in fields:
+                fields[name] = convert(fields[name])
+        return message_class(**fields)
+
+    def _converters(self, type_name: str) -> dict[str, Callable[[Any], Any]]:
+        """Field name → conversion, for the fields that need one."""
+        converters: dict[str, Callable[[Any], Any]] = {}
+        for name, (node, content) in self._store.fielddefs[type_name][1]:
+            if node == Nodetype.BASE and content[0] == "byte":
+                converters[name] = _integer_from_byte
+            elif node in (Nodetype.ARRAY, Nodetype.SEQUENCE) and content[0][0] == Nodetype.BASE:
+                element = content[0][1][0]
+                if element != "string":
+                    dtype = np.dtype(_ARRAY_DTYPES.get(element, element))
+                    converters[name] = functools.partial(np.ascontiguousarray, dtype=dtype)
+        return converters
+
+
+def _integer_from_byte(value: int | bytes) -> int:
+    return value[0] if isinstance(value, bytes) else int(value)
+
+
+def _parse(text: str, type_name: str, source: str) -> Any:
+    try:
+        return get_types_from_msg(text, type_name)
+    except Exception as problem:
+        # Any text may stand there: the parser fails over it in any way.
+        raise BadInput(f"{source}: definition of {type_name} cannot be parsed: {problem}") from problem
+
+
+def _type_text(description: Any) -> str:
+    """A field's type as a .msg file writes it."""
+    node, content = description
+    if node == Nodetype.NAME:
+        return str(content)
+    if node == Nodetype.BASE:
+        return str(content[0])
+    element, length = content
+    return f"{_type_text(element)}[{length or ''}]"

@@ -1,0 +1,131 @@
+"""Attitudes in a ship log, by the instrument's own time or by the receive time, as they are or resampled.
+
+A Seapath sends a burst a second: ZDA opens it and carries the time at which the attitude in its PSXN,23 is valid.
+PASHR carries its own time of day.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date, datetime, timezone
+
+import numpy as np
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from ship_bags.nmea.nmea_log import LogLine, LogReport, datetime_ns, time_of_day_ns
+from ship_bags.times import NS_PER_S
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import FloatArray
+
+LONGEST_GAP_S = 3.0
+"""Attitudes further apart are not joined by a spline, s."""
+
+_BURST_NS = NS_PER_S
+"""A PSXN,23 that comes later than this after a ZDA does not belong to its burst."""
+
+_INVALID_QUALITY = 2
+
+
+@dataclass(frozen=True)
+class LoggedAttitude:
+    """An attitude from a log.
+
+    Attributes:
+        stamp_ns: time of validity, POSIX UTC.
+        log_time_ns: when it was there to be used.
+        rotation_nd: horizon from deck, shape (3, 3).
+        rate_d: angular velocity (bow, up, starboard) rad/s, shape (3,); None where the log has none.
+    """
+
+    stamp_ns: int
+    log_time_ns: int
+    rotation_nd: FloatArray
+    rate_d: FloatArray | None = None
+
+
+def attitudes(lines: Sequence[LogLine], report: LogReport, by_instrument: bool) -> list[LoggedAttitude]:
+    """The attitudes of a log, in order of stamps.
+
+    Args:
+        lines: lines of the log.
+        report: counts what cannot be used: invalid by PSXN,20, without a ZDA, not later than the one before.
+        by_instrument: stamp by the instrument's time, otherwise by the receive time.
+    """
+    found: list[LoggedAttitude] = []
+    zda: LogLine | None = None
+    invalid = False
+    for line in lines:
+        content, text = line.content, str(line.content)
+        if line.kind == "ZDA":
+            zda = line
+        elif line.kind == "PSXN20":
+            invalid = _INVALID_QUALITY in (content.head_qual, content.rp_qual)
+        elif line.kind in ("PSXN23", "PASHR"):
+            stamp_ns = _instrument_ns(line, zda) if by_instrument else line.receive_ns
+            heading_deg = content.head if line.kind == "PSXN23" else content.true_heading
+            if invalid:
+                report.reject("invalid by PSXN,20", line.number, text)
+            elif stamp_ns is None:
+                report.reject("attitude without ZDA", line.number, text)
+            elif found and stamp_ns <= found[-1].stamp_ns:
+                report.reject("not later than the attitude before", line.number, text)
+            else:
+                angles = np.deg2rad([heading_deg, content.pitch, content.roll])
+                found.append(LoggedAttitude(stamp_ns, line.receive_ns, rotation_from_angles(*angles)))
+            if line.kind == "PSXN23":
+                zda = None
+    return found
+
+
+def resampled(logged: Sequence[LoggedAttitude], rate_hz: float) -> list[LoggedAttitude]:
+    """Attitudes and rates of a rotation spline through those logged, at whole multiples of the period.
+
+    Straight interpolation of a ship's motion sampled at 1 Hz would err by 0.14°. Gaps longer than
+    :data:`LONGEST_GAP_S` stay gaps. The log time is the stamp plus the median delay of the log.
+    """
+    delay_ns = int(np.median([attitude.log_time_ns - attitude.stamp_ns for attitude in logged]))
+    result: list[LoggedAttitude] = []
+    for segment in _segments(logged):
+        if len(segment) < 2:
+            continue
+        origin_ns, end_ns = segment[0].stamp_ns, segment[-1].stamp_ns
+        spline = RotationSpline(
+            [(attitude.stamp_ns - origin_ns) / NS_PER_S for attitude in segment],
+            Rotation.from_matrix([attitude.rotation_nd for attitude in segment]),
+        )
+        first, last = np.ceil(origin_ns / NS_PER_S * rate_hz), np.floor(end_ns / NS_PER_S * rate_hz)
+        stamps = [round(number * NS_PER_S / rate_hz) for number in range(int(first), int(last) + 1)]
+        stamps = [stamp_ns for stamp_ns in stamps if origin_ns <= stamp_ns <= end_ns]
+        times_s = np.array([(stamp_ns - origin_ns) / NS_PER_S for stamp_ns in stamps])
+        if len(stamps):
+            rotations, rates = spline(times_s).as_matrix(), spline(times_s, 1)
+            result += [
+                LoggedAttitude(stamp_ns, stamp_ns + delay_ns, rotation, rate)
+                for stamp_ns, rotation, rate in zip(stamps, rotations, rates, strict=True)
+            ]
+    return result
+
+
+def _segments(logged: Sequence[LoggedAttitude]) -> list[list[LoggedAttitude]]:
+    """The attitudes split at gaps."""
+    segments: list[list[LoggedAttitude]] = []
+    for attitude in logged:
+        gap_ns = attitude.stamp_ns - segments[-1][-1].stamp_ns if segments else None
+        if gap_ns is None or gap_ns > LONGEST_GAP_S * NS_PER_S:
+            segments.append([])
+        segments[-1].append(attitude)
+    return segments
+
+
+def _instrument_ns(line: LogLine, zda: LogLine | None) -> int | None:
+    """Time at which a line's attitude is valid, by the instrument; None where it does not say."""
+    if line.kind == "PASHR":
+        return time_of_day_ns(line.content.timestamp, line.receive_ns)
+    if zda is None or line.receive_ns - zda.receive_ns > _BURST_NS:
+        return None
+    zda_fields = zda.content
+    try:
+        day = date(zda_fields.year, zda_fields.month, zda_fields.day)
+        moment = datetime.combine(day, zda_fields.timestamp, tzinfo=timezone.utc)
+    except ValueError:
+        return None
+    return datetime_ns(moment)

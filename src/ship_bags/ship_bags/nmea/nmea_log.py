@@ -1,0 +1,221 @@
+"""Reads ship logs: one record a line, ISO-8601 receive time (UTC), a space, the device's sentence (OpenRVDAS style).
+
+Sentences are parsed by pynmea2; the mast weather line ``MET`` is not NMEA and read here. Nothing is dropped
+silently: what is not used, not parsed or fails its checksum is counted.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any
+
+import pynmea2
+
+from ship_bags.errors import BadInput
+from ship_bags.stamps import END_OF_TIME_NS
+from ship_bags.times import NS_PER_S
+
+_FIRST_FEW = 3
+_DAY = timedelta(days=1)
+_DAY_NS = 86_400 * NS_PER_S
+
+# Fields of the line MET of the station mwx1.
+_MET_TEMPERATURE, _MET_HUMIDITY, _MET_PRESSURE = 3, 4, -1
+_MET_LEAST_FIELDS = 6
+
+
+@dataclass(frozen=True)
+class LogLine:
+    """One line that could be parsed.
+
+    Attributes:
+        number: from 1.
+        receive_ns: when the ship's network received it, POSIX UTC.
+        kind: ``ZDA``, ``GGA``, ``HDT``, ``PSXN20``, ``PSXN23``, ``PASHR`` or ``MET``.
+        content: the sentence of pynmea2, or :class:`Weather`.
+    """
+
+    number: int
+    receive_ns: int
+    kind: str
+    content: Any
+
+
+@dataclass(frozen=True)
+class Weather:
+    """Air at the mast: temperature in °C, relative humidity from 0 to 1, pressure in Pa."""
+
+    temperature_c: float
+    humidity: float
+    pressure_pa: float
+
+
+@dataclass
+class LogReport:
+    """What became of the lines of one file.
+
+    Attributes:
+        used: kind → count of lines given out.
+        unused: name of the sentence → count of lines with nothing of interest.
+        rejected: reason → count; what it was is in ``examples``.
+        examples: the first few of each reason, with line number.
+    """
+
+    path: Path
+    lines: int = 0
+    used: Counter[str] = field(default_factory=Counter)
+    unused: Counter[str] = field(default_factory=Counter)
+    rejected: Counter[str] = field(default_factory=Counter)
+    examples: list[str] = field(default_factory=list)
+
+    def reject(self, reason: str, line: int, text: str) -> None:
+        """Count a line that cannot be used."""
+        self.rejected[reason] += 1
+        if self.rejected[reason] <= _FIRST_FEW:
+            self.examples.append(f"{self.path.name}:{line}: {reason}: {text[:80]!r}")
+
+    def text(self) -> str:
+        """One line for people, and one for each example."""
+        parts = [f"used {name} {count}" for name, count in sorted(self.used.items())]
+        parts += [f"{name} {count}" for name, count in sorted(self.rejected.items())]
+        if self.unused:
+            parts.append("not of interest " + ", ".join(f"{n} {count}" for n, count in sorted(self.unused.items())))
+        return "\n".join([f"{self.path.name}: {self.lines} lines: {'; '.join(parts)}", *self.examples])
+
+
+def read_log(path: Path) -> tuple[list[LogLine], LogReport]:
+    """All usable lines of a log, in order of the file.
+
+    Raises:
+        BadInput: the file is missing, unreadable or empty, or no line begins with a time.
+    """
+    report = LogReport(path)
+    lines = list(_lines(path, report))
+    if report.lines == 0:
+        raise BadInput(f"{path}: the file is empty: expected lines 'RECEIVE_TIME SENTENCE'")
+    if not lines and not report.unused:
+        raise BadInput(f"{path}: no line could be read: {report.examples[0]}: expected 'RECEIVE_TIME SENTENCE'")
+    return lines, report
+
+
+def time_of_day_ns(time_of_day: Any, near_ns: int) -> int:
+    """POSIX time of a time of day (UTC) on the day that brings it nearest to ``near_ns``."""
+    near = datetime.fromtimestamp(near_ns // NS_PER_S, tz=timezone.utc)
+    candidates = [
+        datetime.combine((near + offset * _DAY).date(), time_of_day.replace(tzinfo=timezone.utc))
+        for offset in (-1, 0, 1)
+    ]
+    return datetime_ns(min(candidates, key=lambda moment: abs(moment - near)))
+
+
+def datetime_ns(moment: datetime) -> int:
+    """POSIX time of an aware datetime, exact to its microsecond."""
+    since_epoch = moment - datetime(1970, 1, 1, tzinfo=timezone.utc)
+    return ((since_epoch.days * 86_400 + since_epoch.seconds) * 1_000_000 + since_epoch.microseconds) * 1000
+
+
+def _lines(path: Path, report: LogReport) -> Iterator[LogLine]:
+    try:
+        with open(path, encoding="ascii", errors="backslashreplace") as file:
+            for number, line in enumerate(file, start=1):
+                text = line.strip()
+                if text:
+                    report.lines += 1
+                    parsed = _parsed(number, text, report)
+                    if parsed is not None:
+                        report.used[parsed.kind] += 1
+                        yield parsed
+    except OSError as problem:
+        raise BadInput(f"{path}: cannot be read: {problem.strerror}") from problem
+
+
+def _parsed(number: int, text: str, report: LogReport) -> LogLine | None:
+    time_text, _, sentence = text.partition(" ")
+    receive_ns = _receive_ns(time_text)
+    if receive_ns is None:
+        report.reject("no receive time", number, text)
+        return None
+    name = sentence.split(",")[0]
+    if name == "MET":
+        weather = _weather(sentence)
+        if weather is None:
+            report.reject("unparsed", number, text)
+            return None
+        return LogLine(number, receive_ns, "MET", weather)
+    if not name.startswith("$"):
+        known_shape = name.isalpha() and name.isupper() and "," in sentence
+        report.unused.update([name] if known_shape else [])
+        if not known_shape:
+            report.reject("unparsed", number, text)
+        return None
+    try:
+        content = pynmea2.parse(sentence)
+    except pynmea2.ChecksumError:
+        report.reject("checksum failed", number, text)
+        return None
+    except Exception:
+        # pynmea2 lets an IndexError or worse escape on sentences that are cut short.
+        report.reject("unparsed", number, text)
+        return None
+    return _of_interest(number, receive_ns, text, content, report)
+
+
+def _of_interest(number: int, receive_ns: int, text: str, content: Any, report: LogReport) -> LogLine | None:
+    """The line if its sentence is one of those used, whole and made of numbers."""
+    kind = type(content).__name__
+    needed = {
+        "ZDA": ("timestamp", "day", "month", "year"),
+        "GGA": ("timestamp",),
+        "HDT": ("heading",),
+        "SXN20": ("head_qual", "rp_qual"),
+        "SXN23": ("roll", "pitch", "head"),
+        "ASHRATT": ("timestamp", "true_heading", "roll", "pitch"),
+    }.get(kind)
+    if needed is None:
+        report.unused[text.split(" ", 1)[1].split(",")[0].lstrip("$") + kind.removeprefix("SXN") * ("SXN" in kind)] += 1
+        return None
+    # pynmea2 hands out the text itself where a field is no number.
+    is_whole = all(not isinstance(getattr(content, name), (str, type(None))) for name in needed)
+    if kind == "ZDA" and is_whole and not 1970 < content.year < 2038:
+        report.reject("no year of ours", number, text)
+        return None
+    if not is_whole or (kind == "GGA" and not _has_readable_position(content)):
+        report.reject("unparsed", number, text)
+        return None
+    names = {"SXN20": "PSXN20", "SXN23": "PSXN23", "ASHRATT": "PASHR"}
+    return LogLine(number, receive_ns, names.get(kind, kind), content)
+
+
+def _has_readable_position(gga: Any) -> bool:
+    """Whether latitude and longitude are numbers, or not given."""
+    try:
+        return not (gga.lat and gga.lon) or abs(gga.latitude) + abs(gga.longitude) >= 0.0
+    except ValueError:
+        return False
+
+
+def _receive_ns(text: str) -> int | None:
+    base, _, fraction = text.removesuffix("Z").partition(".")
+    try:
+        moment = datetime.fromisoformat(base).replace(tzinfo=timezone.utc)
+        time_ns = datetime_ns(moment) + (int(fraction[:9].ljust(9, "0")) if fraction else 0)
+    except ValueError:
+        return None
+    # The time of day of a sentence may lead a day further.
+    return time_ns if _DAY_NS <= time_ns < END_OF_TIME_NS - 2 * _DAY_NS else None
+
+
+def _weather(sentence: str) -> Weather | None:
+    fields = sentence.split(",")
+    if len(fields) < _MET_LEAST_FIELDS:
+        return None
+    try:
+        return Weather(
+            temperature_c=float(fields[_MET_TEMPERATURE]),
+            humidity=float(fields[_MET_HUMIDITY]) / 100.0,
+            pressure_pa=float(fields[_MET_PRESSURE]) * 100.0,
+        )
+    except ValueError:
+        return None

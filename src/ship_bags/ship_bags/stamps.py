@@ -1,0 +1,45 @@
+"""Stamps of messages to and from integer nanoseconds of POSIX UTC."""
+
+import math
+from typing import Any
+
+from ship_bags.message_factory import MessageFactory
+
+_NS_PER_S = 1_000_000_000
+
+END_OF_TIME_NS = 2**31 * _NS_PER_S
+"""In 2038: the seconds of a stamp are a signed 32-bit number."""
+
+_UNITS = (
+    ("minutes", 60.0, 7200.0),
+    ("hours", 3600.0, 172_800.0),
+    ("days", 86_400.0, 94_672_800.0),
+    ("years", 31_557_600.0, math.inf),
+)
+"""Unit, its length, and up to which duration it is the one to use, s."""
+
+
+def ns_from_stamp(stamp: Any) -> int:
+    """Nanoseconds of a builtin_interfaces/Time."""
+    return int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+
+
+def stamp_fields(ns: int) -> tuple[int, int]:
+    """Fields (sec, nanosec) of a builtin_interfaces/Time."""
+    return divmod(ns, _NS_PER_S)
+
+
+def duration_text(ns: int) -> str:
+    """A duration for people, in the unit that suits it."""
+    seconds = abs(ns) * 1e-9
+    if seconds < 120.0:
+        return f"{seconds:.3f} s"
+    unit, length_s = next((unit, length_s) for unit, length_s, limit_s in _UNITS if seconds < limit_s)
+    return f"{seconds / length_s:.0f} {unit}"
+
+
+def make_header(factory: MessageFactory, ns: int, frame_id: str = "") -> Any:
+    """A std_msgs/Header."""
+    sec, nanosec = stamp_fields(ns)
+    stamp = factory.make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+    return factory.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)

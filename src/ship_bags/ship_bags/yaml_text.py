@@ -1,0 +1,112 @@
+"""YAML from files that nobody vouches for: what is too long, too deep or unfolds without end is refused."""
+
+from typing import Any
+
+import yaml
+
+from ship_bags.errors import BadInput
+
+LONGEST_TEXT = 4_000_000
+"""Characters. The parser takes minutes for more."""
+
+DEEPEST_NESTING = 50
+MOST_NODES = 1_000_000
+"""Values of a document once its aliases are unfolded."""
+
+_LONGEST_INTEGER = 30
+_FIRST_TOO_LARGE = 2**63
+_TOO_DEEP = "nested too deeply, or a group that holds itself by an alias"
+
+
+class _DataLoader(yaml.SafeLoader):
+    """Whole numbers have 64 bits: larger ones fail wherever they are used or shown, each in another way."""
+
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        if len(node.value) <= _LONGEST_INTEGER:
+            value = int(super().construct_yaml_int(node))
+            if -_FIRST_TOO_LARGE <= value < _FIRST_TOO_LARGE:
+                return value
+        raise yaml.constructor.ConstructorError(None, None, "a whole number of more than 64 bits", node.start_mark)
+
+
+_DataLoader.add_constructor("tag:yaml.org,2002:int", _DataLoader.construct_yaml_int)
+
+
+def composed(name: str, text: str) -> yaml.Node | None:
+    """The document of a text as nodes with their lines; None where it holds nothing.
+
+    Args:
+        name: of the file, for messages.
+        text: all of it.
+
+    Raises:
+        BadInput: it is no YAML or goes beyond a bound; names the file and, where there is one, the line.
+    """
+    if len(text) > LONGEST_TEXT:
+        raise BadInput(f"{name}: {len(text)} characters: expected a text of at most {LONGEST_TEXT}")
+    try:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        if root is not None and _size(root, {}, ()) > MOST_NODES:
+            raise BadInput(f"{name}: its aliases unfold to more than {MOST_NODES} values")
+    except RecursionError as error:
+        raise BadInput(f"{name}: {_TOO_DEEP}") from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise _refused(name, error) from error
+    return root
+
+
+def plain_data(name: str, text: str) -> Any:
+    """The document of a text as mappings, lists and scalars.
+
+    Raises:
+        BadInput: as :func:`composed`, or a value cannot be one: a day that is none, a number of too many digits.
+    """
+    root = composed(name, text)
+    return None if root is None else data_of(name, root)
+
+
+def data_of(name: str, node: yaml.Node) -> Any:
+    """A node of :func:`composed` as mappings, lists and scalars.
+
+    Raises:
+        BadInput: names the file and the line of what cannot be a value.
+    """
+    try:
+        return _DataLoader("").construct_object(node, deep=True)
+    except (yaml.YAMLError, ValueError) as error:
+        raise _refused(name, error, node.start_mark) from error
+
+
+def _size(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int:
+    """Number of values of a node, its aliases unfolded.
+
+    Raises:
+        RecursionError: it is too deep.
+        ValueError: a text in it is none.
+    """
+    if id(node) in known:
+        return known[id(node)]
+    if len(above) > DEEPEST_NESTING or id(node) in above:
+        raise RecursionError
+    above = (*above, id(node))
+    children: list[yaml.Node] = []
+    if isinstance(node, yaml.MappingNode):
+        children = [part for entry in node.value for part in entry]
+    elif isinstance(node, yaml.SequenceNode):
+        children = node.value
+    elif any("\ud800" <= character <= "\udfff" for character in node.value):
+        # Half of a character, by an escape: it can be neither written nor shown.
+        raise ValueError(f"a character that is none, in line {node.start_mark.line + 1}")
+    known[id(node)] = 1 + sum(_size(child, known, above) for child in children)
+    return known[id(node)]
+
+
+def _refused(name: str, error: Exception, mark: yaml.Mark | None = None) -> BadInput:
+    """The error in one line, without a line of the text: a message must not show what a file holds."""
+    if isinstance(error, BadInput):
+        return error
+    reason = str(error)
+    if isinstance(error, yaml.MarkedYAMLError):
+        mark, reason = error.problem_mark or error.context_mark or mark, str(error.problem or error.context)
+    where = f":{mark.line + 1}" if mark is not None else ""
+    return BadInput(f"{name}{where}: not YAML: {reason.splitlines()[0]}")

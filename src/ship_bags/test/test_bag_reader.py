@@ -1,0 +1,359 @@
+"""Bags as they come: in order, split, overlapping, cut, damaged, or no bags at all."""
+
+import io
+import random
+import struct
+
+import pytest
+import yaml
+import zstandard
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.message_store import definition, serialize
+from ship_bags.times import utc_text
+from ship_testing.hand_made_bags import START_NS, imu, write_imu_bag
+
+IMU = "sensor_msgs/msg/Imu"
+VECTOR = "geometry_msgs/msg/Vector3"
+
+
+def write_numbered(path, log_times, topics=("a",), **options):
+    """A bag of Vector3 (x = position in this list) through the mcap project's writer, with small chunks."""
+    options = {"chunk_size": 1500, **options}
+    with open(path, "wb") as file:
+        writer = Writer(file, **options)
+        writer.start(profile="ros2", library="test")
+        schema = writer.register_schema(VECTOR, "ros2msg", definition(VECTOR).encode())
+        channels = [writer.register_channel(topic, "cdr", schema) for topic in topics]
+        for number, log_time in enumerate(log_times):
+            data = b"\x00\x01\x00\x00" + struct.pack("<3d", number, 0.0, 0.0)
+            writer.add_message(channels[number % len(channels)], log_time, data, log_time)
+        writer.finish()
+    return path
+
+
+def numbers(path):
+    """(log time, x) of all messages as read, and the problems."""
+    with read_bag(path) as bag:
+        found = [(record.log_time_ns, int(record.decode().x)) for record in bag.records()]
+        assert bag.message_count == len(found)
+        return found, bag.problems
+
+
+def chunk_offsets(data):
+    """Byte at which each chunk record begins, its length, and its messages, by walking the records."""
+    offset, chunks = 8, []
+    while offset < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, offset)
+        if opcode == Opcode.CHUNK:
+            chunks.append((offset, 9 + length))
+        offset += 9 + length
+    return chunks
+
+
+def whole_messages(data):
+    """Messages that the mcap project's StreamReader gets out of a cut file."""
+    count = 0
+    try:
+        for record in StreamReader(io.BytesIO(data)).records:
+            count += isinstance(record, Message)
+    except (McapError, struct.error, zstandard.ZstdError):
+        return count
+    return count
+
+
+MESSAGES = 300
+TIMES = [START_NS + number * 10_000_000 for number in range(MESSAGES)]
+
+
+@pytest.fixture
+def bag_bytes(tmp_path):
+    """A bag of twelve chunks."""
+    return write_numbered(tmp_path / "whole.mcap", TIMES).read_bytes()
+
+
+def shuffled_times(seed):
+    """Log times that run forward by 10 ms but come up to 0.3 s out of order, with repetitions."""
+    draw = random.Random(seed)
+    return [START_NS + (10 * number + draw.randrange(0, 300, 10)) * 1_000_000 for number in range(2000)]
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4, CompressionType.NONE])
+def test_log_time_order_with_ties_in_order_of_the_file(tmp_path, compression):
+    times = shuffled_times(1)
+    found, problems = numbers(write_numbered(tmp_path / "bag.mcap", times, compression=compression))
+    assert found == sorted((time, number) for number, time in enumerate(times))
+    assert problems == []
+
+
+def test_messages_outside_chunks(tmp_path):
+    times = shuffled_times(2)
+    found, _ = numbers(write_numbered(tmp_path / "bag.mcap", times, use_chunking=False))
+    assert found == sorted((time, number) for number, time in enumerate(times))
+
+
+def test_only_the_topics_asked_for(tmp_path):
+    path = write_numbered(tmp_path / "bag.mcap", range(1, 31), topics=("a", "b", "c"))
+    with read_bag(path) as bag:
+        assert [record.log_time_ns for record in bag.records({"b"})] == list(range(2, 31, 3))
+        assert bag.topics == {"a": VECTOR, "b": VECTOR, "c": VECTOR}
+        assert (bag.start_ns, bag.end_ns) == (1, 30)
+
+
+def test_memory_stays_small(tmp_path):
+    """A chunk is read when its time has come, not before."""
+    path = write_numbered(tmp_path / "bag.mcap", range(1, 20_001))
+    with read_bag(path) as bag:
+        chunks = [place for file in bag._files for place in file.chunks]
+        assert len(chunks) > 100
+        read, original = [], bag._files[0].messages
+        bag._files[0].messages = lambda place: read.append(place) or original(place)
+        records = bag.records()
+        for _ in range(1000):
+            next(records)
+        # 25 messages a chunk.
+        assert len(read) < 45
+
+
+def folder_bag(path, parts, **information):
+    path.mkdir()
+    names = []
+    for number, times in enumerate(parts):
+        names.append(f"voyage_{number}.mcap")
+        write_numbered(path / names[-1], times)
+    content = {"storage_identifier": "mcap", "relative_file_paths": names, "compression_mode": "", **information}
+    (path / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": content}))
+    return path
+
+
+def test_rosbag2_folder_with_split_files(tmp_path):
+    # The second file begins before the first ends; at equal times the first comes first.
+    found, problems = numbers(folder_bag(tmp_path / "voyage", [[10, 20, 30], [25, 30, 40]]))
+    assert [time for time, _ in found] == [10, 20, 25, 30, 30, 40]
+    assert [number for _, number in found] == [0, 1, 0, 2, 1, 2]
+    assert problems == []
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.77, 0.999])
+def test_cut_file_gives_all_up_to_the_cut(tmp_path, bag_bytes, share):
+    path = tmp_path / "cut.mcap"
+    cut = bag_bytes[: int(len(bag_bytes) * share)]
+    path.write_bytes(cut)
+    expected = whole_messages(cut)
+    assert expected > 0
+    with read_bag(path) as bag:
+        times = [record.log_time_ns for record in bag.records()]
+        assert times == TIMES[:expected]
+        (problem,) = bag.problems
+        assert bag.last_time_ns == times[-1]
+    assert "no footer" in problem or "summary" in problem
+    assert f"{expected} messages could be read, the last at {utc_text(times[-1])}" in problem
+
+
+def test_flipped_bits_in_a_chunk_cost_that_chunk_only(tmp_path, bag_bytes):
+    chunks = chunk_offsets(bag_bytes)
+    assert len(chunks) == 12
+    path = tmp_path / "flipped.mcap"
+    draw = random.Random(3)
+    for offset, length in chunks:
+        flipped = bytearray(bag_bytes)
+        flipped[offset + 60 + draw.randrange(length - 60)] ^= 1 << draw.randrange(8)
+        path.write_bytes(flipped)
+        lost = {
+            record.log_time
+            for record in StreamReader(io.BytesIO(only_chunk(bag_bytes, offset, length)), skip_magic=True).records
+            if isinstance(record, Message)
+        }
+        with read_bag(path) as bag:
+            found = {record.log_time_ns for record in bag.records()}
+            (problem,) = bag.problems
+        assert len(found) + len(lost) == MESSAGES
+        assert not found & lost
+        assert f"chunk at byte {offset} is damaged" in problem
+        assert "messages from 2023-11-14T22:13:2" in problem
+        assert problem.endswith("are lost")
+
+
+def only_chunk(data, offset, length):
+    """One chunk and the end of a file, for the StreamReader."""
+    footer = struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0) + b"\x89MCAP0\r\n"
+    return data[offset : offset + length] + footer
+
+
+@pytest.mark.parametrize("field_offset", [0, 4, 9 + 3, 9 + 8 + 3, 9 + 16 + 6, 9 + 28])
+def test_flipped_bits_in_the_head_of_a_chunk(tmp_path, bag_bytes, field_offset):
+    """Opcode, length, times, uncompressed size and compression: lost is that chunk, nothing hangs or is disordered."""
+    offset, length = chunk_offsets(bag_bytes)[2]
+    flipped = bytearray(bag_bytes)
+    flipped[offset + field_offset] ^= 0x40
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(flipped)
+    with read_bag(path) as bag:
+        times = [record.log_time_ns for record in bag.records()]
+        problems = bag.problems
+    assert times == sorted(times)
+    in_chunk = whole_messages(b"\x89MCAP0\r\n" + only_chunk(bag_bytes, offset, length))
+    # The times in the chunk's head are also in the summary, which rules: nothing is lost then.
+    assert len(times) in (MESSAGES - in_chunk, MESSAGES)
+    assert len(problems) == (0 if len(times) == MESSAGES else 1)
+
+
+def test_flipped_bit_in_the_summary_loses_nothing(tmp_path, bag_bytes):
+    flipped = bytearray(bag_bytes)
+    flipped[-120] ^= 1
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(flipped)
+    with read_bag(path) as bag:
+        assert sum(1 for _ in bag.records()) == MESSAGES
+        assert "its summary is missing or damaged; 300 messages" in bag.problems[0]
+
+
+def test_every_byte_of_a_small_bag_may_be_wrong(tmp_path):
+    """Whatever byte is hit: no exception but BadInput, and no message that is not in the bag."""
+    path = tmp_path / "small.mcap"
+    data = write_numbered(path, range(1, 61)).read_bytes()
+    truth = {(time, time - 1) for time in range(1, 61)}
+    draw = random.Random(4)
+    for position in draw.sample(range(len(data)), 600):
+        flipped = bytearray(data)
+        flipped[position] ^= 1 << draw.randrange(8)
+        path.write_bytes(flipped)
+        try:
+            with read_bag(path) as bag:
+                found = {(record.log_time_ns, int(record.decode().x)) for record in bag.records()}
+        except BadInput:
+            continue
+        assert found <= truth, position
+
+
+def test_unknown_encodings_are_skipped_by_name(tmp_path):
+    path = tmp_path / "mixed.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        good = writer.register_schema(IMU, "ros2msg", definition(IMU).encode())
+        proto = writer.register_schema("x.Proto", "protobuf", b"\x00")
+        named = writer.register_schema("x_msgs/msg/X", "ros2msg", b"")
+        channels = {
+            "ins/imu": writer.register_channel("ins/imu", "cdr", good),
+            "radar": writer.register_channel("radar", "protobuf", proto),
+            "json": writer.register_channel("json", "json", good),
+            "empty": writer.register_channel("empty", "cdr", named),
+            "bare": writer.register_channel("bare", "cdr", 0),
+        }
+        for channel in channels.values():
+            writer.add_message(channel, START_NS, serialize(imu(START_NS)), START_NS)
+        writer.finish()
+    with read_bag(path) as bag:
+        assert [record.topic for record in bag.records()] == ["ins/imu"]
+        assert bag.topics == {"ins/imu": IMU}
+        assert set(bag.skipped_topics) == {"radar", "json", "empty", "bare"}
+        assert any("topic 'radar' is skipped: message encoding 'protobuf' is unknown" in line for line in bag.problems)
+        assert any("the definition of x_msgs/msg/X is not in the bag" in line for line in bag.problems)
+
+
+def test_the_definition_in_the_bag_rules(tmp_path):
+    """A bag of another version of the message: decoded by its own definition, the difference told."""
+    path = tmp_path / "older.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema(VECTOR, "ros2msg", b"float32 x\nfloat64 y\n")
+        channel = writer.register_channel("v", "cdr", schema)
+        writer.add_message(channel, 1, b"\x00\x01\x00\x00" + struct.pack("<f4xd", 1.5, 2.5), 1)
+        writer.finish()
+    with read_bag(path) as bag:
+        (record,) = bag.records()
+        assert (record.decode().x, record.decode().y) == (1.5, 2.5)
+        assert any(f"{VECTOR}.x is float32 in the bag and float64 here" in line for line in bag.problems)
+        assert any(f"{VECTOR}.z is missing in the bag" in line for line in bag.problems)
+
+
+def test_bytes_that_are_not_the_message(tmp_path):
+    path = tmp_path / "short.mcap"
+    with BagWriter(path) as bag:
+        bag.write_raw("ins/imu", IMU, serialize(imu(START_NS))[:50], START_NS)
+    with read_bag(path) as bag:
+        (record,) = bag.records()
+        with pytest.raises(BadInput, match=rf"topic 'ins/imu' at 2023-11-14T22:13:20\.050Z: not a {IMU}"):
+            record.decode()
+
+
+def test_damaged_attachment_is_told(tmp_path):
+    path = write_imu_bag(tmp_path / "bag.mcap", 10, attachments=[("suite.yaml", "a: 12345\n")])
+    path.write_bytes(path.read_bytes().replace(b"a: 12345", b"a: 12346"))
+    with read_bag(path) as bag:
+        assert bag.attachments == {}
+        assert "attachment record is damaged" in bag.problems[0]
+
+
+class TestBadInput:
+    def refused(self, path, match):
+        with pytest.raises(BadInput, match=match) as caught:
+            read_bag(path)
+        assert str(path) in str(caught.value)
+
+    def test_missing(self, tmp_path):
+        self.refused(tmp_path / "none.mcap", "no such file or folder")
+
+    def test_empty(self, tmp_path):
+        (tmp_path / "a.mcap").write_bytes(b"")
+        self.refused(tmp_path / "a.mcap", "the file is empty")
+
+    def test_not_mcap(self, tmp_path):
+        (tmp_path / "a.mcap").write_bytes(b"SQLite format 3\x00" * 10)
+        self.refused(tmp_path / "a.mcap", "not an MCAP file")
+
+    def test_no_messages(self, tmp_path):
+        self.refused(write_numbered(tmp_path / "a.mcap", []), "the bag holds no messages")
+
+    def test_only_the_magic(self, tmp_path):
+        (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n")
+        self.refused(tmp_path / "a.mcap", "holds no messages .*no footer")
+
+    def test_all_chunks_damaged(self, tmp_path):
+        """The summary tells of two chunks, none of which can be read."""
+        path = write_numbered(tmp_path / "a.mcap", TIMES[:45])
+        data = bytearray(path.read_bytes())
+        chunks = chunk_offsets(data)
+        assert len(chunks) == 2
+        for offset, length in chunks:
+            middle = offset + length // 2
+            data[middle : middle + 20] = bytes(20)
+        path.write_bytes(data)
+        self.refused(path, "holds no messages that can be read .*the chunk at byte .* is damaged .*the chunk at byte")
+
+    def test_unknown_compression(self, tmp_path, monkeypatch):
+        original = Chunk.write
+
+        def write(chunk, stream):
+            chunk.compression = "bz2"
+            original(chunk, stream)
+
+        monkeypatch.setattr(Chunk, "write", write)
+        self.refused(write_numbered(tmp_path / "a.mcap", range(1, 99)), "compression 'bz2' is unknown")
+
+    def test_folder_without_metadata(self, tmp_path):
+        self.refused(tmp_path, r"has no metadata\.yaml")
+
+    def test_folder_of_another_storage(self, tmp_path):
+        self.refused(folder_bag(tmp_path / "a", [[1]], storage_identifier="sqlite3"), "'sqlite3': expected mcap")
+
+    def test_compressed_folder(self, tmp_path):
+        self.refused(folder_bag(tmp_path / "a", [[1]], compression_mode="FILE"), "compression_mode is 'FILE'")
+
+    def test_folder_with_a_file_missing(self, tmp_path):
+        path = folder_bag(tmp_path / "a", [[1], [2]])
+        (path / "voyage_1.mcap").unlink()
+        self.refused(path, r"voyage_1\.mcap: cannot be read: No such file")
+
+    def test_metadata_that_is_none(self, tmp_path):
+        (tmp_path / "metadata.yaml").write_text("- a list\n")
+        self.refused(tmp_path, "not the information file of a rosbag2 bag")

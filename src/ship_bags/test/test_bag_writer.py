@@ -1,0 +1,147 @@
+"""What the writer promises: the same bytes each time, whole files only, readable by others."""
+
+import json
+import random
+import struct
+
+import pytest
+import yaml
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.mcap_writer import CHUNK_BYTES
+from ship_bags.mcap.recover import recover
+from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_testing.hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, vector, write_imu_bag
+
+HOUR_NS = 3_600_000_000_000
+
+
+def test_same_calls_same_bytes(tmp_path):
+    first, second = (write_imu_bag(tmp_path / name, attachments=[("suite.yaml", "a: 1\n")]) for name in ("a", "b"))
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_the_file_has_its_name_only_when_it_is_whole(tmp_path):
+    path = tmp_path / "voyage.mcap"
+    with BagWriter(path) as bag:
+        bag.write("ins/imu", imu(START_NS), START_NS)
+        assert not path.exists()
+    assert path.exists()
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_nothing_remains_after_an_error(tmp_path):
+    bag = BagWriter(tmp_path / "voyage.mcap")
+    with pytest.raises(AttributeError), bag:
+        bag.write("ins/imu", "not a message", START_NS)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_flushed_messages_can_be_read_while_the_bag_is_still_open(tmp_path):
+    path = tmp_path / "running.mcap"
+    bag = BagWriter(path, atomic=False)
+    for number in range(10):
+        bag.write("ins/imu", imu(START_NS + number), START_NS + number)
+    bag.flush()
+    with read_bag(path) as running:
+        assert sum(1 for _ in running.records()) == 10
+    bag.close()
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_mend_26_a_flipped_bit_in_a_bag_that_was_never_flushed_costs_a_second(tmp_path, seed):
+    """Such as a simulated one: all of its ten seconds fit into one chunk."""
+    data = bytearray(write_imu_bag(tmp_path / "voyage.mcap", count=1000).read_bytes())
+    draw = random.Random(seed)
+    data[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
+    (tmp_path / "voyage.mcap").write_bytes(data)
+    with read_bag(tmp_path / "voyage.mcap") as bag:
+        found = {record.log_time_ns for record in bag.records()}
+        problems = bag.problems
+    lost = sorted(set(range(START_NS, START_NS + 1000 * PERIOD_NS, PERIOD_NS)) - found)
+    assert not lost or (lost[-1] - lost[0] <= 1_000_000_000 and problems)
+
+
+@pytest.mark.parametrize("finished", [False, True], ids=["killed", "finished"])
+def test_mend_26_a_recording_takes_a_clock_that_steps_back_and_a_message_larger_than_a_chunk(tmp_path, finished):
+    """In the order in which it came, and by ordinary reading in order of log time; recovered, it is the same."""
+    bag = BagWriter(tmp_path / "voyage.mcap", atomic=False)
+    log_times = [*range(0, 3 * HOUR_NS, HOUR_NS // 2), *range(0, 3 * HOUR_NS, HOUR_NS // 2), 10 * HOUR_NS]
+    for number, time_ns in enumerate(log_times):
+        size = 3 * CHUNK_BYTES if number in (4, 9) else 50
+        bag.write_raw("topic", "std_msgs/msg/String", struct.pack("<I", number) + bytes(size), START_NS + time_ns)
+        if number % 5 == 4:
+            bag.flush()
+    bag.flush()
+    path = tmp_path / "copy.mcap"
+    path.write_bytes((tmp_path / "voyage.mcap").read_bytes())
+    bag.close()
+    recovery = recover(path, tmp_path / "whole.mcap")
+    assert recovery.counts.total() == len(log_times)
+    for name in ("whole.mcap", "voyage.mcap" if finished else "copy.mcap"):
+        with read_bag(tmp_path / name) as read:
+            in_file = [(record.log_time_ns - START_NS, record.data[0]) for record in read.records_in_file_order()]
+            in_time = [(record.log_time_ns - START_NS, record.data[0]) for record in read.records()]
+        assert in_file == [(time_ns, number) for number, time_ns in enumerate(log_times)]
+        assert in_time == sorted(in_file)
+
+
+def test_another_type_on_a_topic_is_refused(tmp_path):
+    with BagWriter(tmp_path / "voyage.mcap") as bag:
+        bag.write("ins/imu", imu(START_NS), START_NS)
+        with pytest.raises(BadInput, match=r"'ins/imu' carries sensor_msgs/msg/Imu, not geometry_msgs/msg/Vector3"):
+            bag.write("ins/imu", vector(), START_NS)
+        with pytest.raises(BadInput, match="message type x_msgs/msg/X is unknown"):
+            bag.write_raw("x", "x_msgs/msg/X", b"", START_NS)
+
+
+def test_a_folder_that_is_not_there_is_bad_input(tmp_path):
+    with pytest.raises(BadInput, match=r"none/voyage\.mcap: cannot be written: No such file"):
+        BagWriter(tmp_path / "none" / "voyage.mcap")
+
+
+def test_other_readers_understand_the_bag(tmp_path):
+    """The mcap project's own reader and its ROS 2 decoder, which works from the embedded definition alone."""
+    path = write_imu_bag(tmp_path / "voyage.mcap", count=3)
+    with open(path, "rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        decoded = list(reader.iter_decoded_messages())
+    assert len(decoded) == 3
+    schema, channel, message, content = decoded[2]
+    assert (schema.name, schema.encoding, channel.message_encoding) == ("sensor_msgs/msg/Imu", "ros2msg", "cdr")
+    assert content.header.frame_id == "ins"
+    assert content.header.stamp.sec * 10**9 + content.header.stamp.nanosec == message.log_time == START_NS + 20_000_000
+
+
+@pytest.mark.parametrize(("latched", "durability"), [(False, "volatile"), (True, "transient_local")])
+def test_quality_of_service_is_noted_as_rosbag2_does(tmp_path, latched, durability):
+    path = tmp_path / "voyage.mcap"
+    with BagWriter(path) as bag:
+        bag.add_topic("v", "geometry_msgs/msg/Vector3", latched)
+        bag.write("v", FACTORY.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0), START_NS)
+    with open(path, "rb") as file:
+        (channel,) = make_reader(file).get_summary().channels.values()
+    (profile,) = yaml.safe_load(channel.metadata["offered_qos_profiles"])
+    assert profile["durability"] == durability
+    assert profile["reliability"] == "reliable"
+    assert profile["deadline"] == {"sec": 9223372036, "nsec": 854775807}
+    # From the type description of geometry_msgs/msg/Vector3 that ROS 2 Jazzy installs.
+    assert channel.metadata["topic_type_hash"] == (
+        "RIHS01_cc12fe83e4c02719f1ce8070bfd14aecd40f75a96696a67a2a1f37f7dbb0765d"
+    )
+
+
+def test_attachments_and_metadata_come_back(tmp_path):
+    path = tmp_path / "voyage.mcap"
+    with BagWriter(path) as bag:
+        bag.add_attachment("suite.yaml", "a: 1\n")
+        bag.add_attachment("raw", b"\x00\xff", "application/octet-stream")
+        bag.add_metadata("import_nmea", {"time": "instrument"})
+        bag.write("v", vector(), START_NS)
+    with read_bag(path) as bag:
+        assert bag.attachments == {"suite.yaml": b"a: 1\n", "raw": b"\x00\xff"}
+        assert json.dumps(bag.metadata) == '{"import_nmea": {"time": "instrument"}}'

@@ -1,0 +1,81 @@
+"""Ctrl-C in the commands that work for long: one line, exit code 130, and no half file."""
+
+import subprocess
+import sys
+
+import pytest
+
+from ship_testing.calibration_sessions import STILL, session, write_session
+from ship_testing.hand_made_bags import write_imu_bag
+from ship_testing.short_scenario import SHORT
+
+# Runs a command again and again, each time in a folder of its own. Ctrl-C comes when it opens, renames or removes a
+# file of its folder: the first time, then the second time, ...; and once more, as from an impatient user, at the next.
+RUNNER = """
+import os, signal, sys
+from pathlib import Path
+module, moments, *arguments = sys.argv[1:]
+main = __import__(module, fromlist=["main"]).main
+base = Path.cwd()
+moment = count = 0
+
+def hook(event, given):
+    global count
+    if moment and event in ("open", "os.rename", "os.remove") and isinstance(given[0], str):
+        if os.path.abspath(given[0]).startswith(str(Path.cwd())):
+            count += 1
+            if count in (moment, moment + 1):
+                os.kill(os.getpid(), signal.SIGINT)
+
+def run(number):
+    global moment, count
+    folder = base / f"run_{number}"
+    folder.mkdir()
+    os.chdir(folder)
+    moment, count = number, 0
+    try:
+        code = main([str(base / a) if (base / a).is_file() else a for a in arguments])
+    finally:
+        moment = 0
+    return code, {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+# A process in the background does not hear Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.addaudithook(hook)
+code, whole = run(0)
+assert code == 0 and whole, code
+for number in map(int, moments.split(",")):
+    sys.stderr.write(f"at {number}: ")
+    code, found = run(number)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    half = [name for name, content in found.items() if whole.get(name) != content]
+    sys.stderr.write(f"{code} {half}\\n" if code != 130 or half else "")
+"""
+# Command, moments that it has at least (the later ones in the middle of its files), arguments.
+CASES = {
+    "simulate": ("ship_simulation.simulate_command", "1,2", ["short.yaml", "--out", "out.mcap"]),
+    "replay": ("ship_replay.commands.replay", "1,2", ["in.mcap", "--config", "suite.yaml", "--out", "out.mcap"]),
+    "calibrate_installation": (
+        "ship_replay.commands.calibrate_installation",
+        "1,2,3,4",
+        ["session.mcap", "--out", "alignment.yaml", "--report", "report"],
+    ),
+    "layout_study": ("ship_attitude_star.layout.layout_study_command", "1,2,11", ["--out", "study"]),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_mend_21_ctrl_c_is_one_line_and_leaves_no_half_file(case, tmp_path):
+    module, moments, arguments = CASES[case]
+    if case == "simulate":
+        (tmp_path / "short.yaml").write_text(SHORT)
+    elif case == "replay":
+        write_imu_bag(tmp_path / "in.mcap")
+        (tmp_path / "suite.yaml").write_text("ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n")
+    elif case == "calibrate_installation":
+        write_session(tmp_path / "session.mcap", session(STILL))
+    command = [sys.executable, "-c", RUNNER, module, moments, *arguments]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    said = f"{case}: interrupted\n"
+    assert done.stderr == "".join(f"at {number}: {said}" for number in moments.split(","))
+    assert done.returncode == 0

@@ -1,0 +1,146 @@
+"""Messages without a ROS installation are those of ROS: same bytes, same type hashes, same definitions."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_bags.errors import BadInput
+from ship_bags.message_factory import RosidlFactory
+from ship_bags.message_store import (
+    RosbagsFactory,
+    definition,
+    message_store,
+    serialize,
+    store_with_definitions,
+    type_hash,
+)
+from ship_bags.stamps import make_header
+from ship_node.edge.diagnostics import Level, Status, diagnostic_array
+from ship_testing.hand_made_bags import FACTORY, START_NS, innovation, ship_attitude
+
+SHIP_TYPES = sorted(name for name in message_store().fielddefs if name.startswith("ship_msgs/"))
+
+
+def health(factory):
+    return factory.make(
+        "ship_msgs/msg/InputHealth",
+        header=make_header(factory, START_NS),
+        topic="ins/imu",
+        received=7,
+        accepted=6,
+        rejected=1,
+        rate_hz=100.0,
+        latency_s=0.1,
+        age_s=0.2,
+        level=1,
+        reasons=["gate"],
+        reason_counts=np.array([1], dtype=np.uint64),
+    )
+
+
+def budget(factory):
+    return factory.make(
+        "ship_msgs/msg/ErrorBudget",
+        header=make_header(factory, START_NS, "deck"),
+        quantity="ship_attitude",
+        sources=["ins", "star.fore"],
+        covariances=np.arange(18.0),
+        total=np.arange(9.0),
+    )
+
+
+def diagnostics(factory):
+    return diagnostic_array(factory, START_NS, "node", [Status("a", Level.WARN, "text", {"key": "value"})])
+
+
+@pytest.mark.parametrize("make", [health, budget, diagnostics])
+def test_rclpy_and_we_read_each_other(make):
+    """Not compared byte by byte: what the middleware leaves between fields is whatever was in its memory."""
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    ours, theirs = make(RosbagsFactory()), make(RosidlFactory())
+    assert deserialize_message(serialize(ours), type(theirs)) == theirs
+    back = message_store().deserialize_cdr(serialize_message(theirs), ours.__msgtype__)
+    assert serialize(back) == serialize(ours)
+
+
+@pytest.mark.parametrize("type_name", SHIP_TYPES)
+def test_type_hash_is_that_of_the_built_messages(type_name):
+    name = type_name.rsplit("/", 1)[1]
+    candidates = [
+        Path(prefix) / "share" / "ship_msgs" / "msg" / f"{name}.json"
+        for prefix in os.environ["AMENT_PREFIX_PATH"].split(os.pathsep)
+    ]
+    built = json.loads(next(path for path in candidates if path.is_file()).read_text())
+    hashes = {entry["type_name"]: entry["hash_string"] for entry in built["type_hashes"]}
+    assert type_hash(type_name) == hashes[type_name]
+
+
+def test_all_messages_of_the_contract_are_there():
+    # system.md §2 lists 17 messages.
+    assert len(SHIP_TYPES) == 17
+
+
+def test_factory_converts_arrays_to_the_type_of_the_field():
+    message = FACTORY.make("sensor_msgs/msg/NavSatStatus", status=0, service=1)
+    assert message.service == 1
+    attitude = ship_attitude(START_NS, covariance_enu=[[1, 0, 0], [0, 2, 0], [0, 0, 3]])
+    assert attitude.rotation_covariance.dtype == np.float64
+    back = message_store().deserialize_cdr(serialize(attitude), attitude.__msgtype__)
+    np.testing.assert_array_equal(back.rotation_covariance, [1, 0, 0, 0, 2, 0, 0, 0, 3])
+
+
+@pytest.mark.parametrize("level", [2, b"\x02"])
+def test_diagnostic_level_is_an_integer_or_a_byte(level):
+    status = FACTORY.make(
+        "diagnostic_msgs/msg/DiagnosticStatus", level=level, name="", message="", hardware_id="", values=[]
+    )
+    assert message_store().deserialize_cdr(serialize(status), status.__msgtype__).level == 2
+
+
+@pytest.mark.parametrize("fields", [{"sec": 1}, {"sec": 1, "nanosec": 2, "more": 3}])
+def test_a_missing_or_unknown_field_is_refused(fields):
+    with pytest.raises(TypeError):
+        FACTORY.make("builtin_interfaces/msg/Time", **fields)
+
+
+def test_wrong_array_length_is_refused():
+    with pytest.raises(Exception, match="array length"):
+        serialize(ship_attitude(START_NS, covariance_enu=np.zeros(8)))
+
+
+def test_the_same_definitions_need_no_store_of_their_own():
+    store, differences = store_with_definitions({"sensor_msgs/msg/Imu": definition("sensor_msgs/msg/Imu")}, "bag")
+    assert store is message_store()
+    assert differences == {}
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (("float64 w", "float32 w"), "geometry_msgs/msg/Quaternion.w is float32 in the bag and float64 here"),
+        (("string frame_id", "string frame"), "std_msgs/msg/Header.frame_id is missing in the bag"),
+        (("string frame_id", "string frame_id\nuint8 more"), "std_msgs/msg/Header.more is unknown here"),
+        (("float64 x\nfloat64 y", "float64 y\nfloat64 x"), "Quaternion.y stands at another place in the bag"),
+        (("float64[9] linear", "float64[] linear"), "is float64[] in the bag and float64[9] here"),
+    ],
+)
+def test_a_difference_names_the_field(change, line):
+    text = definition("sensor_msgs/msg/Imu").replace(*change)
+    _, differences = store_with_definitions({"sensor_msgs/msg/Imu": text}, "bag")
+    assert any(line in difference for difference in differences["sensor_msgs/msg/Imu"])
+
+
+def test_a_definition_that_is_none_is_bad_input():
+    with pytest.raises(BadInput, match=r"voyage\.mcap: definition of x_msgs/msg/X cannot be parsed"):
+        store_with_definitions({"x_msgs/msg/X": "float64 ["}, "voyage.mcap")
+
+
+def test_innovation_round_trip_keeps_nan_and_text():
+    message = innovation(START_NS, "star.fore", [1.0, np.nan], [2.0, 3.0], 0.5, components=("up", "right"))
+    back = message_store().deserialize_cdr(serialize(message), message.__msgtype__)
+    assert back.components == ["up", "right"]
+    np.testing.assert_array_equal(back.residual, [1.0, np.nan])

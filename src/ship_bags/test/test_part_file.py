@@ -1,0 +1,113 @@
+"""Files written beside their name: nobody else's file is touched, and nothing is left of what failed."""
+
+import errno
+import fcntl
+import os
+import resource
+import subprocess
+import sys
+
+import pytest
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_writer import CdrBagWriter, TypeDefinition
+from ship_bags.part_file import open_new, part_of, write_whole
+from ship_node.documents.files import DISK
+
+NEEDS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="mounts a tiny disk in a namespace of its own: needs root")
+
+
+def open_bag(path):
+    return CdrBagWriter(path, lambda name: TypeDefinition("string data\n", "RIHS01_0"), "test")
+
+
+def write_bag(path):
+    with open_bag(path) as bag:
+        bag.write_raw("topic", "std_msgs/msg/String", os.urandom(200_000), 1)
+
+
+WRITERS = {
+    "whole": lambda path: write_whole(path, os.urandom(200_000)),
+    "node": lambda path: DISK.write(path, os.urandom(200_000)),
+    "bag": write_bag,
+}
+
+
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+class TestPart:
+    def test_mend_25_a_part_that_is_a_link_is_not_followed(self, tmp_path, write):
+        (tmp_path / "precious").write_text("mine")
+        part_of(tmp_path / "out").symlink_to(tmp_path / "precious")
+        with pytest.raises((OSError, BadInput)):
+            write(tmp_path / "out")
+        assert (tmp_path / "precious").read_text() == "mine"
+        assert not (tmp_path / "out").exists()
+
+    @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir], ids=["fifo", "folder"])
+    def test_mend_25_a_part_that_is_no_file_is_left_alone(self, tmp_path, write, make):
+        make(part_of(tmp_path / "out"))
+        with pytest.raises((OSError, BadInput)):
+            write(tmp_path / "out")
+        assert [path.name for path in tmp_path.iterdir()] == ["out.part"]
+
+    def test_mend_25_what_a_killed_program_left_is_taken_away(self, tmp_path, write):
+        part_of(tmp_path / "out").write_bytes(b"half")
+        write(tmp_path / "out")
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+        assert (tmp_path / "out").stat().st_size > 200_000 - 1
+
+    def test_mend_25_what_another_program_writes_is_left_to_it(self, tmp_path, write):
+        with open(part_of(tmp_path / "out"), "wb") as other:
+            fcntl.flock(other, fcntl.LOCK_EX)
+            with pytest.raises((OSError, BadInput)):
+                write(tmp_path / "out")
+            assert part_of(tmp_path / "out").exists()
+
+    def test_mend_25_a_failed_write_names_the_file_and_leaves_nothing(self, tmp_path, write):
+        """A bound on the length of files fails as a full disk does, in the middle of the content."""
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+        try:
+            with pytest.raises(OSError, match="File too large") as caught:
+                write(tmp_path / "out")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        assert caught.value.filename == str(tmp_path / "out")
+        assert list(tmp_path.iterdir()) == []
+
+    def test_mend_25_an_interrupted_write_leaves_the_old_file(self, tmp_path, write, monkeypatch):
+        (tmp_path / "out").write_text("old")
+
+        def interrupt(number):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(os, "fsync", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            write(tmp_path / "out")
+        assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("out", "old")]
+
+
+def test_mend_25_two_writers_of_one_name_do_not_meet(tmp_path):
+    part = tmp_path / "out.part"
+    with open_new(part), pytest.raises(OSError, match=r"out\.part: another program writes it") as caught:
+        open_new(part)
+    assert caught.value.errno == errno.EBUSY
+
+
+@NEEDS_ROOT
+def test_mend_25_a_full_disk_is_named_and_nothing_is_left(tmp_path):
+    program = f"""
+import sys
+from pathlib import Path
+from ship_bags.command_line import CommandParser, run_command
+from test_part_file import WRITERS
+path = Path({str(tmp_path)!r}) / "out"
+for write in WRITERS.values():
+    code = run_command(CommandParser(prog="test"), lambda parsed: write(path), [])
+    print(code, list(path.parent.iterdir()))
+"""
+    mount = f"mount -t tmpfs -o size=64k tmpfs {tmp_path}; exec \"$@\""
+    command = ["unshare", "-m", "--propagation", "private", "sh", "-c", mount, "sh", sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=os.path.dirname(__file__))
+    assert done.stdout == "2 []\n" * 3, done.stderr
+    assert done.stderr == f"test: {tmp_path}/out: No space left on device\n" * 3

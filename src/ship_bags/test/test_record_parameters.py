@@ -1,0 +1,75 @@
+"""A recorder asks the nodes on the network for their parameters, and a replay of the recording uses them."""
+
+import sys
+
+import pytest
+import rclpy
+
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_node.parameters.parameter_file import load_config
+from ship_replay.offline.replay import replay
+from ship_replay.trials.live_graph import GraphObserver
+from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_testing.hand_made_bags import START_NS, imu
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+
+PARAMETERS = """\
+/**/ship_attitude:
+  ros__parameters:
+    ins: {white_sigma_arcsec: 2.5, frame_id: "1e3"}
+    star_sensors: {fore: {azimuth_deg: 30.0, elevation_deg: 40.0}}
+"""
+
+
+def command(module, *arguments):
+    return [sys.executable, "-m", module, *arguments]
+
+
+@pytest.mark.parametrize("name", ["voyage.mcap", "voyage"])
+def test_mend_22_a_recording_holds_the_parameters_of_the_nodes_it_hears(name, tmp_path, monkeypatch):
+    """A folder and a file; beside the node one that never answers."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    domain_id = free_domain_id()
+    environment = live_environment(domain_id, tmp_path)
+    (tmp_path / "suite.yaml").write_text(PARAMETERS)
+    bag, out = tmp_path / "in.mcap", tmp_path / name
+    with BagWriter(bag) as writer:
+        for number in range(30):
+            stamp_ns = START_NS + number * 10_000_000
+            writer.write("ins/imu", imu(stamp_ns, "1e3"), stamp_ns)
+    start = "from ship_attitude_star.ros.ship_attitude_node import main; main()"
+    options = ("-r", "__ns:=/aurora", "--params-file", tmp_path / "suite.yaml", "-p", f"black_box:={tmp_path}/box.mcap")
+    node = [sys.executable, "-c", start, "--ros-args", *map(str, options)]
+    recorder = command("ship_bags.commands.record", "--out", str(out))
+    # Waits until the recorder has found it, too.
+    waiting = ("--wait-for-subscribers", "ins/imu=2", "--ros-args", "-r", "__ns:=/aurora")
+    player = command("ship_bags.commands.play", str(bag), *waiting)
+    with (
+        GraphObserver(domain_id) as observer,
+        LiveProcess(node, tmp_path / "node.log", environment) as running,
+        LiveProcess(recorder, tmp_path / "record.log", environment) as recording,
+    ):
+        # In the graph, with its services, and nobody serves them.
+        mute = rclpy.create_node("mute", context=observer.node.context)
+        there = observer.wait_for({"/aurora/ship/attitude": 1}, {"/aurora/ship/attitude": 1, "/aurora/ins/imu": 1})
+        assert there, running.log() + recording.log()
+        with LiveProcess(player, tmp_path / "play.log", environment) as playing:
+            assert observer.spin_until(lambda: playing.exit_code is not None, 30), playing.log()
+        assert recording.end() == 0, recording.log()
+        assert "record: /mute did not say its parameters" in recording.log()
+        assert "ship_attitude did not say" not in recording.log()
+        assert running.exit_code is None, running.log()
+        mute.destroy_node()
+    with read_bag(out) as recorded:
+        text = recorded.attachments["suite.yaml"].decode()
+    config = load_config(ShipAttitudeConfig, text, "/aurora/ship_attitude")
+    assert (config.ins.white_sigma_arcsec, config.ins.frame_id) == (2.5, "1e3")
+    assert list(config.star_sensors) == ["fore"]
+    # A suite file that was given to another node must not write over this one's box.
+    assert "box.mcap" not in text
+    summary = replay(out, tmp_path / "again.mcap", (ShipAttitudeAdapter,), namespace="aurora")
+    assert summary.inputs["ins/imu"] == 30

@@ -1,0 +1,188 @@
+"""Bags made to do harm: what unfolds beyond its bound is refused with its place, in bounded memory."""
+
+import struct
+import subprocess
+import sys
+import zlib
+
+import lz4.frame
+import pytest
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Chunk
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.mcap_records import MAX_CHUNK_RECORDS
+from ship_replay.commands import axis_sightings as axis_sightings_command
+from ship_replay.commands import calibrate_installation as calibrate_installation_command
+from ship_replay.commands import evaluate as evaluate_command
+from ship_replay.commands import replay as replay_command
+from ship_testing.hand_made_bags import START_NS, write_imu_bag
+from ship_testing.mcap_places import places
+
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+TOO_MANY_BYTES = 300_000_000
+COMPRESS = {"zstd": zstandard.ZstdCompressor(level=1).compress, "lz4": lz4.frame.compress, "": bytes}
+
+
+def message(size, time_ns=START_NS):
+    return MESSAGE_HEAD.pack(Opcode.MESSAGE, 22 + size, 1, 0, time_ns, time_ns) + bytes(size)
+
+
+def chunk_bytes(content, compression, stated, checked=True):
+    chunk = Chunk(
+        compression=compression,
+        data=COMPRESS[compression](content),
+        message_end_time=START_NS,
+        message_start_time=START_NS,
+        uncompressed_crc=zlib.crc32(content) if checked else 0,
+        uncompressed_size=len(content) if stated is None else stated,
+    )
+    builder = RecordBuilder()
+    chunk.write(builder)
+    return builder.end()
+
+
+def with_chunks(path, *chunks):
+    """A bag of a hundred good messages with more chunks behind them, and no end. Returns the first one's place."""
+    data = write_imu_bag(path).read_bytes()
+    end = next(offset for offset, opcode, _ in places(data[:-8]) if opcode == Opcode.DATA_END)
+    path.write_bytes(data[:end] + b"".join(chunks))
+    return end
+
+
+@pytest.mark.parametrize(
+    ("compression", "stated", "complaint"),
+    [
+        ("zstd", None, "it says that it unfolds to 300 MB: at most 256 are taken"),
+        ("zstd", 1000, "it unfolds to more than 256 MB"),
+        ("lz4", 1000, "it unfolds to more than 256 MB"),
+        ("zstd", 2**63, "at most 256 are taken"),
+    ],
+)
+def test_mend_25_a_chunk_beyond_its_bound_is_refused_with_its_place(tmp_path, compression, stated, complaint):
+    content = message(TOO_MANY_BYTES) if stated == 1000 or stated is None else message(10)
+    offset = with_chunks(tmp_path / "a.mcap", chunk_bytes(content, compression, stated))
+    with read_bag(tmp_path / "a.mcap") as bag:
+        assert sum(1 for _ in bag.records()) == 100
+        told = [problem for problem in bag.problems if f"the chunk at byte {offset} is damaged" in problem]
+    assert len(told) == 1
+    assert complaint in told[0]
+
+
+def test_mend_25_a_chunk_of_empty_messages_is_refused_before_it_fills_the_memory(tmp_path):
+    content = message(0) * (MAX_CHUNK_RECORDS + 1)
+    offset = with_chunks(tmp_path / "a.mcap", chunk_bytes(content, "zstd", None))
+    with read_bag(tmp_path / "a.mcap") as bag:
+        assert sum(1 for _ in bag.records()) == 100
+        assert any(f"byte {offset} is damaged (it holds more than 1000000 records)" in line for line in bag.problems)
+
+
+def test_mend_25_a_cut_chunk_without_checksum_is_damaged(tmp_path):
+    whole = message(1000) * 3
+    cut = COMPRESS["zstd"](whole)[:-3]
+    chunk = Chunk("zstd", cut, START_NS, START_NS, 0, len(whole))
+    builder = RecordBuilder()
+    chunk.write(builder)
+    with_chunks(tmp_path / "a.mcap", builder.end())
+    with read_bag(tmp_path / "a.mcap") as bag:
+        assert sum(1 for _ in bag.records()) == 100
+        assert any("bytes and says 3093" in line for line in bag.problems)
+
+
+def test_mend_25_chunks_that_all_overlap_are_refused_before_they_fill_the_memory(tmp_path):
+    """Each is within its bound; together a file of a megabyte would hold any memory."""
+    content = message(20_000_000)
+    with_chunks(tmp_path / "a.mcap", *[chunk_bytes(content, "zstd", None)] * 30)
+    with (
+        read_bag(tmp_path / "a.mcap") as bag,
+        pytest.raises(BadInput, match=r"a\.mcap: the chunk at byte \d+ and those that overlap it .* more than 512 MB"),
+    ):
+        list(bag.records())
+
+
+def test_mend_25_a_bag_that_unfolds_to_more_than_it_may_takes_no_more_memory(tmp_path):
+    """Stated size, frame and chunk agree; only the bound stands against them."""
+    with_chunks(tmp_path / "a.mcap", chunk_bytes(message(600_000_000), "zstd", 1000, checked=False))
+    program = f"""
+import resource
+from pathlib import Path
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.recover import recover
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+path = Path({str(tmp_path)!r}) / "a.mcap"
+with read_bag(path) as bag:
+    count = sum(1 for _ in bag.records())
+print(count, sum(recover(path, path.with_name("whole.mcap")).counts.values()))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    counts, growth_kib = done.stdout.splitlines()
+    assert counts == "100 100"
+    assert int(growth_kib) < 600_000
+
+
+@pytest.mark.parametrize("text", [b"{secret}", b"\x00" * 1000, b"9" * 5000, b"[" * 100_000, b"a: &a [*a]", b"\xff\xfe"])
+def test_mend_25_an_attached_configuration_is_one_line_and_no_file_is_read(tmp_path, capsys, text):
+    (tmp_path / "secret").write_text("root:$6$hash:19000\n")
+    attached = text.replace(b"{secret}", str(tmp_path / "secret").encode())
+    bag = write_imu_bag(tmp_path / "in.mcap", attachments=[("suite.yaml", attached)])
+    for main, arguments in (
+        (replay_command.main, ["--out", str(tmp_path / "out.mcap")]),
+        (evaluate_command.main, []),
+        (calibrate_installation_command.main, ["--out", str(tmp_path / "out.yaml")]),
+        (axis_sightings_command.main, ["--out", str(tmp_path / "out.csv")]),
+    ):
+        assert main([str(bag), *arguments]) == 2
+        said = capsys.readouterr()
+        assert said.err.count("\n") == 1
+        assert f"{bag}: " in said.err
+        assert "hash" not in said.err + said.out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "secret"]
+
+
+INFORMATION = "rosbag2_bagfile_information:\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        *((text, "not the information file of a rosbag2 bag") for text in ("5", "null", "[1, 2]", "", "a: 1")),
+        *((INFORMATION + f"  {text}", "information file") for text in ("5", "null", "- 1")),
+        pytest.param("a: [" * 1000, "nested too deeply", id="nested"),
+        pytest.param("\x00" * 1000, "not YAML", id="NUL"),
+        (INFORMATION + "  storage_identifier: [mcap]\n", "storage_identifier is '['mcap']': expected mcap"),
+        (INFORMATION + "  storage_identifier: mcap\n", "relative_file_paths names no file"),
+        (INFORMATION + "  storage_identifier: mcap\n  relative_file_paths: 5\n", "relative_file_paths names no file"),
+        *(
+            (
+                INFORMATION + f"  storage_identifier: mcap\n  relative_file_paths: ['{name}']\n",
+                f"relative_file_paths: '{name}' is no file of this folder",
+            )
+            for name in ("../a.mcap", "/etc/passwd", "sub/../../a.mcap")
+        ),
+        (INFORMATION + "  storage_identifier: mcap\n  relative_file_paths: [[1], 2]\n", "is no file of this folder"),
+        *(
+            (
+                INFORMATION + f"  storage_identifier: mcap\n  compression_mode: {mode}\n  relative_file_paths: [a]\n",
+                f"compression_mode is '{shown}': unpack the bag's files first",
+            )
+            for mode, shown in (("5", "5"), ("FILE", "FILE"), ("[x]", "['x']"), ("{a: 1}", "{'a': 1}"))
+        ),
+        pytest.param(
+            INFORMATION + f"  storage_identifier: {'9' * 5000}\n",
+            "metadata.yaml:2: not YAML: a whole number of more than 64 bits",
+            id="digits",
+        ),
+    ],
+)
+def test_mend_25_a_false_information_file_is_one_line(tmp_path, text, complaint):
+    (tmp_path / "metadata.yaml").write_text(text)
+    with pytest.raises(BadInput) as caught:
+        read_bag(tmp_path)
+    assert str(caught.value).startswith(str(tmp_path / "metadata.yaml"))
+    assert complaint in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400

@@ -1,0 +1,254 @@
+"""The black box of a live node: everything it used and gave, in that order, on the disk within a tenth of a second.
+
+The node only puts entries into a queue; a thread writes them, so that a slow disk never holds up the estimate.
+"""
+
+import json
+import re
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+from ship_bags.errors import BadInput
+from ship_bags.live.installed_definitions import installed_definition, type_hash
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, CdrBagWriter
+from ship_node.black_box.black_box_format import (
+    EVENTS_TOPIC,
+    EVENTS_TYPE,
+    FORMAT,
+    METADATA,
+    VERSIONS_ATTACHMENT,
+    Closed,
+    EntriesLost,
+    Event,
+    FileUsed,
+    event_text,
+)
+from ship_node.black_box.versions import versions
+from ship_node.documents.files import FileUse
+from ship_node.edge.adapter import Adapter
+from ship_node.edge.diagnostics import Level, Status
+from ship_node.edge.topics import OutputTopic
+from ship_node.parameters.parameter_text import parameter_text
+
+FLUSH_PERIOD_S = 0.07
+"""With the time that the writing takes, what is older than a tenth of a second is on the disk."""
+
+LONGEST_QUEUE = 50_000
+"""Entries that wait for a slow disk, about a minute of a node at 200 Hz; what comes then is lost, and said."""
+
+LARGEST_QUEUE_BYTES = 64 * 2**20
+"""Likewise of their contents; the files that the node read and wrote aside."""
+
+MOST_BEFORE_TIME = 1000
+"""Entries kept while there is no time for them yet; of more, the newest."""
+
+
+class _Message(NamedTuple):
+    topic: str
+    data: bytes
+    time_ns: int
+    waiting_ns: int
+
+
+class _Attachment(NamedTuple):
+    name: str
+    content: bytes
+
+
+class BlackBox:
+    """One box being written.
+
+    Attributes:
+        path: the file.
+
+    Args:
+        path: the file as the parameter names it; see :func:`free_path`.
+        adapter: what the node runs.
+        config: its configuration.
+        outputs: everything that is published.
+        namespace: the node's.
+        on_failure: told once when the disk fails.
+
+    Raises:
+        BadInput: the file cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        adapter: Adapter,
+        config: Any,
+        outputs: Iterable[OutputTopic],
+        namespace: str,
+        on_failure: Callable[[str], None],
+    ) -> None:
+        node = adapter.node_name
+        topics = [OutputTopic(EVENTS_TOPIC, EVENTS_TYPE)]
+        topics += [*(OutputTopic(topic.topic, topic.type_name) for topic in adapter.inputs), *outputs]
+        self._types = {topic.topic: topic.type_name for topic in topics}
+        package = type(adapter).__module__.partition(".")[0]
+        used = versions(package, {name: type_hash(name) for name in self._types.values()})
+        self._writer = _open(path, node)
+        self.path = self._writer.path
+        self._writer.add_metadata(METADATA, {"format": FORMAT, "node": node, "namespace": namespace})
+        self._writer.add_attachment(SUITE_ATTACHMENT, parameter_text(node, config))
+        self._writer.add_attachment(VERSIONS_ATTACHMENT, json.dumps(used, indent=1), "application/json")
+        for topic in topics:
+            self._writer.add_topic(topic.topic, topic.type_name, topic.latched)
+        self._writer.flush()
+        self._queue: deque[_Message | _Attachment] = deque()
+        self._bytes_put = self._bytes_written = 0
+        self._before_time: deque[_Message] = deque()
+        self._last_ns = 0
+        self._file_count = self._lost = self._lost_unsaid = 0
+        self._failure = ""
+        self._on_failure = on_failure
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._write_on, name="black box", daemon=True)
+        self._thread.start()
+
+    def put(self, topic: str, data: bytes, time_ns: int, waiting_ns: int | None = None) -> None:
+        """Note a message used or published.
+
+        Args:
+            topic: relative name.
+            data: its CDR bytes.
+            time_ns: the node's time; 0 before the first /clock: it then gets the time of the first entry that has one.
+            waiting_ns: the time of waiting; None where it is the same.
+        """
+        if time_ns == 0:
+            if len(self._before_time) >= MOST_BEFORE_TIME:
+                self._before_time.popleft()
+                self._lost += 1
+                self._lost_unsaid += 1
+            self._before_time.append(_Message(topic, data, 0, 0))
+            return
+        self._last_ns = time_ns
+        if self._before_time:
+            for message in self._before_time:
+                self._append(message._replace(time_ns=time_ns, waiting_ns=time_ns))
+            self._before_time.clear()
+        self._append(_Message(topic, data, time_ns, time_ns if waiting_ns is None else waiting_ns))
+
+    def put_event(self, event: Event, time_ns: int, waiting_ns: int | None = None) -> None:
+        """Note an event; the times are those of :meth:`put`."""
+        self.put(EVENTS_TOPIC, _event_data(event), time_ns, waiting_ns)
+
+    def put_file(self, use: FileUse, time_ns: int) -> None:
+        """Note a file read or written, with its content."""
+        name = None
+        if use.content is not None:
+            self._file_count += 1
+            name = f"files/{self._file_count:04d}/{Path(use.path).name}"
+            self._queue.append(_Attachment(name, use.content))
+        self.put_event(FileUsed(use.path, use.written, name, use.error), time_ns)
+
+    def status(self) -> Status:
+        """How the box does."""
+        if self._failure:
+            return Status("black box", Level.ERROR, f"{self.path}: writing ended: {self._failure}")
+        values = {"bytes": str(self._writer.whole_bytes), "waiting": str(len(self._queue)), "lost": str(self._lost)}
+        if self._lost:
+            return Status("black box", Level.ERROR, f"{self.path}: {self._lost} entries lost: the disk is slow", values)
+        return Status("black box", Level.OK, f"writing {self.path}", values)
+
+    def close(self) -> None:
+        """Write what is left and finish the file; a second time does nothing."""
+        if self._stopping.is_set():
+            return
+        self._stopping.set()
+        self._thread.join()
+        # Where there never was a time, what waits for one must not wait longer.
+        self.put_event(Closed(), max(self._last_ns, 1))
+        self._guarded(self._write_all)
+        self._guarded(self._writer.close)
+
+    def _append(self, message: _Message) -> None:
+        waiting_bytes = self._bytes_put - self._bytes_written
+        if len(self._queue) >= LONGEST_QUEUE or waiting_bytes + len(message.data) > LARGEST_QUEUE_BYTES:
+            self._lost += 1
+            self._lost_unsaid += 1
+            return
+        if self._lost_unsaid:
+            lost = _event_data(EntriesLost(self._lost_unsaid))
+            self._lost_unsaid = 0
+            self._put_in_queue(message._replace(topic=EVENTS_TOPIC, data=lost))
+        self._put_in_queue(message)
+
+    def _put_in_queue(self, message: _Message) -> None:
+        self._bytes_put += len(message.data)
+        self._queue.append(message)
+
+    def _write_on(self) -> None:
+        due_s = time.monotonic() + FLUSH_PERIOD_S
+        while not self._stopping.wait(max(0.0, due_s - time.monotonic())):
+            due_s = time.monotonic() + FLUSH_PERIOD_S
+            self._guarded(self._write_all)
+
+    def _write_all(self) -> None:
+        """Bring what waits onto the disk."""
+        count = len(self._queue)
+        for _ in range(count):
+            entry = self._queue.popleft()
+            if isinstance(entry, _Attachment):
+                self._writer.add_attachment(entry.name, entry.content, "application/octet-stream")
+            else:
+                # Counted over all topics: where one is missing, that shows at the very next.
+                number = self._writer.message_count + 1
+                kind = self._types[entry.topic]
+                self._bytes_written += len(entry.data)
+                self._writer.write_raw(entry.topic, kind, entry.data, entry.time_ns, entry.waiting_ns, number)
+        if count:
+            self._writer.flush()
+
+    def _guarded(self, write: Callable[[], None]) -> None:
+        """Write; the first failure ends the box and not the node."""
+        if self._failure:
+            self._queue.clear()
+            return
+        try:
+            write()
+        except Exception as error:
+            self._failure = error.strerror if isinstance(error, OSError) and error.strerror else repr(error)
+            self._writer.cut()
+            self._on_failure(f"black box {self.path}: writing ended: {self._failure}; it is whole up to the last flush")
+
+
+def free_path(path: Path) -> Path:
+    """The path itself, or with a number that was never used beside it: ``box.mcap``, ``box_2.mcap``, ``box_3.mcap``."""
+    pattern = re.compile(re.escape(path.stem) + r"_(\d+)" + re.escape(path.suffix))
+    matches = [pattern.fullmatch(other.name) for other in path.parent.iterdir()]
+    newest = max((int(match[1]) for match in matches if match), default=1 if path.exists() else 0)
+    return path.with_name(f"{path.stem}_{newest + 1}{path.suffix}") if newest else path
+
+
+def _open(text: str, node_name: str) -> CdrBagWriter:
+    """A new file for a box at a path, or of the node's name in a folder."""
+    path = Path(text)
+    if text.endswith("/") or path.is_dir():
+        path = path / f"{node_name}.mcap"
+    if path.suffix != ".mcap":
+        raise BadInput(f"parameter 'black_box' = '{text}': expected a file ending in .mcap, or a folder")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        while True:
+            free = free_path(path)
+            try:
+                return CdrBagWriter(free, installed_definition, "ship_node", atomic=False, exclusive=True)
+            except BadInput:
+                # Another node may have taken the name in the meantime.
+                if not free.exists():
+                    raise
+    except (OSError, BadInput) as error:
+        raise BadInput(f"parameter 'black_box' = '{text}': {error}") from error
+
+
+def _event_data(event: Event) -> bytes:
+    return bytes(serialize_message(String(data=event_text(event))))

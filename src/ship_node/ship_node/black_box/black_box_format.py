@@ -1,0 +1,126 @@
+"""What stands in a black box besides the messages: the events of a node, and the names of everything.
+
+A box is an MCAP bag. Inputs lie in it under their own topics, outputs under theirs, events as JSON text on
+:data:`EVENTS_TOPIC`; the order in the file is the order of use, and what a use led to follows it. The sequence numbers
+count all of them from 1. The log time is the node's time of the use, which may go back; the publish time is the time of
+waiting (:class:`ship_node.edge.adapter.Adapter`).
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ship_bags.errors import BadInput
+
+FORMAT = "2"
+"""Version of this description."""
+
+EVENTS_TOPIC = "black_box/events"
+EVENTS_TYPE = "std_msgs/msg/String"
+METADATA = "black_box"
+"""Metadata record with the entries ``format``, ``node`` and ``namespace``."""
+
+VERSIONS_ATTACHMENT = "versions.json"
+"""See :mod:`ship_node.black_box.versions`. The parameters are :data:`ship_bags.mcap.bag_writer.SUITE_ATTACHMENT`."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """The adapter was ticked."""
+
+
+@dataclass(frozen=True)
+class ClockJumpedBack:
+    """The adapter was told that the clock went back."""
+
+
+@dataclass(frozen=True)
+class ParametersChanged:
+    """Live parameters were given to the adapter, dotted name → value.
+
+    ``refused`` is its reason to refuse them, None where it took them.
+    """
+
+    changes: Mapping[str, Any]
+    refused: str | None
+
+
+@dataclass(frozen=True)
+class ChangeRefused:
+    """The node refused live parameters, dotted name → value, before the adapter was asked."""
+
+    changes: Mapping[str, Any]
+    reason: str
+
+
+@dataclass(frozen=True)
+class ServiceCalled:
+    """A service was called, with its answer; None where it raised."""
+
+    name: str
+    success: bool | None
+    message: str | None
+
+
+@dataclass(frozen=True)
+class FileUsed:
+    """The adapter read or wrote a file, during its construction or the use that follows.
+
+    Attributes:
+        path: as the adapter named it.
+        written: whether it was written, not read.
+        attachment: name of the attachment that holds the content; None where it failed.
+        error: error number (errno) where it failed.
+    """
+
+    path: str
+    written: bool
+    attachment: str | None
+    error: int | None
+
+
+@dataclass(frozen=True)
+class EntriesLost:
+    """The disk was too slow: so many entries are missing here."""
+
+    count: int
+
+
+@dataclass(frozen=True)
+class Closed:
+    """The node ended in order; a box without it ends suddenly."""
+
+
+Event = Tick | ClockJumpedBack | ParametersChanged | ChangeRefused | ServiceCalled | FileUsed | EntriesLost | Closed
+
+_KINDS: dict[str, type[Event]] = {
+    "tick": Tick,
+    "clock_jumped_back": ClockJumpedBack,
+    "parameters": ParametersChanged,
+    "change_refused": ChangeRefused,
+    "service": ServiceCalled,
+    "file": FileUsed,
+    "lost": EntriesLost,
+    "closed": Closed,
+}
+_NAMES = {kind: name for name, kind in _KINDS.items()}
+
+
+def event_text(event: Event) -> str:
+    """The event as it lies in the box."""
+    # What was asked for and refused may be anything: bytes, too.
+    return json.dumps({"event": _NAMES[type(event)], **asdict(event)}, default=repr)
+
+
+def event_from_text(text: str) -> Event:
+    """The event of a text.
+
+    Raises:
+        BadInput: it is none.
+    """
+    try:
+        fields = json.loads(text)
+        return _KINDS[fields.pop("event")](**fields)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise BadInput(f"'{text:.100}' on {EVENTS_TOPIC} is no event of a black box") from error

@@ -1,0 +1,67 @@
+"""The figures of a study as PNG, in one style. Loading matplotlib takes longer than most studies: import this late."""
+
+import io
+from collections.abc import Iterable
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from ship_bags.part_file import write_whole
+from ship_geometry.rotations import FloatArray
+
+_STYLE = {
+    "font.size": 11,
+    "axes.titlesize": 11.5,
+    "axes.grid": True,
+    "grid.color": "0.88",
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.framealpha": 0.95,
+    "savefig.facecolor": "white",
+}
+
+
+_SETTLED = 3.0
+"""A start is over when sigma has come down to this many times what it is at its best."""
+
+
+def settled(sigma: FloatArray) -> slice:
+    """The part of a course that a figure is scaled by: all but the start, when little was known yet.
+
+    Args:
+        sigma: predicted, in order of time, shape (n,); NaN where none was given.
+    """
+    known = sigma[np.isfinite(sigma)]
+    if not len(known):
+        return slice(None)
+    # The least tenth: at its best it was for a while, not for a moment.
+    return slice(int(np.argmax(sigma <= _SETTLED * np.percentile(known, 10.0))), None)
+
+
+def write_figures(figures: Iterable[tuple[str, Figure]], folder: Path) -> dict[str, Path]:
+    """Write figures into a folder that exists, each drawn when its turn comes.
+
+    Args:
+        figures: names and figures; drawn in the style while iterated over.
+        folder: where ``NAME.png`` go.
+
+    Returns:
+        The files by the figures' names.
+    """
+    files = {}
+    with plt.rc_context(_STYLE):
+        for name, figure in figures:
+            files[name] = folder / f"{name}.png"
+            # Without the version of matplotlib the same study gives the same file.
+            content = io.BytesIO()
+            figure.savefig(content, format="png", dpi=110, metadata={"Software": None})
+            write_whole(files[name], content.getvalue())
+            plt.close(figure)
+    return files

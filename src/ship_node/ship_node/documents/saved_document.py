@@ -1,0 +1,175 @@
+"""What a node saves for its next start: YAML that people can read, written atomically, with format and version."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from ship_bags.errors import BadInput
+from ship_bags.stamps import END_OF_TIME_NS
+from ship_bags.yaml_text import plain_data
+from ship_node.documents.files import DISK, Files
+
+_ROUNDING = 1e-6
+
+Content = TypeVar("Content")
+
+
+@dataclass(frozen=True)
+class SavedFormat:
+    """A kind of saved document.
+
+    Attributes:
+        format: first line of the file.
+        version: of its layout; no other is read.
+        what: "alignment", "calibration": for messages.
+    """
+
+    format: str
+    version: int
+    what: str
+
+    def save(self, path: Path, document: dict[str, Any], files: Files = DISK) -> None:
+        """Write a document; the file is either the old one or the new one, never a part.
+
+        Raises:
+            BadInput: the file cannot be written.
+        """
+        whole = {"format": self.format, "version": self.version, **document}
+        try:
+            files.write(path, yaml.safe_dump(whole, sort_keys=False, width=110).encode())
+        except OSError as error:
+            raise BadInput(f"{path}: the {self.what} cannot be written: {error.strerror}") from error
+
+    def load(self, path: Path, read: Callable[[dict[str, Any]], Content], files: Files = DISK) -> Content:
+        """Read a document.
+
+        Args:
+            path: of the file.
+            read: what it says; a ValueError names the section that cannot be used.
+            files: where it is read.
+
+        Raises:
+            BadInput: names the file and what is wrong with it.
+        """
+        try:
+            content = files.read(path)
+        except OSError as error:
+            raise self._unreadable(path, error) from error
+        return self._parsed(path, content, read)
+
+    def load_if_there(
+        self, path: Path, read: Callable[[dict[str, Any]], Content], files: Files = DISK
+    ) -> Content | None:
+        """As :meth:`load`; None where there is no such file."""
+        try:
+            content = files.read(path)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            raise self._unreadable(path, error) from error
+        return self._parsed(path, content, read)
+
+    def _unreadable(self, path: Path, error: OSError) -> BadInput:
+        return BadInput(f"{path}: the {self.what} cannot be read: {error.strerror}")
+
+    def _parsed(self, path: Path, content: bytes, read: Callable[[dict[str, Any]], Content]) -> Content:
+        try:
+            document = plain_data(str(path), content.decode())
+        except UnicodeDecodeError as error:
+            raise BadInput(f"{path}: not a text in UTF-8: {error.reason} at byte {error.start}") from error
+        article = "an" if self.what[0] in "aeiou" else "a"
+        if not isinstance(document, dict) or document.get("format") != self.format:
+            raise BadInput(f"{path}: not {article} {self.what}: expected 'format: {self.format}'")
+        if document.get("version") != self.version:
+            found = f"{document.get('version')!r:.40}"
+            raise BadInput(f"{path}: version {found} of the {self.what}: expected {self.version}")
+        try:
+            return read(document)
+        except ValueError as error:
+            raise BadInput(f"{path}: the {self.what} cannot be used: {error}; save it anew") from error
+
+
+def age_words(time_ns: int, now_ns: int) -> str:
+    """How old the data of a saved document are, by the node's clock."""
+    if time_ns <= 0:
+        return "of unknown age"
+    age_s = (now_ns - time_ns) * 1e-9
+    if age_s < 0.0:
+        return f"from {-age_s:.0f} s in the future"
+    return f"{age_s / 86400.0:.1f} d old" if age_s >= 8640.0 else f"{age_s / 60.0:.0f} min old"
+
+
+def section(document: dict[str, Any], key: str, read: Callable[[Any], Content]) -> Content:
+    """One section of a document.
+
+    Raises:
+        ValueError: names the section that is missing or cannot be read.
+    """
+    try:
+        return read(document[key])
+    except KeyError as error:
+        raise ValueError(f"{error} is missing" if error.args == (key,) else f"'{key}': {error} is missing") from error
+    except (AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"'{key}': {error}") from error
+
+
+def stamp_ns(value: Any) -> int:
+    """A time in nanoseconds.
+
+    Raises:
+        ValueError: it is none that a message can carry.
+    """
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < END_OF_TIME_NS:
+        raise ValueError("expected a whole number of nanoseconds since 1970")
+    return value
+
+
+def texts(values: Mapping[Any, Any]) -> dict[str, str]:
+    """Texts by name.
+
+    Raises:
+        ValueError: one is a list or a group.
+    """
+    for name, value in values.items():
+        if isinstance(value, (list, dict)):
+            raise ValueError(f"{name} is a list or a group: expected a text")
+    return {str(name): str(value) for name, value in values.items()}
+
+
+def finite_numbers(values: dict[str, Any]) -> dict[str, float]:
+    """Numbers by name.
+
+    Raises:
+        ValueError: one is NaN, infinite or no number.
+    """
+    for name, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(float(value)):
+            raise ValueError(f"{name} is {value!r:.40}: expected a finite number")
+    return {str(name): float(value) for name, value in values.items()}
+
+
+def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float64]:
+    """A covariance of numbers in different units, shape (size, size).
+
+    Raises:
+        ValueError: wrong shape, not finite, not symmetric or not positive semidefinite.
+    """
+    if not isinstance(rows, list):
+        raise ValueError(f"expected {size} x {size} finite numbers")
+    covariance = np.array(rows, dtype=float)
+    if covariance.shape != (size, size) or not np.all(np.isfinite(covariance)):
+        raise ValueError(f"shape {covariance.shape}: expected {size} x {size} finite numbers")
+    # In sigmas, because angles are far smaller numbers than seconds; what is held fixed has none.
+    sigma = np.sqrt(np.abs(np.diagonal(covariance)))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    correlation = covariance / np.outer(scale, scale)
+    if not np.allclose(correlation, correlation.T, atol=_ROUNDING):
+        raise ValueError("not symmetric")
+    if np.linalg.eigvalsh(correlation)[0] < -_ROUNDING:
+        raise ValueError("not positive semidefinite")
+    return covariance

@@ -1,0 +1,67 @@
+"""State of a node for people: plain records, and the DiagnosticArray made of them."""
+
+import enum
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ship_bags.message_factory import MessageFactory
+from ship_bags.stamps import make_header
+
+DIAGNOSTICS_TOPIC = "/diagnostics"
+DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+class Level(enum.IntEnum):
+    """The levels of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True)
+class Status:
+    """How one thing does.
+
+    Attributes:
+        name: the thing, as ``"input ins/imu"``.
+        level: how bad it is.
+        message: one line for people.
+        values: further figures by name.
+    """
+
+    name: str
+    level: Level
+    message: str
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
+def diagnostic_array(factory: MessageFactory, now_ns: int, hardware_id: str, statuses: Iterable[Status]) -> Any:
+    """A diagnostic_msgs/DiagnosticArray.
+
+    Args:
+        factory: makes the messages.
+        now_ns: time of the report.
+        hardware_id: name of the node; each status is named ``"<hardware_id>: <name>"``.
+        statuses: what there is to say.
+    """
+    return factory.make(
+        DIAGNOSTICS_TYPE,
+        header=make_header(factory, now_ns),
+        status=[_diagnostic_status(factory, hardware_id, status) for status in statuses],
+    )
+
+
+def _diagnostic_status(factory: MessageFactory, hardware_id: str, status: Status) -> Any:
+    return factory.make(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=int(status.level),
+        name=f"{hardware_id}: {status.name}",
+        message=status.message,
+        hardware_id=hardware_id,
+        values=[
+            factory.make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in status.values.items()
+        ],
+    )

@@ -1,0 +1,142 @@
+"""Every use of an adapter by a live node: its results published, all of it noted in the black box if there is one."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
+
+from ship_estimation.parameters import ParameterError
+from ship_node.black_box.black_box import BlackBox
+from ship_node.black_box.black_box_format import (
+    ChangeRefused,
+    ClockJumpedBack,
+    Event,
+    ParametersChanged,
+    ServiceCalled,
+    Tick,
+)
+from ship_node.documents.files import NotedFiles
+from ship_node.edge.adapter import Adapter, ServiceResult
+from ship_node.edge.diagnostics import DIAGNOSTICS_TOPIC, Level, Status
+from ship_node.edge.topics import Published
+from ship_node.live.status_log import StatusLog
+
+
+class AdapterCalls:
+    """Calls an adapter. What it raises is let out, after the call was noted.
+
+    A message and a tick come with the node's time and the time of waiting (:class:`ship_node.edge.adapter.Adapter`).
+
+    Args:
+        adapter: the adapter.
+        publishers: topic → publisher, of all its outputs.
+        files: what the adapter reads and writes.
+        box: notes everything; None where there is none.
+        status_log: is shown the adapter's diagnostics; None where there is none.
+    """
+
+    def __init__(
+        self,
+        adapter: Adapter,
+        publishers: Mapping[str, Publisher],
+        files: NotedFiles,
+        box: BlackBox | None,
+        status_log: StatusLog | None = None,
+    ) -> None:
+        self._adapter = adapter
+        self._publishers = publishers
+        self._files = files
+        self._box = box
+        self._status_log = status_log
+        self._note_files(0)
+
+    def handle(self, topic: str, data: bytes, message: Any, now_ns: int, waiting_ns: int | None = None) -> None:
+        """Give the adapter a message, of which ``data`` are the bytes."""
+        published: list[Published] = []
+        try:
+            published = self._adapter.handle(topic, message, now_ns, waiting_ns)
+        finally:
+            if self._box is not None:
+                self._note_files(now_ns)
+                self._box.put(topic, data, now_ns, waiting_ns)
+        self.publish(published, now_ns)
+
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> None:
+        """Tick the adapter."""
+        published: list[Published] = []
+        try:
+            published = self._adapter.tick(now_ns, waiting_ns)
+        finally:
+            self._note(Tick(), now_ns, waiting_ns)
+        self.publish(published, now_ns)
+        if self._status_log is not None:
+            for topic, message in published:
+                if topic == DIAGNOSTICS_TOPIC:
+                    self._status_log.see(_told_in_the_log(message))
+
+    def clock_jumped_back(self, now_ns: int) -> None:
+        """Tell the adapter that the clock went back."""
+        published: list[Published] = []
+        try:
+            published = self._adapter.clock_jumped_back(now_ns)
+        finally:
+            self._note(ClockJumpedBack(), now_ns)
+        self.publish(published, now_ns)
+
+    def service(self, name: str, now_ns: int) -> ServiceResult:
+        """Call a service of the adapter."""
+        answer: ServiceResult | tuple[None, None] = (None, None)
+        try:
+            answer = result = self._adapter.service(name, now_ns)
+        finally:
+            self._note(ServiceCalled(name, *answer), now_ns)
+        return result
+
+    def set_parameters(self, changes: Mapping[str, Any], now_ns: int) -> None:
+        """Give the adapter live parameters."""
+        refused: str | None = "it raised"
+        try:
+            self._adapter.set_parameters(changes)
+            refused = None
+        except ParameterError as error:
+            refused = str(error)
+            raise
+        finally:
+            self._note(ParametersChanged(dict(changes), refused), now_ns)
+
+    def note_refusal(self, changes: Mapping[str, Any], reason: str, now_ns: int) -> None:
+        """Note live parameters that are refused without asking the adapter."""
+        self._note(ChangeRefused(dict(changes), reason), now_ns)
+
+    def publish(self, published: list[Published], now_ns: int) -> None:
+        """Publish messages; with a box they are serialised once, for the subscribers and for it."""
+        if self._box is None:
+            for topic, message in published:
+                self._publishers[topic].publish(message)
+            return
+        outputs = [(topic, serialize_message(message)) for topic, message in published]
+        for topic, data in outputs:
+            self._box.put(topic, data, now_ns)
+        for topic, data in outputs:
+            self._publishers[topic].publish(data)
+
+    def _note(self, event: Event, now_ns: int, waiting_ns: int | None = None) -> None:
+        if self._box is not None:
+            self._note_files(now_ns)
+            self._box.put_event(event, now_ns, waiting_ns)
+
+    def _note_files(self, now_ns: int) -> None:
+        """Note what files the call just made used, or the construction of the adapter."""
+        for use in self._files.uses:
+            if self._box is not None:
+                self._box.put_file(use, now_ns)
+        self._files.uses.clear()
+
+
+def _told_in_the_log(message: Any) -> Iterator[Status]:
+    """The statuses of a DiagnosticArray but its inputs: these change often, and what is grave shows in the others."""
+    for status in message.status:
+        name = status.name.partition(": ")[2]
+        if not name.startswith("input "):
+            yield Status(name, Level(status.level[0]), status.message)

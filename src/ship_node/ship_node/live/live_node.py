@@ -1,0 +1,286 @@
+"""An adapter in a live rclpy node: its inputs, ticks, services and parameters.
+
+Nothing that an adapter raises ends the node (:mod:`ship_node.live.guard`). Ticks fall on a grid of the time of waiting:
+of /clock as in replay, or of a clock that nobody sets (:mod:`ship_node.live.tick_grid`). Callbacks only put messages
+into an inbox that is bounded (:mod:`ship_node.live.inbox`), for the events that wait are not
+(:mod:`ship_node.live.node_events`); the adapter gets one message whenever no event is left.
+"""
+
+import time
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import qos_policy_name_from_kind
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
+
+from ship_bags.errors import BadInput
+from ship_bags.message_factory import RosidlFactory, message_class
+from ship_estimation.parameters import ParameterError
+from ship_node.black_box.black_box import BlackBox
+from ship_node.documents.files import NotedFiles
+from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
+from ship_node.edge.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
+from ship_node.edge.topics import InputTopic, OutputTopic
+from ship_node.live.adapter_calls import AdapterCalls
+from ship_node.live.guard import Guard
+from ship_node.live.inbox import Arrival, Inbox
+from ship_node.live.node_clock import NodeClock
+from ship_node.live.node_events import NodeEvents
+from ship_node.live.node_watch import name_status, stamps_status
+from ship_node.live.qos import input_qos, output_qos, overridable, overrides_checked
+from ship_node.live.ros_parameters import NodeParameters, ParameterNode
+from ship_node.live.start_line import start_line
+from ship_node.live.status_log import StatusLog
+from ship_node.live.tick_grid import TickGrid
+from ship_node.parameters.parameter_file import misfit, quoted_parameter, read_whatever_fits
+
+SPIN_TIMEOUT_S = 0.1
+WATCH_PERIOD_S = 1.0
+JUMP_BACK = Duration(nanoseconds=-100_000_000)
+"""Only a jump that is longer starts anew: /clock from two hosts may waver."""
+
+LONGEST_CATCH_UP_NS = 10_000_000_000
+"""After a longer jump forward the ticks start anew instead of being made up for, ns."""
+
+
+class LiveNode:
+    """A live node around an adapter.
+
+    Attributes:
+        node: the rclpy node.
+        adapter: the adapter.
+
+    Args:
+        adapter_class: what to run.
+        context: an initialised rclpy context.
+        parameter_files: files given on the command line, to say where a bad parameter stands.
+
+    Raises:
+        BadInput: a parameter is unknown, of the wrong type, out of its range or missing; or a file has a section for a
+            node of (nearly) this name, and none that fits this node.
+    """
+
+    def __init__(self, adapter_class: type[Adapter], context: Context, parameter_files: tuple[Path, ...] = ()) -> None:
+        self.node: Node = ParameterNode(adapter_class.node_name, context=context)
+        self._full_name = self.node.get_fully_qualified_name()
+        self._guard = Guard(self.node.get_logger(), time.monotonic_ns)
+        self._events = NodeEvents(context, self._guard, time.monotonic_ns)
+        self._clock = NodeClock(self.node, time.monotonic_ns, self._events.came)
+        self._context = context
+        self._factory = RosidlFactory()
+        try:
+            self._judge(parameter_files)
+            self._parameters = NodeParameters(self.node, adapter_class.config_type)
+            files = NotedFiles()
+            self.adapter = adapter_class(self._parameters.config, self._factory, files)
+            self._publishers = {o.topic: self._create_publisher(o) for o in _outputs(self.adapter)}
+            self._subscriptions = {i.topic: self._create_subscription(i) for i in self.adapter.inputs}
+            self._box = self._open_box()
+        except (ParameterError, BadInput) as error:
+            self.node.destroy_node()
+            raise _with_line(error, parameter_files, self._full_name) from error
+        self._calls = AdapterCalls(
+            self.adapter, self._publishers, files, self._box, StatusLog(self.node.get_logger())
+        )
+        self._parameters.give_changes_to(self._calls, self._clock.now_ns, self._handle_all)
+        self._grid = TickGrid()
+        self._last_node_ns = self._last_ns = 0
+        self._status_log = StatusLog(self.node.get_logger())
+        self._inbox = Inbox({i.topic: i.depth for i in self.adapter.inputs})
+        for name in adapter_class.services:
+            self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
+        # The box has said its path itself, which is another one where a box was there.
+        simulated, box = bool(self.node.get_parameter("use_sim_time").value), self._parameters.black_box
+        self.node.get_logger().info(start_line(self.adapter, self._parameters.config, simulated, box))
+        for warning in self.adapter.start_warnings:
+            self.node.get_logger().warning(warning)
+        self._warn_of_unused_overrides()
+        self._create_clocks()
+        self._events.start(self.node)
+
+    def spin(self, stop: Callable[[], bool]) -> None:
+        """Work until ``stop()`` or until the context ends."""
+        while not stop() and self._context.ok():
+            self._events.take(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S)
+            self._guard.call("work", self._work)
+            if self._clock.is_dead() and not self._status_log.tells_of("clock"):
+                self._guard.call("watch", self._watch)
+
+    def close(self) -> None:
+        """Finish the black box and give everything back to the middleware."""
+        if self._box is not None:
+            self._box.close()
+        self._jump_handle.unregister()
+        self._events.close()
+        self.node.destroy_node()
+
+    def _judge(self, parameter_files: Iterable[Path]) -> None:
+        """Refuse a file whose sections were meant for this node but do not fit it: rcl leaves them out silently."""
+        for path in parameter_files:
+            if warning := misfit(path, self._full_name):
+                self.node.get_logger().warning(warning)
+
+    def _create_publisher(self, output: OutputTopic) -> Publisher:
+        kind, qos = message_class(output.type_name), output_qos(output)
+        with overrides_checked(self.node, output.topic):
+            return self.node.create_publisher(kind, output.topic, qos, qos_overriding_options=overridable())
+
+    def _create_subscription(self, input_topic: InputTopic) -> Subscription:
+        topic = input_topic.topic
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=partial(self._guard.call, "QoS event", self._on_incompatible_qos, topic),
+            message_lost=partial(self._guard.call, "QoS event", self._on_lost, topic),
+        )
+        with overrides_checked(self.node, topic):
+            return self.node.create_subscription(
+                message_class(input_topic.type_name),
+                topic,
+                partial(self._guard.call, topic, self._on_message, topic),
+                input_qos(input_topic),
+                event_callbacks=events,
+                qos_overriding_options=overridable(),
+                # The bytes as they came are what the black box keeps.
+                raw=True,
+            )
+
+    def _open_box(self) -> BlackBox | None:
+        path, config = self._parameters.black_box, self._parameters.config
+        if not path:
+            return None
+        logger = self.node.get_logger()
+        box = BlackBox(path, self.adapter, config, _outputs(self.adapter), self.node.get_namespace(), logger.error)
+        logger.info(f"black box: {box.path}")
+        return box
+
+    def _create_clocks(self) -> None:
+        """The tick on the node's clock, the watch on a clock that never stops, and the reset when time goes back."""
+        clock = self.node.get_clock()
+        self.node.create_timer(TICK_PERIOD_NS * 1e-9, self._events.came)
+        self.node.create_timer(
+            WATCH_PERIOD_S,
+            partial(self._guard.call, "watch", self._watch),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        self._jump_handle = clock.create_jump_callback(
+            JumpThreshold(min_forward=None, min_backward=JUMP_BACK, on_clock_change=False),
+            post_callback=partial(self._guard.call, "clock jump", self._on_jump_back),
+        )
+
+    def _warn_of_unused_overrides(self) -> None:
+        for name in self.node._parameter_overrides:
+            if name.startswith("qos_overrides.") and not self.node.has_parameter(name):
+                self.node.get_logger().warning(f"parameter '{name}' names no topic and policy of this node")
+
+    def _on_message(self, topic: str, data: bytes) -> None:
+        self._events.came()
+        self._inbox.put(Arrival(topic, data, *self._clock.times()))
+
+    def _work(self) -> None:
+        """Give the adapter the next message at the time at which it came, or where none waits the time now."""
+        if not self._inbox:
+            self._advance(*self._clock.times())
+        elif self._clock.now_ns():
+            arrival = self._inbox.take()
+            now_ns, waiting_ns = (arrival.now_ns, arrival.waiting_ns) if arrival.now_ns else self._clock.times()
+            self._advance(now_ns, waiting_ns)
+            self._guard.call(arrival.topic, self._handle, arrival.topic, arrival.data, now_ns, waiting_ns)
+        self._tell_notices()
+
+    def _tell_notices(self) -> None:
+        for notice in self.adapter.notices:
+            self.node.get_logger().info(notice)
+        self.adapter.notices.clear()
+
+    def _handle_all(self) -> None:
+        """Give the adapter all that waits: what is asked of it next comes after that."""
+        while self._inbox and self._clock.now_ns():
+            self._work()
+
+    def _handle(self, topic: str, data: bytes, now_ns: int, waiting_ns: int) -> None:
+        message = deserialize_message(data, self._subscriptions[topic].msg_type)
+        self._calls.handle(topic, data, message, now_ns, waiting_ns)
+
+    def _advance(self, now_ns: int, waiting_ns: int) -> None:
+        """Tick up to now; zeros while the node waits for its first /clock."""
+        if now_ns == 0:
+            return
+        if self._last_ns and waiting_ns - self._last_ns > LONGEST_CATCH_UP_NS:
+            self._grid.restart(waiting_ns)
+        for tick_ns in self._grid.due(waiting_ns):
+            # Where the node's time stands, or was set back, no tick is given one before it.
+            node_ns = max(now_ns - (waiting_ns - tick_ns), min(now_ns, self._last_node_ns))
+            self._guard.call("tick", self._calls.tick, node_ns, tick_ns)
+        self._last_node_ns, self._last_ns = now_ns, waiting_ns
+        for text in self.adapter.health.take_failures():
+            self._guard.note(text)
+        for (topic, why), count in self._inbox.take_cuts().items():
+            self.adapter.health.overflowed(topic, count, why, waiting_ns)
+
+    def _on_jump_back(self, jump: TimeJump) -> None:
+        self._handle_all()
+        self._clock.start_anew()
+        now_ns, waiting_ns = self._clock.times()
+        self.node.get_logger().warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: starting anew")
+        self._grid.restart(waiting_ns)
+        self._last_node_ns, self._last_ns = now_ns, waiting_ns
+        self._calls.clock_jumped_back(now_ns)
+
+    def _serve(self, name: str, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._handle_all()
+        now_ns = self._clock.now_ns()
+        result: ServiceResult | None = ServiceResult(False, "the clock has not started: no /clock came yet")
+        if now_ns:
+            result = self._guard.call(f"~/{name}", self._calls.service, name, now_ns)
+        response.success, response.message = result or (False, "failed with an exception: see the node's log")
+        self.node.get_logger().info(f"~/{name}: {'done' if response.success else 'failed'}: {response.message}")
+        return response
+
+    def _on_incompatible_qos(self, topic: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        text = f"a publisher of {topic} offers another {policy} than asked for; no message of it will come"
+        self.adapter.health.incompatible_qos(topic, text)
+        self.node.get_logger().error(f"incompatible QoS: {text}")
+
+    def _on_lost(self, topic: str, event: QoSMessageLostInfo) -> None:
+        self._events.came()
+        self.adapter.health.lost(topic, event.total_count_change)
+
+    def _watch(self) -> None:
+        """What time does not bring: publishers of the inputs, a clock that never starts, exceptions."""
+        self._events.came()
+        for topic, subscription in self._subscriptions.items():
+            self.adapter.health.publisher_count(topic, self.node.count_publishers(subscription.topic_name))
+        self.adapter.health.clock_unused(not self._clock.is_simulated() and self.node.count_publishers("/clock") > 0)
+        statuses = [self._clock.status(), name_status(self.node), self._events.status()]
+        self._status_log.see([*statuses, stamps_status(self.adapter.health)])
+        statuses += [self._guard.status(), self._parameters.status()]
+        if self._box is not None:
+            statuses.append(self._box.status())
+        now_ns = self._clock.now_ns()
+        message = diagnostic_array(self._factory, now_ns, self.node.get_name(), statuses)
+        self._calls.publish([(DIAGNOSTICS_TOPIC, message)], now_ns)
+
+
+def _outputs(adapter: Adapter) -> tuple[OutputTopic, ...]:
+    """The adapter's outputs and the diagnostics, which every node has."""
+    diagnostics = OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE)
+    others = tuple(output for output in adapter.outputs if output.topic != DIAGNOSTICS_TOPIC)
+    return (*others, diagnostics)
+
+
+def _with_line(error: ValueError, parameter_files: tuple[Path, ...], node: str) -> BadInput:
+    """The error with the file that gives the parameter, and its line; the last one of several."""
+    text = str(error)
+    parameter = quoted_parameter(text)
+    files = [read_whatever_fits(path, node) for path in reversed(parameter_files)]
+    naming = [file for file in files if parameter in file.lines] or [file for file in files if file.line_of(parameter)]
+    return naming[0].error(text) if naming else BadInput(text)

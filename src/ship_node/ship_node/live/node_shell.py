@@ -1,0 +1,79 @@
+"""What the executable of a node calls: arguments, start, spin, clean end, exit codes."""
+
+import signal
+import sys
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from types import FrameType
+
+import rclpy
+from rclpy.context import Context
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from ship_bags.errors import BadInput
+from ship_bags.live.security import require_demanded_security
+from ship_bags.message_factory import RosidlFactory
+from ship_node.edge.adapter import Adapter
+from ship_node.live.live_node import LiveNode
+from ship_node.parameters.parameter_file import read_whatever_fits
+from ship_node.parameters.usage import usage_text
+
+EXIT_DONE, EXIT_BAD_INPUT = 0, 2
+
+_BAD_START = ValueError, OSError, ImportError, rclpy_implementation.RCLError
+"""What bad parameters, arguments or a missing message package raise before the node runs; the bad input of every
+package is a ValueError."""
+
+
+def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:
+    """Run the node of an adapter until SIGINT or SIGTERM.
+
+    Args:
+        adapter_class: what the node does.
+        args: command line without the program's name; by default that of the process.
+
+    Returns:
+        Exit code: 0 ended by a signal, 2 bad arguments or parameters (one line on stderr says which).
+    """
+    arguments = list(sys.argv[1:] if args is None else args)
+    if "-h" in arguments or "--help" in arguments:
+        print(usage_text(adapter_class, adapter_class.__module__.partition(".")[0], RosidlFactory()))
+        return EXIT_DONE
+    stopping = False
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        nonlocal stopping
+        stopping = True
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    context = Context()
+    try:
+        node = _start(adapter_class, arguments, context)
+    except _BAD_START as error:
+        context.try_shutdown()
+        reason = str(error).strip().partition("\n")[0]
+        print(f"{adapter_class.node_name}: {reason}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    node.spin(lambda: stopping)
+    node.close()
+    context.try_shutdown()
+    return EXIT_DONE
+
+
+def _start(adapter_class: type[Adapter], arguments: list[str], context: Context) -> LiveNode:
+    program = [adapter_class.node_name]
+    files = tuple(Path(path) for flag, path in pairwise(arguments) if flag == "--params-file")
+    for path in files:
+        # rcl reads them too, but cannot say what is wrong in which line.
+        read_whatever_fits(path, adapter_class.node_name)
+    require_demanded_security()
+    # The signals are ours: spin ends between two callbacks, and the node goes in order.
+    rclpy.init(args=program + arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
+    unknown = remove_ros_args(program + arguments)[1:]
+    if unknown:
+        raise BadInput(f"unknown argument '{unknown[0]}': parameters go behind --ros-args, see --help")
+    return LiveNode(adapter_class, context, files)

@@ -1,0 +1,201 @@
+"""A configuration dataclass as parameters of an rclpy node: declared with unit and range, changed live."""
+
+import re
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, ParameterNotDeclaredException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from ship_bags.errors import BadInput
+from ship_estimation.parameters import (
+    ParameterDescription,
+    ParameterError,
+    build,
+    changed,
+    describe,
+    flatten,
+    nest,
+)
+from ship_estimation.refusals import shortened
+from ship_node.edge.diagnostics import Level, Status
+from ship_node.live.adapter_calls import AdapterCalls
+from ship_node.parameters.parameter_file import BLACK_BOX_PARAMETER, is_shell_parameter
+
+USE_SIM_TIME = "use_sim_time"
+
+_LEAST_INTEGER, _GREATEST_INTEGER = -(2**63), 2**63 - 1
+
+
+class ParameterNode(Node):
+    """A node whose live changes all pass through one hand.
+
+    What rclpy itself refuses (by range, type, read-only, unknown name) no callback hears of.
+
+    Attributes:
+        change: what takes a request, given rclpy's own way to do so; None for that way alone.
+    """
+
+    change: Callable[[list[Parameter], Callable[..., SetParametersResult]], SetParametersResult] | None = None
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Take or refuse all of them; rclpy's services call this."""
+        take = super().set_parameters_atomically
+        return take(parameter_list) if self.change is None else self.change(parameter_list, take)
+
+
+class NodeParameters:
+    """The parameters of one node.
+
+    Attributes:
+        config: the configuration as it is now.
+        black_box: path of the node's black box, empty for none.
+
+    Args:
+        node: has no parameters of its own yet.
+        config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
+
+    Raises:
+        ParameterError: an override is unknown, of the wrong type, out of its range or missing.
+    """
+
+    def __init__(self, node: ParameterNode, config_type: type) -> None:
+        self._node = node
+        self.config: Any = build(config_type, nest(_overrides(node)))
+        self._at_start = flatten(self.config)
+        self._last_refusal = ""
+        self.black_box = _declare_black_box(node)
+        self._descriptions = {name: _description(name, config_type) for name in flatten(self.config)}
+        for name, value in flatten(self.config).items():
+            # The override is in the value already, as a float where the file had an integer.
+            node.declare_parameter(name, value, _descriptor(self._descriptions[name]), ignore_override=True)
+
+    def give_changes_to(
+        self, calls: AdapterCalls, now_ns: Callable[[], int], before_change: Callable[[], None]
+    ) -> None:
+        """From now on give live changes to the adapter; what it raises refuses them with that reason.
+
+        Args:
+            calls: of the adapter.
+            now_ns: the node's time.
+            before_change: what is done first: a change takes its turn behind the messages that came before it.
+        """
+        self._calls = calls
+        self._now_ns = now_ns
+        self._before_change = before_change
+        self._node.add_on_set_parameters_callback(self._set)
+        self._node.change = self._change
+
+    def status(self) -> Status:
+        """What of the parameters was changed since the start, and what was refused last."""
+        now = flatten(self.config)
+        changed = {name: f"{now[name]}, {was} at the start" for name, was in self._at_start.items() if now[name] != was}
+        lines = [f"{name} = {change}" for name, change in changed.items()]
+        text = f"changed: {'; '.join(lines)}" if lines else "as at the start"
+        return Status("parameters", Level.OK, text + self._last_refusal, changed)
+
+    def _change(
+        self, parameters: list[Parameter], take: Callable[[list[Parameter]], SetParametersResult]
+    ) -> SetParametersResult:
+        """Take a request, or refuse it with a reason that log, diagnostics and black box keep."""
+        self._before_change()
+        asked = {p.name: _plain(p.value) for p in parameters}
+        self._adapter_was_asked = False
+        try:
+            if isinstance(asked.get(USE_SIM_TIME), bool):
+                # Times from before would be years from those after.
+                raise ParameterError(
+                    f"parameter '{USE_SIM_TIME}' cannot be changed while the node runs: set it at the start"
+                )
+            # First our own check: it names the unit.
+            changed(self.config, {name: value for name, value in asked.items() if not self._is_of_the_shell(name)})
+            result = take(parameters)
+        except (ParameterError, ParameterNotDeclaredException) as error:
+            result = SetParametersResult(successful=False, reason=str(error))
+        result.reason = shortened(result.reason)
+        if not result.successful:
+            self._last_refusal = f"; last refusal: {result.reason}"
+            self._node.get_logger().warning(f"refused: {result.reason}")
+            if not self._adapter_was_asked:
+                self._calls.note_refusal(asked, result.reason, self._now_ns())
+        return result
+
+    def _is_of_the_shell(self, name: str) -> bool:
+        return name not in self._descriptions and self._node.has_parameter(name)
+
+    def _set(self, parameters: list[Parameter]) -> SetParametersResult:
+        changes = {p.name: _plain(p.value) for p in parameters if p.name in self._descriptions}
+        if not changes:
+            return SetParametersResult(successful=True)
+        before = flatten(self.config)
+        config: Any = changed(self.config, changes)
+        self._adapter_was_asked = True
+        try:
+            self._calls.set_parameters({name: flatten(config)[name] for name in changes}, self._now_ns())
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        except Exception as error:
+            return SetParametersResult(successful=False, reason=f"not changed: {type(error).__name__}: {error}")
+        self.config = config
+        for name, value in changes.items():
+            unit = self._descriptions[name].unit
+            self._node.get_logger().info(f"parameter {name} = {value} {unit}".rstrip() + f", was {before[name]}")
+        return SetParametersResult(successful=True)
+
+
+def _overrides(node: Node) -> dict[str, Any]:
+    """What files and command line say, by dotted name; rclpy has no public way to ask before declaring."""
+    overrides = node._parameter_overrides
+    return {name: _plain(p.value) for name, p in overrides.items() if not is_shell_parameter(name)}
+
+
+def _declare_black_box(node: Node) -> str:
+    """Declare the parameter that every node has; returns its value."""
+    descriptor = ParameterDescriptor(
+        description="file (.mcap) or folder that takes everything the node uses and gives; empty for none",
+        read_only=True,
+    )
+    try:
+        return str(node.declare_parameter(BLACK_BOX_PARAMETER, "", descriptor).value)
+    except InvalidParameterTypeException as error:
+        raise BadInput(f"parameter '{BLACK_BOX_PARAMETER}' must be of type str: {error}") from error
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists."""
+    return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)
+
+
+def _description(name: str, config_type: type) -> ParameterDescription:
+    """The description that a dotted name follows; ``<id>`` in it stands for any one part."""
+    for description in describe(config_type):
+        if re.fullmatch(re.escape(description.name).replace("<id>", r"[^.]+"), name):
+            return description
+    raise ParameterError(f"parameter '{name}' has no description")
+
+
+def _descriptor(description: ParameterDescription) -> ParameterDescriptor:
+    low, high = description.minimum, description.maximum
+    descriptor = ParameterDescriptor(
+        description=f"{description.doc} [{description.unit}]" if description.unit else description.doc,
+        read_only=not description.live,
+    )
+    if description.choices:
+        descriptor.additional_constraints = "one of " + ", ".join(description.choices)
+    if description.kind is float and (low is not None or high is not None):
+        limit = sys.float_info.max
+        bounds = FloatingPointRange(
+            from_value=-limit if low is None else float(low), to_value=limit if high is None else float(high), step=0.0
+        )
+        descriptor.floating_point_range = [bounds]
+    if description.kind is int and (low is not None or high is not None):
+        bounds = IntegerRange(
+            from_value=_LEAST_INTEGER if low is None else int(low),
+            to_value=_GREATEST_INTEGER if high is None else int(high),
+            step=0,
+        )
+        descriptor.integer_range = [bounds]
+    return descriptor

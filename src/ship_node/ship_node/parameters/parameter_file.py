@@ -1,0 +1,262 @@
+"""ROS 2 parameter files read without ROS, with the line of each parameter.
+
+A file holds sections ``node: {ros__parameters: {...}}``. Node names may be written with namespace, nested in
+namespaces or with wildcards (``/**``, ``/**/name``, ``/*/name``). A section without any fits the node without namespace
+alone, as in rcl; of several that fit, later ones override earlier ones.
+"""
+
+import difflib
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from ship_bags.errors import BadInput
+from ship_estimation.parameters import ParameterError, build
+from ship_node.parameters.parameter_yaml import Section, read_plain_section, read_sections
+
+Config = TypeVar("Config")
+
+BLACK_BOX_PARAMETER = "black_box"
+"""Every node's shell has it: path of the box, empty for none."""
+
+SHELL_PARAMETERS = ("use_sim_time", "qos_overrides", "start_type_description_service", BLACK_BOX_PARAMETER)
+"""First part of the names of parameters that belong to rclpy or the node's shell and not to a configuration."""
+
+_ANYWHERE = "/**/"
+_NEARLY = 0.8
+"""Likeness of two names from which on one may be the other misspelt: 'ship_attitude' and 'ship_attitude_node' have
+0.86, 'ship_attitude' and 'star_attitude' 0.75."""
+
+
+@dataclass(frozen=True)
+class ParameterFile:
+    """The parameters of one node in one file.
+
+    Attributes:
+        name: the file, for messages.
+        values: nested mapping, those of rclpy and the node's shell left out.
+        lines: line (from 1) of each parameter and group by dotted name, all of them.
+    """
+
+    name: str
+    values: dict[str, Any]
+    lines: dict[str, int]
+
+    def line_of(self, parameter: str) -> int | None:
+        """Line of a parameter, or of the nearest group around it; None where the file names none of them."""
+        while parameter not in self.lines and "." in parameter:
+            parameter = parameter.rpartition(".")[0]
+        return self.lines.get(parameter)
+
+    def error(self, text: str) -> BadInput:
+        """The bad input of a text that quotes the parameter at fault first, with file and line."""
+        line = self.line_of(quoted_parameter(text))
+        return BadInput(f"{self.name}:{line}: {text}" if line else f"{self.name}: {text}")
+
+
+def quoted_parameter(text: str) -> str:
+    """The first name in quotes, without an index; empty where there is none."""
+    quoted = re.search(r"'([^'\[]+)", text)
+    return quoted[1] if quoted else ""
+
+
+def is_shell_parameter(name: str) -> bool:
+    """Whether a dotted name belongs to rclpy or the node's shell."""
+    return name.split(".")[0] in SHELL_PARAMETERS
+
+
+def full_name(node_name: str, namespace: str = "") -> str:
+    """``/NAMESPACE/NAME`` of a node.
+
+    Args:
+        node_name: name without namespace.
+        namespace: with or without its slashes; empty for none.
+    """
+    return "/".join(["", *filter(None, namespace.split("/")), node_name])
+
+
+def anywhere(node_name: str) -> str:
+    """In the place of a full name: the node of that name in whatever namespace it ran."""
+    return _ANYWHERE + node_name
+
+
+def load(source: Path | str, node: str) -> dict[str, Any]:
+    """The parameters of a node as nested mapping; see :func:`read`."""
+    return read(source, node).values
+
+
+def load_config(kind: type[Config], source: Path | str, node: str) -> Config:
+    """The checked configuration of a node; see :func:`read`.
+
+    Raises:
+        BadInput: names the file, the line, the parameter and what was expected.
+    """
+    file = read(source, node)
+    try:
+        return build(kind, file.values)
+    except ParameterError as error:
+        raise file.error(str(error)) from error
+
+
+def read(source: Path | str, node: str) -> ParameterFile:
+    """The parameters of a node with their lines.
+
+    Args:
+        source: a path; a ``str`` is the text itself, whatever it holds.
+        node: full name (:func:`full_name`), a name alone for one without namespace, or :func:`anywhere`.
+
+    Raises:
+        BadInput: the file cannot be read, is no parameter file, has no section that fits the node, or has sections
+            for it in several namespaces.
+    """
+    name, sections = read_sections(source)
+    fitting = _fitting(sections, node)
+    if not fitting:
+        _refuse_misfits(name, sections, node)
+        expected = f"expected '{anywhere(_last(node))}' or '/**'"
+        raise BadInput(f"{name}: no section for node '{_last(node)}': {expected}, found {_names(sections)}")
+    exact = sorted({section.node for section in fitting if "*" not in section.node})
+    if len(exact) > 1:
+        raise BadInput(f"{name}: sections {' and '.join(exact)} both fit node '{_last(node)}': keep one in this file")
+    return _merged(name, fitting)
+
+
+def read_whatever_fits(source: Path | str, node: str) -> ParameterFile:
+    """As :func:`read` for a file that may be about other nodes.
+
+    Raises:
+        BadInput: the file cannot be read or is no parameter file.
+    """
+    name, sections = read_sections(source)
+    return _merged(name, _fitting(sections, node))
+
+
+def misfit(source: Path | str, node: str) -> str:
+    """What a node must say about a file that it was started with; empty where a section fits it.
+
+    Raises:
+        BadInput: the file cannot be read or is no parameter file; or no section fits the node, but one has (nearly) the
+            same name and was hardly meant for another.
+    """
+    name, sections = read_sections(source)
+    fitting = _fitting(sections, node)
+    if not fitting:
+        _refuse_misfits(name, sections, node)
+        return f"{name}: nothing in it is for node '{node}', its sections are {_names(sections)}"
+    misfits = _misfits(sections, node)
+    if misfits and not any(_last(section.node) == _last(node) for section in fitting):
+        return _misfit_text(name, misfits, node)
+    return ""
+
+
+def has_section(source: Path | str, node: str, wildcards: bool = True) -> bool:
+    """Whether a section fits a node: one of its name, or, with ``wildcards``, one for all nodes.
+
+    Raises:
+        BadInput: the file cannot be read or is no parameter file.
+    """
+    _, sections = read_sections(source)
+    return any(wildcards or _last(section.node) == _last(node) for section in _fitting(sections, node))
+
+
+def unknown_sections(source: Path | str, nodes: Collection[str]) -> list[str]:
+    """Names of a file's sections that fit none of some nodes, in order.
+
+    Raises:
+        BadInput: the file cannot be read or is no parameter file.
+    """
+    _, sections = read_sections(source)
+    return [section.node for section in sections if not any(_fits(section.node, node) for node in nodes)]
+
+
+def read_plain(source: Path | str) -> ParameterFile:
+    """A file that is nothing but nested parameters, without sections for nodes, with their lines.
+
+    Raises:
+        BadInput: the file cannot be read or holds no parameters.
+    """
+    name, section = read_plain_section(source)
+    return _merged(name, [section])
+
+
+def _merged(name: str, sections: list[Section]) -> ParameterFile:
+    file = ParameterFile(name, {}, {})
+    for section in sections:
+        for parameter, (value, line) in section.parameters.items():
+            _put_line(file.lines, parameter, line)
+            if not is_shell_parameter(parameter):
+                _put_value(file, parameter, value)
+    return file
+
+
+def _fits(pattern: str, node: str) -> bool:
+    """Whether rcl gives a section of that name to a node: ``/*`` is one part of a name, ``/**`` any number of them."""
+    if node.startswith(_ANYWHERE):
+        return _last(pattern) in (_last(node), "*", "**")
+    expression = pattern.replace("/*", r"(/\w+)")
+    return re.fullmatch(expression, node if node.startswith("/") else f"/{node}", re.ASCII) is not None
+
+
+def _fitting(sections: list[Section], node: str) -> list[Section]:
+    return [section for section in sections if _fits(section.node, node)]
+
+
+def _misfits(sections: list[Section], node: str) -> list[Section]:
+    """Sections that do not fit a node, but have its name, or else nearly its name."""
+    others = [section for section in sections if not _fits(section.node, node)]
+    same = [section for section in others if _last(section.node) == _last(node)]
+    return same or [section for section in others if _likeness(_last(section.node), _last(node)) >= _NEARLY]
+
+
+def _likeness(one: str, other: str) -> float:
+    """1 for names that differ in capitals and underscores alone, 0 for such that share nothing."""
+    bare_one, bare_other = (name.replace("_", "").lower() for name in (one, other))
+    return difflib.SequenceMatcher(None, bare_one, bare_other).ratio()
+
+
+def _refuse_misfits(name: str, sections: list[Section], node: str) -> None:
+    misfits = _misfits(sections, node)
+    if misfits:
+        raise BadInput(_misfit_text(name, misfits, node))
+
+
+def _misfit_text(name: str, misfits: list[Section], node: str) -> str:
+    """Both names, and what to do."""
+    first, last = misfits[0], _last(node)
+    namespace = first.node.rpartition("/")[0]
+    advice = f"name it '/**/{last}' to fit in every namespace"
+    if _last(first.node) == last and "*" not in namespace:
+        where = f"-r __ns:={namespace}, of a tool --namespace {namespace[1:]}" if namespace else "give it no namespace"
+        advice += f", or run the node in that of the section ({where})"
+    full = node if node.startswith("/") else f"/{node}"
+    return f"{name}:{first.line}: section '{first.node}' does not fit node '{full}': {advice}"
+
+
+def _names(sections: list[Section]) -> str:
+    return ", ".join(f"'{section.node}'" for section in sections) or "none"
+
+
+def _last(name: str) -> str:
+    return name.rpartition("/")[2]
+
+
+def _put_line(lines: dict[str, int], parameter: str, line: int) -> None:
+    """The line of a parameter, and of the groups around it where they were not met before."""
+    lines[parameter] = line
+    while "." in parameter:
+        parameter = parameter.rpartition(".")[0]
+        lines.setdefault(parameter, line)
+
+
+def _put_value(file: ParameterFile, parameter: str, value: Any) -> None:
+    level = file.values
+    *groups, last = parameter.split(".")
+    for group in groups:
+        level = level.setdefault(group, {})
+        if not isinstance(level, dict):
+            raise file.error(f"parameter '{parameter}': '{group}' is a value elsewhere, not a group")
+    if isinstance(level.get(last), dict):
+        raise file.error(f"parameter '{parameter}' is a group elsewhere, not a value")
+    level[last] = value

@@ -1,0 +1,180 @@
+"""The sections of a ROS 2 parameter file, each value with its line.
+
+Numbers are read as rcl reads them: ``1e-3`` is a number and ``1:30`` a text, unlike in plain YAML 1.1.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ship_bags.errors import BadInput
+from ship_bags.yaml_text import composed
+
+PARAMETERS_KEY = "ros__parameters"
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_NULL = re.compile(r"~|null|Null|NULL|$")
+_BOOLEAN = re.compile(r"yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF")
+_INTEGER = re.compile(r"[-+]?(0x[0-9a-fA-F]+|[0-9]+)")
+_LONGEST_INTEGER = 19
+_FIRST_TOO_LARGE = 2**63
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+
+
+@dataclass(frozen=True)
+class Section:
+    """What a file says about one node.
+
+    Attributes:
+        node: ``/NAMESPACE/NAME``, wildcards as written.
+        parameters: value and line (from 1) by dotted name.
+        line: where its name stands.
+    """
+
+    node: str
+    parameters: dict[str, tuple[Any, int]]
+    line: int = 1
+
+
+def read_sections(source: Path | str) -> tuple[str, list[Section]]:
+    """Name of the source for messages, and its sections in order, nested namespaces resolved.
+
+    Args:
+        source: a path; a ``str`` is the text itself, whatever it holds.
+
+    Raises:
+        BadInput: the file cannot be read or is no parameter file; names file, line and key.
+    """
+    name, text = _text(source)
+    root = composed(name, text)
+    if root is None:
+        raise BadInput(f"{name}: empty: expected a section 'NODE: {{{PARAMETERS_KEY}: ...}}'")
+    return name, list(_sections(name, root, ""))
+
+
+def read_plain_section(source: Path | str) -> tuple[str, Section]:
+    """Name of the source, and all of it as one section: a file of nested parameters that belongs to no node.
+
+    Raises:
+        BadInput: the file cannot be read or is no mapping; names file, line and key.
+    """
+    name, text = _text(source)
+    root = composed(name, text)
+    if not isinstance(root, yaml.MappingNode):
+        raise BadInput(f"{name}:1: expected 'name: value' entries, the file holds none")
+    return name, Section("", dict(_parameters(name, root, "")))
+
+
+def _text(source: Path | str) -> tuple[str, str]:
+    # A text, as an attachment of a bag, is never taken for the name of a file: it would read any file there is.
+    if isinstance(source, str):
+        return "configuration", source
+    try:
+        return str(source), source.read_text(encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{source}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{source}: is not a text file (UTF-8): expected a ROS 2 parameter file") from error
+
+
+def _sections(name: str, node: yaml.Node, path: str, path_line: int = 1) -> Iterator[Section]:
+    for key, line, value in _entries(name, node, path or "the file"):
+        if key == PARAMETERS_KEY:
+            if not path:
+                raise BadInput(f"{name}:{line}: '{PARAMETERS_KEY}' must stand below the name of a node")
+            yield Section(_node_name(name, path_line, path), dict(_parameters(name, value, "")), path_line)
+        else:
+            # Names are put together as rcl does: a slash between them unless the first one ends with it.
+            joined = f"{path}{'' if not path or path.endswith('/') else '/'}{key}"
+            yield from _sections(name, value, joined, line)
+
+
+def _node_name(name: str, line: int, path: str) -> str:
+    """The full name of a section; what rcl would not take at the start of a node is refused."""
+    full = path if path.startswith("/") else f"/{path}"
+    for part in full[1:].split("/"):
+        if part not in ("*", "**") and not _NAME.fullmatch(part):
+            raise BadInput(
+                f"{name}:{line}: section '{path}' is no name of a node: expected letters, digits and _ between single "
+                "slashes, or * for any one part and ** for any number of them"
+            )
+    return full
+
+
+def _parameters(name: str, node: yaml.Node, prefix: str) -> Iterator[tuple[str, tuple[Any, int]]]:
+    if isinstance(node, yaml.ScalarNode) and _is_null(node):
+        return
+    for key, line, value in _entries(name, node, prefix.rstrip(".") or PARAMETERS_KEY):
+        if isinstance(value, yaml.MappingNode):
+            if prefix and not value.value:
+                # rcl drops it: a device with nothing but defaults would not be there, and nobody would say so.
+                raise BadInput(f"{name}:{line}: group '{prefix}{key}' is empty: give it a parameter, or take it out")
+            yield from _parameters(name, value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, (_value(name, value, prefix + key), line)
+
+
+def _entries(name: str, node: yaml.Node, what: str) -> Iterator[tuple[str, int, yaml.Node]]:
+    """Key, line and value of each entry of a mapping."""
+    if not isinstance(node, yaml.MappingNode):
+        line = node.start_mark.line + 1
+        raise BadInput(f"{name}:{line}: {what}: expected 'name: value' entries, got {_kind(node)}")
+    seen: dict[str, int] = {}
+    for key, value in node.value:
+        line = key.start_mark.line + 1
+        if not isinstance(key, yaml.ScalarNode):
+            raise BadInput(f"{name}:{line}: {what}: {_kind(key)} cannot be a name")
+        if key.value in seen:
+            raise BadInput(f"{name}:{line}: '{key.value}' was given before, in line {seen[key.value]}")
+        seen[key.value] = line
+        yield key.value, line, value
+
+
+def _value(name: str, node: yaml.Node, parameter: str) -> Any:
+    where = f"{name}:{node.start_mark.line + 1}: parameter '{parameter}'"
+    if isinstance(node, yaml.SequenceNode):
+        elements = [_value(name, element, parameter) for element in node.value]
+        kinds = sorted({type(element).__name__ for element in elements})
+        if len(kinds) > 1:
+            raise BadInput(f"{where} mixes {' and '.join(kinds)}: all elements of a list must be of one type")
+        if kinds == ["list"]:
+            raise BadInput(f"{where} is a list of lists: expected a plain list")
+        return elements
+    if not isinstance(node, yaml.ScalarNode):
+        raise BadInput(f"{where} is a list of groups: expected a plain list")
+    if node.style in ("'", '"', "|", ">"):
+        return node.value
+    if _is_null(node):
+        raise BadInput(f"{where} has no value")
+    text = node.value
+    if _BOOLEAN.fullmatch(text):
+        return text.lower() in ("yes", "true", "on")
+    if _INTEGER.fullmatch(text):
+        return _integer(text, where)
+    if _FLOAT.fullmatch(text):
+        return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+    return text
+
+
+def _integer(text: str, where: str) -> int:
+    """A number that ROS can hold; of thousands of digits not even the value is asked for."""
+    digits = text.lstrip("+-0x")
+    value = int(text, 16 if "x" in text else 10) if len(digits) <= _LONGEST_INTEGER else _FIRST_TOO_LARGE
+    if not -_FIRST_TOO_LARGE <= value < _FIRST_TOO_LARGE:
+        raise BadInput(f"{where} is a number of {len(digits)} digits: expected one of 64 bits")
+    return value
+
+
+def _kind(node: yaml.Node) -> str:
+    """What a node is, for people."""
+    if isinstance(node, yaml.ScalarNode):
+        return f"a single value ({node.value:.40})" if node.value else "nothing"
+    return "a list" if isinstance(node, yaml.SequenceNode) else "a group"
+
+
+def _is_null(node: yaml.ScalarNode) -> bool:
+    return node.style is None and _NULL.fullmatch(node.value) is not None

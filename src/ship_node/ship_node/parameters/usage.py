@@ -1,0 +1,131 @@
+"""The text that ``--help`` prints: what a node does, its parameters with units and ranges, its topics."""
+
+import inspect
+from typing import Any
+
+from ship_bags.message_factory import MessageFactory
+from ship_estimation.parameters import ParameterDescription, build, describe, nest
+from ship_node.edge.adapter import Adapter
+from ship_node.edge.topics import InputTopic
+from ship_node.parameters.parameter_file import BLACK_BOX_PARAMETER
+
+_BLACK_BOX_ROW = (
+    BLACK_BOX_PARAMETER,
+    "-",
+    "''",
+    "",
+    "file (.mcap) or folder that takes everything the node uses and gives, for replay --verify; empty for none",
+)
+_PLACEHOLDERS: dict[type, Any] = {float: 0.0, int: 0, bool: False, str: ""}
+
+
+def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFactory) -> str:
+    """The help of a node.
+
+    Args:
+        adapter_class: what the node runs.
+        package: where its executable is found.
+        factory: makes the adapter's messages.
+    """
+    name = adapter_class.node_name
+    descriptions = list(describe(adapter_class.config_type))
+    values = _example_values(descriptions)
+    adapter = adapter_class(build(adapter_class.config_type, nest(values), placeholder="<id>"), factory)
+    return "\n".join(
+        [
+            f"usage: {package} {name} [--help] [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]",
+            "",
+            (inspect.getdoc(adapter_class) or name).splitlines()[0],
+            "",
+            "topics in (best effort; qos_overrides./TOPIC.subscription.reliability: reliable changes that):",
+            *_rows(_input_rows(adapter_class, descriptions, values, factory)),
+            "topics out (reliable):",
+            *_rows([(t.topic, t.type_name, "latched" if t.latched else "") for t in adapter.outputs]),
+            "services (std_srvs/srv/Trigger):",
+            *_rows([(f"~/{service}",) for service in adapter_class.services]),
+            "parameters (* may be changed while the node runs):",
+            *_rows([*(_parameter_row(description) for description in descriptions), _BLACK_BOX_ROW]),
+            "",
+            "exit code: 0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (one line says which)",
+            "",
+            "example:",
+            f"  ./ros2run {package} {name} --ros-args --params-file suite.yaml -p black_box:=/var/log/ship/",
+        ]
+    )
+
+
+def _input_rows(
+    adapter_class: type[Adapter],
+    descriptions: list[ParameterDescription],
+    values: dict[str, Any],
+    factory: MessageFactory,
+) -> list[tuple[str, ...]]:
+    """The inputs that some configuration asks for: those of the example, and those that other choices bring."""
+    rows: dict[str, tuple[str, ...]] = {}
+    example = [("", {}), *(
+        (f"with {d.name}: {choice}", {d.name: choice})
+        for d in descriptions for choice in d.choices if choice != values[d.name]
+    )]  # fmt: skip
+    for condition, choice in example:
+        for topic in _inputs_with(adapter_class, descriptions, {**values, **choice}, factory):
+            need = "required" if topic.required else "optional"
+            rows.setdefault(topic.topic, (topic.topic, topic.type_name, ", ".join(filter(None, (need, condition)))))
+    return list(rows.values())
+
+
+def _inputs_with(
+    adapter_class: type[Adapter],
+    descriptions: list[ParameterDescription],
+    values: dict[str, Any],
+    factory: MessageFactory,
+) -> tuple[InputTopic, ...]:
+    """The inputs of a configuration; none of one that cannot be."""
+    # A camera and the like: zero until it is given, and to be given where it is used.
+    given = {d.name: d.maximum for d in descriptions if d.default == d.minimum == 0.0 and d.maximum is not None}
+    for attempt in (values, values | given):
+        try:
+            config = build(adapter_class.config_type, nest(attempt), placeholder="<id>")
+            return adapter_class(config, factory).inputs
+        except ValueError:  # noqa: PERF203 - twice at most
+            continue
+    return ()
+
+
+def _example_values(descriptions: list[ParameterDescription]) -> dict[str, Any]:
+    """Dotted name → value of the least configuration that has one entry ``<id>`` in each group of devices."""
+    values = {}
+    for description in descriptions:
+        if description.default is not None:
+            values[description.name] = description.default
+        else:
+            placeholder, low = _PLACEHOLDERS.get(description.kind, ()), description.minimum
+            is_number = description.kind in (float, int) and low is not None
+            values[description.name] = max(placeholder, description.kind(low)) if is_number else placeholder
+    return values
+
+
+def key_rows(kind: type) -> list[str]:
+    """What a file of nested keys may hold: name, unit, default, range and meaning in columns.
+
+    Args:
+        kind: the dataclass that the file is read into.
+    """
+    return _rows([_parameter_row(description) for description in describe(kind)])
+
+
+def _parameter_row(description: ParameterDescription) -> tuple[str, ...]:
+    default = "must be given" if description.default is None else f"{description.default!r}"
+    allowed = " | ".join(description.choices)
+    if description.minimum is not None or description.maximum is not None:
+        low = "-inf" if description.minimum is None else f"{description.minimum:.12g}"
+        high = "inf" if description.maximum is None else f"{description.maximum:.12g}"
+        allowed = f"[{low}, {high}]"
+    live = "*" if description.live else ""
+    return description.name + live, description.unit or "-", default, allowed, description.doc
+
+
+def _rows(rows: list[tuple[str, ...]]) -> list[str]:
+    """Rows in columns, the last one ragged."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)) for row in rows]
+    return ["  " + line.rstrip() for line in lines]

@@ -1,0 +1,49 @@
+"""``axis_sightings``: from a bag with lights to the table of sightings that ``fit_axes`` reads."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput
+from ship_bags.output_files import add_force, check_file
+from ship_bags.progress import watched
+from ship_replay.calibration.axis_sightings import axis_sightings
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="axis_sightings",
+        example="./ros2run ship_replay axis_sightings bags/theodolite.mcap --out sightings.csv",
+        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
+        description="Write the sightings of a bag as a table for fit_axes: of every exposure of two lights or more "
+        "that the node optical_axis used, the encoder angles and the true direction of the main axis in the deck minus "
+        "them [deg], its time [s] and what one sigma of each error that lasts (deformation, ship, baselines, levers, "
+        "refraction) moves it by [arcsec].",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help=".mcap file or rosbag2 folder")
+    parser.add_argument("--out", type=Path, required=True, metavar="SIGHTINGS.csv", help="table to write")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
+    )
+    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    add_force(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.out.suffix.lower() != ".csv":
+        raise BadInput(f"{options.out}: fit_axes reads .csv: give the table such a name")
+    check_file(options.out, options.force)
+    sightings = axis_sightings(options.bag, options.config, options.namespace, watch=watched)
+    sightings.write(options.out)
+    count, written = len(sightings.rows), len(sightings.chosen)
+    spread = "" if written == count else f" ({written} of them written, evenly spread: as many as fit_axes takes)"
+    sys.stdout.write(f"{options.out}: {count} sightings{spread}, {sightings.unused} exposures not used\n")
+    return EXIT_DONE

@@ -1,0 +1,92 @@
+"""``calibrate_installation``: a harbour or sea session becomes the installation angles that ``ship_attitude`` loads."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from ship_attitude_star.ros import alignment_file
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput
+from ship_bags.output_files import add_force, check_file, check_folder
+from ship_bags.part_file import write_whole
+from ship_bags.progress import watched
+from ship_replay.calibration.result import Calibration, calibration_of
+from ship_replay.calibration.session import run_session
+from ship_replay.calibration.tables import json_text, print_calibration
+
+_WIDTH_WITHOUT_TERMINAL = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="calibrate_installation",
+        example="./ros2run ship_replay calibrate_installation harbour.mcap --out alignment.yaml --report report",
+        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
+        description="Find the installation angles of all star sensors from a session in harbour or at sea: a bag with "
+        "ins/imu, the sensors' topics and, if there is one, reference/<name>/imu of known installation. Writes the "
+        "file that ship_attitude reads by its parameter alignment_file, and says which combinations of the angles the "
+        "session could not observe. Angles in degrees, corrections and sigmas (1 sigma) in arcseconds.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help=".mcap file or rosbag2 folder")
+    parser.add_argument("--out", type=Path, required=True, metavar="ALIGNMENT.yaml", help="alignment file to write")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
+    )
+    parser.add_argument(
+        "--prior-sigma",
+        type=_arcsec,
+        metavar="ARCSEC",
+        help="how well every installation is known beforehand, about each axis of its sensor [arcsec] (default: the "
+        "configured installation_sigma_..._arcsec)",
+    )
+    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="folder for installation.json and installation.png")
+    add_force(parser)
+    return parser
+
+
+def _arcsec(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    # Errors of more than a few degrees are not small: the filter would believe to have told apart what it has not.
+    if not 0.001 <= value <= 3600.0:
+        raise argparse.ArgumentTypeError(f"'{text}' is no sigma: expected 0.001 to 3600 arcsec")
+    return value
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.out.resolve() == options.bag.resolve():
+        raise BadInput(f"{options.out}: the output would overwrite the input")
+    check_file(options.out, options.force)
+    if options.report is not None:
+        check_folder(options.report, ("installation.json", "installation.png"), options.force)
+    session = run_session(options.bag, options.config, options.prior_sigma, options.namespace, watch=watched)
+    calibration = calibration_of(session)
+    alignment_file.save(options.out, calibration.prior)
+    console = Console()
+    print_calibration(calibration, console if console.is_terminal else Console(width=_WIDTH_WITHOUT_TERMINAL))
+    for warning in calibration.warnings:
+        sys.stdout.write(f"warning: {warning}\n")
+    sys.stdout.write(f"alignment: {options.out}\n")
+    if options.report is not None:
+        _report(calibration, options.report)
+    return EXIT_DONE
+
+
+def _report(calibration: Calibration, folder: Path) -> None:
+    from ship_replay.calibration.figure import draw_course
+
+    folder.mkdir(parents=True, exist_ok=True)
+    values = folder / "installation.json"
+    write_whole(values, json_text(calibration))
+    sys.stdout.write(f"report: {draw_course(calibration, folder)}, {values}\n")

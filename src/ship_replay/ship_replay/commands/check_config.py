@@ -1,0 +1,64 @@
+"""``check_config``: what a suite configuration lacks, and what of it does not fit a bag."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import one_line
+from ship_bags.mcap.bag_reader import read_bag
+from ship_replay.commands.replay import ADAPTERS
+from ship_replay.preflight.check_bag import check_bag
+from ship_replay.preflight.check_config import Findings, check_file
+from ship_replay.preflight.check_installation import check_installation
+from ship_replay.preflight.check_rates import check_rates
+from ship_replay.preflight.check_telescope import check_telescope
+from ship_replay.preflight.check_trial import check_trial
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="check_config",
+        example="./ros2run ship_replay check_config examples/two_sensors.yaml bags/demo.mcap",
+        epilog="exit code: 0 good, or warnings only; 2 something is wrong, or bad usage",
+        description="Check a suite configuration (ROS 2 parameter file; units stand in the names of the parameters) "
+        "and, with a bag, whether it fits: topics, types, frame_ids, rates; installation angles and focal lengths of "
+        "star sensors and references, by their attitudes against ins/imu; the telescope's focal length; what a node "
+        "would refuse. Exit code 2 when something is wrong, 0 when there is nothing but warnings.",
+    )
+    parser.add_argument("config", type=Path, metavar="FILE", help="suite configuration")
+    parser.add_argument(
+        "bag", type=Path, nargs="?", metavar="BAG", help=".mcap file or rosbag2 folder to check against"
+    )
+    parser.add_argument("--namespace", default="", help="namespace of the ship's nodes, and of its topics in the bag")
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    findings = Findings()
+    nodes = check_file(options.config, ADAPTERS, findings, options.namespace)
+    if options.bag is not None and nodes:
+        with read_bag(options.bag) as bag:
+            check_bag(options.config, nodes, bag, options.namespace, findings)
+            check_installation(options.config, nodes, bag, options.namespace, findings)
+            check_telescope(options.config, nodes, bag, options.namespace, findings)
+            check_rates(options.config, nodes, bag, options.namespace, findings)
+            if not findings.errors:
+                # What is wrong already would only be told a second time, as what follows from it.
+                check_trial(nodes, bag, options.namespace, findings)
+    for line in findings.errors:
+        print(f"error: {one_line(line)}", file=sys.stderr)
+    for line in findings.warnings:
+        print(f"warning: {one_line(line)}")
+    if not findings.errors:
+        print(f"{options.config}: good" + (f" for {options.bag}" if options.bag is not None else ""))
+        return EXIT_DONE
+    errors, warnings = len(findings.errors), len(findings.warnings)
+    print(f"check_config: {options.config}: errors: {errors}, warnings: {warnings}", file=sys.stderr)
+    return EXIT_BAD_INPUT

@@ -1,0 +1,76 @@
+"""``evaluate``: errors, covariance and innovations of a run, as tables, JSON and a figure, against bounds."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.output_files import add_force, check_file
+from ship_bags.part_file import write_whole
+from ship_replay.evaluation.bounds import Bounds, judge, read_bounds
+from ship_replay.evaluation.evaluate import Evaluation, evaluate
+from ship_replay.evaluation.tables import print_evaluation
+
+_WIDTH_WITHOUT_TERMINAL = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="evaluate",
+        example="./ros2run ship_replay evaluate out.mcap --against bags/demo.mcap --bounds bags/demo.expected.yaml",
+        epilog="exit code: 0 evaluated, all bounds met; 1 a bound is not met; 2 bad input or usage; 130 interrupted",
+        description="Evaluate a run: with truth, RMS, bias, predicted sigma [arcsec] and NEES per source; in any "
+        "case innovations [arcsec] by source and the last alignment. Exit code 1 when a bound is not met.",
+    )
+    parser.add_argument("bag", type=Path, metavar="OUT.mcap", help="bag with the node's outputs, or rosbag2 folder")
+    parser.add_argument(
+        "--against", type=Path, metavar="TRUTH.mcap", help="bag with truth and inputs, where OUT.mcap has none"
+    )
+    parser.add_argument(
+        "--bounds",
+        type=Path,
+        metavar="FILE.yaml",
+        help="bounds to meet: 'quantity: {min: .., max: ..}' (bags/README.md)",
+    )
+    parser.add_argument("--skip", type=float, metavar="S", help="leave out the first S seconds (default: 0)")
+    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bags")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all quantities (flat, units in the names)")
+    parser.add_argument(
+        "--figure", type=Path, metavar="FILE.png", help="draw the errors [arcsec] inside their ±3σ (.png, .pdf, .svg)"
+    )
+    add_force(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    for path in filter(None, (options.json, options.figure)):
+        check_file(path, options.force)
+    bounds = Bounds(0.0, {}) if options.bounds is None else read_bounds(options.bounds)
+    skip_s = bounds.skip_s if options.skip is None else options.skip
+    evaluation = evaluate(options.bag, options.against, skip_s, options.namespace)
+    console = Console()
+    print_evaluation(evaluation, console if console.is_terminal else Console(width=_WIDTH_WITHOUT_TERMINAL))
+    for problem in evaluation.problems:
+        print(f"warning: {problem}")
+    if options.json is not None:
+        write_whole(options.json, evaluation.json_text())
+    if options.figure is not None:
+        _draw(evaluation, options.bag.name, options.figure)
+    judged = judge(evaluation.flat(), bounds, str(options.bounds))
+    for bound in judged:
+        print(bound.line)
+    return EXIT_DONE if all(bound.met for bound in judged) else EXIT_BOUND_NOT_MET
+
+
+def _draw(evaluation: Evaluation, title: str, path: Path) -> None:
+    # Loading the figures' libraries takes longer than many an evaluation.
+    from ship_replay.evaluation.figures import evaluation_figure, save_figure
+
+    save_figure(evaluation_figure(evaluation, title), path)

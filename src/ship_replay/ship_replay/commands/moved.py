@@ -1,0 +1,14 @@
+"""Executables that live in another package now: one line that says where, exit code 2."""
+
+import sys
+from pathlib import Path
+
+PLACES = {"record": "ship_bags", "play": "ship_bags", "import_nmea": "ship_bags", "simulate": "ship_simulation"}
+"""Executable → its package now."""
+
+
+def say() -> int:
+    """Tell where the executable that was called is."""
+    name = Path(sys.argv[0]).name
+    print(f"{name}: moved from ship_replay: ros2 run {PLACES[name]} {name}", file=sys.stderr)
+    return 2

@@ -1,0 +1,154 @@
+"""``replay``: a bag through the adapters of the suite's nodes, offline; or a black box, exactly as it was."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.output_files import add_force, check_file, check_folder
+from ship_bags.part_file import write_whole
+from ship_bags.progress import watched
+from ship_replay.offline.black_box_identity import is_black_box
+from ship_replay.offline.black_box_replay import replay_black_box
+from ship_replay.offline.replay import replay
+from ship_replay.offline.replay_run import ReplaySummary
+from ship_replay.offline.verification import Verification
+from ship_replay.offline.verify_bag import verify_bag
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+
+ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
+"""Nodes that can be replayed, the main one first: it runs by a configuration that names no node, too."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="replay",
+        example="./ros2run ship_replay replay bags/demo.mcap --out out.mcap --report report",
+        epilog="exit code: 0 replayed, with --verify: and equal to the last bit; 1 --verify found a difference or "
+        "could not compare all; 2 bad input or usage, with one line that says which; 130 "
+        "interrupted",
+        description=f"Replay a bag through the nodes that the configuration has sections for "
+        f"({', '.join(adapter.node_name for adapter in ADAPTERS)}; what one publishes goes on to those after it), in "
+        "process and as fast as it goes; the same bag and configuration give the same output. Topics truth/* are "
+        "copied. A node's black box is replayed with its ticks, parameter changes, service calls and files, in the "
+        "order of use.",
+    )
+    parser.add_argument("bag", type=Path, metavar="IN.mcap", help=".mcap file or rosbag2 folder, or a black box")
+    parser.add_argument("--out", type=Path, metavar="OUT.mcap", help="bag to write; only --verify does without")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
+    )
+    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    parser.add_argument(
+        "--arrival",
+        choices=("log", "stamps"),
+        default="log",
+        help="when a message arrives: when it was logged (default), or at its stamp, for a bag whose recorder stalled",
+    )
+    parser.add_argument("--report", type=Path, metavar="DIR", help="folder for figures (errors in arcsec) and JSON")
+    parser.add_argument(
+        "--verify",
+        action="store_true",
+        help="compare with the outputs in IN.mcap, diagnostics and health aside; tells the first difference: topic, "
+        "stamp (UTC and ns), field, both values (SI units, rad)",
+    )
+    add_force(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.out is None and (not options.verify or options.report is not None):
+        raise BadInput("--out is missing: only --verify does without, and it draws no report")
+    by_stamps = options.arrival == "stamps"
+    if by_stamps and options.verify:
+        raise BadInput("--arrival stamps and --verify contradict each other: outputs are as they were by log time")
+    if options.out is not None and options.out.resolve() == options.bag.resolve():
+        raise BadInput(f"{options.out}: the output would overwrite the input")
+    if options.out is not None:
+        check_file(options.out, options.force)
+    if options.report is not None:
+        check_folder(options.report, _report_names(options), options.force)
+    with read_bag(options.bag) as bag:
+        verification = None
+        is_box = is_black_box(bag)
+        if is_box and by_stamps:
+            raise BadInput(f"{options.bag}: a black box holds its own order of arrival: leave out --arrival stamps")
+        if is_box:
+            verification = replay_black_box(bag, ADAPTERS, options.config, options.out, watched)
+        elif options.verify:
+            verification = verify_bag(bag, ADAPTERS, options.config, options.namespace, watched)
+    if options.out is not None and not is_box:
+        _print(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, watched, by_stamps))
+    if options.report is not None:
+        _report(options)
+    return EXIT_DONE if verification is None else _judge(verification, options.verify)
+
+
+def _report_names(options: argparse.Namespace) -> tuple[str, str]:
+    """The files of a report: figure and values."""
+    return f"{options.out.stem}.png", f"{options.out.stem}.json"
+
+
+def _report(options: argparse.Namespace) -> None:
+    # Loading the figures' libraries takes longer than many a replay.
+    from ship_replay.evaluation.evaluate import evaluate
+    from ship_replay.evaluation.figures import evaluation_figure, save_figure
+
+    evaluation = evaluate(options.out, against=options.bag, namespace=options.namespace)
+    options.report.mkdir(parents=True, exist_ok=True)
+    figure_path, values_path = (options.report / name for name in _report_names(options))
+    save_figure(evaluation_figure(evaluation, options.out.name), figure_path)
+    write_whole(values_path, evaluation.json_text())
+    print(f"report: {figure_path}, {values_path}")
+
+
+def _print(summary: ReplaySummary) -> None:
+    print(f"in:  {_counts(summary.inputs)}")
+    print(f"out: {_counts(summary.outputs)}")
+    for topic, reasons in sorted(summary.refused.items()):
+        print(f"refused: {topic}: {_counts(reasons)}")
+    for topic, reasons in sorted(summary.noted.items()):
+        print(f"noted: {topic}: {_counts(reasons)}")
+    for topic, count in sorted(summary.undecodable.items()):
+        print(f"not decodable: {topic}: {count}")
+    if summary.absent:
+        print(f"not in the bag: {', '.join(summary.absent)}")
+    for problem in summary.problems:
+        print(f"warning: {problem}")
+    held_up = summary.log_times.held_up()
+    if held_up:
+        print(f"warning: {held_up}; --arrival stamps takes the stamps for the times of arrival")
+    rate = summary.duration_s / summary.elapsed_s
+    print(f"{summary.duration_s:.1f} s of data in {summary.elapsed_s:.1f} s ({rate:.0f} x real time)")
+    for topic, course in sorted(summary.statuses.items()):
+        print("\n".join(course.lines(topic)))
+    for reason in summary.reasons:
+        print(reason)
+
+
+def _judge(verification: Verification, decides: bool) -> int:
+    """Print what a comparison came to; returns the exit code, on which it decides only where it was asked for."""
+    print(f"used:  {_counts(verification.used)}")
+    print(f"equal: {_counts(verification.equal)}")
+    for note in verification.notes:
+        print(f"note: {note}")
+    if verification.unverified:
+        print(f"verified up to there: {verification.unverified}")
+    if verification.difference is not None:
+        print(f"first difference: {verification.difference.line}")
+    elif verification.holds:
+        print(f"verified: {verification.equal.total()} outputs are equal to the last bit")
+    return EXIT_DONE if verification.holds or not decides else EXIT_BOUND_NOT_MET
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in sorted(counts.items())) or "nothing"

@@ -1,0 +1,182 @@
+"""Collects, from the messages of a bag, attitudes that can be compared with the truth."""
+
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.measurements.device_config import MountingConfig
+from ship_bags.stamps import ns_from_stamp
+from ship_bags.times import NS_PER_S
+from ship_estimation.ins_config import InsInputConfig
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
+from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
+from ship_geometry.rotations import FloatArray
+from ship_replay.evaluation.attitude_errors import AttitudeErrors, attitude_errors
+from ship_replay.offline.orientations import Orientation
+
+_TRUTH_GAP_NS = 1_000_000_000
+
+
+class Truth:
+    """True attitudes by stamp, and between stamps."""
+
+    def __init__(self, orientation: Orientation) -> None:
+        self.orientation = orientation
+        self._track = AttitudeTrack(_TRUTH_GAP_NS)
+        self._rotations: dict[int, FloatArray] = {}
+
+    def add(self, message: Any) -> None:
+        """A message of the truth."""
+        sample = self.orientation.sample(message)
+        self._track.insert(sample)
+        self._rotations[sample.time_ns] = sample.rotation_nd
+
+    def __len__(self) -> int:
+        return len(self._rotations)
+
+    def exactly_at(self, stamp_ns: int) -> FloatArray | None:
+        """Horizon from deck, shape (3, 3), at a stamp of the truth."""
+        return self._rotations.get(stamp_ns)
+
+    def around(self, stamp_ns: int) -> FloatArray | None:
+        """Horizon from deck, shape (3, 3), interpolated; None outside the truth."""
+        found = self._track.at(stamp_ns)
+        return None if found is None else found.rotation_nd
+
+
+class AttitudeSource:
+    """Attitudes of one source at times where the truth is known.
+
+    A subclass says in :meth:`take` which rotation and covariance a message stands for.
+
+    Attributes:
+        label: name of the source.
+        is_configured: whether the configuration names it, so that its absence is worth a word.
+    """
+
+    def __init__(self, label: str, truth: Truth, is_configured: bool = False) -> None:
+        self.label = label
+        self.is_configured = is_configured
+        self._truth = truth
+        self._time_ns: list[int] = []
+        self._estimates: list[FloatArray] = []
+        self._truths: list[FloatArray] = []
+        self._covariances: list[FloatArray] = []
+
+    def take(self, message: Any) -> None:
+        """Keep a message's attitude where the truth is known."""
+        raise NotImplementedError
+
+    def errors(self) -> list[AttitudeErrors]:
+        """Errors in order of stamps; none where nothing could be compared."""
+        if not self._time_ns:
+            return []
+        order = np.argsort(self._time_ns, kind="stable")
+        time_ns = np.array(self._time_ns, dtype=np.int64)[order]
+        estimates, truths, covariances = (
+            np.array(part)[order] for part in (self._estimates, self._truths, self._covariances)
+        )
+        return [attitude_errors(self.label, self._truth.orientation, time_ns, estimates, truths, covariances)]
+
+    def _keep(self, time_ns: int, estimate_nd: FloatArray, truth_nd: FloatArray, covariance_n: FloatArray) -> None:
+        self._time_ns.append(time_ns)
+        self._estimates.append(estimate_nd)
+        self._truths.append(truth_nd)
+        self._covariances.append(covariance_n)
+
+
+class PublishedAttitude(AttitudeSource):
+    """What the suite publishes, where an attitude is claimed, at the stamps of the truth.
+
+    Attributes:
+        seen: whether there was any message.
+        invalid_count: of those that claimed nothing.
+    """
+
+    def __init__(self, truth: Truth) -> None:
+        super().__init__(truth.orientation.label, truth)
+        self.invalid_count = 0
+        self.seen = False
+
+    def take(self, message: Any) -> None:
+        """A ShipAttitude or an OpticalAxisPointing."""
+        self.seen = True
+        if message.status == message.INVALID:
+            self.invalid_count += 1
+            return
+        stamp_ns = ns_from_stamp(message.header.stamp)
+        truth_nd = self._truth.exactly_at(stamp_ns)
+        if truth_nd is not None:
+            angles = self._truth.orientation.angles_of(message)
+            covariance_n = _total_covariance_n(message, angles[0], angles[1])
+            self._keep(stamp_ns, rotation_from_angles(*angles), truth_nd, covariance_n)
+
+
+class InsAttitude(AttitudeSource):
+    """``ins/imu`` by itself, at the stamps of the truth, its time offset not corrected.
+
+    Attributes:
+        track: all that it says of the deck.
+    """
+
+    def __init__(self, truth: Truth, config: InsInputConfig) -> None:
+        super().__init__("ins", truth)
+        angles = (config.installation_heading_deg, config.installation_pitch_deg, config.installation_roll_deg)
+        self._rotation_di = rotation_from_angles(*np.deg2rad(angles))
+        self._convention = config.convention
+        self.track = AttitudeTrack(round(config.max_gap_s * NS_PER_S))
+
+    def take(self, message: Any) -> None:
+        """A sensor_msgs/Imu."""
+        stamp_ns = ns_from_stamp(message.header.stamp)
+        q = message.orientation
+        quaternion = np.array([q.x, q.y, q.z, q.w])
+        if not np.linalg.norm(quaternion) > 0.5:
+            return
+        estimate_nd = rotation_from_quaternion(quaternion, self._convention) @ self._rotation_di.T
+        self.track.insert(AttitudeSample(stamp_ns, estimate_nd))
+        truth_nd = self._truth.exactly_at(stamp_ns)
+        if truth_nd is not None:
+            covariance = message.orientation_covariance.reshape(3, 3)
+            unknown = covariance[0, 0] < 0.0 or not covariance.any() or self._convention != "enu_flu"
+            covariance_n = np.full((3, 3), np.nan) if unknown else horizon_covariance(covariance)
+            self._keep(stamp_ns, estimate_nd, truth_nd, covariance_n)
+
+
+class StarAttitude(AttitudeSource):
+    """One star sensor by itself, carried to the deck by its nominal installation; or the deck by all of them.
+
+    Args:
+        sensor_id: names the source.
+        truth: what it is compared with.
+        mounting: where the sensor is bolted; None where the messages are of the deck, installation errors included.
+    """
+
+    def __init__(self, sensor_id: str, truth: Truth, mounting: MountingConfig | None) -> None:
+        super().__init__(f"star.{sensor_id}", truth, is_configured=mounting is not None)
+        self._rotation_dv = np.eye(3)
+        self._installation_covariance_v = np.zeros((3, 3))
+        if mounting is not None:
+            self._rotation_dv = mounting.rotation_ds
+            self._installation_covariance_v = np.diag(np.square(mounting.installation_sigma_s))
+
+    def take(self, message: Any) -> None:
+        """A StarHorizonAttitude; one without an attitude (NaN) is left out."""
+        stamp_ns = ns_from_stamp(message.header.stamp)
+        truth_nd = self._truth.around(stamp_ns)
+        angles = (message.azimuth, message.elevation, message.roll)
+        if truth_nd is None or not np.all(np.isfinite(angles)):
+            return
+        rotation_nv = rotation_from_angles(*angles)
+        installation_n = rotation_nv @ self._installation_covariance_v @ rotation_nv.T
+        own_n = _total_covariance_n(message, message.azimuth, message.elevation)
+        self._keep(stamp_ns, rotation_nv @ self._rotation_dv.T, truth_nd, own_n + installation_n)
+
+
+def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> FloatArray:
+    """Covariance of the rotation vector (North, Up, East), rad², which may be given by that of the angles alone."""
+    rotation_covariance = message.rotation_covariance.reshape(3, 3)
+    if rotation_covariance.any():
+        return horizon_covariance(rotation_covariance)
+    return rotation_vector_covariance(message.covariance.reshape(3, 3), azimuth, elevation)

@@ -1,0 +1,194 @@
+"""What a run was worth: errors against the truth where it is known, innovations and alignment in any case."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.star_attitude.config import StarAttitudeConfig
+from ship_bags.errors import BadInput
+from ship_bags.errors import BadInput as BadNodeInput
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
+from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT
+from ship_bags.times import NS_PER_S
+from ship_bags.topic_names import relative_topics
+from ship_node.parameters.parameter_file import anywhere, has_section, load_config
+from ship_replay.evaluation.alignment_values import AlignmentValue, alignment_values
+from ship_replay.evaluation.attitude_errors import AttitudeErrors
+from ship_replay.evaluation.attitude_sources import AttitudeSource, PublishedAttitude, Truth
+from ship_replay.evaluation.evaluation_sources import JOINT_SOLUTION, sources
+from ship_replay.evaluation.innovations import InnovationBook, SourceInnovations
+from ship_replay.offline.orientations import ORIENTATIONS
+from theodolite_calib.config.optical_axis import OpticalAxisConfig
+
+Config = TypeVar("Config")
+
+_INNOVATION_TOPICS = ("ship/innovation", "theodolite/innovation")
+_ESTIMATES = {"ship/alignment": "alignment", "theodolite/calibration": "calibration"}
+"""Topics of what filters estimate besides → what it is called here."""
+_RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)
+_OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), JOINT_SOLUTION, *_RESULTS)
+"""Topics that another bag than the run's own may have as inputs, or of another run."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Results of one run.
+
+    Attributes:
+        errors: per source of an orientation: of the ship's attitude the fused one first, then pointings; empty without
+            truth.
+        innovations: by name of the source.
+        estimates: ``alignment`` or ``calibration`` → last estimates of the filters.
+        invalid_counts: published orientation → messages that claimed nothing, where there is truth.
+        problems: what is wrong with the bags, one line each.
+        start_ns: log time at which the bag begins.
+    """
+
+    errors: list[AttitudeErrors]
+    innovations: dict[str, SourceInnovations]
+    estimates: dict[str, list[AlignmentValue]]
+    invalid_counts: dict[str, int]
+    problems: list[str]
+    start_ns: int
+
+    def flat(self) -> dict[str, float]:
+        """Name of each quantity → value; the names that bounds refer to (bags/README.md)."""
+        values: dict[str, float] = {}
+        for errors in self.errors:
+            values |= {f"{errors.label}.{name}": value for name, value in errors.statistics().items()}
+        values |= {f"{label}.invalid": float(count) for label, count in self.invalid_counts.items()}
+        for source, innovations in self.innovations.items():
+            values |= {f"innovation.{source}.{name}": value for name, value in innovations.statistics().items()}
+        for kind, items in self.estimates.items():
+            values |= {f"{kind}.{item.name}_{item.unit}": item.value for item in items}
+            values |= {f"{kind}.{item.name}_sigma_{item.unit}": item.sigma for item in items}
+        return values
+
+    def json_text(self) -> str:
+        """:meth:`flat` as JSON; null where a value is undefined."""
+        values = {name: value if math.isfinite(value) else None for name, value in self.flat().items()}
+        return json.dumps(values, indent=1) + "\n"
+
+
+def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, namespace: str = "") -> Evaluation:
+    """Evaluate the outputs in a bag.
+
+    Args:
+        bag_path: bag that holds ``ship/attitude``, ``theodolite/pointing`` and what else the nodes published.
+        against: bag with the truth and the inputs, where they are not in ``bag_path``.
+        skip_s: leave out what is stamped earlier than this after the beginning of the bag.
+        namespace: namespace of the ship in the bags.
+
+    Raises:
+        BadInput: a bag cannot be read, or holds nothing to evaluate.
+    """
+    with read_bag(bag_path) as bag:
+        others = [] if against is None or against.resolve() == bag_path.resolve() else [read_bag(against)]
+        try:
+            return _evaluate(bag, others, skip_s, namespace)
+        finally:
+            for other in others:
+                other.close()
+
+
+def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Evaluation:
+    bags = [*others, bag]
+    length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
+    if not 0.0 <= skip_s <= length_s:
+        raise BadInput(f"{bag.path}: {skip_s:g} s to skip: expected from 0 to {length_s:.1f} s, the length of the bag")
+    ship = _config(bags, ShipAttitudeConfig, "ship_attitude")
+    star = _config(bags, StarAttitudeConfig, "star_attitude")
+    theodolite = _config(bags, OpticalAxisConfig, "optical_axis")
+    collectors = sources(_truths(bags, namespace), ship, star, theodolite)
+    innovations = InnovationBook()
+    last: dict[str, BagRecord] = {}
+    for candidate, topics in _reading_plan(bag, others, [*collectors, *_RESULTS], namespace):
+        for record in candidate.records(topics):
+            topic = topics[record.topic]
+            if topic in _INNOVATION_TOPICS:
+                innovations.add(record.decode())
+            elif topic in _ESTIMATES:
+                last[_ESTIMATES[topic]] = record
+            else:
+                collectors[topic].take(record.decode())
+    start_ns = bag.start_ns or 0
+    skip_to_ns = start_ns + round(skip_s * NS_PER_S)
+    found = [errors for source in collectors.values() for errors in source.errors()]
+    errors = [kept for errors in found if len((kept := errors.since(skip_to_ns)).time_ns)]
+    problems = [problem for candidate in bags for problem in candidate.problems]
+    problems += _left_out(collectors, errors)
+    if not errors and not innovations.sources and not last:
+        raise BadInput(
+            f"{bag.path}: nothing to evaluate: expected topics "
+            + ", ".join(f"{known.topic} (with {known.truth_topic})" for known in ORIENTATIONS)
+            + f", {' or '.join(_RESULTS)}, found {', '.join(sorted(bag.topics)) or 'none'}"
+        )
+    published = [source for source in collectors.values() if isinstance(source, PublishedAttitude)]
+    return Evaluation(
+        errors=errors,
+        innovations={name: innovations.sources[name].since(skip_to_ns) for name in sorted(innovations.sources)},
+        estimates={kind: alignment_values(last[kind].decode()) for kind in _ESTIMATES.values() if kind in last},
+        invalid_counts={source.label: source.invalid_count for source in published if source.seen},
+        problems=problems,
+        start_ns=start_ns,
+    )
+
+
+def _left_out(collectors: Mapping[str, AttitudeSource], errors: list[AttitudeErrors]) -> list[str]:
+    """One line for each sensor that is configured and in no table."""
+    shown = {series.label for series in errors}
+    return [
+        f"{source.label} is left out: no attitude on {topic} while the truth is known"
+        for topic, source in collectors.items()
+        if source.is_configured and source.label not in shown
+    ]
+
+
+def _reading_plan(bag: Bag, others: list[Bag], topics: list[str], namespace: str) -> list[tuple[Bag, dict[str, str]]]:
+    """Which bag serves which topics (name in the bag → relative name).
+
+    Results come from the run's own bag, inputs from the bag that it is held against where that has them. A sensor's
+    solutions may be either: those of the run come first.
+    """
+    plan: list[tuple[Bag, dict[str, str]]] = [(candidate, {}) for candidate in [*others, bag]]
+    for topic in topics:
+        for candidate, served in reversed(plan) if topic.endswith("/solution") else plan:
+            name = relative_topics(candidate.topics, namespace).get(topic)
+            if name is not None and (candidate is bag or topic not in _OF_THE_RUN):
+                served[name] = topic
+                break
+    return plan
+
+
+def _truths(bags: list[Bag], namespace: str) -> dict[str, Truth]:
+    """Topic → truth of the first bag that holds any."""
+    truths: dict[str, Truth] = {}
+    for orientation in ORIENTATIONS:
+        for bag in bags:
+            name = relative_topics(bag.topics, namespace).get(orientation.truth_topic)
+            if name is not None and orientation.truth_topic not in truths:
+                truth = Truth(orientation)
+                for record in bag.records({name}):
+                    truth.add(record.decode())
+                if len(truth):
+                    truths[orientation.truth_topic] = truth
+    return truths
+
+
+def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | None:
+    """The configuration of a node in the suite's, which is attached to one of the bags."""
+    for bag in reversed(bags):
+        if SUITE_ATTACHMENT in bag.attachments:
+            text = bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
+            try:
+                # A section for all nodes is ship_attitude's alone, as in a replay (bag_suite.nodes_of).
+                node = anywhere(node_name)
+                named = has_section(text, node, wildcards=kind is ShipAttitudeConfig)
+                return load_config(kind, text, node) if named else None
+            except BadNodeInput as problem:
+                raise BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}") from problem
+    return None

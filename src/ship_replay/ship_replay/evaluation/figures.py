@@ -1,0 +1,177 @@
+"""Figures of a run: attitude errors inside their ±3σ, residuals inside theirs. Used by evaluate, demo and docs."""
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ship_bags.errors import BadInput
+from ship_bags.part_file import write_whole
+from ship_bags.times import NS_PER_S
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.documents.figure_files import settled
+from ship_replay.evaluation.attitude_errors import AttitudeErrors
+from ship_replay.evaluation.evaluate import Evaluation
+from ship_replay.evaluation.innovations import SourceInnovations
+
+_STYLE = {
+    "font.size": 12,
+    "axes.titlesize": 14,
+    "axes.grid": True,
+    "grid.color": "0.85",
+    "axes.axisbelow": True,
+    "legend.framealpha": 0.95,
+    "legend.fontsize": 11,
+    "savefig.facecolor": "white",
+}
+_BAND_COLOUR = "#bcd4ea"
+_LINE_COLOUR = "#0b3c6f"
+# Readable in print and for the colour-blind (Okabe and Ito).
+_OTHER_COLOURS = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
+_ROOM = 1.3
+# What would make a figure's file depend on when and by which version it was written.
+_DATED = {".png": "Software", ".pdf": "CreationDate", ".svg": "Date"}
+
+
+def evaluation_figure(evaluation: Evaluation, title: str) -> Figure:
+    """Errors where the truth is known, residuals otherwise."""
+    if evaluation.errors:
+        return attitude_error_figure(evaluation.errors, title)
+    return innovation_figure(evaluation.innovations, title)
+
+
+def attitude_error_figure(series: Sequence[AttitudeErrors], title: str) -> Figure:
+    """Errors over time, a row a channel.
+
+    Args:
+        series: of each orientation the first is drawn inside its ±3σ band on its own scale; where there are others, all
+            are drawn together in a further column, parts (``pointing.encoder``) aside.
+        title: title of the figure.
+    """
+    panels = [(group, together) for group in _by_orientation(series) for together in (False, True)[: len(group)]]
+    start_ns = min(int(errors.time_ns[0]) for errors in series)
+    with plt.rc_context(_STYLE):
+        figure, grid = plt.subplots(
+            3, len(panels), figsize=(7.5 * len(panels), 9), sharex=True, squeeze=False, layout="constrained"
+        )
+        figure.suptitle(title)
+        for column, (group, together) in zip(grid.T, panels, strict=True):
+            for row, axes in enumerate(column):
+                if together:
+                    _draw_together(axes, group, row, start_ns)
+                else:
+                    _draw_band(axes, group[0], row, start_ns)
+                    name = group[0].channels[row].replace("_cos_elevation", " · cos E").replace("_", " ")
+                    axes.set_ylabel(f"{name}\nerror [arcsec]")
+            column[-1].set_xlabel("time [s]")
+            _legend_below(column[-1], together)
+            if len(panels) > 1:
+                column[0].set_title("all sources" if together else group[0].label)
+    return figure
+
+
+def innovation_figure(innovations: Mapping[str, SourceInnovations], title: str) -> Figure:
+    """Residuals of the accepted measurements inside their predicted ±3σ, one row per source and component.
+
+    A source of which nothing was accepted has no row: the title names it.
+    """
+    rows = [(source, part, component) for source, part in innovations.items() for component in part.components()]
+    if not rows:
+        raise BadInput(f"{title}: no figure: no measurement was accepted")
+    empty = [source for source, part in innovations.items() if not part.components()]
+    if empty:
+        title = f"{title}\nnothing accepted of: {', '.join(empty)}"
+    start_ns = min(min(part.compared) for _, part, _ in rows)
+    with plt.rc_context(_STYLE):
+        figure, grid = plt.subplots(
+            len(rows), 1, figsize=(9, 2.4 * len(rows) + 1), sharex=True, squeeze=False, layout="constrained"
+        )
+        figure.suptitle(title)
+        for (source, part, component), axes in zip(rows, grid[:, 0], strict=True):
+            stamps, residuals, sigmas = part.series(component)
+            time_s = (stamps - start_ns) / NS_PER_S
+            band = 3.0 * sigmas / ARCSEC
+            axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
+            axes.plot(time_s, residuals / ARCSEC, ".", color=_LINE_COLOUR, ms=3, label="residual")
+            # Level, since a source's name may be longer than its row is high.
+            axes.set_ylabel(f"{source}\n{component} [arcsec]", rotation="horizontal", ha="right", va="center")
+            later = settled(sigmas)
+            _limit(axes, np.concatenate([residuals[later] / ARCSEC, band[later]]), percentile=100.0)
+        grid[-1, 0].set_xlabel("time [s]")
+        _legend_below(grid[-1, 0], with_points=False)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure (.png, .pdf or .svg by the name) and forget it; the same figure gives the same file.
+
+    Raises:
+        BadInput: the format is unknown or the file cannot be written.
+    """
+    metadata = {_DATED[path.suffix.lower()]: None} if path.suffix.lower() in _DATED else {}
+    content = io.BytesIO()
+    try:
+        figure.savefig(content, dpi=110, metadata=metadata, format=path.suffix[1:] or None)
+        write_whole(path, content.getvalue())
+    except (ValueError, OSError) as problem:
+        raise BadInput(f"{path}: the figure cannot be written: {problem}") from problem
+    finally:
+        plt.close(figure)
+
+
+def _by_orientation(series: Sequence[AttitudeErrors]) -> list[list[AttitudeErrors]]:
+    """Series of the same channels together, without those that are parts of the first of them."""
+    groups: dict[tuple[str, str, str], list[AttitudeErrors]] = {}
+    for errors in series:
+        group = groups.setdefault(errors.channels, [])
+        if not group or not errors.label.startswith(group[0].label + "."):
+            group.append(errors)
+    return list(groups.values())
+
+
+def _draw_band(axes: Axes, errors: AttitudeErrors, column: int, start_ns: int) -> None:
+    time_s = (errors.time_ns - start_ns) / NS_PER_S
+    band = 3.0 * errors.sigma_arcsec[:, column]
+    axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
+    axes.plot(time_s, errors.error_arcsec[:, column], color=_LINE_COLOUR, lw=0.8, label="error")
+    later = settled(band)
+    _limit(axes, np.concatenate([errors.error_arcsec[later, column], band[later]]))
+
+
+def _legend_below(axes: Axes, with_points: bool) -> None:
+    """The legend under an axis, where it hides nothing."""
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=3, markerscale=5 if with_points else 1)
+
+
+def _draw_together(axes: Axes, series: Sequence[AttitudeErrors], column: int, start_ns: int) -> None:
+    settled_errors = [errors.error_arcsec[settled(errors.sigma_arcsec[:, column]), column] for errors in series]
+    _limit(axes, np.concatenate(settled_errors))
+    top, beyond = axes.get_ylim()[1], 0
+    for number, errors in enumerate(series):
+        time_s = (errors.time_ns - start_ns) / NS_PER_S
+        colour = _LINE_COLOUR if number == 0 else _OTHER_COLOURS[(number - 1) % len(_OTHER_COLOURS)]
+        # Points, since sources pause; the first lies on top of the noisier ones.
+        axes.plot(
+            time_s, errors.error_arcsec[:, column], ".", color=colour, ms=2.5, label=errors.label, zorder=3 - number
+        )
+        median = float(np.nanmedian(np.abs(errors.error_arcsec[:, column])))
+        if not median <= top:
+            words = f"{errors.label}: beyond the scale, median {median:.3g} arcsec"
+            axes.text(0.02, 0.96 - 0.1 * beyond, words, color=colour, transform=axes.transAxes, va="top")
+            beyond += 1
+
+
+def _limit(axes: Axes, values: FloatArray, percentile: float = 98.0) -> None:
+    """Symmetric limits; by default without the rare large values of a start, which would flatten all the rest."""
+    values = np.abs(values[np.isfinite(values)])
+    top = float(np.percentile(values, percentile)) * _ROOM if len(values) else 0.0
+    if top > 0.0:
+        axes.set_ylim(-top, top)

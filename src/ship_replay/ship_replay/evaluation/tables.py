@@ -1,0 +1,100 @@
+"""An evaluation as tables on a terminal."""
+
+from rich.console import Console
+from rich.table import Table
+
+from ship_replay.evaluation.alignment_values import AlignmentValue
+from ship_replay.evaluation.evaluate import Evaluation
+
+_SHOWN = {"arcsec": (1.0, 2, "arcsec"), "deg": (1.0, 5, "deg"), "s": (1e3, 3, "ms"), "m": (1e3, 4, "mm")}
+"""Unit of a value → factor, decimals and unit in the table."""
+
+
+def print_evaluation(evaluation: Evaluation, console: Console) -> None:
+    """Print the tables that the evaluation has something for."""
+    if evaluation.errors:
+        console.print(attitude_table(evaluation))
+        for label, count in evaluation.invalid_counts.items():
+            if count:
+                console.print(f"{label}: messages that claimed nothing (INVALID): {count}")
+    if evaluation.innovations:
+        console.print(innovation_table(evaluation))
+    for kind, values in evaluation.estimates.items():
+        console.print(estimate_table(kind, values))
+
+
+def attitude_table(evaluation: Evaluation) -> Table:
+    """Per source and channel: RMS, bias, predicted sigma and their ratio; NEES per source."""
+    table = Table(title="Error against the truth, arcseconds")
+    for column in ("source", "angle"):
+        table.add_column(column)
+    for column in ("RMS", "bias", "predicted σ", "RMS/σ", "NEES (3)", "samples"):
+        table.add_column(column, justify="right")
+    for errors in evaluation.errors:
+        values = errors.statistics()
+        for name in errors.channels:
+            first = name == errors.channels[0]
+            table.add_row(
+                errors.label if first else "",
+                name,
+                _text(values[f"{name}.rms_arcsec"]),
+                _text(values[f"{name}.bias_arcsec"]),
+                _text(values[f"{name}.sigma_arcsec"]),
+                _text(values[f"{name}.rms_over_sigma"]),
+                _text(values["nees_mean"]) if first else "",
+                f"{values['samples']:.0f}" if first else "",
+                end_section=name == errors.channels[-1],
+            )
+    return table
+
+
+def innovation_table(evaluation: Evaluation) -> Table:
+    """Per source and component of the residual: mean, deviation, predicted sigma; NIS and counts per source.
+
+    The counts are of different things: an exposure is one measurement, but each star left out of it is one refused.
+    """
+    table = Table(title="Measurement - prediction, arcseconds")
+    for column in ("source", "component"):
+        table.add_column(column)
+    shown = "mean", "deviation", "predicted σ", "NIS (degrees)", "minutes in band"
+    for column in (*shown, "accepted (measurements)", "refused (messages, stars)"):
+        table.add_column(column, justify="right")
+    for source, innovations in evaluation.innovations.items():
+        values = innovations.statistics()
+        reasons = ", ".join(f"{name} {count}" for name, count in sorted(innovations.refused.items()))
+        share = values.get("nis_windows_in_band")
+        per_source = [
+            f"{values['nis_mean']:.2f} ({values['nis_degrees']:.3g})" if "nis_mean" in values else "-",
+            "-" if share is None else f"{100 * share:.0f} %",
+            f"{values['accepted']:.0f}",
+            f"{values['refused']:.0f}" + (f" ({reasons})" if reasons else ""),
+        ]
+        names = [name for name in innovations.components() if f"{name}.std_arcsec" in values]
+        for number, name in enumerate(names):
+            table.add_row(
+                source if number == 0 else "",
+                name,
+                *(_text(values[f"{name}.{what}_arcsec"]) for what in ("mean", "std", "sigma")),
+                *(per_source if number == 0 else []),
+                end_section=number + 1 == len(names),
+            )
+        if not names:
+            table.add_row(source, "-", "-", "-", "-", *per_source, end_section=True)
+    return table
+
+
+def estimate_table(kind: str, values: list[AlignmentValue]) -> Table:
+    """The last estimates of a filter with their sigma."""
+    table = Table(title=f"{kind.capitalize()} at the end")
+    table.add_column("quantity")
+    for column in ("value", "σ"):
+        table.add_column(column, justify="right")
+    table.add_column("unit")
+    for item in values:
+        scale, places, unit = _SHOWN[item.unit]
+        table.add_row(item.name, f"{item.value * scale:.{places}f}", f"{item.sigma * scale:.{places}f}", unit)
+    return table
+
+
+def _text(value: float) -> str:
+    return "-" if value != value else f"{value:.2f}"

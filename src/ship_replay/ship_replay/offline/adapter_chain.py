@@ -1,0 +1,135 @@
+"""The nodes of a suite replayed together: what one gives is, at the same moment, an input of those after it."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ship_bags.mcap.bag_reader import Bag
+from ship_bags.message_factory import MessageFactory
+from ship_bags.topic_names import relative_topics
+from ship_node.edge.adapter import Adapter
+from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from ship_node.parameters.parameter_file import full_name
+from ship_replay.offline.bag_suite import suite_config, suite_nodes
+
+_DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
+"""Topics of devices: without any of its own a node has nothing to do."""
+
+
+class AdapterChain:
+    """Several adapters that take messages and ticks like one.
+
+    Args:
+        adapters: in any order: data flows from those that give a topic to those that take it.
+        linked: whether what one gives goes to those after it; otherwise all inputs come from outside.
+
+    Attributes:
+        inputs: topics taken from outside.
+        outputs: topics given.
+    """
+
+    def __init__(self, adapters: Sequence[Adapter], linked: bool = True) -> None:
+        self.adapters = _in_order_of_flow(adapters)
+        self._linked = linked
+        self._taken = [_names(adapter.inputs) for adapter in self.adapters]
+        self.outputs: tuple[OutputTopic, ...] = _by_topic(t for adapter in self.adapters for t in adapter.outputs)
+        inside = _names(self.outputs) if linked else set()
+        wanted = [t for adapter in self.adapters for t in adapter.inputs if t.topic not in inside]
+        # The first of equals wins: a topic is required if any adapter requires it.
+        self.inputs: tuple[InputTopic, ...] = _by_topic(sorted(wanted, key=lambda topic: not topic.required))
+
+    @property
+    def name(self) -> str:
+        """Names of the nodes."""
+        return " and ".join(adapter.node_name for adapter in self.adapters)
+
+    def handle(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
+        """Take one message of an input topic."""
+        return self._handle(0, topic, message, receive_ns)
+
+    def tick(self, now_ns: int) -> list[Published]:
+        """Tick all adapters, each after it was given what those before it had to give."""
+        published: list[Published] = []
+        for index, adapter in enumerate(self.adapters):
+            published += self._passed_on(index, adapter.tick(now_ns), now_ns)
+        return published
+
+    def _handle(self, first: int, topic: str, message: Any, receive_ns: int) -> list[Published]:
+        published: list[Published] = []
+        for index in range(first, len(self.adapters)):
+            if topic in self._taken[index]:
+                given = self.adapters[index].handle(topic, message, receive_ns)
+                published += self._passed_on(index, given, receive_ns)
+        return published
+
+    def _passed_on(self, index: int, given: list[Published], now_ns: int) -> list[Published]:
+        """What an adapter gave, and what came of it in those after it."""
+        published = list(given)
+        if self._linked:
+            for topic, message in given:
+                published += self._handle(index + 1, topic, message, now_ns)
+        return published
+
+
+def suite_chain(
+    bag: Bag,
+    adapter_classes: Sequence[type[Adapter]],
+    factory: MessageFactory,
+    config_path: Path | None = None,
+    namespace: str = "",
+    linked: bool = True,
+) -> tuple[AdapterChain, list[str]]:
+    """The nodes that a suite configuration is about, those left out that have nothing to do with the bag.
+
+    Args:
+        bag: the bag.
+        adapter_classes: nodes that are known; see :func:`suite_nodes`.
+        factory: makes their messages.
+        config_path: suite configuration; None takes the one attached to the bag.
+        namespace: namespace of the ship in the bag, and so of its nodes.
+        linked: see :class:`AdapterChain`.
+
+    Returns:
+        The chain, and one line for each node that was left out.
+
+    Raises:
+        BadInput: the configuration does not serve.
+    """
+    meant = suite_nodes(bag, adapter_classes, config_path, namespace)
+    found, adapters, left_out = relative_topics(bag.topics, namespace), [], []
+    for kind in meant:
+        config = suite_config(bag, kind, config_path, full_name(kind.node_name, namespace))
+        adapter = kind(config, factory)
+        devices = [topic.topic for topic in adapter.inputs if topic.topic.startswith(_DEVICE_PREFIXES)]
+        if kind is not meant[0] and not found.keys() & devices:
+            wanted = ", ".join(devices) or "the devices that it needs"
+            left_out.append(f"{kind.node_name} is left out: the bag has nothing of {wanted}")
+        else:
+            adapters.append(adapter)
+    return AdapterChain(adapters, linked), left_out
+
+
+def _in_order_of_flow(adapters: Sequence[Adapter]) -> tuple[Adapter, ...]:
+    """Each adapter after those that give it something."""
+    ordered, rest = [], list(adapters)
+    while rest:
+        free = [
+            adapter
+            for adapter in rest
+            if not any(_names(adapter.inputs) & _names(other.outputs) for other in rest if other is not adapter)
+        ]
+        ordered.append(free[0] if free else rest[0])
+        rest.remove(ordered[-1])
+    return tuple(ordered)
+
+
+def _names(topics: Iterable[InputTopic | OutputTopic]) -> set[str]:
+    return {topic.topic for topic in topics}
+
+
+def _by_topic(topics: Any) -> tuple[Any, ...]:
+    """The first of each topic."""
+    first: dict[str, Any] = {}
+    for topic in topics:
+        first.setdefault(topic.topic, topic)
+    return tuple(first.values())

@@ -1,0 +1,130 @@
+"""Whether a black box can be replayed here: its format, node, versions, parameters and message definitions."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import Bag
+from ship_estimation.parameters import flatten
+from ship_node.black_box.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT
+from ship_node.black_box.versions import versions
+from ship_node.edge.adapter import Adapter
+from ship_node.parameters.parameter_file import anywhere, full_name
+from ship_replay.offline.bag_suite import suite_config
+from ship_replay.offline.verification import ASIDE
+
+
+def is_black_box(bag: Bag) -> bool:
+    """Whether a bag was written by a node's black box."""
+    return METADATA in bag.metadata or EVENTS_TOPIC in bag.topics
+
+
+def box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapter]:
+    """The adapter of the node that wrote a box.
+
+    Raises:
+        BadInput: the box is of another format or of a node that is not known here.
+    """
+    if METADATA not in bag.metadata:
+        raise BadInput(f"{bag.path}: metadata record '{METADATA}' is missing: the head of the black box is damaged")
+    entries = bag.metadata[METADATA]
+    if entries.get("format") != FORMAT:
+        raise BadInput(
+            f"{bag.path}: version {entries.get('format')} of the black box: expected {FORMAT}; "
+            "replay it with the release of the suite that wrote it"
+        )
+    known = {adapter.node_name: adapter for adapter in adapters}
+    if entries.get("node") not in known:
+        raise BadInput(
+            f"{bag.path}: black box of node '{entries.get('node')}': expected one of {', '.join(sorted(known))}"
+        )
+    return known[entries["node"]]
+
+
+def box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, notes: list[str]) -> Any:
+    """The configuration to replay a box with: its own, or that of a file, which is then said in ``notes``.
+
+    Raises:
+        BadInput: the box is of another version of the suite or lacks an attachment, and no file was given; or the
+            parameters are not those of this node.
+    """
+    _check_versions(bag, adapter_class, config_path, notes)
+    name = adapter_class.node_name
+    # Its own parameters are this node's, wherever it ran; a file must fit it as it would have then.
+    node = anywhere(name) if config_path is None else full_name(name, bag.metadata[METADATA].get("namespace", ""))
+    config = suite_config(bag, adapter_class, config_path, node)
+    if config_path is not None:
+        changes = _changes(bag, config, adapter_class)
+        notes.append(f"replayed with {config_path} instead of the box's own parameters{changes}")
+    return config
+
+
+def check_definitions(bag: Bag) -> None:
+    """All messages that count are defined as here.
+
+    Raises:
+        BadInput: names the fields that are not.
+    """
+    for topic, type_name in sorted(bag.topics.items()):
+        if type_name not in ASIDE and type_name in bag.differences:
+            lines = "; ".join(bag.differences[type_name])
+            raise BadInput(f"{bag.path}: topic '{topic}': the message definition has changed: {lines}")
+    for topic, why in sorted(bag.skipped_topics.items()):
+        raise BadInput(f"{bag.path}: topic '{topic}' is unusable: {why}")
+
+
+def check_topics(bag: Bag, adapter: Adapter, notes: list[str], other_config: bool) -> None:
+    """All topics of the box are the adapter's, of the same types.
+
+    Raises:
+        BadInput: names the topic; with another configuration this is said in ``notes`` instead.
+    """
+    expected = {topic.topic: topic.type_name for topic in (*adapter.inputs, *adapter.outputs)}
+    for topic, type_name in sorted(bag.topics.items()):
+        if topic == EVENTS_TOPIC or type_name in ASIDE or expected.get(topic) == type_name:
+            continue
+        text = f"topic '{topic}' ({type_name}) is no topic of {adapter.node_name} with these parameters"
+        if not other_config:
+            raise BadInput(f"{bag.path}: {text}: was the box written with others? give them by --config")
+        notes.append(f"{text}: left out")
+
+
+def _check_versions(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, notes: list[str]) -> None:
+    here = versions(adapter_class.__module__.partition(".")[0], {})
+    if VERSIONS_ATTACHMENT not in bag.attachments:
+        _refuse_or_note(bag, f"attachment {VERSIONS_ATTACHMENT} is missing", config_path, notes)
+        return
+    try:
+        there = json.loads(bag.attachments[VERSIONS_ATTACHMENT])
+        suite, others = dict(there["suite"]), {key: there[key] for key in ("python", "machine", "libraries")}
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise BadInput(f"{bag.path}: attachment {VERSIONS_ATTACHMENT} cannot be read: {error!r}") from error
+    if differing := _differing(suite, here["suite"]):
+        _refuse_or_note(bag, f"written by another version of the suite ({differing})", config_path, notes)
+    if differing := _differing(others, {key: here[key] for key in others}):
+        notes.append(f"written elsewhere ({differing}): the last bits may differ")
+
+
+def _refuse_or_note(bag: Bag, text: str, config_path: Path | None, notes: list[str]) -> None:
+    if config_path is None:
+        raise BadInput(f"{bag.path}: {text}: give the parameters by --config FILE to replay it nevertheless")
+    notes.append(text)
+
+
+def _differing(there: dict[str, Any], here: dict[str, Any]) -> str:
+    names = sorted(there.keys() | here.keys())
+    return ", ".join(
+        f"{name} {there.get(name)} there, {here.get(name)} here" for name in names if there.get(name) != here.get(name)
+    )
+
+
+def _changes(bag: Bag, config: Any, adapter_class: type[Adapter]) -> str:
+    """The parameters that are not those of the box, where it still holds them."""
+    try:
+        own, now = flatten(suite_config(bag, adapter_class, None, anywhere(adapter_class.node_name))), flatten(config)
+    except BadInput:
+        return ""
+    names = sorted(name for name in own.keys() | now.keys() if own.get(name) != now.get(name))
+    return ": " + (", ".join(f"{name} = {now.get(name)}, was {own.get(name)}" for name in names) or "the same values")

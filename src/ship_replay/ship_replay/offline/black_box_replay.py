@@ -1,0 +1,227 @@
+"""Replays a node's black box: the same uses in the same order, the outputs compared with those recorded."""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import Bag, BagRecord
+from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.times import utc_text
+from ship_estimation.parameters import ParameterError
+from ship_node.black_box.black_box_format import (
+    EVENTS_TOPIC,
+    ChangeRefused,
+    ClockJumpedBack,
+    Closed,
+    EntriesLost,
+    Event,
+    FileUsed,
+    ParametersChanged,
+    ServiceCalled,
+    Tick,
+    event_from_text,
+)
+from ship_node.documents.files import FileUse
+from ship_node.edge.adapter import Adapter
+from ship_node.edge.topics import Published
+from ship_replay.offline.bag_suite import suite_text
+from ship_replay.offline.black_box_identity import box_adapter, box_config, check_definitions, check_topics
+from ship_replay.offline.message_difference import Difference, message_difference, stamp_of
+from ship_replay.offline.recorded_files import AnotherFileUse, RecordedFiles
+from ship_replay.offline.verification import ASIDE, Verification
+
+Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
+
+
+def replay_black_box(
+    bag: Bag,
+    adapters: tuple[type[Adapter], ...],
+    config_path: Path | None = None,
+    out_path: Path | None = None,
+    watch: Watcher = lambda records, bag: records,
+) -> Verification:
+    """Replay a black box up to its end or to where something is missing.
+
+    Args:
+        bag: the box.
+        adapters: of the nodes that are known here.
+        config_path: configuration to use instead of the box's own.
+        out_path: bag that takes the outputs; without it the replay ends at the first difference.
+        watch: wraps the iteration over the box, for a progress bar.
+
+    Raises:
+        BadInput: the box does not serve; the text says why.
+    """
+    adapter_class = box_adapter(bag, adapters)
+    check_definitions(bag)
+    result = Verification()
+    config = box_config(bag, adapter_class, config_path, result.notes)
+    files = RecordedFiles()
+
+    def make_adapter() -> Adapter:
+        adapter = adapter_class(config, RosbagsFactory(), files)
+        check_topics(bag, adapter, result.notes, other_config=config_path is not None)
+        return adapter
+
+    if out_path is None:
+        _BoxReplay(bag, make_adapter, files, result, None).run(watch)
+    else:
+        with BagWriter(out_path) as writer:
+            writer.add_attachment(SUITE_ATTACHMENT, suite_text(bag, config_path))
+            _BoxReplay(bag, make_adapter, files, result, writer).run(watch)
+    result.notes += bag.problems
+    return result
+
+
+class _BoxReplay:
+    """One adapter given what the node's was given."""
+
+    def __init__(
+        self,
+        bag: Bag,
+        make_adapter: Callable[[], Adapter],
+        files: RecordedFiles,
+        result: Verification,
+        writer: BagWriter | None,
+    ) -> None:
+        self._bag = bag
+        self._make_adapter = make_adapter
+        self._adapter: Adapter | None = None
+        self._files = files
+        self._result = result
+        self._writer = writer
+        self._inputs: set[str] = set()
+        self._outputs: set[str] = set()
+        self._awaited: deque[Published] = deque()
+        self._closed = False
+
+    def run(self, watch: Watcher) -> None:
+        """Go through the box."""
+        for number, record in enumerate(watch(self._bag.records_in_file_order(), self._bag), 1):
+            if record.sequence != number:
+                self._result.unverified = f"entries are missing before {utc_text(record.log_time_ns)}"
+                return
+            try:
+                self._take(record)
+            except AnotherFileUse as problem:
+                self._differ(problem.difference)
+            if self._result.unverified or (self._result.difference is not None and self._writer is None):
+                return
+        if not self._closed:
+            self._result.cut = True
+            self._result.unverified = f"the box ends suddenly, at {utc_text(self._files.time_ns)}"
+
+    def _take(self, record: BagRecord) -> None:
+        """One entry of the box."""
+        time_ns = self._files.time_ns = record.log_time_ns
+        if record.topic == EVENTS_TOPIC:
+            self._take_event(event_from_text(record.decode().data), time_ns, record.publish_time_ns)
+            return
+        adapter = self._ready_adapter()
+        if record.topic in self._inputs:
+            message, waiting_ns = record.decode(), record.publish_time_ns
+            self._use(record.topic, time_ns, lambda: adapter.handle(record.topic, message, time_ns, waiting_ns))
+        elif record.topic in self._outputs:
+            self._compare(record)
+
+    def _take_event(self, event: Event, time_ns: int, waiting_ns: int) -> None:
+        if isinstance(event, FileUsed):
+            # Those of its construction come before there is an adapter.
+            self._files.expect(FileUse(event.path, event.written, self._attached(event), event.error))
+            return
+        adapter = self._ready_adapter()
+        if isinstance(event, Tick):
+            self._use("tick", time_ns, lambda: adapter.tick(time_ns, waiting_ns))
+        elif isinstance(event, ClockJumpedBack):
+            self._use("clock jump back", time_ns, lambda: adapter.clock_jumped_back(time_ns))
+        elif isinstance(event, ServiceCalled):
+            answer = self._call(f"~/{event.name}", time_ns, lambda: adapter.service(event.name, time_ns))
+            success, message = answer or (None, None)
+            self._compare_values(f"~/{event.name}", time_ns, "success", event.success, success)
+            self._compare_values(f"~/{event.name}", time_ns, "message", event.message, message)
+        elif isinstance(event, ParametersChanged):
+            refused = self._call("parameters", time_ns, lambda: _refusal(adapter, event))
+            self._compare_values("parameters", time_ns, "refused", event.refused, refused)
+        elif isinstance(event, ChangeRefused):
+            self._result.used["parameters refused"] += 1
+        elif isinstance(event, EntriesLost):
+            self._result.unverified = f"the disk was too slow for {event.count} entries at {utc_text(time_ns)}"
+        elif isinstance(event, Closed):
+            self._expect_nothing_left(time_ns)
+            self._closed = True
+
+    def _use(self, what: str, time_ns: int, call: Callable[[], list[Published]]) -> None:
+        """Use the adapter; what it gives waits for its record."""
+        published = self._call(what, time_ns, call) or []
+        for topic, message in published:
+            if self._writer is not None:
+                self._writer.write(topic, message, time_ns)
+            if message.__msgtype__ not in ASIDE:
+                self._awaited.append((topic, message))
+
+    def _call(self, what: str, time_ns: int, call: Callable[[], Any]) -> Any:
+        """The result of a call, None where it raised: for the node, too, that was no end."""
+        self._expect_nothing_left(time_ns)
+        self._result.used[what] += 1
+        try:
+            return call()
+        except AnotherFileUse:
+            raise
+        except Exception as error:
+            self._result.notes.append(f"{what} at {utc_text(time_ns)} raised {type(error).__name__}: {error}")
+            return None
+
+    def _ready_adapter(self) -> Adapter:
+        """The adapter, made once it is known which files it read at the start."""
+        if self._adapter is None:
+            self._adapter = self._make_adapter()
+            self._inputs = {topic.topic for topic in self._adapter.inputs}
+            self._outputs = {topic.topic for topic in self._adapter.outputs if topic.type_name not in ASIDE}
+        return self._adapter
+
+    def _attached(self, event: FileUsed) -> bytes | None:
+        if event.attachment is None:
+            return None
+        if event.attachment not in self._bag.attachments:
+            raise BadInput(f"{self._bag.path}: attachment {event.attachment} is missing: the content of {event.path}")
+        return self._bag.attachments[event.attachment]
+
+    # -- comparison -----------------------------------------------------------------------------------------
+
+    def _compare(self, record: BagRecord) -> None:
+        recorded, time_ns = record.decode(), record.log_time_ns
+        topic, replayed = self._awaited.popleft() if self._awaited else ("", None)
+        if topic != record.topic:
+            given = f"a message on {topic}" if topic else "nothing"
+            self._differ(Difference(record.topic, stamp_of(recorded, time_ns), "", "a message", given))
+        elif difference := message_difference(topic, recorded, replayed, time_ns):
+            self._differ(difference)
+        elif self._result.difference is None:
+            self._result.equal[topic] += 1
+
+    def _compare_values(self, what: str, time_ns: int, field: str, recorded: Any, replayed: Any) -> None:
+        if recorded != replayed:
+            self._differ(Difference(what, time_ns, field, repr(recorded), repr(replayed)))
+
+    def _expect_nothing_left(self, time_ns: int) -> None:
+        """All that the last use gave, and all files used before it, were matched."""
+        if self._awaited:
+            topic, message = self._awaited.popleft()
+            self._differ(Difference(topic, stamp_of(message, time_ns), "", "nothing", "a message"))
+            self._awaited.clear()
+
+    def _differ(self, difference: Difference) -> None:
+        if self._result.difference is None:
+            self._result.difference = difference
+
+
+def _refusal(adapter: Adapter, event: ParametersChanged) -> str | None:
+    """Why the adapter refuses live parameters; None where it takes them."""
+    try:
+        adapter.set_parameters(event.changes)
+    except ParameterError as error:
+        return str(error)
+    return None

@@ -1,0 +1,169 @@
+"""How far apart the messages of a node's inputs may be, and how far apart they are."""
+
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_bags.mcap.bag_reader import BagRecord
+from ship_bags.times import NS_PER_S
+from ship_estimation.parameters import flatten
+from theodolite_calib.config.optical_axis import OpticalAxisConfig
+
+_MOST_OF_THE_TIME = 0.5
+"""Share of the time in gaps longer than a limit from which on the configuration does not serve."""
+
+_WORTH_SAYING = 0.01
+_TOO_NEAR = 0.5
+"""Gaps that are usually longer than this share of a limit exceed it now and then, though nothing was lost."""
+
+_REACH = 1000
+"""Times that wait to be put in order."""
+
+_RESOLUTION_NS = 100_000
+_ENCAPSULATION = 4
+_STAMP_END = _ENCAPSULATION + 8
+
+
+@dataclass(frozen=True)
+class GapLimit:
+    """A parameter that bounds the time between two messages of a topic.
+
+    Attributes:
+        topic: relative name.
+        parameter: dotted name; its value is in seconds.
+        by_arrival: between arrivals, otherwise between stamps.
+        meaning: what a longer gap leads to.
+    """
+
+    topic: str
+    parameter: str
+    by_arrival: bool
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Exceeded:
+    """A limit that the messages of its topic do not keep.
+
+    Attributes:
+        limit: which one.
+        text: in words: parameter, value, what the messages do, what follows, what to do.
+        mostly: whether most of the time lies in such gaps.
+    """
+
+    limit: GapLimit
+    text: str
+    mostly: bool
+
+
+class Gaps:
+    """Gaps between times that come nearly in order; memory does not grow with their number."""
+
+    def __init__(self) -> None:
+        self._waiting: list[int] = []
+        self._last_ns: int | None = None
+        self._counts: Counter[int] = Counter()
+
+    def add(self, time_ns: int) -> None:
+        """Note a time; one that comes more than _REACH others too late is left out."""
+        heappush(self._waiting, time_ns)
+        if len(self._waiting) > _REACH:
+            self._take(heappop(self._waiting))
+
+    def seconds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lengths of the gaps in ascending order, s, and how many there are of each. Equal times are no gap."""
+        while self._waiting:
+            self._take(heappop(self._waiting))
+        lengths = sorted(self._counts)
+        return np.array(lengths) * _RESOLUTION_NS / NS_PER_S, np.array([self._counts[length] for length in lengths])
+
+    def _take(self, time_ns: int) -> None:
+        if self._last_ns is not None and time_ns > self._last_ns:
+            self._counts[round((time_ns - self._last_ns) / _RESOLUTION_NS)] += 1
+        self._last_ns = time_ns if self._last_ns is None else max(time_ns, self._last_ns)
+
+
+class MessageTimes:
+    """When the messages of a topic were stamped, and when they arrived."""
+
+    def __init__(self) -> None:
+        self.stamps, self.arrivals = Gaps(), Gaps()
+
+    def add(self, record: BagRecord) -> None:
+        """Note a message that begins with a header, as every input does; the rest is not decoded."""
+        self.arrivals.add(record.log_time_ns)
+        stamp_ns = stamp_of_bytes(record.data)
+        if stamp_ns is not None:
+            self.stamps.add(stamp_ns)
+
+
+def stamp_of_bytes(data: bytes) -> int | None:
+    """Stamp of a message that begins with a header, by its CDR bytes, ns; None where they are too few."""
+    if len(data) < _STAMP_END:
+        return None
+    sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, _ENCAPSULATION)
+    return int(sec) * NS_PER_S + int(nanosec)
+
+
+def gap_limits(config: Any) -> Iterator[GapLimit]:
+    """What bounds the gaps of a node's inputs.
+
+    Args:
+        config: of one of the suite's nodes; for one of another node there are none.
+    """
+    if isinstance(config, OpticalAxisConfig):
+        group = "ins" if config.ship.source == "ins/imu" else "ship"
+        yield _between_stamps(config.ship.source, f"{group}.max_gap_s", "there is no pointing")
+        yield _between_stamps("theodolite/encoder", "encoder.max_gap_s", "there is no pointing")
+        for id_ in config.beacons:
+            yield _between_stamps(f"beacon/{id_}/baseline", f"beacons.{id_}.rtk.max_gap_s", "its light is not used")
+            yield _between_stamps(f"beacon/{id_}/imu", f"beacons.{id_}.imu.max_gap_s", "its light is not used")
+    elif hasattr(config, "ins"):
+        yield _between_stamps("ins/imu", "ins.max_gap_s", "stars are not compared with the INS")
+    if isinstance(config, ShipAttitudeConfig):
+        yield GapLimit("ins/imu", "ins.silence_s", True, "the INS counts as gone, and without stars it is INVALID")
+
+
+def exceeded(config: Any, times: dict[str, MessageTimes], source: str) -> Iterator[Exceeded]:
+    """The limits of a node that its inputs do not keep.
+
+    Args:
+        config: of the node.
+        times: by relative topic.
+        source: where the messages are from, for the text.
+    """
+    for limit in gap_limits(config):
+        if limit.topic not in times:
+            continue
+        own = times[limit.topic]
+        lengths_s, counts = (own.arrivals if limit.by_arrival else own.stamps).seconds()
+        allowed_s = float(flatten(config)[limit.parameter])
+        times_s = lengths_s * counts
+        # Times within the resolution of one another fill no time at all.
+        share = times_s[lengths_s > allowed_s].sum() / max(times_s.sum(), 1e-9)
+        if share > _WORTH_SAYING:
+            yield Exceeded(limit, _words(limit, allowed_s, lengths_s, counts, source), share > _MOST_OF_THE_TIME)
+
+
+def _between_stamps(topic: str, parameter: str, meaning: str) -> GapLimit:
+    return GapLimit(topic, parameter, False, f"nothing is interpolated there, and {meaning}")
+
+
+def _words(limit: GapLimit, allowed_s: float, lengths_s: np.ndarray, counts: np.ndarray, source: str) -> str:
+    usual_s = float(lengths_s[np.searchsorted(np.cumsum(counts), counts.sum() / 2)])
+    how_far = f"{usual_s:.4g} s apart" if usual_s > allowed_s else f"up to {lengths_s[-1]:.4g} s apart"
+    advice = "look for what was lost"
+    if usual_s > _TOO_NEAR * allowed_s:
+        resample = " (import_nmea --resample HZ)" if limit.topic == "ins/imu" else ""
+        advice = f"record it faster{resample}, or set '{limit.parameter}' to {1.5 * max(usual_s, allowed_s):.2g}"
+    longer = f"{counts[lengths_s > allowed_s].sum()} of {counts.sum()} gaps are longer"
+    return (
+        f"parameter '{limit.parameter}' = {allowed_s:g} s, but messages of '{limit.topic}' in {source} "
+        f"{'arrive' if limit.by_arrival else 'are stamped'} {how_far} ({longer}): {limit.meaning}; {advice}"
+    )

@@ -1,0 +1,86 @@
+"""The orientations that the suite publishes and a simulated bag knows the truth of."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ship_bags.stamps import ns_from_stamp
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.frames import angles_from_rotation, rotation_from_angles
+from ship_geometry.ros_axes import device_vector_from_ros
+from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """Something with three angles in the horizon frame, its truth and its errors.
+
+    Attributes:
+        label: name of the published one in an evaluation.
+        topic: where it is published.
+        truth_topic: where a simulated bag has the truth, messages of the same type.
+        error_topic: where the errors go.
+        angles: fields of the three angles: azimuth, elevation, roll, whatever they are called.
+        channels: names of the three errors.
+        on_sky: the first error is that of the azimuth times the cosine of the elevation: an angle on the sky.
+    """
+
+    label: str
+    topic: str
+    truth_topic: str
+    error_topic: str
+    angles: tuple[str, str, str]
+    channels: tuple[str, str, str]
+    on_sky: bool
+
+    def angles_of(self, message: Any) -> FloatArray:
+        """The three angles of a message, rad, shape (3,)."""
+        return np.array([getattr(message, name) for name in self.angles])
+
+    def sample(self, message: Any) -> AttitudeSample:
+        """The orientation of a message, with its rate where that is given and finite."""
+        rate_d = None
+        if hasattr(message, "angular_velocity"):
+            rate = message.angular_velocity
+            rate_d = device_vector_from_ros([rate.x, rate.y, rate.z])
+        return AttitudeSample(
+            time_ns=ns_from_stamp(message.header.stamp),
+            rotation_nd=rotation_from_angles(*self.angles_of(message)),
+            rate_d=rate_d if rate_d is not None and np.all(np.isfinite(rate_d)) else None,
+        )
+
+    def scale(self, angles: FloatArray) -> FloatArray:
+        """What errors of angles (..., 3) are multiplied by, same shape."""
+        scale = np.ones_like(angles)
+        if self.on_sky:
+            scale[..., 0] = np.cos(angles[..., 1])
+        return scale
+
+    def errors_arcsec(self, angles: FloatArray, truth_nd: FloatArray) -> FloatArray:
+        """Estimate minus truth of each channel, shape (..., 3)."""
+        errors = wrap_pi(angles - angles_from_rotation(truth_nd))
+        return self.scale(angles) * errors / ARCSEC
+
+
+SHIP_ATTITUDE = Orientation(
+    label="fused",
+    topic="ship/attitude",
+    truth_topic="truth/attitude",
+    error_topic="ship/error_arcsec",
+    angles=("heading", "pitch", "roll"),
+    channels=("heading", "pitch", "roll"),
+    on_sky=False,
+)
+
+POINTING = Orientation(
+    label="pointing",
+    topic="theodolite/pointing",
+    truth_topic="truth/pointing",
+    error_topic="theodolite/error_arcsec",
+    angles=("azimuth", "elevation", "image_rotation"),
+    channels=("azimuth_cos_elevation", "elevation", "image_rotation"),
+    on_sky=True,
+)
+
+ORIENTATIONS = (SHIP_ATTITUDE, POINTING)

@@ -1,0 +1,150 @@
+"""Replays a bag through the adapters of the suite's nodes, in process and as fast as it goes.
+
+Messages are handed over in order of log time, with the log time as time of arrival, or of their stamps; between them
+the adapters are ticked on a fixed grid. The same bag and configuration give the same output, byte for byte.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
+from ship_bags.mcap.stored_messages_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.times import NS_PER_S
+from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
+from ship_node.edge.adapter import Adapter
+from ship_node.parameters.parameter_file import full_name
+from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
+from ship_replay.offline.bag_suite import suite_config, suite_text
+from ship_replay.offline.log_times import LogTimes, in_order_of_stamps
+from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.offline.status_course import reasons_for
+
+Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
+
+
+def replay(
+    bag_path: Path,
+    out_path: Path,
+    adapter_classes: Sequence[type[Adapter]],
+    config_path: Path | None = None,
+    namespace: str = "",
+    watch: Watcher = lambda records, bag: records,
+    by_stamps: bool = False,
+) -> ReplaySummary:
+    """Replay a bag and write what the adapters publish, and the truth as it is.
+
+    Args:
+        bag_path: .mcap file or rosbag2 folder.
+        out_path: .mcap file to write; it appears only when the replay is complete.
+        adapter_classes: of the nodes that may take part, the main one first.
+        config_path: suite configuration; None takes the one attached to the bag.
+        namespace: namespace of the ship in the bag.
+        watch: wraps the iteration over the bag, for a progress bar.
+        by_stamps: messages arrive at their stamps, whenever they were logged.
+
+    Raises:
+        BadInput: the bag, its topics or the configuration do not serve; nothing is written.
+    """
+    started_s = time.monotonic()
+    with read_bag(bag_path) as bag:
+        if out_path.resolve() == bag_path.resolve():
+            raise BadInput(f"{out_path}: the output would overwrite the input")
+        factory = RosbagsFactory()
+        config_text = suite_text(bag, config_path)
+        chain, left_out = suite_chain(bag, adapter_classes, factory, config_path, namespace)
+        input_names = match_inputs(bag, chain, namespace)
+        names = input_names | _truth_names(bag, namespace)
+        summary = ReplaySummary(absent=[topic.topic for topic in chain.inputs if topic.topic not in input_names])
+        with BagWriter(out_path) as writer:
+            _announce(writer, bag, chain, config_text)
+            run = ReplayRun(chain, writer, summary, truth_topics=names)
+            relative_names = {name: relative for relative, name in names.items()}
+            records = watch(bag.records(relative_names), bag)
+            if by_stamps:
+                records = in_order_of_stamps(records, _usual_delay_ns(bag_path, relative_names))
+            for record in records:
+                run.take(relative_names[record.topic], record)
+            if bag.last_time_ns is None or bag.start_ns is None:
+                told = "".join(f"; {problem}" for problem in bag.problems)
+                raise BadInput(f"{bag_path}: no message of {', '.join(sorted(relative_names))} could be read{told}")
+            run.finish()
+        last_ns = bag.last_time_ns if run.last_time_ns is None else run.last_time_ns
+        for adapter in chain.adapters:
+            health = adapter.health.messages(factory, last_ns)
+            config = suite_config(bag, type(adapter), config_path, full_name(adapter.node_name, namespace))
+            for output in adapter.outputs:
+                if output.topic in summary.statuses:
+                    course = summary.statuses[output.topic]
+                    summary.reasons += reasons_for(course, adapter, config, summary.times, health)
+            for topic, counts in adapter.health.refused_and_noted().items():
+                name = topic if len(chain.adapters) == 1 else f"{adapter.node_name}: {topic}"
+                for kept, reasons in zip((summary.refused, summary.noted), counts, strict=True):
+                    if reasons:
+                        kept[name] = dict(reasons)
+        summary.problems = left_out + bag.problems
+        summary.duration_s = (bag.last_time_ns - bag.start_ns) / NS_PER_S
+    summary.elapsed_s = time.monotonic() - started_s
+    return summary
+
+
+def _usual_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:
+    """Log time minus stamp of most of the messages."""
+    times = LogTimes()
+    with read_bag(bag_path) as bag:
+        for record in bag.records(relative_names):
+            times.add(record.topic, record)
+    return times.usual_ns()
+
+
+def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> dict[str, str]:
+    """Relative name → name in the bag, of the adapter's input topics that the bag holds.
+
+    Raises:
+        BadInput: a required topic is missing, a topic has another type, or a message definition lacks something.
+    """
+    found = relative_topics(bag.topics, namespace)
+    required = [topic.topic for topic in adapter.inputs if topic.required]
+    missing = [topic for topic in required if topic not in found]
+    if missing:
+        hint = likely_namespace(bag.topics, required)
+        advice = f" (found under the namespace '{hint}': give --namespace {hint})" if hint and hint != namespace else ""
+        skipped = "".join(f"; '{topic}' is unusable: {why}" for topic, why in sorted(bag.skipped_topics.items()))
+        raise BadInput(
+            f"{bag.path}: required topics {', '.join(missing)} are missing; found {', '.join(sorted(found)) or 'none'}"
+            f"{skipped}{advice}"
+        )
+    for topic in adapter.inputs:
+        type_name = bag.topics[found[topic.topic]] if topic.topic in found else topic.type_name
+        if type_name != topic.type_name:
+            raise BadInput(f"{bag.path}: topic '{found[topic.topic]}' is {type_name}: expected {topic.type_name}")
+        lacking = [line for line in bag.differences.get(type_name, []) if not line.endswith("unknown here")]
+        if topic.topic in found and lacking:
+            raise BadInput(f"{bag.path}: topic '{found[topic.topic]}': {'; '.join(lacking)}")
+    return {topic.topic: found[topic.topic] for topic in adapter.inputs if topic.topic in found}
+
+
+def _truth_names(bag: Bag, namespace: str) -> dict[str, str]:
+    """Relative name → name in the bag, of the truth topics, which are copied."""
+    found = relative_topics(bag.topics, namespace)
+    names = {relative: name for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
+    for name in names.values():
+        if bag.topics[name] in bag.differences:
+            lines = "; ".join(bag.differences[bag.topics[name]])
+            raise BadInput(f"{bag.path}: topic '{name}' cannot be copied, its definition is another: {lines}")
+    return names
+
+
+def _announce(writer: BagWriter, bag: Bag, chain: AdapterChain, config_text: str) -> None:
+    """Write what stands at the head of the output."""
+    writer.add_attachment(SUITE_ATTACHMENT, config_text)
+    if SCENARIO_ATTACHMENT in bag.attachments:
+        writer.add_attachment(SCENARIO_ATTACHMENT, bag.attachments[SCENARIO_ATTACHMENT])
+    for name, entries in bag.metadata.items():
+        # rosbag2 keeps its own file information in a record of that name; it would be wrong in another file.
+        if name != "rosbag2":
+            writer.add_metadata(name, entries)
+    for output in chain.outputs:
+        writer.add_topic(output.topic, output.type_name, output.latched)

@@ -1,0 +1,154 @@
+"""What a run claimed over time: shares of each status, the spans of one status, and why it was no better."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_bags.stamps import ns_from_stamp
+from ship_bags.times import NS_PER_S, utc_text
+from ship_node.edge.adapter import Adapter
+from ship_replay.offline.gaps import MessageTimes, exceeded
+from ship_replay.offline.orientations import ORIENTATIONS
+
+STATUS_WORDS = ("VALID", "COASTING", "DEGRADED", "INVALID")
+"""By the values of ship_msgs/ShipAttitude and OpticalAxisPointing."""
+
+STATUS_TOPICS = frozenset(orientation.topic for orientation in ORIENTATIONS)
+
+_POOR = "DEGRADED", "INVALID"
+_NOTED = "covariance_unknown"
+"""A reason that leaves a message in use."""
+
+_WORTH_A_REASON = 0.01
+_MOST_SPANS = 12
+
+
+@dataclass(frozen=True)
+class Span:
+    """Outputs of one status that follow one another.
+
+    Attributes:
+        status: in words.
+        start_ns: stamp of the first.
+        end_ns: stamp of the next one of another status; of the last output of all at the end.
+        count: outputs.
+    """
+
+    status: str
+    start_ns: int
+    end_ns: int
+    count: int
+
+
+class StatusCourse:
+    """The statuses of one output topic.
+
+    Attributes:
+        counts: status → outputs.
+    """
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self._runs: list[tuple[int, int, str, int]] = []
+
+    def add(self, message: Any) -> None:
+        """An output, in the order in which they were put out."""
+        status, stamp_ns = int(message.status), ns_from_stamp(message.header.stamp)
+        word = STATUS_WORDS[status] if status < len(STATUS_WORDS) else f"status {status}"
+        self.counts[word] += 1
+        if self._runs and self._runs[-1][2] == word:
+            first_ns, last_ns, _, count = self._runs[-1]
+            self._runs[-1] = first_ns, max(last_ns, stamp_ns), word, count + 1
+        else:
+            self._runs.append((stamp_ns, stamp_ns, word, 1))
+
+    @property
+    def spans(self) -> list[Span]:
+        """In order of time; each lasts until the next begins. INVALID has the time of the tick that said so."""
+        # Stamps of INVALID are not in the order of the others: what stands together is found by the stamps.
+        groups = [list(group) for _, group in groupby(sorted(self._runs), key=lambda run: run[2])]
+        last_ns = max((run[1] for run in self._runs), default=0)
+        ends = [group[0][0] for group in groups[1:]] + [last_ns]
+        return [
+            Span(group[0][2], group[0][0], end, sum(count for _, _, _, count in group))
+            for group, end in zip(groups, ends, strict=False)
+        ]
+
+    def lines(self, topic: str) -> list[str]:
+        """The table for people: shares by time and by count, then the spans."""
+        spans, counts = self.spans, self.counts
+        if not spans:
+            return [f"status of {topic}: nothing was put out"]
+        start_ns, total_ns = spans[0].start_ns, spans[-1].end_ns - spans[0].start_ns
+        lines = [f"status of {topic} from {utc_text(start_ns)}, {total_ns / NS_PER_S:.1f} s:"]
+        for word in sorted(counts, key=_rank):
+            held_ns = sum(span.end_ns - span.start_ns for span in spans if span.status == word)
+            share = held_ns / total_ns if total_ns else counts[word] / counts.total()
+            lines.append(f"  {word:9} {share:6.1%} of the time, {counts[word]} of {counts.total()} outputs")
+        kept = sorted(sorted(spans, key=lambda span: span.start_ns - span.end_ns)[:_MOST_SPANS], key=_start)
+        for span in kept if len(spans) > 1 else ():
+            from_s, until_s = ((time_ns - start_ns) / NS_PER_S for time_ns in (span.start_ns, span.end_ns))
+            lines.append(f"  {from_s:9.1f} s to {until_s:9.1f} s  {span.status:9} {span.count} outputs")
+        if len(spans) > len(kept):
+            lines.append(f"  and {len(spans) - len(kept)} shorter spans")
+        return lines
+
+
+def reasons_for(
+    course: StatusCourse, adapter: Adapter, config: Any, times: Mapping[str, MessageTimes], health: Sequence[Any]
+) -> list[str]:
+    """Why a node's outputs were INVALID or DEGRADED, one line each below a heading; empty where hardly any was.
+
+    Args:
+        course: of its output.
+        adapter: the node.
+        config: its configuration.
+        times: of the messages that it was given, by topic.
+        health: its InputHealth messages after the last message.
+    """
+    counts = course.counts
+    if sum(counts[word] for word in _POOR) <= _WORTH_A_REASON * counts.total():
+        return []
+    reasons = [*adapter.start_warnings, *_no_stars(config)]
+    reasons += [excess.text for excess in exceeded(config, dict(times), "the bag")]
+    reasons += [line for message in health if (line := hardly_used(message))]
+    poor = " and ".join(f"{counts[word]} {word}" for word in reversed(_POOR) if counts[word])
+    why = reasons or ["no input was missing or refused for long: ship/innovation or theodolite/innovation tell more"]
+    return [f"why {poor} of {counts.total()} outputs of {adapter.node_name}:", *(f"  {reason}" for reason in why)]
+
+
+def _no_stars(config: Any) -> list[str]:
+    """Another attitude system makes an attitude better, but never VALID."""
+    if isinstance(config, ShipAttitudeConfig) and config.references and not config.star_sensors:
+        return ["no star_sensors are configured: by references alone the attitude stays DEGRADED, horizon GRAVITY"]
+    return []
+
+
+def hardly_used(health: Any) -> str:
+    """What became of an input of which half or more was not used; empty where more was."""
+    if not health.received:
+        return f"nothing came on '{health.topic}'"
+    if 2 * health.accepted > health.received:
+        return ""
+    reason, count = most_frequent_refusal(health)
+    told = f", {count} times for {reason}" if reason else ""
+    return f"of {health.received} messages on '{health.topic}' {health.accepted} were used{told}"
+
+
+def most_frequent_refusal(health: Any) -> tuple[str, int]:
+    """The reason for which an input was refused most often, and how often; empty and 0 for none."""
+    counts = dict(zip(health.reasons, map(int, health.reason_counts), strict=True))
+    counts.pop(_NOTED, None)
+    reason = max(counts, key=lambda name: counts[name], default="")
+    return reason, counts.get(reason, 0)
+
+
+def _rank(word: str) -> int:
+    return STATUS_WORDS.index(word) if word in STATUS_WORDS else len(STATUS_WORDS)
+
+
+def _start(span: Span) -> int:
+    return span.start_ns

@@ -1,0 +1,130 @@
+"""Says before the voyage what of a suite configuration does not fit a bag recorded with its sensors."""
+
+import re
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from ship_bags.mcap.bag_reader import Bag
+from ship_bags.topic_names import likely_namespace, relative_topics
+from ship_node.parameters.parameter_file import ParameterFile
+from ship_replay.preflight.check_config import CheckedNode, Findings
+
+_INS_TOPIC = "ins/imu"
+_SENSOR_TOPIC = re.compile(
+    r"(?P<group>star|reference)/(?P<name>[^/]+)/(horizon_attitude|inertial_attitude|observations|solution|imu)"
+)
+_GROUPS = {"star": "star_sensors", "reference": "references"}
+
+
+def check_bag(path: Path, nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings: Findings) -> None:
+    """Check a configuration against the topics of a bag: presence, type, definition, frame_id.
+
+    Args:
+        path: file of the configuration.
+        nodes: what it is about.
+        bag: a bag recorded with the sensors of the voyage.
+        namespace: namespace of the ship in the bag.
+        findings: takes what is found.
+    """
+    found = relative_topics(bag.topics, namespace)
+    given = {topic.topic for node in nodes for topic in node.adapter.outputs}
+    _check_presence(path, nodes, bag, found.keys() | given, findings)
+    for node in nodes:
+        _check_inputs(path, node, bag, found, findings)
+    # What is wrong with the bag is wrong for each node that takes it.
+    findings.errors = list(dict.fromkeys(findings.errors))
+    taken = {topic.topic for node in nodes for topic in node.adapter.inputs}
+    findings.warnings += list(_not_configured([node.config for node in nodes], bag, found, taken | given))
+    findings.warnings += bag.problems
+
+
+def _check_presence(
+    path: Path, nodes: Sequence[CheckedNode], bag: Bag, present: Collection[str], findings: Findings
+) -> None:
+    """Each input that is not among the topics in the bag or given by a node: once, with the nodes that take it."""
+    absent: dict[str, list[tuple[CheckedNode, bool]]] = {}
+    for node in nodes:
+        for topic in node.adapter.inputs:
+            if topic.topic not in present:
+                absent.setdefault(topic.topic, []).append((node, topic.required))
+    for name, takers in absent.items():
+        needing = [node.adapter.node_name for node, required in takers if required]
+        optional = [node.adapter.node_name for node, required in takers if not required]
+        roles = ("needed by", needing), ("optional for", optional)
+        whose = ", ".join(f"{role} {' and '.join(names)}" for role, names in roles if names)
+        hint = likely_namespace(bag.topics, [name])
+        advice = f" (there is one under the namespace '{hint}')" if hint else ""
+        place = _place(takers[0][0].file, path, name)
+        where = findings.errors if needing else findings.warnings
+        where.append(f"{place}: topic '{name}' is not in {bag.path}: {whose}{advice}")
+
+
+def _check_inputs(path: Path, node: CheckedNode, bag: Bag, found: dict[str, str], findings: Findings) -> None:
+    """Check what a node takes from a bag."""
+    readable: dict[str, str] = {}
+    for topic in node.adapter.inputs:
+        if topic.topic not in found:
+            continue
+        type_name = bag.topics[found[topic.topic]]
+        if type_name != topic.type_name:
+            place = _place(node.file, path, topic.topic)
+            findings.errors.append(
+                f"{place}: topic '{topic.topic}' in {bag.path} is {type_name}: expected {topic.type_name}"
+            )
+            continue
+        findings.errors += [f"{bag.path}: topic '{topic.topic}': {line}" for line in bag.differences.get(type_name, [])]
+        if type_name not in bag.differences:
+            readable[topic.topic] = found[topic.topic]
+    findings.errors += _frame_errors(path, node, bag, readable)
+
+
+def _frame_errors(path: Path, node: CheckedNode, bag: Bag, readable: dict[str, str]) -> Iterator[str]:
+    """Messages that would be refused because their frame_id is not the configured one."""
+    expected = {topic: _frame_id(node.config, topic) for topic in readable}
+    waiting = {readable[topic]: topic for topic, frame in expected.items() if frame}
+    for record in bag.records(waiting) if waiting else ():
+        topic = waiting.pop(record.topic, None)
+        if topic is not None:
+            frame = record.decode().header.frame_id
+            if frame != expected[topic]:
+                name = f"{_section(topic)}.frame_id"
+                yield (
+                    f"{_place(node.file, path, topic, 'frame_id')}: parameter '{name}' = '{expected[topic]}', but "
+                    f"topic '{topic}' in {bag.path} carries frame_id '{frame}'"
+                )
+        if not waiting:
+            break
+
+
+def _frame_id(config: Any, topic: str) -> str:
+    """The frame_id that messages of an input topic must carry; empty for any."""
+    if topic == _INS_TOPIC:
+        return str(config.ins.frame_id)
+    group, *rest = topic.split("/")
+    return str(getattr(config, _GROUPS[group])[rest[0]].frame_id) if group in _GROUPS else ""
+
+
+def _not_configured(configs: Sequence[Any], bag: Bag, found: dict[str, str], known: set[str]) -> Iterator[str]:
+    """Sensors in the bag that the configuration does not use."""
+    for topic in sorted(found.keys() - known):
+        match = _SENSOR_TOPIC.fullmatch(topic)
+        if match is None:
+            continue
+        name, group = match["name"], _GROUPS[match["group"]]
+        if not any(name in getattr(config, group, {}) for config in configs):
+            yield f"{bag.path}: topic '{topic}' has no {group}.{name} in the configuration: not used"
+        elif group == "star_sensors" and not any(t.startswith(f"star/{name}/") for t in known & found.keys()):
+            yield f"{bag.path}: topic '{topic}' is not used: star_sensors.{name}.input is another"
+
+
+def _section(topic: str) -> str:
+    """Dotted name of the parameters about an input topic."""
+    group, *rest = topic.split("/")
+    return f"{_GROUPS[group]}.{rest[0]}" if group in _GROUPS else group
+
+
+def _place(file: ParameterFile, path: Path, topic: str, parameter: str = "") -> str:
+    """File and line that speak of an input topic."""
+    line = file.line_of(f"{_section(topic)}.{parameter}".rstrip("."))
+    return f"{path}:{line}" if line else str(path)

@@ -1,0 +1,177 @@
+"""Says before the voyage what a suite configuration lacks."""
+
+import copy
+import dataclasses
+import itertools
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ship_attitude_star.measurements.device_config import MountingConfig
+from ship_bags.errors import BadInput
+from ship_bags.message_store import RosbagsFactory
+from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
+from ship_node.edge.adapter import Adapter
+from ship_node.parameters.parameter_file import (
+    ParameterFile,
+    anywhere,
+    full_name,
+    has_section,
+    misfit,
+    quoted_parameter,
+    read,
+    unknown_sections,
+)
+from ship_replay.offline.bag_suite import nodes_of
+
+
+@dataclass
+class Findings:
+    """What was found.
+
+    Attributes:
+        errors: one line each: with these the node would not start, or would refuse what the bag holds.
+        warnings: one line each: probably not meant so.
+    """
+
+    errors: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass
+class CheckedNode:
+    """A node of a configuration, wrong values replaced by allowed ones for the checks that follow.
+
+    Attributes:
+        file: its parameters in the file.
+        config: its configuration.
+        adapter: its adapter.
+    """
+
+    file: ParameterFile
+    config: Any
+    adapter: Adapter
+
+
+def check_file(
+    path: Path, adapter_classes: Sequence[type[Adapter]], findings: Findings, namespace: str = ""
+) -> list[CheckedNode]:
+    """Check the parameters of a file, all of them.
+
+    Args:
+        path: the file.
+        adapter_classes: nodes that are known; see :func:`nodes_of`.
+        findings: takes what is found.
+        namespace: of the nodes: sections are held against their full names, as rcl does.
+
+    Returns:
+        The nodes that the file is about and that can be made by it.
+
+    Raises:
+        BadInput: the file cannot be read, is no parameter file or has a section for none of the nodes.
+    """
+    names = {kind: full_name(kind.node_name, namespace) for kind in adapter_classes}
+    misfits = [problem for name in names.values() for problem in _misfit(path, name)]
+    findings.errors += misfits
+    strange = unknown_sections(path, names.values())
+    if not misfits and not any(has_section(path, name) for name in names.values()):
+        found = ", ".join(f"'{name}'" for name in strange) or "none"
+        raise BadInput(f"{path}: no section for a node of this suite: {_expected(adapter_classes)}, found {found}")
+    if not misfits:
+        told = _expected(adapter_classes)
+        findings.warnings += [f"{path}: section '{name}' fits no node of this suite: {told}" for name in strange]
+    named = [kind for kind in nodes_of(path, adapter_classes, namespace) if has_section(path, names[kind])]
+    checked = (_checked(path, kind, names[kind], findings) for kind in named)
+    nodes = [node for node in checked if node is not None]
+    findings.warnings += list(_different_mountings(path, nodes))
+    return nodes
+
+
+def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:
+    names = ", ".join(f"'{anywhere(kind.node_name)}'" for kind in adapter_classes)
+    return f"expected one of {names} or '/**'"
+
+
+def _misfit(path: Path, name: str) -> list[str]:
+    """The section that does not fit a node but was hardly meant for another: the node would not start."""
+    try:
+        misfit(path, name)
+    except BadInput as problem:
+        return [str(problem)]
+    return []
+
+
+def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Findings) -> CheckedNode | None:
+    kind = adapter_class.config_type
+    file = read(path, name)
+    values = copy.deepcopy(file.values)
+    descriptions = list(describe(kind))
+    told: set[str] = set()
+    while True:
+        try:
+            config = build(kind, values)
+            break
+        except ParameterError as problem:
+            findings.errors.append(str(file.error(str(problem))))
+            told.add(quoted_parameter(str(problem)))
+            if not _put_right(values, str(problem), descriptions):
+                return None
+    try:
+        adapter = adapter_class(config, RosbagsFactory())
+        findings.warnings += [f"{path}: {warning}" for warning in adapter.start_warnings]
+        return CheckedNode(file, config, adapter)
+    except ParameterError as problem:
+        # A value that was taken out above is missing here: told already.
+        if told.isdisjoint(re.findall(r"'([^']+)'", str(problem))):
+            findings.errors.append(str(file.error(str(problem))))
+    except BadInput as problem:
+        findings.errors.append(f"{path}: {problem}")
+    return None
+
+
+def _different_mountings(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
+    """Sensors that two nodes take to be bolted elsewhere, or to be known otherwise."""
+    names = [field.name for field in dataclasses.fields(MountingConfig) if field.name != "frame_id"]
+    sensors = [(node, id_, star) for node in nodes for id_, star in getattr(node.config, "star_sensors", {}).items()]
+    for (node, id_, star), (other, other_id, other_star) in itertools.combinations(sensors, 2):
+        for name in names if id_ == other_id else ():
+            one, two = getattr(star, name), getattr(other_star, name)
+            if one != two:
+                line = other.file.line_of(f"star_sensors.{id_}.{name}")
+                yield (
+                    f"{path}:{line}: parameter 'star_sensors.{id_}.{name}' is {two!r} for "
+                    f"{other.adapter.node_name}, but {one!r} for {node.adapter.node_name}"
+                )
+
+
+def _put_right(values: dict[str, Any], problem: str, descriptions: list[ParameterDescription]) -> bool:
+    """Take the value that a problem names out, and put an allowed one in where there must be one.
+
+    Returns:
+        Whether anything changed: if not, the same problem would come again.
+    """
+    quoted = quoted_parameter(problem)
+    if not quoted:
+        return False
+    *groups, leaf = quoted.split(".")
+    level = values
+    for group in groups:
+        level = level.setdefault(group, {})
+    removed = level.pop(leaf, None) is not None
+    for description in descriptions:
+        pattern = re.escape(description.name).replace("<id>", r"[^.]+")
+        if description.default is None and re.fullmatch(pattern, quoted):
+            level[leaf] = _allowed(description)
+            return True
+    return removed
+
+
+def _allowed(description: ParameterDescription) -> Any:
+    if description.choices:
+        return description.choices[0]
+    if description.kind in (int, float):
+        low, high = description.minimum, description.maximum
+        return description.kind(min(max(0.0, -1e300 if low is None else low), 1e300 if high is None else high))
+    return description.kind()

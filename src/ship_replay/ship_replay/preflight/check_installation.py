@@ -1,0 +1,190 @@
+"""Says before the voyage where a suite configuration contradicts what a bag shows of the installation."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig
+from ship_attitude_star.star_attitude.config import StarAttitudeConfig
+from ship_bags.mcap.bag_reader import Bag
+from ship_bags.topic_names import relative_topics
+from ship_geometry.frames import angles_from_rotation, rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_replay.preflight.check_config import CheckedNode, Findings
+from ship_replay.preflight.measured_mounting import MeasuredMounting, measured_mountings
+
+_SIGMAS = 5.0
+_TOO_FAR = np.deg2rad(1.0)
+"""An installation further off cannot be a matter of its sigma: no star would be used."""
+
+_WORTH_SAYING = np.deg2rad(0.01)
+_FEWEST = 3
+_FOCAL_LENGTH_TOLERANCE = 0.01
+_LOOKS_LIKE_RADIANS_DEG = 1.0
+
+
+@dataclass(frozen=True)
+class _Residual:
+    """An installation that is not the configured one.
+
+    Attributes:
+        mounting: what was measured.
+        measured_dv: deck from device by the data, shape (3, 3).
+        turn_d: rotation vector, deck frame, from the configured to the measured one, rad, shape (3,).
+        sigmas: the same in the device frame by its sigma, largest component.
+    """
+
+    mounting: MeasuredMounting
+    measured_dv: FloatArray
+    turn_d: FloatArray
+    sigmas: float
+
+
+def check_installation(path: Path, nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings: Findings) -> None:
+    """Compare configured installations and focal lengths with those that the bag shows.
+
+    Each device's attitudes are held against the INS's at some moments of the bag.
+
+    Args:
+        path: file of the configuration.
+        nodes: what it is about.
+        bag: a bag recorded with the sensors of the voyage.
+        namespace: namespace of the ship in the bag.
+        findings: takes what is found.
+    """
+    found = relative_topics(bag.topics, namespace)
+    usable = {t: name for t, name in found.items() if bag.topics[name] not in bag.differences}
+    told, refused = set(findings.errors) | set(findings.warnings), tuple(findings.errors)
+    for node in nodes:
+        if not isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig)):
+            continue
+        mountings = list(measured_mountings(node.config, bag, usable))
+        for is_error, parameter, text in _contradictions(mountings, node.config, bag):
+            line = node.file.line_of(parameter)
+            place = f"{path}:{line}:" if line else f"{path}:"
+            said = f"{place} {text}"
+            # A value that is refused was replaced to look at the rest: there is nothing to say of the replacement.
+            is_refused = any(earlier.startswith(f"{place} parameter '{parameter}'") for earlier in refused)
+            if said not in told and not is_refused:
+                told.add(said)
+                (findings.errors if is_error else findings.warnings).append(said)
+
+
+def _contradictions(
+    mountings: Sequence[MeasuredMounting], config: Any, bag: Bag
+) -> Iterator[tuple[bool, str, str]]:
+    """Whether it is an error, the parameter, and what to say."""
+    residuals = []
+    for mounting in mountings:
+        yield from _focal_length(mounting, bag)
+        if len(mounting.rotations_dv) >= _FEWEST:
+            residuals.append(_residual(mounting, config))
+    far = [residual for residual in residuals if np.linalg.norm(residual.turn_d) > _TOO_FAR]
+    common = _common_turn(far) if len(far) == len(residuals) else None
+    if common is not None:
+        yield True, "ins", _words_of_ins(common, far, bag)
+        return
+    for residual in residuals:
+        yield from _installation(residual, bag)
+
+
+def _focal_length(mounting: MeasuredMounting, bag: Bag) -> Iterator[tuple[bool, str, str]]:
+    if mounting.focal_length_m is None:
+        return
+    configured_m = mounting.device.camera.focal_length_m
+    if not abs(mounting.focal_length_m / configured_m - 1.0) <= _FOCAL_LENGTH_TOLERANCE:
+        name = f"{mounting.section}.camera.focal_length_m"
+        pitch_m = mounting.device.camera.pixel_pitch_m
+        text = (
+            f"parameter '{name}' = {configured_m:g} m, but angles between stars on '{mounting.topic}' in {bag.path} "
+            f"are those of {mounting.focal_length_m:.4g} m with pixels of {pitch_m:g} m"
+        )
+        yield True, name, text
+
+
+def _residual(mounting: MeasuredMounting, config: Any) -> _Residual:
+    rotations_dv = mounting.rotations_dv
+    # Those far from most are left out: wrong stars, and moments of another clock.
+    middle = _mean(rotations_dv)
+    distances = np.linalg.norm(log_rotation(middle.T @ rotations_dv), axis=-1)
+    kept = rotations_dv[distances <= 3.0 * np.median(distances) + ARCSEC]
+    middle = _mean(kept)
+    scatter_v = log_rotation(middle.T @ kept).std(axis=0)
+    configured_dv, installation_sigma_v = _configured(mounting.device)
+    ins = config.ins
+    ins_sigma = ARCSEC * np.hypot(max(ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec), ins.white_sigma_arcsec)
+    sigma_v = np.sqrt(installation_sigma_v**2 + ins_sigma**2 + scatter_v**2)
+    turn_v = log_rotation(configured_dv.T @ middle)
+    # Both sigmas may be 0: then any turn contradicts.
+    sigmas = float(np.max(np.abs(turn_v) / np.maximum(sigma_v, 0.1 * ARCSEC)))
+    return _Residual(mounting, middle, log_rotation(middle @ configured_dv.T), sigmas)
+
+
+def _mean(rotations: FloatArray) -> FloatArray:
+    """The rotation nearest to all of some, shape (3, 3)."""
+    left, _, right = np.linalg.svd(rotations.sum(axis=0))
+    sign = np.linalg.det(left @ right)
+    mean: FloatArray = left @ np.diag([1.0, 1.0, sign]) @ right
+    return mean
+
+
+def _configured(device: Any) -> tuple[FloatArray, FloatArray]:
+    """Deck from device by the parameters, and its sigma about the device's axes, rad."""
+    if isinstance(device, ReferenceConfig):
+        angles_deg = device.heading_deg, device.pitch_deg, device.roll_deg
+        return rotation_from_angles(*np.deg2rad(angles_deg)), np.full(3, device.installation_sigma_arcsec * ARCSEC)
+    return device.rotation_ds, device.installation_sigma_s
+
+
+def _common_turn(far: Sequence[_Residual]) -> FloatArray | None:
+    """The turn of the deck that all devices show alike; None where they do not, or are not several."""
+    if len(far) < 2:
+        return None
+    turns = np.array([residual.turn_d for residual in far])
+    alike = np.linalg.norm(turns - turns.mean(axis=0), axis=-1) < _TOO_FAR
+    return turns.mean(axis=0) if np.all(alike) else None
+
+
+def _words_of_ins(turn_d: FloatArray, far: Sequence[_Residual], bag: Bag) -> str:
+    # Right-handed about up is towards port: a heading counts the other way round.
+    forward, up, right = np.rad2deg(turn_d)
+    topics = ", ".join(f"'{residual.mounting.topic}'" for residual in far)
+    return (
+        f"all of {topics} in {bag.path} are turned alike against 'ins/imu': {forward:.1f} deg about the deck's forward "
+        f"axis, {up:.1f} about up, {right:.1f} about right: look at 'ins.convention' and "
+        "'ins.installation_heading_deg', '..._pitch_deg', '..._roll_deg'"
+    )
+
+
+def _installation(residual: _Residual, bag: Bag) -> Iterator[tuple[bool, str, str]]:
+    angle = float(np.linalg.norm(residual.turn_d))
+    if not (residual.sigmas > _SIGMAS and angle > _WORTH_SAYING):
+        return
+    mounting = residual.mounting
+    where = f"'{mounting.topic}' and 'ins/imu' in {bag.path}"
+    if angle <= _TOO_FAR:
+        text = (
+            f"{mounting.section}: by {where} the installation is {np.rad2deg(angle):.3f} deg off, "
+            f"{residual.sigmas:.0f} of its sigmas: calibrate_installation finds it"
+        )
+        yield False, mounting.section, text
+        return
+    names = ("heading_deg", "pitch_deg", "roll_deg")
+    if not isinstance(mounting.device, ReferenceConfig):
+        names = ("azimuth_deg", "elevation_deg", "roll_deg")
+    measured_deg = np.rad2deg(angles_from_rotation(residual.measured_dv))
+    for name, measured in zip(names, measured_deg, strict=True):
+        configured = getattr(mounting.device, name)
+        if abs(_wrap_deg(configured - measured)) > np.rad2deg(_TOO_FAR):
+            in_radians = abs(_wrap_deg(np.rad2deg(configured) - measured)) < _LOOKS_LIKE_RADIANS_DEG
+            hint = ": radians for degrees?" if in_radians else ""
+            parameter = f"{mounting.section}.{name}"
+            text = f"parameter '{parameter}' = {configured:g} deg, but {where} say {measured:.2f} deg{hint}"
+            yield True, parameter, text
+
+
+def _wrap_deg(angle_deg: float) -> float:
+    return (angle_deg + 180.0) % 360.0 - 180.0

@@ -1,0 +1,1 @@
+"""Trials in numbers: Monte Carlo runs of the cores, and processes killed at random moments."""

@@ -1,0 +1,203 @@
+"""One kill −9 at a random moment of a recorder or of a node with its black box, and what was left on the disk."""
+
+import os
+import random
+import signal
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.reader import make_reader
+from rclpy.qos import QoSProfile
+from rosbags.rosbag2 import Reader
+from sensor_msgs.msg import Imu
+
+from ship_bags.errors import BadInput
+from ship_bags.live.dds_profile import use_quick_repeats
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.recover import recover, recovered_path
+from ship_bags.stamps import ns_from_stamp
+from ship_bags.times import NS_PER_S
+from ship_msgs.msg import ShipAttitude
+from ship_replay.trials.live_graph import GraphObserver
+from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_replay.trials.live_run import LiveFailure, executable
+
+RATE_HZ = 200.0
+_TOPIC = "ins/imu"
+_ATTITUDE_TOPIC = "ship/attitude"
+_EARLIEST_S = 0.3
+_LATEST_S = 2.5
+_START_S = 30.0
+_WARM_UP_S = 0.1
+_SUITE = "/**/ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n"
+
+
+@dataclass(frozen=True)
+class KillTrial:
+    """What one kill cost.
+
+    A recorder must keep the samples sent to it; a node the attitudes that came out of it, and so what they were made
+    from: samples that still wait in its queue were not used.
+
+    Attributes:
+        killed_after_s: from the first message sent to the kill.
+        sent: messages before the kill that must be kept.
+        kept: of these, the ones on the disk.
+        lost_s: how much of their time is missing, from the first of them that is not on the disk to the last; 0 where
+            all are. A node that stands still before the kill is not charged with that: the middleware holds it up for
+            hundreds of milliseconds, box and all, while a new subscriber is met, and nothing comes out of it then.
+        has_gap: whether a message is missing before one that is there.
+        recovered: messages of all topics in the recovered file, by ``rosbags``.
+        readable: messages of all topics in the killed file, and in the recovered one by the seeking ``mcap`` reader.
+    """
+
+    killed_after_s: float
+    sent: int
+    kept: int
+    lost_s: float
+    has_gap: bool
+    recovered: int
+    readable: tuple[int, int]
+
+    def keeps(self, flush_period_s: float) -> bool:
+        """Whether no more than a flush period is lost and everything left can be read by both readers."""
+        whole = set(self.readable) == {self.recovered} and self.recovered > 0
+        return whole and not self.has_gap and self.lost_s <= flush_period_s
+
+
+def kill_recorder(folder: Path, seed: int, flush_period_s: float) -> KillTrial:
+    """Kill `record`.
+
+    Args:
+        folder: takes logs and bags.
+        seed: of the moment.
+        flush_period_s: of the recorder.
+    """
+    path = folder / f"record_{seed}.mcap"
+    options = ["--topics", _TOPIC, "--flush-period-s", str(flush_period_s)]
+    command = [*executable("ship_bags", "record"), "--out", str(path), *options]
+    return _trial(command, folder, path, seed, None)
+
+
+def kill_node(folder: Path, seed: int) -> KillTrial:
+    """Kill the ship-attitude node, which writes its black box."""
+    path = folder / f"box_{seed}.mcap"
+    suite = folder / "suite.yaml"
+    suite.write_text(_SUITE, encoding="utf-8")
+    # Nothing may be lost on the way: what is missing on the disk must be the box's doing.
+    reliable = ["-p", f"qos_overrides./{_TOPIC}.subscription.reliability:=reliable"]
+    arguments = ["--ros-args", "--params-file", str(suite), "-p", f"black_box:={path}", *reliable]
+    return _trial([*executable("ship_attitude_star", "ship_attitude"), *arguments], folder, path, seed, _ATTITUDE_TOPIC)
+
+
+def _trial(command: Sequence[str], folder: Path, path: Path, seed: int, output_topic: str | None) -> KillTrial:
+    killed_after_s = random.Random(seed).uniform(_EARLIEST_S, _LATEST_S)
+    # A packet that is lost on the way would hold back those after it for seconds: that is not the disk's doing.
+    use_quick_repeats()
+    domain_id = free_domain_id()
+    environment = live_environment(domain_id, folder / "ros")
+    with (
+        GraphObserver(domain_id) as graph,
+        LiveProcess(command, path.with_suffix(".log"), environment) as process,
+    ):
+        sender = _Sender(graph, output_topic)
+        _wait_for_disk(sender, path, process)
+        sender.send(killed_after_s)
+        shared_memory = _shared_memory(process.pid)
+        os.kill(process.pid, signal.SIGKILL)
+        if process.wait(_START_S) != -signal.SIGKILL:
+            raise LiveFailure(f"{command[1]} ended by itself: {process.log()}")
+    for left_over in shared_memory:
+        left_over.unlink(missing_ok=True)
+    with read_bag(path) as bag:
+        records = list(bag.records())
+    topic = output_topic or _TOPIC
+    stamps = {
+        ns_from_stamp(record.decode().header.stamp) for record in records if record.topic.lstrip("/") == topic
+    }
+    due = sender.given_out if output_topic else sender.sent
+    missing = [number for number, (stamp_ns, _) in enumerate(due) if stamp_ns not in stamps]
+    recovered = recover(path, recovered_path(path)).path
+    return KillTrial(
+        killed_after_s=killed_after_s,
+        sent=len(due),
+        kept=len(due) - len(missing),
+        lost_s=due[-1][1] - due[missing[0]][1] + 1.0 / RATE_HZ if missing else 0.0,
+        has_gap=bool(missing) and len(due) - missing[0] > len(missing),
+        recovered=_count_by_rosbags(recovered),
+        readable=(len(records), _count_by_mcap(recovered)),
+    )
+
+
+class _Sender:
+    """Sends INS samples, and listens to what a node makes of them.
+
+    Attributes:
+        sent: stamp in ns and steady time in s of each sample, in order.
+        given_out: the same of each attitude received.
+    """
+
+    def __init__(self, graph: GraphObserver, output_topic: str | None) -> None:
+        self.sent: list[tuple[int, float]] = []
+        self.given_out: list[tuple[int, float]] = []
+        self._graph = graph
+        self._publisher = graph.node.create_publisher(Imu, _TOPIC, QoSProfile(depth=1000))
+        if output_topic is not None:
+            graph.node.create_subscription(ShipAttitude, output_topic, self._receive, QoSProfile(depth=1000))
+        self._message = Imu()
+        self._message.header.frame_id = "ins"
+        self._message.orientation.w = 1.0
+
+    def send(self, duration_s: float) -> None:
+        """Send samples at their rate."""
+        start_s = time.monotonic()
+        due_s = start_s
+        while (now_s := time.monotonic()) - start_s < duration_s:
+            time_ns = time.time_ns()
+            self._message.header.stamp.sec, self._message.header.stamp.nanosec = divmod(time_ns, NS_PER_S)
+            self.sent.append((time_ns, now_s))
+            self._publisher.publish(self._message)
+            due_s += 1.0 / RATE_HZ
+            while (left_s := due_s - time.monotonic()) > 0.0:
+                self._graph.executor.spin_once(timeout_sec=left_s)
+
+    def _receive(self, message: ShipAttitude) -> None:
+        self.given_out.append((ns_from_stamp(message.header.stamp), time.monotonic()))
+
+
+def _shared_memory(pid: int) -> list[Path]:
+    """What a process has in shared memory that nobody takes away after a kill; ports, which others may use, aside."""
+    mapped = {line.split(maxsplit=5)[-1] for line in Path(f"/proc/{pid}/maps").read_text(encoding="utf-8").splitlines()}
+    segments = [path for path in mapped if path.startswith("/dev/shm/fast") and "fastrtps_port" not in path]
+    return [Path(path + suffix) for path in segments for suffix in ("", "_el")]
+
+
+def _wait_for_disk(sender: _Sender, path: Path, process: LiveProcess) -> None:
+    """Send samples until one is on the disk: then both ends of the connection are up."""
+    deadline_s = time.monotonic() + _START_S
+    while not _has_samples(path):
+        if process.exit_code is not None or time.monotonic() > deadline_s:
+            raise LiveFailure(f"{path}: nothing is written: {process.log()}")
+        sender.send(_WARM_UP_S)
+    sender.sent.clear()
+    sender.given_out.clear()
+
+
+def _has_samples(path: Path) -> bool:
+    try:
+        with read_bag(path) as bag:
+            return any(record.topic.lstrip("/") == _TOPIC for record in bag.records())
+    except BadInput:
+        return False
+
+
+def _count_by_rosbags(path: Path) -> int:
+    with Reader(path) as reader:
+        return sum(1 for _ in reader.messages())
+
+
+def _count_by_mcap(path: Path) -> int:
+    with open(path, "rb") as stream:
+        return sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages())

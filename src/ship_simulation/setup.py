@@ -1,0 +1,25 @@
+from setuptools import find_packages, setup
+
+package_name = "ship_simulation"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools", "numpy", "scipy", "PyYAML"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="Ship attitude team",
+    maintainer_email="maintainers@example.org",
+    description="Simulated voyages: scenarios become bags.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "simulate = ship_simulation.simulate_command:main",
+        ],
+    },
+)

@@ -1,0 +1,133 @@
+"""Messages of the devices from the arrays of a run; each function returns a maker of single messages.
+
+A maker takes the sample whose stamp a message bears and the sample whose values it bears: the same, unless a
+fault says otherwise.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ship_bags.message_factory import MessageFactory
+from ship_bags.stamps import make_header
+from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
+from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_simulation.messages.topics import IMU, STAR
+from ship_simulation.scenario.scenario import Ins, StarSensor
+from ship_simulation.ship.attitude_device import DeviceSamples
+from ship_simulation.ship.ins import InsSamples
+
+Maker = Callable[[int, int], Any]
+
+INS_FRAME = "ins"
+
+_STATUS_VALID, _STATUS_ANGLES_SINGULAR = 0, 2
+NOT_GIVEN = np.array([-1.0, *[0.0] * 8])
+"""A covariance that says so."""
+
+
+def star_frame(sensor_id: str) -> str:
+    """frame_id of a star sensor."""
+    return f"star_{sensor_id}"
+
+
+def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Maker:
+    """Maker of ins/imu. The orientation's covariance is that of the INS's total error."""
+    sigma_enu = np.array([config.tilt_sigma_arcsec, config.tilt_sigma_arcsec, config.heading_sigma_arcsec])
+    variance = ARCSEC**2 * (sigma_enu**2 + config.white_sigma_arcsec**2)
+    covariance = np.diag(variance).ravel()
+    # All zero, which says unknown, where the scenario has no noise of the rate.
+    rate_covariance = np.diag(np.full(3, (config.rate_sigma_arcsec_per_s * ARCSEC) ** 2)).ravel()
+    quaternions = quaternion_from_rotation(samples.rotation_nd).tolist()
+    rates = flu_from_device_vector(samples.rate_d).tolist()
+
+    def make(stamp: int, value: int) -> Any:
+        header = make_header(factory, int(samples.time_ns[stamp]), INS_FRAME)
+        return make_imu(factory, header, quaternions[value], covariance, rates[value], rate_covariance)
+
+    return make
+
+
+def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) -> Maker:
+    """Maker of reference/<name>/imu. The orientation's covariance is the white part; it gives no rate."""
+    quaternions = quaternion_from_rotation(samples.rotation_nv).tolist()
+    covariances = enu_covariance(_in_horizon(samples)).reshape(-1, 9)
+
+    def make(stamp: int, value: int) -> Any:
+        header = make_header(factory, int(samples.time_ns[stamp]), name)
+        return make_imu(factory, header, quaternions[value], covariances[value], [0.0, 0.0, 0.0], NOT_GIVEN)
+
+    return make
+
+
+def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, factory: MessageFactory) -> Maker:
+    """Maker of star/<id>/horizon_attitude."""
+    angles = angles_from_rotation(samples.rotation_nv)
+    noise_n = _in_horizon(samples)
+    total_n = noise_n + samples.common_n
+    angle_covariances = angle_covariance(total_n, angles[:, 0], angles[:, 1]).reshape(-1, 9)
+    rotation_covariances = enu_covariance(total_n).reshape(-1, 9)
+    noise_covariances = enu_covariance(noise_n).reshape(-1, 9)
+    # The solution's error across the boresight is that of one star over the root of their number.
+    residual_rms = ARCSEC * np.hypot(config.sigma_up_arcsec, config.sigma_right_arcsec) * np.sqrt(config.star_count)
+
+    def make(stamp: int, value: int) -> Any:
+        azimuth, elevation, roll = angles[value].tolist()
+        singular = abs(elevation) > SINGULAR_ELEVATION
+        return factory.make(
+            STAR,
+            header=make_header(factory, int(samples.time_ns[stamp]), star_frame(sensor_id)),
+            sensor_id=sensor_id,
+            azimuth=azimuth,
+            elevation=elevation,
+            roll=roll,
+            covariance=angle_covariances[value],
+            rotation_covariance=rotation_covariances[value],
+            noise_covariance=noise_covariances[value],
+            star_count=config.star_count,
+            rejected_count=0,
+            residual_rms=float(residual_rms),
+            status=_STATUS_ANGLES_SINGULAR if singular else _STATUS_VALID,
+        )
+
+    return make
+
+
+def _in_horizon(samples: DeviceSamples) -> FloatArray:
+    """White covariance about the horizon's axes, turned by the measured attitude, shape (n, 3, 3)."""
+    return samples.rotation_nv @ samples.noise_v @ np.swapaxes(samples.rotation_nv, -1, -2)
+
+
+def make_imu(
+    factory: MessageFactory,
+    header: Any,
+    quaternion: list[float],
+    covariance: np.ndarray,
+    rate: list[float],
+    rate_covariance: np.ndarray,
+) -> Any:
+    """A sensor_msgs/Imu that measures no acceleration."""
+    return factory.make(
+        IMU,
+        header=header,
+        orientation=make_quaternion(factory, quaternion),
+        orientation_covariance=covariance,
+        angular_velocity=make_vector(factory, rate),
+        angular_velocity_covariance=rate_covariance,
+        linear_acceleration=make_vector(factory, [0.0, 0.0, 0.0]),
+        linear_acceleration_covariance=NOT_GIVEN,
+    )
+
+
+def make_quaternion(factory: MessageFactory, xyzw: list[float]) -> Any:
+    """A geometry_msgs/Quaternion."""
+    x, y, z, w = xyzw
+    return factory.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def make_vector(factory: MessageFactory, xyz: list[float]) -> Any:
+    """A geometry_msgs/Vector3."""
+    x, y, z = xyz
+    return factory.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)

@@ -1,0 +1,92 @@
+"""A simulated run as messages in the order of their arrival, with the faults of the scenario."""
+
+import heapq
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ship_bags.message_factory import MessageFactory
+from ship_simulation.faults.faults import deliver, spoil
+from ship_simulation.messages.device_messages import Maker, ins_maker, reference_maker, star_maker
+from ship_simulation.messages.environment_messages import fix_maker, weather_makers
+from ship_simulation.messages.ship_attitude_messages import fused_maker
+from ship_simulation.messages.star_messages import inertial_maker, observations_maker
+from ship_simulation.messages.theodolite_messages import theodolite_sources
+from ship_simulation.messages.theodolite_truth_messages import true_calibrations, true_pointings
+from ship_simulation.messages.topics import FUSED_TOPIC, simulated_topics
+from ship_simulation.messages.truth_messages import truth_alignments, truth_attitudes
+from ship_simulation.run import SimulatedRun
+from ship_simulation.ship.inertial_device import InertialSamples
+from ship_simulation.stars.star_sightings import StarSightings
+
+TRUTH_ATTITUDE, TRUTH_ALIGNMENT = "truth/attitude", "truth/alignment"
+TRUTH_POINTING, TRUTH_CALIBRATION = "truth/pointing", "truth/calibration"
+
+LogEntry = tuple[str, Any, int]
+"""(topic, message, log time in ns)."""
+
+
+def messages(run: SimulatedRun, factory: MessageFactory) -> Iterator[LogEntry]:
+    """All messages of a run in order of log time; the truth is logged at its stamps."""
+    types = simulated_topics(run.scenario)
+    streams = [
+        _logged_at_stamp(TRUTH_ALIGNMENT, truth_alignments(run, factory)),
+        _logged_at_stamp(TRUTH_ATTITUDE, truth_attitudes(run, factory)),
+    ]
+    if run.theodolite is not None:
+        calibrations = true_calibrations(run.theodolite, run.start_ns, factory)
+        streams.append(_logged_at_stamp(TRUTH_CALIBRATION, calibrations))
+        streams.append(_logged_at_stamp(TRUTH_POINTING, true_pointings(run.theodolite, factory)))
+    for topic, (time_ns, log_time_ns, maker) in _sources(run, factory).items():
+        streams.append(_delivered(run, topic, types[topic], time_ns, log_time_ns, maker))
+    return heapq.merge(*streams, key=lambda entry: entry[2])
+
+
+def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.ndarray, np.ndarray, Maker]]:
+    """Topic → stamps, log times and maker of messages."""
+    scenario = run.scenario
+    sources = {"ins/imu": (run.ins.time_ns, run.ins.log_time_ns, ins_maker(run.ins, scenario.ins, factory))}
+    for key, stars in run.stars.items():
+        config = scenario.star_sensors[key]
+        if isinstance(stars, StarSightings):
+            maker = observations_maker(key, stars, config, factory)
+        elif isinstance(stars, InertialSamples):
+            maker = inertial_maker(key, stars, factory)
+        else:
+            maker = star_maker(key, stars, config, factory)
+        sources[f"star/{key}/{config.output}"] = stars.time_ns, stars.log_time_ns, maker
+    for key, samples in run.references.items():
+        maker = reference_maker(key, samples, factory)
+        sources[f"reference/{key}/imu"] = samples.time_ns, samples.log_time_ns, maker
+    sources["gnss/fix"] = run.fixes.time_ns, run.fixes.log_time_ns, fix_maker(run.fixes, factory)
+    for topic, maker in weather_makers(run.weather_ns, scenario.weather, factory).items():
+        sources[topic] = run.weather_ns, run.weather_ns, maker
+    if run.fused is not None:
+        sources[FUSED_TOPIC] = run.fused.time_ns, run.fused.log_time_ns, fused_maker(run.fused, factory)
+    if run.theodolite is not None:
+        sources |= theodolite_sources(run.theodolite, scenario.theodolite.telescope.exposure_s, factory)
+    return sources
+
+
+def _logged_at_stamp(topic: str, stamped: Iterator[tuple[int, Any]]) -> Iterator[LogEntry]:
+    for time_ns, message in stamped:
+        yield topic, message, time_ns
+
+
+def _delivered(
+    run: SimulatedRun, topic: str, type_name: str, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
+) -> Iterator[LogEntry]:
+    faults = [fault for _, fault in sorted(run.scenario.faults.items()) if fault.topic == topic]
+    deliveries = deliver(time_ns, log_time_ns, faults, run.start_ns)
+    for stamp, value, log, spoilt_by in zip(
+        deliveries.stamp_index.tolist(),
+        deliveries.value_index.tolist(),
+        deliveries.log_time_ns.tolist(),
+        deliveries.spoilt_by.tolist(),
+        strict=True,
+    ):
+        message = maker(stamp, value)
+        if spoilt_by:
+            spoil(message, type_name, [fault for bit, fault in enumerate(faults) if spoilt_by >> bit & 1])
+        yield topic, message, log

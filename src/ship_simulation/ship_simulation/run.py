@@ -1,0 +1,187 @@
+"""One simulated voyage as arrays: what the devices say, when it arrives, and the truth. No ROS, no files."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+from ship_simulation.draws.noise import SECOND_NS, stamps
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.start_time import start_of
+from ship_simulation.ship.attitude_device import (
+    DeviceSamples,
+    DeviceTruth,
+    motion_of_star_sensor,
+    simulate_reference,
+    simulate_star_sensor,
+)
+from ship_simulation.ship.carriers import carrier_of
+from ship_simulation.ship.fused_attitude import FusedSamples, simulate_fused_attitude
+from ship_simulation.ship.inertial_device import InertialSamples, simulate_inertial_sensor
+from ship_simulation.ship.ins import InsSamples, InsTruth, simulate_ins
+from ship_simulation.ship.motion import Carrier
+from ship_simulation.ship.ship_track import FixSamples, ShipTrack, simulate_fixes
+from ship_simulation.ship.truth_grid import truth_index
+from ship_simulation.stars.sky import TrueSky, draw_sky
+from ship_simulation.stars.star_sightings import SightingsTruth, StarSightings, simulate_sightings
+from ship_simulation.theodolite.run import TheodoliteRun, simulate_theodolite
+
+SKY_SOURCES = ("fix", "pressure", "temperature", "humidity")
+"""What arrives besides measurements where a star sensor looks at the real sky."""
+
+StarSamples = DeviceSamples | StarSightings | InertialSamples
+"""Horizon attitudes, single stars, or attitudes among the stars."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the devices should have said.
+
+    Attributes:
+        ins_index: the samples of the INS at whose stamps the true attitude is given: each first one of a tenth of
+            a second, and the last, shape (m,).
+        rotation_nd: true attitude at those stamps, shape (m, 3, 3).
+        rate_d: true angular velocity there, rad/s, shape (m, 3).
+        ins: errors of the INS.
+        stars: mounting and timing of each star sensor.
+        sightings: what the stars are, of each sensor that gives single stars.
+        references: mounting and timing of each other attitude system.
+        track: where the ship is.
+        sky: the sky over it; None where no sensor looks at it.
+    """
+
+    ins_index: np.ndarray
+    rotation_nd: FloatArray
+    rate_d: FloatArray
+    ins: InsTruth
+    stars: dict[str, DeviceTruth]
+    sightings: dict[str, SightingsTruth]
+    references: dict[str, DeviceTruth]
+    track: ShipTrack
+    sky: TrueSky | None
+
+
+@dataclass(frozen=True)
+class SimulatedRun:
+    """A scenario with one draw of its random parts.
+
+    The weather station says at the stamps ``weather_ns``, shape (n,), what the scenario's ``weather`` says.
+    ``fused`` and ``theodolite`` are None where the scenario has none.
+    """
+
+    scenario: Scenario
+    seed: int
+    start_ns: int
+    ins: InsSamples
+    stars: dict[str, StarSamples]
+    references: dict[str, DeviceSamples]
+    fixes: FixSamples
+    weather_ns: np.ndarray
+    fused: FusedSamples | None
+    theodolite: TheodoliteRun | None
+    truth: Truth
+
+    def arrivals(self) -> list[tuple[int, str, int]]:
+        """(log time, source, index of the sample) of what ``ship_attitude`` is for, in order of arrival.
+
+        A source is ``ins``, ``star.<id>`` or ``reference.<name>``, or, where a star sensor looks at the real sky, one
+        of SKY_SOURCES. What arrives at the same nanosecond comes in this order, then by stamp.
+        """
+        sources = {"ins": self.ins.log_time_ns}
+        sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.stars.items()}
+        sources |= {f"reference.{key}": samples.log_time_ns for key, samples in self.references.items()}
+        if self.scenario.needs_sky:
+            fix, *weather = SKY_SOURCES
+            sources |= {fix: self.fixes.log_time_ns, **dict.fromkeys(weather, self.weather_ns)}
+        return _in_order(sources)
+
+    def pointing_arrivals(self) -> list[tuple[int, str, int]]:
+        """The same of what ``optical_axis`` is for.
+
+        A source is ``ins``, ``fused``, ``encoder``, ``drone.<id>``, ``baseline.<id>`` or ``image``.
+        """
+        sources = {"ins": self.ins.log_time_ns}
+        if self.fused is not None:
+            sources["fused"] = self.fused.log_time_ns
+        if self.theodolite is not None:
+            sources["encoder"] = self.theodolite.encoder.log_time_ns
+            sources |= {f"drone.{key}": samples.log_time_ns for key, samples in self.theodolite.drones.items()}
+            sources |= {f"baseline.{key}": samples.log_time_ns for key, samples in self.theodolite.baselines.items()}
+            sources["image"] = self.theodolite.images.log_time_ns
+        return _in_order(sources)
+
+
+def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
+    """Draw a voyage. The same scenario and seed give the same numbers.
+
+    Each random component has its own stream, named after it, so a further sensor changes nothing in the others.
+
+    Raises:
+        BadInput: the recorded motion cannot be used, or the theodolite cannot look where it should.
+    """
+    start_ns = start_of(scenario.start_utc)
+    carrier = carrier_of(scenario.carrier, seed)
+    ins, ins_truth = simulate_ins(scenario, carrier, start_ns, seed)
+    track = ShipTrack(scenario.position, start_ns)
+    sky = draw_sky(scenario, track, seed) if scenario.needs_sky else None
+    stars, star_truth, sightings_truth = _simulate_stars(scenario, carrier, sky, start_ns, seed)
+    references = {
+        key: simulate_reference(key, scenario, carrier, ins_truth.time_offset_s, start_ns, seed)
+        for key in scenario.references
+    }
+    index = truth_index(ins.time_ns, start_ns)
+    since_start_s = (ins.time_ns[index] - start_ns) / SECOND_NS
+    truth = Truth(
+        ins_index=index,
+        rotation_nd=carrier.attitude(since_start_s),
+        rate_d=carrier.body_rate(since_start_s),
+        ins=ins_truth,
+        stars=star_truth,
+        sightings=sightings_truth,
+        references={key: device_truth for key, (_, device_truth) in references.items()},
+        track=track,
+        sky=sky,
+    )
+    return SimulatedRun(
+        scenario=scenario,
+        seed=seed,
+        start_ns=start_ns,
+        ins=ins,
+        stars=stars,
+        references={key: samples for key, (samples, _) in references.items()},
+        fixes=simulate_fixes(scenario, track, seed),
+        weather_ns=stamps(start_ns, scenario.weather.rate_hz, 0.0, scenario.duration_s),
+        fused=simulate_fused_attitude(scenario, carrier, start_ns, seed) if scenario.fused_attitude.written else None,
+        theodolite=simulate_theodolite(scenario, carrier, start_ns, seed) if scenario.theodolite.aboard else None,
+        truth=truth,
+    )
+
+
+def _in_order(sources: dict[str, np.ndarray]) -> list[tuple[int, str, int]]:
+    """(log time, source, index) of all samples; ties in the order of the sources, then of the stamps."""
+    arrivals = [
+        (int(log_time_ns), source, index)
+        for source, log_times_ns in sources.items()
+        for index, log_time_ns in enumerate(log_times_ns)
+    ]
+    # A stable sort keeps that order.
+    return sorted(arrivals, key=lambda arrival: arrival[0])
+
+
+def _simulate_stars(
+    scenario: Scenario, carrier: Carrier, sky: TrueSky | None, start_ns: int, seed: int
+) -> tuple[dict[str, StarSamples], dict[str, DeviceTruth], dict[str, SightingsTruth]]:
+    """Samples of each star sensor, their mounting, and what the single stars are."""
+    samples: dict[str, StarSamples] = {}
+    mounted: dict[str, DeviceTruth] = {}
+    sightings: dict[str, SightingsTruth] = {}
+    for key, config in scenario.star_sensors.items():
+        motion = motion_of_star_sensor(key, scenario, carrier, start_ns, seed)
+        mounted[key] = motion.truth
+        if sky is None or config.output == "horizon_attitude":
+            samples[key] = simulate_star_sensor(key, scenario, motion, seed)
+        elif config.output == "observations":
+            samples[key], sightings[key] = simulate_sightings(key, scenario, motion, sky, seed)
+        else:
+            samples[key] = simulate_inertial_sensor(key, scenario, motion, sky, seed)
+    return samples, mounted, sightings

@@ -1,0 +1,151 @@
+"""The part of a scenario file that describes the theodolite. Vectors of devices are (forward, up, right)."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from ship_estimation.parameters import parameter, section
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
+from ship_simulation.scenario.scenario_units import ANGLE, CORRELATION, DELAY, MOMENT, RATE, SIGMA
+
+_AXIS_ERROR: dict[str, Any] = {"unit": "arcsec", "minimum": -3600.0, "maximum": 3600.0}
+_AXIS_SIGMA: dict[str, Any] = {"unit": "arcsec", "minimum": 0.0, "maximum": 3600.0}
+_PARALLELISM: dict[str, Any] = {"unit": "arcsec", "minimum": -36_000.0, "maximum": 36_000.0}
+_METRES: dict[str, Any] = {"unit": "m", "minimum": -200.0, "maximum": 200.0}
+_SMALL_METRES: dict[str, Any] = {"unit": "m", "minimum": 0.0, "maximum": 10.0}
+
+
+@dataclass(frozen=True)
+class Lever:
+    """A surveyed vector in the axes of the device that carries it."""
+
+    forward_m: float = parameter(0.0, doc="surveyed component along forward (bow)", **_METRES)
+    up_m: float = parameter(0.0, doc="surveyed component along up", **_METRES)
+    right_m: float = parameter(0.0, doc="surveyed component along right (starboard)", **_METRES)
+    sigma_m: float = parameter(0.0, doc="error of the survey, each axis", **_SMALL_METRES)
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """The encoders of the two axes."""
+
+    rate_hz: float = parameter(100.0, doc="readings per second", **RATE)
+    phase_s: float = parameter(0.0, doc="first reading after the start", **MOMENT)
+    latency_s: float = parameter(0.002, doc="from stamp to arrival", **DELAY)
+    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
+    sigma_arcsec: float = parameter(1.0, doc="noise of a reading, each axis", **SIGMA)
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Axis errors: what is known of each, and how far the true one may be from that."""
+
+    spread: str = parameter("normal", doc="distribution of that, sigma the same", choices=("normal", "uniform"))
+    g_arcsec: float = parameter(0.0, doc="zero point of the azimuth encoder as known", **_AXIS_ERROR)
+    g_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    h_arcsec: float = parameter(0.0, doc="zero point of the elevation encoder as known", **_AXIS_ERROR)
+    h_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    c_arcsec: float = parameter(0.0, doc="collimation as known, to the left", **_AXIS_ERROR)
+    c_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    I_arcsec: float = parameter(0.0, doc="tilt of the horizontal axis as known, right end up", **_AXIS_ERROR)
+    I_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    beta_x_arcsec: float = parameter(0.0, doc="tilt of the vertical axis to the bow as known", **_AXIS_ERROR)
+    beta_x_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    beta_y_arcsec: float = parameter(0.0, doc="tilt of the vertical axis to starboard as known", **_AXIS_ERROR)
+    beta_y_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    flexure_arcsec: float = parameter(0.0, doc="bending of the tube as known, up at elevation 0", **_AXIS_ERROR)
+    flexure_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+
+
+@dataclass(frozen=True)
+class Deformation:
+    """How the hull turns between INS and theodolite: Gauss–Markov about bow, up and starboard."""
+
+    sigma_arcsec: float = parameter(20.0, doc="each axis", **SIGMA)
+    time_s: float = parameter(600.0, doc="correlation time", unit="s", minimum=1.0, maximum=1e7)
+
+
+@dataclass(frozen=True)
+class Telescope:
+    """The calibration telescope, its detector, and how parallel it is to the main axis."""
+
+    rate_hz: float = parameter(10.0, doc="exposures per second", **RATE)
+    phase_s: float = parameter(0.0, doc="middle of the first exposure after the start", **MOMENT)
+    latency_s: float = parameter(0.05, doc="from stamp (middle of the exposure) to arrival", **DELAY)
+    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
+    exposure_s: float = parameter(
+        0.0,
+        doc="length of an exposure: lights are streaks, with the mean of their way as point; 0: points, and not told",
+        unit="s",
+        minimum=0.0,
+        maximum=LONGEST_EXPOSURE_S,
+    )
+    focal_length_m: float = parameter(0.1, doc="as known", unit="m", minimum=0.01, maximum=10.0)
+    focal_length_sigma_m: float = parameter(0.0001, doc="its error", unit="m", minimum=0.0, maximum=0.1)
+    principal_x_m: float = parameter(
+        0.0, doc="detector point of the axis, along right", unit="m", minimum=-0.1, maximum=0.1
+    )
+    principal_z_m: float = parameter(
+        0.0, doc="detector point of the axis, along up", unit="m", minimum=-0.1, maximum=0.1
+    )
+    width_m: float = parameter(0.014, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
+    height_m: float = parameter(0.014, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
+    sigma_m: float = parameter(6.5e-7, doc="noise of an image point, each axis", unit="m", minimum=1e-9, maximum=0.001)
+    psf_sigma_m: float = parameter(
+        5.2e-6, doc="spread of the image of a light at rest, each axis", unit="m", minimum=1e-7, maximum=0.001
+    )
+    azimuth_arcsec: float = parameter(0.0, doc="of the main axis in the telescope, as known", **_PARALLELISM)
+    azimuth_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    elevation_arcsec: float = parameter(0.0, doc="of the main axis in the telescope, as known", **_PARALLELISM)
+    elevation_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    rotation_arcsec: float = parameter(0.0, doc="of the main image in the telescope, as known", **_PARALLELISM)
+    rotation_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    lens: Lever = section(Lever)
+
+
+@dataclass(frozen=True)
+class Programme:
+    """Where the main axis looks: a steady sweep in azimuth, up and down in elevation; over the ship's motion."""
+
+    azimuth_deg: float = parameter(0.0, doc="at the start, from North", **ANGLE)
+    azimuth_rate_deg_per_s: float = parameter(1.2, doc="of the sweep", unit="deg/s", minimum=-60.0, maximum=60.0)
+    least_elevation_deg: float = parameter(10.0, doc="at the start", unit="deg", minimum=-10.0, maximum=85.0)
+    greatest_elevation_deg: float = parameter(
+        70.0, doc="after half a period", unit="deg", minimum=-10.0, maximum=85.0
+    )
+    elevation_period_s: float = parameter(110.0, doc="from least to least", unit="s", minimum=1.0, maximum=1e6)
+    follows_lights: bool = parameter(
+        False, doc="looks at the middle of the lights, and sweeps from there when all have left"
+    )
+
+
+@dataclass(frozen=True)
+class Air:
+    """The coefficient k of terrestrial refraction on the way to the lights: Gauss–Markov about what is known."""
+
+    coefficient: float = parameter(0.13, doc="k as known", minimum=-5.0, maximum=5.0)
+    sigma: float = parameter(0.0, doc="error of k, the same for all lights", minimum=0.0, maximum=5.0)
+    light_sigma: float = parameter(0.0, doc="further error of k at each light", minimum=0.0, maximum=5.0)
+    time_s: float = parameter(3600.0, doc="correlation time of both", **CORRELATION)
+
+
+@dataclass(frozen=True)
+class ShipAntenna:
+    """The antenna aboard from which all baselines begin: its error is in all of them."""
+
+    sigma_m: float = parameter(0.0, doc="slow error, each axis", **_SMALL_METRES)
+    time_s: float = parameter(300.0, doc="its correlation time", **CORRELATION)
+
+
+@dataclass(frozen=True)
+class Theodolite:
+    """The theodolite, where it stands, and what it is used with."""
+
+    aboard: bool = parameter(False, doc="whether there is one")
+    encoder: Encoder = section(Encoder)
+    axes: Axes = section(Axes)
+    deformation: Deformation = section(Deformation)
+    lever: Lever = section(Lever)
+    telescope: Telescope = section(Telescope)
+    programme: Programme = section(Programme)
+    air: Air = section(Air)
+    ship_antenna: ShipAntenna = section(ShipAntenna)

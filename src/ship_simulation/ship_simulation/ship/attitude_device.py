@@ -1,0 +1,191 @@
+"""Devices bolted to the ship that measure their own attitude: star sensors, other attitude systems."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from ship_simulation.draws.noise import SECOND_NS, arrival_times, gauss_markov, random_stream, stamps
+from ship_simulation.draws.streaks import ExposureTimes, exposure_times
+from ship_simulation.scenario.scenario import Outage, Reference, Scenario, StarSensor
+from ship_simulation.ship.motion import Carrier
+
+
+@dataclass(frozen=True)
+class DeviceSamples:
+    """What a device says.
+
+    Attributes:
+        time_ns: stamps, increasing, shape (n,).
+        log_time_ns: moments of arrival, in any order, shape (n,).
+        rotation_nv: horizon from device (forward, up, right) as measured, shape (n, 3, 3).
+        noise_v: covariance of what is independent from sample to sample, in the device frame, rad², shape (3, 3).
+        common_n: covariance of what the samples share, about the horizon's axes, rad², shape (3, 3).
+    """
+
+    time_ns: np.ndarray
+    log_time_ns: np.ndarray
+    rotation_nv: FloatArray
+    noise_v: FloatArray
+    common_n: FloatArray
+
+
+@dataclass(frozen=True)
+class DeviceTruth:
+    """How a device is really mounted and timed.
+
+    Attributes:
+        installation_error_v: rotation vector m in the device frame, rad, shape (3,).
+        rotation_dv: deck from device, its installation error included, shape (3, 3).
+        time_offset_s: of a star sensor: a sample is valid at its stamp plus this; of a reference: its stamp minus
+            the INS's for the same attitude.
+    """
+
+    installation_error_v: FloatArray
+    rotation_dv: FloatArray
+    time_offset_s: float
+
+
+@dataclass(frozen=True)
+class MountedMotion:
+    """A star sensor's exposures, and how it really stands at each.
+
+    Attributes:
+        time_ns: stamps, shape (n,).
+        since_start_s: the same in seconds after the start, shape (n,).
+        valid_ns: the moments that they belong to: the stamps plus the sensor's time offset, shape (n,).
+        rotation_nv: horizon from sensor, shape (n, 3, 3).
+        times: moments of each exposure.
+        passing_nv: the same at these, shape (m, n, 3, 3).
+        truth: mounting and time offset.
+    """
+
+    time_ns: np.ndarray
+    since_start_s: FloatArray
+    valid_ns: np.ndarray
+    rotation_nv: FloatArray
+    times: ExposureTimes
+    passing_nv: FloatArray
+    truth: DeviceTruth
+
+
+def motion_of_star_sensor(
+    sensor_id: str, scenario: Scenario, carrier: Carrier, start_ns: int, seed: int
+) -> MountedMotion:
+    """Where a star sensor looks: R_star(t) = exp(c) R_true(t + offset) exp(f) R0 exp(m)."""
+    config, name = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
+    nominal_dv = rotation_from_angles(*np.deg2rad([config.azimuth_deg, config.elevation_deg, config.roll_deg]))
+    sigma_installation = [
+        config.installation_sigma_forward_arcsec,
+        config.installation_sigma_up_arcsec,
+        config.installation_sigma_right_arcsec,
+    ]
+    truth = _draw_truth(name, seed, nominal_dv, sigma_installation, config)
+    time_ns = stamps(start_ns, config.rate_hz, config.phase_s, scenario.duration_s)
+    since_start_s = (time_ns - start_ns) / SECOND_NS
+    flexure_d = _slow_error(
+        name + ".flexure", seed, time_ns.size, config.rate_hz, config.flexure_sigma_arcsec, config.flexure_time_s
+    )
+    common_n = _slow_error(
+        name + ".common", seed, time_ns.size, config.rate_hz, config.common_sigma_arcsec, config.common_time_s
+    )
+    valid_s = since_start_s + truth.time_offset_s
+    times = exposure_times(config.exposure_s)
+
+    def rotation_nv(true_nd: FloatArray) -> FloatArray:
+        return exp_rotation(common_n) @ true_nd @ exp_rotation(flexure_d) @ truth.rotation_dv
+
+    middle_nv = rotation_nv(carrier.attitude(valid_s))
+    moves = config.exposure_s > 0.0
+    return MountedMotion(
+        time_ns=time_ns,
+        since_start_s=since_start_s,
+        valid_ns=time_ns + round(truth.time_offset_s * SECOND_NS),
+        rotation_nv=middle_nv,
+        times=times,
+        passing_nv=rotation_nv(carrier.attitude(valid_s + times.since_middle_s[:, None])) if moves else middle_nv[None],
+        truth=truth,
+    )
+
+
+def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: MountedMotion, seed: int) -> DeviceSamples:
+    """Horizon attitudes by R_star(t) exp(n)."""
+    config = scenario.star_sensors[sensor_id]
+    common_sigma = config.common_sigma_arcsec * ARCSEC
+    samples = _samples(
+        f"star.{sensor_id}", seed, motion.time_ns, motion.rotation_nv, sigma_of_attitudes(config), common_sigma, config
+    )
+    return _kept(samples, outside(motion.since_start_s, config.outages))
+
+
+def sigma_of_attitudes(config: StarSensor) -> FloatArray:
+    """White noise of a sensor that gives attitudes, about its axes (forward, up, right), rad, shape (3,)."""
+    return ARCSEC * np.array([config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec])
+
+
+def simulate_reference(
+    name: str, scenario: Scenario, carrier: Carrier, ins_time_offset_s: float, start_ns: int, seed: int
+) -> tuple[DeviceSamples, DeviceTruth]:
+    """Samples by R_ref(t) = R_true(t - offset + tau) C exp(n), C the turn from INS axes to the reference's."""
+    config = scenario.references[name]
+    nominal_dv = rotation_from_angles(*np.deg2rad([config.heading_deg, config.pitch_deg, config.roll_deg]))
+    truth = _draw_truth(f"reference.{name}", seed, nominal_dv, [config.installation_sigma_arcsec] * 3, config)
+    sigma_v = ARCSEC * np.array([config.sigma_roll_arcsec, config.sigma_heading_arcsec, config.sigma_pitch_arcsec])
+    time_ns = stamps(start_ns, config.rate_hz, config.phase_s, scenario.duration_s)
+    valid_s = (time_ns - start_ns) / SECOND_NS - truth.time_offset_s + ins_time_offset_s
+    clean_nv = carrier.attitude(valid_s) @ truth.rotation_dv
+    return _samples(f"reference.{name}", seed, time_ns, clean_nv, sigma_v, 0.0, config), truth
+
+
+def _draw_truth(
+    name: str, seed: int, nominal_dv: FloatArray, sigma_arcsec: list[float], config: StarSensor | Reference
+) -> DeviceTruth:
+    error_v = ARCSEC * np.array(sigma_arcsec) * random_stream(seed, name + ".installation").standard_normal(3)
+    offset = random_stream(seed, name + ".time_offset").standard_normal()
+    return DeviceTruth(
+        installation_error_v=error_v,
+        rotation_dv=nominal_dv @ exp_rotation(error_v),
+        time_offset_s=config.time_offset_s + config.time_offset_sigma_s * offset,
+    )
+
+
+def _slow_error(name: str, seed: int, count: int, rate_hz: float, sigma_arcsec: float, time_s: float) -> FloatArray:
+    """A Gauss–Markov rotation vector with equal axes, rad, shape (count, 3)."""
+    sigma = np.full(3, sigma_arcsec * ARCSEC)
+    return gauss_markov(random_stream(seed, name), count, 1.0 / rate_hz, sigma, np.full(3, time_s))
+
+
+def _samples(
+    name: str,
+    seed: int,
+    time_ns: np.ndarray,
+    clean_nv: FloatArray,
+    sigma_v: FloatArray,
+    common_sigma: float,
+    config: StarSensor | Reference,
+) -> DeviceSamples:
+    """Samples of an attitude that lacks only the white noise."""
+    noise_v = sigma_v * random_stream(seed, name + ".white").standard_normal((time_ns.size, 3))
+    arrival = random_stream(seed, name + ".arrival")
+    return DeviceSamples(
+        time_ns=time_ns,
+        log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),
+        rotation_nv=clean_nv @ exp_rotation(noise_v),
+        noise_v=np.diag(sigma_v**2),
+        common_n=common_sigma**2 * np.eye(3),
+    )
+
+
+def outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray:
+    """True where a moment lies in no outage, shape (n,)."""
+    keep = np.ones(since_start_s.size, dtype=bool)
+    for outage in outages.values():
+        keep &= (since_start_s < outage.start_s) | (since_start_s >= outage.end_s)
+    return keep
+
+
+def _kept(samples: DeviceSamples, keep: np.ndarray) -> DeviceSamples:
+    return DeviceSamples(
+        samples.time_ns[keep], samples.log_time_ns[keep], samples.rotation_nv[keep], samples.noise_v, samples.common_n
+    )

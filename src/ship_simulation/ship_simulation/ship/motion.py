@@ -1,0 +1,166 @@
+"""Carriers: the true attitude and angular rate of the ship at any moment.
+
+A carrier is exact: its rate is the derivative of its attitude, analytically.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from ship_bags.errors import BadInput
+from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
+from ship_geometry.rotations import FloatArray
+
+# Rows of the table of wave components made at one time: bounds the memory of long runs.
+_ROWS_AT_ONCE = 4096
+
+
+class Carrier(Protocol):
+    """The motion of the ship; moments in seconds after the start, of any shape (...)."""
+
+    def attitude(self, t_s: FloatArray) -> FloatArray:
+        """Horizon from deck, shape (..., 3, 3)."""
+
+    def body_rate(self, t_s: FloatArray) -> FloatArray:
+        """Angular velocity in the deck frame (bow, up, starboard), rad/s, shape (..., 3)."""
+
+
+@dataclass(frozen=True)
+class SteadyTurn:
+    """A change of heading whose rate rises linearly, stays, and falls linearly.
+
+    Attributes:
+        start_s: when it begins.
+        angle: total change, rad, clockwise positive.
+        rate: greatest rate, rad/s, positive.
+        ramp_s: length of the rise and of the fall.
+    """
+
+    start_s: float
+    angle: float
+    rate: float
+    ramp_s: float
+
+    def heading(self, t_s: FloatArray) -> FloatArray:
+        """Change of heading up to ``t_s``, rad."""
+        return self._sum_over_corners(0.5 * self._since_corners(t_s) ** 2)
+
+    def heading_rate(self, t_s: FloatArray) -> FloatArray:
+        """Its derivative, rad/s."""
+        return self._sum_over_corners(self._since_corners(t_s))
+
+    def _since_corners(self, t_s: FloatArray) -> FloatArray:
+        """Time since each corner of the rate, zero before it, shape (..., 4)."""
+        steady_s = abs(self.angle) / self.rate
+        corners = self.start_s + np.array([0.0, self.ramp_s, steady_s, steady_s + self.ramp_s])
+        return np.maximum(np.asarray(t_s, dtype=float)[..., None] - corners, 0.0)
+
+    def _sum_over_corners(self, terms: FloatArray) -> FloatArray:
+        # The rate's slope changes by +-slope at each corner.
+        slope = np.sign(self.angle) * self.rate / self.ramp_s
+        return slope * (terms @ np.array([1.0, -1.0, -1.0, 1.0]))
+
+
+class HarmonicMotion:
+    """Heading, pitch and roll as sums of sinusoids about means, and turns.
+
+    Args:
+        mean: (heading, pitch, roll), rad, shape (3,).
+        angular_frequency: of each component, rad/s, shape (n,).
+        phasor: complex amplitude of each component in each angle, rad, shape (n, 3):
+            the angle is Re(phasor * exp(i w t)).
+        turns: changes of heading.
+    """
+
+    def __init__(
+        self,
+        mean: FloatArray,
+        angular_frequency: FloatArray,
+        phasor: np.ndarray,
+        turns: Sequence[SteadyTurn] = (),
+    ) -> None:
+        self.mean = np.asarray(mean, dtype=float)
+        self.angular_frequency = np.asarray(angular_frequency, dtype=float)
+        self.phasor = np.asarray(phasor, dtype=complex).reshape(self.angular_frequency.size, 3)
+        self.turns = tuple(turns)
+
+    def attitude(self, t_s: FloatArray) -> FloatArray:
+        """See :class:`Carrier`."""
+        angles = self.angles(t_s)
+        return rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
+
+    def body_rate(self, t_s: FloatArray) -> FloatArray:
+        """See :class:`Carrier`."""
+        # Both sums in one pass: the sines are what costs.
+        rate_phasor = 1j * self.angular_frequency[:, None] * self.phasor
+        both = self._harmonics(t_s, np.hstack([self.phasor, rate_phasor]))
+        angles, rates = self.mean + both[..., :3], both[..., 3:]
+        for turn in self.turns:
+            angles[..., 0] += turn.heading(t_s)
+            rates[..., 0] += turn.heading_rate(t_s)
+        rate_n = rotation_vector_from_angle_errors(angles[..., 0], angles[..., 1]) @ rates[..., None]
+        rotation_nd = rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
+        return (np.swapaxes(rotation_nd, -1, -2) @ rate_n)[..., 0]
+
+    def angles(self, t_s: FloatArray) -> FloatArray:
+        """Heading, pitch, roll, rad, shape (..., 3)."""
+        angles = self.mean + self._harmonics(t_s, self.phasor)
+        for turn in self.turns:
+            angles[..., 0] += turn.heading(t_s)
+        return angles
+
+    def _harmonics(self, t_s: FloatArray, phasor: np.ndarray) -> FloatArray:
+        """Real part of the sum of phasor (n, k) * exp(i w t) over the components, shape (..., k)."""
+        t_s = np.asarray(t_s, dtype=float)
+        flat = t_s.reshape(-1, 1)
+        summed = np.empty((flat.shape[0], phasor.shape[1]))
+        for first in range(0, flat.shape[0], _ROWS_AT_ONCE):
+            rows = slice(first, first + _ROWS_AT_ONCE)
+            angle = flat[rows] * self.angular_frequency
+            summed[rows] = np.cos(angle) @ phasor.real - np.sin(angle) @ phasor.imag
+        return summed.reshape(*t_s.shape, phasor.shape[1])
+
+
+class RecordedMotion:
+    """A recorded attitude, made continuous by a rotation spline (twice differentiable).
+
+    Args:
+        time_s: moments of the record, in seconds from any zero, increasing, shape (n,).
+        rotation_nd: horizon from deck, shape (n, 3, 3).
+        start_s: the moment of the record that is the start of the simulation.
+    """
+
+    def __init__(self, time_s: FloatArray, rotation_nd: FloatArray, start_s: float = 0.0) -> None:
+        self._start_s = start_s
+        self._spline = RotationSpline(np.asarray(time_s, dtype=float), Rotation.from_matrix(rotation_nd))
+
+    def attitude(self, t_s: FloatArray) -> FloatArray:
+        """See :class:`Carrier`.
+
+        Raises:
+            BadInput: the record does not reach that far.
+        """
+        t_s = np.asarray(t_s, dtype=float)
+        return self._spline(self._record_time(t_s)).as_matrix().reshape(*t_s.shape, 3, 3)
+
+    def body_rate(self, t_s: FloatArray) -> FloatArray:
+        """See :class:`Carrier`.
+
+        Raises:
+            BadInput: the record does not reach that far.
+        """
+        t_s = np.asarray(t_s, dtype=float)
+        return self._spline(self._record_time(t_s), 1).reshape(*t_s.shape, 3)
+
+    def _record_time(self, t_s: FloatArray) -> FloatArray:
+        moments = t_s.ravel() + self._start_s
+        first, last = self._spline.times[0], self._spline.times[-1]
+        if moments.size and (moments.min() < first or moments.max() > last):
+            raise BadInput(
+                f"the recorded motion holds {last - first:.1f} s, the simulation needs "
+                f"{np.ptp(moments):.1f} s from {self._start_s - first:.1f} s after its begin: shorten duration_s"
+            )
+        return moments

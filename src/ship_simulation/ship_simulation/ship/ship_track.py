@@ -1,0 +1,106 @@
+"""Where the ship really is, and what its satellite receiver says about it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.geodetic import GeodeticPosition, horizon_radii_m
+from ship_geometry.rotations import FloatArray
+from ship_simulation.draws.noise import SECOND_NS, gauss_markov, random_stream, stamps
+from ship_simulation.scenario.scenario import Position, Scenario
+
+_EARTH_RADIUS_M = 6_371_000.0
+"""Mean radius, good enough to turn the noise of a fix into degrees."""
+
+# At the poles a longitude has no error that matters.
+_LEAST_COSINE = 1e-3
+
+
+@dataclass(frozen=True)
+class ShipTrack:
+    """A ship on a steady course: latitude and longitude change at the rates that its velocity has at the start.
+
+    Attributes:
+        position: where it starts, course and speed.
+        start_ns: when it is there.
+    """
+
+    position: Position
+    start_ns: int
+
+    @property
+    def velocity_n_m_per_s(self) -> FloatArray:
+        """Over ground in (North, Up, East), shape (3,)."""
+        course = np.deg2rad(self.position.course_deg)
+        return self.position.speed_m_per_s * np.array([np.cos(course), 0.0, np.sin(course)])
+
+    def degrees(self, time_ns: np.ndarray) -> tuple[FloatArray, FloatArray]:
+        """Latitude and longitude at some moments, deg."""
+        place = self.position
+        latitude = np.deg2rad(place.latitude_deg)
+        radius_north_m, radius_east_m = horizon_radii_m(GeodeticPosition(latitude, 0.0, place.height_m))
+        north_m_per_s, _, east_m_per_s = self.velocity_n_m_per_s
+        since_start_s = (time_ns - self.start_ns) / SECOND_NS
+        latitude_rate = north_m_per_s / radius_north_m
+        longitude_rate = east_m_per_s / (radius_east_m * max(np.cos(latitude), _LEAST_COSINE))
+        return (
+            place.latitude_deg + np.rad2deg(latitude_rate) * since_start_s,
+            place.longitude_deg + np.rad2deg(longitude_rate) * since_start_s,
+        )
+
+    def at(self, time_ns: np.ndarray) -> GeodeticPosition:
+        """Position at some moments."""
+        latitude_deg, longitude_deg = self.degrees(time_ns)
+        height_m = np.full(np.shape(time_ns), self.position.height_m)
+        return GeodeticPosition(np.deg2rad(latitude_deg), np.deg2rad(longitude_deg), height_m)
+
+
+@dataclass(frozen=True)
+class FixSamples:
+    """What the satellite receiver says; it arrives at its stamps.
+
+    Attributes:
+        time_ns: stamps, increasing, shape (n,).
+        latitude_deg: shape (n,).
+        longitude_deg: shape (n,).
+        height_m: shape (n,).
+        covariance_m2: of each fix in (North, Up, East), the slow error included, shape (3, 3).
+    """
+
+    time_ns: np.ndarray
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+    height_m: FloatArray
+    covariance_m2: FloatArray
+
+    @property
+    def log_time_ns(self) -> np.ndarray:
+        """Moments of arrival, shape (n,)."""
+        return self.time_ns
+
+    def position(self, index: int) -> GeodeticPosition:
+        """One of the fixes."""
+        latitude, longitude = np.deg2rad([self.latitude_deg[index], self.longitude_deg[index]])
+        return GeodeticPosition(float(latitude), float(longitude), float(self.height_m[index]))
+
+
+def simulate_fixes(scenario: Scenario, track: ShipTrack, seed: int) -> FixSamples:
+    """Fixes along the track with a white and a slow error."""
+    place = scenario.position
+    time_ns = stamps(track.start_ns, place.rate_hz, 0.0, scenario.duration_s)
+    white_m = place.sigma_m * random_stream(seed, "gnss.white").standard_normal((time_ns.size, 3))
+    slow = random_stream(seed, "gnss.slow")
+    slow_m = gauss_markov(
+        slow, time_ns.size, 1.0 / place.rate_hz, np.full(3, place.slow_sigma_m), np.full(3, place.slow_time_s)
+    )
+    # In this order: north, east, up.
+    error_m = white_m + slow_m
+    north_deg, east_deg = np.rad2deg(error_m[:, :2] / _EARTH_RADIUS_M).T
+    latitude_deg, longitude_deg = track.degrees(time_ns)
+    return FixSamples(
+        time_ns=time_ns,
+        latitude_deg=np.clip(latitude_deg + north_deg, -90.0, 90.0),
+        longitude_deg=longitude_deg + east_deg / max(np.cos(np.deg2rad(place.latitude_deg)), _LEAST_COSINE),
+        height_m=place.height_m + error_m[:, 2],
+        covariance_m2=np.diag(np.full(3, place.sigma_m**2 + place.slow_sigma_m**2)),
+    )

@@ -1,0 +1,95 @@
+"""``simulate``: a scenario file becomes a bag with truth, scenario and suite configuration inside."""
+
+import argparse
+import inspect
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.mcap.stored_messages_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.output_files import add_force, check_file
+from ship_bags.progress import with_bar
+from ship_node.parameters.usage import key_rows
+from ship_simulation.draws.noise import SECOND_NS
+from ship_simulation.faults import faults
+from ship_simulation.messages.to_messages import messages
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.suite import suite_yaml
+
+_DESCRIPTION = """\
+Simulates a voyage: the ship's motion, INS, star sensors and other attitude systems with their errors and faults.
+A star sensor gives its horizon attitude, single stars of the real sky over the ship, or its attitude among the stars.
+The bag holds their topics, the truth (truth/attitude at 10 Hz, truth/alignment at 1 Hz), and as attachments the
+scenario and the configuration of ship_attitude that fits it. In a scenario units stand in the names: _deg, _arcsec,
+_s, _m, _hz. The same scenario and seed give the same bytes.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="simulate",
+        example="./ros2run ship_simulation simulate bags/scenarios/demo.yaml --out demo.mcap --seed 1",
+        description=_DESCRIPTION,
+        epilog=f"keys of SCENARIO.yaml, nested at the dots (<id>: any name):\n{_keys()}\n\n"
+        f"kinds of faults (faults.<id>.kind):\n{_faults()}\n\n"
+        "exit code: 0 written; 2 bad input or usage; 130 interrupted",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("scenario", type=Path, metavar="SCENARIO.yaml", help="what to simulate")
+    parser.add_argument("--out", type=Path, required=True, metavar="BAG.mcap", help="bag to write")
+    parser.add_argument("--seed", type=_seed, default=1, metavar="N", help="seed of all random parts, 0 or more (1)")
+    parser.add_argument(
+        "--carrier", type=Path, metavar="BAG", help="follow the recorded attitude of this bag, not of the scenario's"
+    )
+    add_force(parser)
+    return parser
+
+
+def _keys() -> str:
+    return "\n".join(key_rows(Scenario))
+
+
+def _faults() -> str:
+    """The kinds as the module that does them explains them, one line each."""
+    lines = (inspect.getdoc(faults) or "").splitlines()
+    return "\n".join(f"  {line}" for line in lines[1:] if line)
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number, 0 or more")
+    return int(text)
+
+
+def _run(options: argparse.Namespace) -> int:
+    check_file(options.out, options.force)
+    scenario = load_scenario(options.scenario, recording=options.carrier)
+    run = simulate(scenario, options.seed)
+    count = write_bag(run, options.out, options.scenario.read_bytes())
+    print(f"{options.out}: {count} messages, {scenario.duration_s:g} s, seed {options.seed}")
+    return EXIT_DONE
+
+
+def write_bag(run: SimulatedRun, path: Path, scenario_text: bytes) -> int:
+    """Write a run as bag; returns the number of its messages.
+
+    Raises:
+        BadInput: the file cannot be written.
+    """
+    end_ns = run.start_ns + round(run.scenario.duration_s * SECOND_NS)
+    entries = with_bar(messages(run, RosbagsFactory()), path.name, run.start_ns, end_ns, lambda entry: entry[2])
+    with BagWriter(path) as bag:
+        bag.add_attachment(SCENARIO_ATTACHMENT, scenario_text)
+        bag.add_attachment(SUITE_ATTACHMENT, suite_yaml(run.scenario))
+        bag.add_metadata("simulation", {"seed": str(run.seed)})
+        for topic, message, log_time_ns in entries:
+            bag.write(topic, message, log_time_ns)
+        return bag.message_count

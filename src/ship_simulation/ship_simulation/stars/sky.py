@@ -1,0 +1,159 @@
+"""The sky as it really stands over the ship: what an estimator believes, and what that has wrong.
+
+Drawn once a run: the air is not what the weather station says, the Earth not turned quite as the table says, each star
+a little beside its place in the catalogue. Directions take ERFA's exact path at every moment; the estimator's
+refreshed one is not used here.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+
+import erfa
+import numpy as np
+
+from ship_attitude_star.sky.catalogue import StarCatalogue, hipparcos
+from ship_geometry.earth_orientation import EarthOrientation, earth_orientation_table
+from ship_geometry.geodetic import rotation_horizon_from_ecef
+from ship_geometry.refraction import ModelName, Weather, elevation_of, lifted, refraction
+from ship_geometry.rotations import FloatArray, exp_rotation
+from ship_geometry.star_directions import Observer, StarPositions, directions, fixed_stars
+from ship_geometry.time_scales import SECOND_NS, julian_date, tt_julian_date
+from ship_simulation.draws.noise import random_stream
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario import Weather as WeatherStation
+from ship_simulation.ship.ship_track import ShipTrack
+
+_J2000, _JULIAN_YEAR_D = 2_451_545.0, 365.25
+_MINUTE_NS = 60 * SECOND_NS
+
+# An elevation without air from one with: each step leaves the change of refraction, 3 % at 5°, of the error.
+_STEPS = 8
+
+
+@dataclass(frozen=True)
+class TrueSky:
+    """The sky over a ship.
+
+    Attributes:
+        track: where the ship is.
+        model: of refraction.
+        weather: the true air at the ship.
+        ut1_error_s: true UT1 − UTC minus that of the table.
+        catalogue: what is known of the stars.
+        positions: where the stars of the catalogue really are, J2000.0, a row each.
+    """
+
+    track: ShipTrack
+    model: ModelName
+    weather: Weather
+    ut1_error_s: float
+    catalogue: StarCatalogue
+    positions: StarPositions
+
+    def orientation(self, time_ns: np.ndarray) -> EarthOrientation:
+        """True orientation of the Earth."""
+        told = earth_orientation_table().at(time_ns)
+        return dataclasses.replace(told, ut1_minus_utc_s=told.ut1_minus_utc_s + self.ut1_error_s)
+
+    def directions(self, stars: StarPositions, time_ns: np.ndarray) -> FloatArray:
+        """Unit vectors (N, U, E) with air, shape (..., 3); NaN lower than the refraction model holds.
+
+        Args:
+            stars: true positions, broadcast against the moments.
+            time_ns: moments.
+        """
+        observer = Observer(self.track.at(time_ns), self.track.velocity_n_m_per_s)
+        without_air = directions(stars, time_ns, observer, self.orientation(time_ns))
+        return lifted(without_air, refraction(self.model, elevation_of(without_air), self.weather).angle)
+
+    def rotation_horizon_from_icrs(self, time_ns: np.ndarray) -> FloatArray:
+        """Attitude of the horizon among the stars, aberration left out, shape (n, 3, 3)."""
+        orientation, position = self.orientation(time_ns), self.track.at(time_ns)
+        ut1 = julian_date(time_ns, orientation.ut1_minus_utc_s)
+        rotation_ei = erfa.c2t06a(*tt_julian_date(time_ns), *ut1, orientation.pole_x, orientation.pole_y)
+        rotation_ne: FloatArray = rotation_horizon_from_ecef(position.latitude, position.longitude) @ rotation_ei
+        return rotation_ne
+
+    def lift(self, direction_n: FloatArray) -> FloatArray:
+        """The turn by which the air moves what is seen at directions (N, U, E), shape (..., 3): shape (..., 3, 3).
+
+        It is a turn about the horizontal axis across the direction. NaN lower than the refraction model holds.
+        """
+        with_air = elevation_of(direction_n)
+        angle = np.zeros_like(with_air)
+        for _ in range(_STEPS):
+            angle = refraction(self.model, with_air - angle, self.weather).angle
+        azimuth = np.arctan2(direction_n[..., 2], direction_n[..., 0])
+        axis_n = np.stack([-np.sin(azimuth), np.zeros_like(azimuth), np.cos(azimuth)], axis=-1)
+        turn: FloatArray = exp_rotation(angle[..., None] * axis_n)
+        return turn
+
+    def sun_elevation(self, time_ns: np.ndarray) -> FloatArray:
+        """Elevation of the Sun's centre without air, rad, shape (n,), from one minute to the next in a straight line.
+
+        At the horizon the line is less than an arcsecond off.
+        """
+        minutes = np.unique(np.concatenate([time_ns // _MINUTE_NS, time_ns // _MINUTE_NS + 1]))
+        to_sun_i = -erfa.epv00(*tt_julian_date(minutes * _MINUTE_NS))[0]["p"]
+        to_sun_n = (self.rotation_horizon_from_icrs(minutes * _MINUTE_NS) @ to_sun_i[..., None])[..., 0]
+        return np.interp(time_ns / _MINUTE_NS, minutes, elevation_of(to_sun_n))
+
+
+def draw_sky(scenario: Scenario, track: ShipTrack, seed: int) -> TrueSky:
+    """The sky of a run; its errors come from the seed and have the scenario's sigmas."""
+    told = earth_orientation_table().at(track.start_ns)
+    ut1_sigma_s = scenario.earth_rotation_sigma_s or float(told.ut1_sigma_s)
+    catalogue = hipparcos()
+    return TrueSky(
+        track=track,
+        model="almanac" if scenario.weather.refraction_model == "almanac" else "erfa",
+        weather=_true_air(scenario.weather, seed),
+        ut1_error_s=ut1_sigma_s * random_stream(seed, "sky.earth_rotation").standard_normal(),
+        catalogue=catalogue,
+        positions=_displaced(catalogue, year_of(track.start_ns), random_stream(seed, "sky.catalogue")),
+    )
+
+
+def year_of(time_ns: int) -> float:
+    """Julian year of a moment: 2014.5."""
+    whole, fraction = julian_date(time_ns)
+    return float(2000.0 + (whole - _J2000 + fraction) / _JULIAN_YEAR_D)
+
+
+def place_of_date(stars: StarPositions, time_ns: int) -> StarPositions:
+    """Stars by nothing but their place among the axes of the ICRS at a moment, proper motion and parallax in it."""
+    tt = tt_julian_date(time_ns)
+    earth_au = erfa.epv00(*tt)[1]["p"]
+    direction_i = erfa.pmpx(
+        stars.right_ascension,
+        stars.declination,
+        stars.pm_right_ascension,
+        stars.pm_declination,
+        stars.parallax_arcsec,
+        0.0,
+        (tt[0] - _J2000 + tt[1]) / _JULIAN_YEAR_D,
+        earth_au,
+    )
+    right_ascension, declination = erfa.c2s(direction_i)
+    return fixed_stars(np.mod(right_ascension, 2.0 * np.pi), declination)
+
+
+def _true_air(station: WeatherStation, seed: int) -> Weather:
+    """Told plus error, within what air may be."""
+    pressure, temperature = random_stream(seed, "sky.weather").standard_normal(2)
+    return Weather(
+        pressure_hpa=float(np.clip(station.pressure_hpa + station.pressure_sigma_hpa * pressure, 800.0, 1100.0)),
+        temperature_c=float(np.clip(station.temperature_c + station.temperature_sigma_k * temperature, -60.0, 60.0)),
+        relative_humidity=0.01 * station.humidity_percent,
+    )
+
+
+def _displaced(catalogue: StarCatalogue, year: float, rng: np.random.Generator) -> StarPositions:
+    """Positions with each star's error in that year."""
+    stars = catalogue.at_j2000
+    east, north = catalogue.sigma(np.arange(len(catalogue.hip)), year) * rng.standard_normal((2, len(catalogue.hip)))
+    return dataclasses.replace(
+        stars,
+        right_ascension=stars.right_ascension + east / np.cos(stars.declination),
+        declination=stars.declination + north,
+    )

@@ -1,0 +1,80 @@
+"""Which stars a sensor has in its field, and where on the detector, exposure by exposure."""
+
+from dataclasses import dataclass
+
+import erfa
+import numpy as np
+
+from ship_attitude_star.stars.camera import StarCamera
+from ship_geometry.rotations import FloatArray
+from ship_simulation.scenario.scenario import Detector, StarSensor
+from ship_simulation.stars.sky import TrueSky
+
+# Candidates are chosen once for exposures within this time, so that they are few.
+_BLOCK_S = 2.0
+# What moves a star from its place of J2000.0 to where it is seen: aberration, refraction, two centuries of motion, and
+# the Earth's rotation within a block.
+_MARGIN = np.deg2rad(0.5)
+
+
+@dataclass(frozen=True)
+class FieldStars:
+    """Stars as they stand on the detector, without errors of their centroids; exposure after exposure.
+
+    Attributes:
+        exposure: number of the exposure, shape (k,).
+        row: of the catalogue, shape (k,).
+        direction_s: in the sensor frame, with air, shape (k, 3).
+        pixel: (u, v), shape (k, 2).
+    """
+
+    exposure: np.ndarray
+    row: np.ndarray
+    direction_s: FloatArray
+    pixel: FloatArray
+
+
+def stars_in_field(sensor: StarSensor, sky: TrueSky, rotation_nv: FloatArray, valid_ns: np.ndarray) -> FieldStars:
+    """The brightest stars in the field of each exposure.
+
+    Args:
+        sensor: its camera, magnitude limit and number of stars.
+        sky: the true one.
+        rotation_nv: horizon from sensor at each exposure, shape (n, 3, 3).
+        valid_ns: their moments, shape (n,).
+    """
+    camera = sensor.camera.camera("camera")
+    bright = sky.catalogue.brighter_than(sensor.magnitude_limit)
+    bright = bright[np.argsort(sky.catalogue.magnitude[bright], kind="stable")]
+    places = sky.positions[bright]
+    place_i = erfa.s2c(places.right_ascension, places.declination)
+    least_cosine = np.cos(_radius(camera, sensor.camera) + _MARGIN)
+    parts = []
+    block = max(int(_BLOCK_S * sensor.rate_hz), 1)
+    for start in range(0, valid_ns.size, block):
+        exposures = slice(start, start + block)
+        boresight_i = rotation_nv[exposures, :, 0] @ sky.rotation_horizon_from_icrs(valid_ns[start])
+        near = np.any(boresight_i @ place_i.T > least_cosine, axis=0)
+        candidates = bright[near]
+        direction_n = sky.directions(sky.positions[candidates], valid_ns[exposures, None])
+        # R^T v of each star, as rows.
+        direction_s = direction_n @ rotation_nv[exposures]
+        pixel = camera.pixels(direction_s)
+        inside = sensor.camera.holds(pixel)
+        # Columns run from bright to faint.
+        exposure, column = np.nonzero(inside & (np.cumsum(inside, axis=1) <= sensor.most_stars))
+        parts.append(
+            FieldStars(
+                start + exposure, candidates[column], direction_s[exposure, column], pixel[exposure, column]
+            )
+        )
+    if not parts:
+        return FieldStars(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 2)))
+    return FieldStars(*(np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])))
+
+
+def _radius(camera: StarCamera, detector: Detector) -> float:
+    """Angle from the boresight to the farthest corner of the detector, rad."""
+    (left, top), (right, bottom) = detector.edges_px
+    corners_s = camera.directions(np.array([[left, top], [left, bottom], [right, top], [right, bottom]]))
+    return float(np.arccos(corners_s[:, 0].min()))

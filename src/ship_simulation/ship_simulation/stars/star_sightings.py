@@ -1,0 +1,199 @@
+"""Star sensors that give single stars: the true sky in, centroids and identities with their errors out."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.measurements.star_exposure import ExposureLength, StarExposure
+from ship_attitude_star.sky.catalogue import UNKNOWN
+from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.star_directions import StarPositions, fixed_stars
+from ship_simulation.draws.noise import arrival_times, random_stream
+from ship_simulation.draws.streaks import centroids
+from ship_simulation.scenario.scenario import Scenario, StarSensor
+from ship_simulation.ship.attitude_device import MountedMotion, outside
+from ship_simulation.stars.sky import TrueSky, place_of_date, year_of
+from ship_simulation.stars.star_field import stars_in_field
+from ship_simulation.stars.star_identities import swapped_identities
+
+MAGNITUDE_SIGMA = 0.2
+"""Error of the magnitudes that a sensor measures."""
+
+# What the estimator takes for the error of a position that is not its catalogue's (star_messages_in).
+_GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
+
+
+@dataclass(frozen=True)
+class StarSightings:
+    """What such a sensor says; the stars of all exposures in a row, those of exposure i from first[i] to first[i + 1].
+
+    Attributes:
+        time_ns: middle of each exposure, stamp of the sensor, increasing, shape (n,).
+        log_time_ns: moments of arrival, in any order, shape (n,).
+        first: shape (n + 1,).
+        pixel: centroids (u, v), shape (k, 2).
+        sigma_px: error of u and of v that the sensor states.
+        stars: the same as the estimator takes it, and the identities, all exposures in one.
+    """
+
+    time_ns: NDArray[np.int64]
+    log_time_ns: NDArray[np.int64]
+    first: NDArray[np.int64]
+    pixel: FloatArray
+    sigma_px: float
+    stars: StarExposure
+
+    def rows(self, index: int) -> slice:
+        """Where the stars of an exposure are."""
+        return slice(int(self.first[index]), int(self.first[index + 1]))
+
+    def exposure(self, index: int) -> StarExposure:
+        """One exposure as the estimator takes it."""
+        return dataclasses.replace(self.stars[self.rows(index)], time_ns=int(self.time_ns[index]))
+
+
+@dataclass(frozen=True)
+class SightingsTruth:
+    """What its stars really are, in the order of :class:`StarSightings`.
+
+    Attributes:
+        rotation_nv: horizon from sensor at each exposure, shape (n, 3, 3).
+        hip: HIP number; 0 where there is no star, shape (k,).
+        direction_s: direction in the sensor frame without error of the centroid; NaN where there is no star, (k, 3).
+        swapped: whether it bears the identity of another star of its exposure, shape (k,).
+    """
+
+    rotation_nv: FloatArray
+    hip: NDArray[np.int64]
+    direction_s: FloatArray
+    swapped: NDArray[np.bool_]
+
+
+def simulate_sightings(
+    sensor_id: str, scenario: Scenario, motion: MountedMotion, sky: TrueSky, seed: int
+) -> tuple[StarSightings, SightingsTruth]:
+    """All exposures of a sensor; without stars while the Sun is up, and in an outage."""
+    config, source = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
+    dark = sky.sun_elevation(motion.valid_ns) < np.deg2rad(config.sun_limit_deg)
+    seeing = dark & outside(motion.since_start_s, config.outages)
+    true = _true_spots(source, config, motion, sky, seeing, seed)
+    spots = _as_read_out([true, _false_spots(source, config, sky, seeing, seed)])
+    arrival = random_stream(seed, source + ".arrival")
+    # What the fields of a message can hold.
+    sigma_px = float(np.float32(config.camera.centroid_sigma_px))
+    hip, positions, position_sigma = _identities(config, sky, spots.claimed)
+    camera = config.camera.camera(source)
+    sightings = StarSightings(
+        time_ns=motion.time_ns,
+        log_time_ns=arrival_times(motion.time_ns, config.latency_s, config.jitter_s, arrival),
+        first=np.searchsorted(spots.exposure, np.arange(motion.time_ns.size + 1)),
+        pixel=spots.pixel,
+        sigma_px=sigma_px,
+        stars=StarExposure(
+            source=source,
+            time_ns=int(sky.track.start_ns),
+            hip=hip,
+            directions_s=camera.directions(spots.pixel),
+            sigma=equivalent_sigma(camera.direction_covariance(spots.pixel, sigma_px)),
+            positions=positions,
+            position_sigma=position_sigma,
+            magnitude=spots.magnitude.astype(np.float32).astype(float),
+            length=_length(config, camera),
+        ),
+    )
+    true_hip = np.where(spots.row == UNKNOWN, 0, sky.catalogue.hip[spots.row])
+    swapped = (spots.row != UNKNOWN) & (spots.claimed != spots.row)
+    return sightings, SightingsTruth(motion.rotation_nv, true_hip, spots.direction_s, swapped)
+
+
+@dataclass(frozen=True)
+class _Spots:
+    """What is on the detector, an entry a spot: its exposure, what it is, what it is taken for, where and how bright.
+
+    ``row`` is of the catalogue, UNKNOWN where there is no star; ``claimed`` the row of the identity given;
+    ``magnitude`` as measured.
+    """
+
+    exposure: NDArray[np.int64]
+    row: NDArray[np.int64]
+    claimed: NDArray[np.int64]
+    direction_s: FloatArray
+    pixel: FloatArray
+    magnitude: FloatArray
+
+    def __getitem__(self, rows: Any) -> "_Spots":
+        return _Spots(*(getattr(self, field)[rows] for field in vars(self)))
+
+
+def _true_spots(
+    source: str, config: StarSensor, motion: MountedMotion, sky: TrueSky, seeing: NDArray[np.bool_], seed: int
+) -> _Spots:
+    """Stars with the errors of centroids and magnitudes, some taken for one another."""
+    field = stars_in_field(config, sky, motion.rotation_nv[seeing], motion.valid_ns[seeing])
+    exposure = np.flatnonzero(seeing)[field.exposure]
+    # Where each star goes on the detector; the sky stands still meanwhile.
+    way = field.pixel[None]
+    if config.exposure_s > 0.0:
+        place_n = (motion.rotation_nv[exposure] @ field.direction_s[..., None])[..., 0]
+        way = config.camera.camera(source).pixels(np.einsum("mkji,kj->mki", motion.passing_nv[:, exposure], place_n))
+    noise_px = random_stream(seed, source + ".centroid").standard_normal(field.pixel.shape)
+    magnitude_noise = random_stream(seed, source + ".magnitude").standard_normal(field.row.size)
+    swaps = random_stream(seed, source + ".swaps")
+    return _Spots(
+        exposure=exposure,
+        row=field.row,
+        claimed=swapped_identities(field.row, exposure, config.swapped_probability, swaps),
+        direction_s=field.direction_s,
+        pixel=centroids(
+            motion.times, way, config.camera.psf_sigma_px, config.camera.centroid_sigma_px, noise_px
+        ),
+        magnitude=sky.catalogue.magnitude[field.row] + MAGNITUDE_SIGMA * magnitude_noise,
+    )
+
+
+def _length(config: StarSensor, camera: StarCamera) -> ExposureLength | None:
+    """How long an exposure lasts, as the estimator takes it."""
+    if config.exposure_s == 0.0:
+        return None
+    return ExposureLength(float(np.float32(config.exposure_s)), camera, config.camera.psf_sigma_px)
+
+
+def _false_spots(source: str, config: StarSensor, sky: TrueSky, seeing: NDArray[np.bool_], seed: int) -> _Spots:
+    """Spots anywhere on the detector, each taken for a star anywhere in the sky."""
+    rng = random_stream(seed, source + ".false_stars")
+    count = rng.poisson(config.false_stars, seeing.size) * seeing
+    total = int(count.sum())
+    bright = sky.catalogue.brighter_than(config.magnitude_limit)
+    least, greatest = config.camera.edges_px
+    return _Spots(
+        exposure=np.repeat(np.arange(seeing.size), count),
+        row=np.full(total, UNKNOWN),
+        claimed=rng.choice(bright, total),
+        direction_s=np.full((total, 3), np.nan),
+        pixel=rng.uniform(least, greatest, (total, 2)),
+        magnitude=sky.catalogue.magnitude[rng.choice(bright, total)],
+    )
+
+
+def _as_read_out(kinds: list[_Spots]) -> _Spots:
+    """All spots in the order in which a detector is read, row after row: it does not tell what is what."""
+    spots = _Spots(*(np.concatenate([getattr(kind, field) for kind in kinds]) for field in vars(kinds[0])))
+    return spots[np.lexsort((spots.pixel[:, 1], spots.exposure))]
+
+
+def _identities(
+    config: StarSensor, sky: TrueSky, claimed: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], StarPositions, FloatArray]:
+    """What the sensor says of each star: HIP number, position, and the error of that."""
+    catalogue, start_ns = sky.catalogue, sky.track.start_ns
+    if config.identified and not config.direction_given:
+        return catalogue.hip[claimed], catalogue.at_j2000[claimed], catalogue.sigma(claimed, year_of(start_ns))
+    if config.identified:
+        positions = place_of_date(catalogue.at_j2000[claimed], start_ns)
+    else:
+        positions = fixed_stars(*np.full((2, claimed.size), np.nan))
+    return np.zeros_like(claimed), positions, np.full(claimed.size, _GIVEN_DIRECTION_SIGMA)

@@ -1,0 +1,100 @@
+"""The configuration of the suite that fits a scenario: same layout, same sigmas."""
+
+import math
+from typing import Any
+
+import yaml
+
+from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, StarSensorConfig
+from ship_attitude_star.star_attitude.config import ObservingSensorConfig
+from ship_attitude_star.stars.star_config import CameraConfig
+from ship_estimation.ins_config import InsInputConfig
+from ship_node.parameters.parameter_file import anywhere
+from ship_simulation.messages.device_messages import INS_FRAME, star_frame
+from ship_simulation.scenario.scenario import Scenario, StarSensor
+from ship_simulation.suite.shared_parameters import shared
+from ship_simulation.suite.theodolite_suite import optical_axis_configuration
+
+_LEAST_POSITION_TIME_S = 1.0
+"""Of the estimator's parameter."""
+
+
+def suite_configuration(scenario: Scenario) -> dict[str, Any]:
+    """Parameters of ``ship_attitude`` as nested mapping."""
+    configuration: dict[str, Any] = {"ins": _ins(scenario, InsConfig)}
+    if scenario.star_sensors:
+        configuration["star_sensors"] = {
+            key: {"frame_id": star_frame(key), **_input(sensor), **shared(sensor, StarSensorConfig)}
+            for key, sensor in scenario.star_sensors.items()
+        }
+    if scenario.needs_sky:
+        configuration["sky"] = _sky(scenario)
+    if scenario.references:
+        configuration["references"] = {
+            key: {"frame_id": key, **shared(reference, ReferenceConfig)}
+            for key, reference in scenario.references.items()
+        }
+    return configuration
+
+
+def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
+    """Parameters of ``star_attitude``, for the sensors that give single stars."""
+    return {
+        "ins": _ins(scenario, InsInputConfig),
+        "star_sensors": {
+            key: {
+                "frame_id": star_frame(key),
+                "camera": shared(sensor.camera, CameraConfig),
+                **shared(sensor, ObservingSensorConfig),
+            }
+            for key, sensor in scenario.star_sensors.items()
+            if sensor.output == "observations"
+        },
+        "sky": _sky(scenario),
+    }
+
+
+def suite_yaml(scenario: Scenario) -> str:
+    """The same as ROS 2 parameter file, for whatever namespace, of all nodes that the scenario has inputs for."""
+    # Where the fused attitude is in the bag already, ship_attitude has nothing to do.
+    nodes = {} if scenario.fused_attitude.written else {"ship_attitude": suite_configuration(scenario)}
+    if scenario.theodolite.aboard:
+        nodes["optical_axis"] = optical_axis_configuration(scenario)
+    if any(sensor.output == "observations" for sensor in scenario.star_sensors.values()):
+        nodes["star_attitude"] = star_attitude_configuration(scenario)
+    sections = {anywhere(node): {"ros__parameters": values} for node, values in nodes.items()}
+    return yaml.safe_dump(sections, sort_keys=False)
+
+
+def _ins(scenario: Scenario, parameters: type) -> dict[str, Any]:
+    return {"frame_id": INS_FRAME, **shared(scenario.ins, parameters)}
+
+
+def _input(sensor: StarSensor) -> dict[str, Any]:
+    """What a sensor sends, and its camera where that is single stars."""
+    if sensor.output == "horizon_attitude":
+        return {}
+    if sensor.output == "inertial_attitude":
+        # The simulated tracker sees the air of its boresight alone.
+        return {"input": sensor.output, "inertial": {"field_deg": 0.0}}
+    return {"input": sensor.output, "camera": shared(sensor.camera, CameraConfig)}
+
+
+def _sky(scenario: Scenario) -> dict[str, Any]:
+    """How well the air and the ship's place are known."""
+    weather, position = scenario.weather, scenario.position
+    known = {
+        "refraction_model": weather.refraction_model,
+        "pressure_hpa": weather.pressure_hpa,
+        "temperature_c": weather.temperature_c,
+        "relative_humidity": 0.01 * weather.humidity_percent,
+        "measured_pressure_sigma_hpa": weather.pressure_sigma_hpa,
+        "measured_temperature_sigma_k": weather.temperature_sigma_k,
+        "magnitude_limit": max(
+            sensor.magnitude_limit for sensor in scenario.star_sensors.values() if sensor.output != "horizon_attitude"
+        ),
+        "fix_sigma_m": math.hypot(position.sigma_m, position.slow_sigma_m),
+    }
+    if position.slow_sigma_m > 0.0:
+        known["position_time_s"] = max(position.slow_time_s, _LEAST_POSITION_TIME_S)
+    return known

@@ -1,0 +1,86 @@
+"""Where a drone flies, seen from the crossing of the theodolite's axes in (North, Up, East), and how it stands."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import FloatArray
+from ship_simulation.scenario.beacon_scenario import Escort, Flight, Hover, Orbit, Waypoint
+from ship_simulation.scenario.theodolite_scenario import Programme
+from ship_simulation.ship.motion import HarmonicMotion
+
+FlightPath = Callable[[FloatArray], FloatArray]
+"""Moments in seconds after the start, shape (k,) → places in m, shape (k, 3)."""
+
+
+def flight_path(flight: Flight, programme: Programme) -> FlightPath:
+    """The path of a drone; ``programme`` is what an escort flies with."""
+    paths: dict[str, FlightPath] = {
+        "escort": lambda t_s: _escorting(flight.escort, programme, t_s),
+        "hover": lambda t_s: _hovering(flight.hover, t_s),
+        "orbit": lambda t_s: _orbiting(flight.orbit, t_s),
+        "legs": lambda t_s: _on_legs(list(flight.waypoints.values()), t_s),
+    }
+    return paths[flight.kind]
+
+
+def swaying(flight: Flight, rng: np.random.Generator) -> HarmonicMotion:
+    """The attitude of a drone (nose, up, right): a steady yaw, pitch and roll that sway with phases of their own."""
+    mean = np.array([np.deg2rad(flight.yaw_deg), 0.0, 0.0])
+    phasor = np.zeros((2, 3), dtype=complex)
+    phasor[[0, 1], [1, 2]] = np.deg2rad(flight.sway_deg) * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, 2))
+    return HarmonicMotion(mean, np.full(2, 2.0 * np.pi / flight.sway_period_s), phasor)
+
+
+def sweep_angles(programme: Programme, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Azimuth, not wrapped, and elevation of the programme's line, rad."""
+    azimuth_deg = programme.azimuth_deg + programme.azimuth_rate_deg_per_s * t_s
+    least, greatest = programme.least_elevation_deg, programme.greatest_elevation_deg
+    turned = 2.0 * np.pi * t_s / programme.elevation_period_s
+    elevation_deg = 0.5 * (least + greatest) - 0.5 * (greatest - least) * np.cos(turned)
+    return np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg)
+
+
+def smooth_step(x: FloatArray) -> FloatArray:
+    """From 0 at 0 to 1 at 1 with no rate and no acceleration at either end, constant outside."""
+    x = np.clip(x, 0.0, 1.0)
+    return x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
+
+
+def direction(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
+    """Unit vectors (North, Up, East), shape (..., 3)."""
+    return np.stack(
+        [np.cos(azimuth) * np.cos(elevation), np.sin(elevation), np.sin(azimuth) * np.cos(elevation)], axis=-1
+    )
+
+
+def _escorting(escort: Escort, programme: Programme, t_s: FloatArray) -> FloatArray:
+    azimuth, elevation = sweep_angles(programme, t_s)
+    beside = np.array([1.0, np.tan(np.deg2rad(escort.up_deg)), np.tan(np.deg2rad(escort.right_deg))])
+    upright = rotation_from_angles(azimuth, elevation, np.zeros_like(azimuth))
+    return upright @ (escort.distance_m * beside / np.linalg.norm(beside))
+
+
+def _hovering(hover: Hover, t_s: FloatArray) -> FloatArray:
+    drift_m_per_s = np.array([hover.north_m_per_s, hover.up_m_per_s, hover.east_m_per_s])
+    return _place(hover.azimuth_deg, hover.elevation_deg, hover.distance_m) + drift_m_per_s * t_s[:, None]
+
+
+def _orbiting(orbit: Orbit, t_s: FloatArray) -> FloatArray:
+    azimuth_deg = orbit.azimuth_deg + orbit.rate_deg_per_s * t_s
+    return _place(azimuth_deg, np.full_like(t_s, orbit.elevation_deg), orbit.distance_m)
+
+
+def _on_legs(waypoints: list[Waypoint], t_s: FloatArray) -> FloatArray:
+    """Straight legs with a rest at each end; before the first and after the last it stays."""
+    waypoints = sorted(waypoints, key=lambda waypoint: waypoint.time_s)
+    moments_s = np.array([waypoint.time_s for waypoint in waypoints])
+    places = np.array([_place(w.azimuth_deg, w.elevation_deg, w.distance_m) for w in waypoints])
+    leg = np.clip(np.searchsorted(moments_s, t_s, side="right") - 1, 0, len(waypoints) - 2)
+    flown = smooth_step((t_s - moments_s[leg]) / (moments_s[leg + 1] - moments_s[leg]))
+    return places[leg] + flown[:, None] * (places[leg + 1] - places[leg])
+
+
+def _place(azimuth_deg: FloatArray | float, elevation_deg: FloatArray | float, distance_m: float) -> FloatArray:
+    return distance_m * direction(np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg))

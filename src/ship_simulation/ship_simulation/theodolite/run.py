@@ -1,0 +1,91 @@
+"""The theodolite's part of a simulated voyage as arrays: what the devices say, when it arrives, and the truth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+from ship_simulation.draws.noise import SECOND_NS, SlowError, random_stream, stamps
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.ship.motion import Carrier
+from ship_simulation.ship.truth_grid import truth_index
+from ship_simulation.theodolite.baselines import BaselineSamples, solve_baselines
+from ship_simulation.theodolite.drone_attitude import DroneSamples, simulate_drone_attitude
+from ship_simulation.theodolite.encoder import EncoderSamples, read_encoders
+from ship_simulation.theodolite.images import ImageSamples, expose, in_view, points_on_detector
+from ship_simulation.theodolite.scene import MountState, Scene, draw_scene
+
+
+@dataclass(frozen=True)
+class PointingTruth:
+    """What the theodolite's devices should have said.
+
+    Attributes:
+        encoder_index: the encoder samples at whose stamps the truth is given: each first one of a tenth of a second,
+            and the last, shape (m,).
+        mount: the mount there.
+        rotation_nt: horizon from telescope there, shape (m, 3, 3).
+        light_count: lights in the telescope's view there, shape (m,).
+        scene: all that is true, at any moment.
+    """
+
+    encoder_index: np.ndarray
+    mount: MountState
+    rotation_nt: FloatArray
+    light_count: np.ndarray
+    scene: Scene
+
+
+@dataclass(frozen=True)
+class TheodoliteRun:
+    """One draw of a theodolite with its lights; drones by id."""
+
+    encoder: EncoderSamples
+    images: ImageSamples
+    baselines: dict[str, BaselineSamples]
+    drones: dict[str, DroneSamples]
+    truth: PointingTruth
+
+
+def simulate_theodolite(scenario: Scenario, carrier: Carrier, start_ns: int, seed: int) -> TheodoliteRun:
+    """Draw the theodolite's part of a voyage.
+
+    Raises:
+        BadInput: the theodolite would have to look along its vertical axis.
+    """
+    config, duration_s = scenario.theodolite, scenario.duration_s
+    scene = draw_scene(scenario, carrier, seed)
+    antenna = config.ship_antenna
+    ship_antenna = SlowError(
+        random_stream(seed, "theodolite.ship_antenna"), duration_s, np.full(3, antenna.sigma_m), antenna.time_s
+    )
+    time_ns = stamps(start_ns, config.encoder.rate_hz, config.encoder.phase_s, duration_s)
+    mount = scene.mount((time_ns - start_ns) / SECOND_NS)
+    return TheodoliteRun(
+        encoder=read_encoders(config.encoder, mount, time_ns, seed),
+        images=expose(config.telescope, scene, start_ns, duration_s, seed),
+        baselines={
+            key: solve_baselines(key, scene, ship_antenna, start_ns, duration_s, seed) for key in scene.lights
+        },
+        drones={
+            key: simulate_drone_attitude(key, light, start_ns, duration_s, seed) for key, light in scene.lights.items()
+        },
+        truth=_truth(scenario, scene, mount, time_ns, start_ns),
+    )
+
+
+def _truth(
+    scenario: Scenario, scene: Scene, mount: MountState, time_ns: np.ndarray, start_ns: int
+) -> PointingTruth:
+    index = truth_index(time_ns, start_ns)
+    chosen = MountState(*(getattr(mount, field)[index] for field in vars(mount)))
+    t_s = (time_ns[index] - start_ns) / SECOND_NS
+    telescope = scenario.theodolite.telescope
+    point_m = points_on_detector(telescope, scene, t_s, chosen)
+    return PointingTruth(
+        encoder_index=index,
+        mount=chosen,
+        rotation_nt=scene.rotation_nt(chosen),
+        light_count=in_view(telescope, scene, t_s, point_m).sum(axis=1),
+        scene=scene,
+    )

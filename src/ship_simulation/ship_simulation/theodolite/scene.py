@@ -1,0 +1,166 @@
+"""The theodolite and the lights as they truly are at any moment; what the devices say of it is made from this."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_bags.errors import BadInput
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import FloatArray, exp_rotation
+from ship_simulation.draws.noise import SlowError, random_stream
+from ship_simulation.scenario.beacon_scenario import Beacon
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.ship.attitude_device import outside
+from ship_simulation.ship.motion import Carrier
+from ship_simulation.theodolite.aim import Aim
+from ship_simulation.theodolite.flight import FlightPath, direction, flight_path, swaying
+from ship_simulation.theodolite.true_values import TrueTheodolite, draw_lever, draw_theodolite
+from theodolite_calib.chain.axes import encoder_angles, main_axis_rotation
+from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M
+
+
+@dataclass(frozen=True)
+class TrueLight:
+    """A drone with its light.
+
+    Attributes:
+        config: its part of the scenario.
+        path: of its antenna, from the crossing of the theodolite's axes.
+        attitude: of the drone (nose, up, right).
+        lever_b: from its antenna to its light, m, shape (3,).
+        refraction: what k differs by on the way to it, one process.
+    """
+
+    config: Beacon
+    path: FlightPath
+    attitude: Carrier
+    lever_b: FloatArray
+    refraction: SlowError
+
+    def shows(self, t_s: FloatArray) -> np.ndarray:
+        """Whether it is there and not hidden, shape (k,)."""
+        return (t_s < self.config.leaves_s) & outside(t_s, self.config.hidden)
+
+
+@dataclass(frozen=True)
+class MountState:
+    """The mount at some moments.
+
+    Attributes:
+        azimuth: angle at which the azimuth encoder truly is, rad, 0 to 2 pi, shape (k,).
+        elevation: the same of the elevation encoder, shape (k,).
+        deformation_d: rotation vector of the theodolite's base against the deck, rad, shape (k, 3).
+        rotation_nd: horizon from deck, shape (k, 3, 3).
+        rotation_nm: horizon from main frame, shape (k, 3, 3).
+    """
+
+    azimuth: FloatArray
+    elevation: FloatArray
+    deformation_d: FloatArray
+    rotation_nd: FloatArray
+    rotation_nm: FloatArray
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All that is true.
+
+    Attributes:
+        carrier: motion of the ship.
+        theodolite: its constants.
+        deformation: rotation vector of its base against the deck, rad.
+        aim: where it looks.
+        lights: by id, in the order of ids.
+        refraction: the error of k that is the same for all lights, one process.
+        coefficient: k as known.
+    """
+
+    carrier: Carrier
+    theodolite: TrueTheodolite
+    deformation: SlowError
+    aim: Aim
+    lights: dict[str, TrueLight]
+    refraction: SlowError
+    coefficient: float
+
+    def mount(self, t_s: FloatArray) -> MountState:
+        """The mount at moments of shape (k,).
+
+        Raises:
+            BadInput: it would have to look where its axes do not reach.
+        """
+        rotation_nd = self.carrier.attitude(t_s)
+        deformation_d = self.deformation.at(t_s)
+        rotation_nf = rotation_nd @ exp_rotation(deformation_d)
+        wanted_f = (self.aim.direction_n(t_s)[:, None, :] @ rotation_nf)[:, 0, :]
+        errors = self.theodolite.axis_errors
+        azimuth, elevation = encoder_angles(errors, wanted_f)
+        if not np.all(np.isfinite(azimuth)):
+            late = t_s[~np.isfinite(azimuth)][0]
+            raise BadInput(f"at {late:.2f} s the theodolite would have to look along its vertical axis: lower its line")
+        rotation_nm = rotation_nf @ main_axis_rotation(errors, azimuth, elevation)
+        return MountState(azimuth, elevation, deformation_d, rotation_nd, rotation_nm)
+
+    def rotation_nt(self, mount: MountState) -> FloatArray:
+        """Horizon from telescope, shape (k, 3, 3)."""
+        return mount.rotation_nm @ rotation_from_angles(*self.theodolite.parallelism).T
+
+    def directions_n(self, t_s: FloatArray, mount: MountState) -> FloatArray:
+        """Unit vectors along which the lights are seen, shape (k, N, 3)."""
+        lens_n = mount.rotation_nm @ self.theodolite.lens_m
+        common = self.coefficient + self.refraction.at(t_s)[:, 0]
+        seen = [
+            _raised(
+                light.path(t_s) + light.attitude.attitude(t_s) @ light.lever_b - lens_n,
+                common + light.refraction.at(t_s)[:, 0],
+            )
+            for light in self.lights.values()
+        ]
+        return np.stack(seen, axis=1) if seen else np.empty((t_s.size, 0, 3))
+
+
+def _raised(path_n: FloatArray, coefficient: FloatArray) -> FloatArray:
+    """Directions of paths, raised by k · (horizontal distance) / (2 R)."""
+    horizontal_m = np.hypot(path_n[:, 0], path_n[:, 2])
+    elevation = np.arctan2(path_n[:, 1], horizontal_m) + coefficient * horizontal_m / (2.0 * EARTH_RADIUS_M)
+    return direction(np.arctan2(path_n[:, 2], path_n[:, 0]), elevation)
+
+
+def draw_scene(scenario: Scenario, carrier: Carrier, seed: int) -> Scene:
+    """What is true in one run of a scenario."""
+    config, duration_s = scenario.theodolite, scenario.duration_s
+    lights = {
+        key: TrueLight(
+            config=beacon,
+            path=flight_path(beacon.flight, config.programme),
+            attitude=swaying(beacon.flight, random_stream(seed, f"beacon.{key}.sway")),
+            lever_b=draw_lever(beacon.light, f"beacon.{key}.light", seed),
+            refraction=SlowError(
+                random_stream(seed, f"beacon.{key}.refraction"),
+                duration_s,
+                np.array([config.air.light_sigma]),
+                config.air.time_s,
+            ),
+        )
+        for key, beacon in sorted(scenario.beacons.items())
+    }
+    return Scene(
+        carrier=carrier,
+        theodolite=draw_theodolite(config, seed),
+        deformation=SlowError(
+            random_stream(seed, "theodolite.deformation"),
+            duration_s,
+            np.full(3, np.deg2rad(config.deformation.sigma_arcsec / 3600.0)),
+            config.deformation.time_s,
+        ),
+        aim=Aim(
+            programme=config.programme,
+            paths=[light.path for light in lights.values()],
+            gone_s=max((light.config.leaves_s for light in lights.values()), default=0.0),
+        ),
+        lights=lights,
+        refraction=SlowError(
+            random_stream(seed, "theodolite.refraction"), duration_s, np.array([config.air.sigma]), config.air.time_s
+        ),
+        coefficient=config.air.coefficient,
+    )

@@ -1,0 +1,68 @@
+"""Random processes, stamps and the start of a simulation."""
+
+import numpy as np
+import pytest
+
+from ship_estimation.consistency import sigma_ratio_band
+from ship_simulation.draws.noise import SECOND_NS, arrival_times, gauss_markov, random_stream, stamps
+from ship_simulation.scenario.start_time import start_of
+
+
+def assert_sigma(values, sigma):
+    """The RMS of independent values is that of a sigma, within the chi² band of 99.9 %."""
+    low, high = sigma_ratio_band(values.size)
+    assert low < np.sqrt(np.mean(values**2)) / sigma < high
+
+
+def test_gauss_markov_is_steady_from_the_start_and_forgets_as_it_should():
+    count = 4000
+    sigma, time_s = np.full(count, 5.0), np.full(count, 20.0)
+    process = gauss_markov(random_stream(1, "test"), 41, 1.0, sigma, time_s)
+    for moment in (0, 1, 20, 40):
+        assert_sigma(process[moment], 5.0)
+    # What is left of x(0) at x(20 s) is exp(-1) of it; the rest is independent of it.
+    assert_sigma(process[20] - np.exp(-1.0) * process[0], 5.0 * np.sqrt(1.0 - np.exp(-2.0)))
+    correlation = np.mean(process[20] * process[0]) / 25.0
+    assert correlation == pytest.approx(np.exp(-1.0), abs=3.3 / np.sqrt(count))
+
+
+def test_streams_follow_seed_and_name():
+    draws = [random_stream(seed, name).standard_normal() for seed, name in ((1, "a"), (1, "a"), (1, "b"), (2, "a"))]
+    assert draws[0] == draws[1]
+    assert len(set(draws)) == 3
+
+
+def test_arrivals_are_late_by_latency_and_a_uniform_part():
+    stamp_ns = np.arange(1000) * SECOND_NS
+    delay_s = (arrival_times(stamp_ns, 0.3, 0.2, random_stream(1, "test")) - stamp_ns) / SECOND_NS
+    assert 0.3 <= delay_s.min() < 0.31
+    assert 0.49 < delay_s.max() < 0.5
+
+
+def test_stamps_of_a_rate_that_does_not_divide_the_second_do_not_drift():
+    time_ns = stamps(0, 30.0, 0.01, 1000.0)
+    assert time_ns[30_000 - 1] == 10_000_000 + round(29_999 * SECOND_NS / 30)
+    assert time_ns.size == 30_000
+
+
+@pytest.mark.parametrize(
+    ("text", "ns"),
+    [
+        ("1970-01-01T00:00:00Z", 0),
+        ("2014-07-09T11:50:07.8Z", 1_404_906_607_800_000_000),
+        ("2014-07-09T11:50:07.000000001Z", 1_404_906_607_000_000_001),
+    ],
+)
+def test_start_of(text, ns):
+    assert start_of(text) == ns
+
+
+@pytest.mark.parametrize("text", ["2014-07-09T11:50:07.8", "2014-07-09", "11:50:07Z", "yesterday"])
+def test_start_of_refuses_what_is_no_moment_in_utc(text):
+    with pytest.raises(ValueError, match="expected YYYY-MM-DDThh:mm:ss"):
+        start_of(text)
+
+
+def test_start_of_refuses_a_thirteenth_month():
+    with pytest.raises(ValueError, match="month"):
+        start_of("2014-13-09T11:50:07Z")

@@ -1,0 +1,183 @@
+"""Messages of sensors that look at the real sky: what they hold, what faults do to them, bags that repeat."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ship_attitude_star.ros.star_messages_in import star_exposure
+from ship_attitude_star.ros.surroundings_messages_in import humidity, position_fix, pressure, temperature
+from ship_attitude_star.sky.catalogue import hipparcos
+from ship_attitude_star.stars.star_config import SkyConfig
+from ship_bags.message_store import RosbagsFactory, message_store, serialize
+from ship_bags.stamps import ns_from_stamp
+from ship_geometry.rotations import ARCSEC
+from ship_replay.trials.attitude_monte_carlo import sky_input
+from ship_simulation.draws.noise import SECOND_NS
+from ship_simulation.messages.to_messages import messages
+from ship_simulation.run import SKY_SOURCES, simulate
+from ship_simulation.scenario.scenario import Fault, Outage
+from ship_simulation.simulate_command import write_bag
+from ship_testing.paper_stars import paper_stars, with_position, with_sensor
+
+OBSERVATIONS, INERTIAL = "star/fore/observations", "star/fore/inertial_attitude"
+
+
+def entries_of(run, topic):
+    """(message, log time) of one topic, through the bytes of a bag."""
+    store = message_store()
+    found = [(message, log) for name, message, log in messages(run, RosbagsFactory()) if name == topic]
+    return [(store.deserialize_cdr(serialize(message), message.__msgtype__), log) for message, log in found]
+
+
+@pytest.mark.parametrize("identity", [{}, {"direction_given": True}, {"identified": False}], ids=str)
+def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
+    scenario = with_sensor(
+        paper_stars(duration_s=4.0), false_stars=1.0, outages={"cloud": Outage(1.0, 2.0)}, exposure_s=0.05, **identity
+    )
+    run = simulate(scenario, seed=1)
+    said, config = run.stars["fore"], scenario.star_sensors["fore"].camera
+    entries = entries_of(run, OBSERVATIONS)
+    assert len(entries) == said.time_ns.size == 21
+    for index, (message, log) in enumerate(entries):
+        assert log == said.log_time_ns[index]
+        assert message.exposure_s == pytest.approx(0.05)
+        read, refused = star_exposure(
+            message, "fore", "star_fore", config.camera("camera"), config, hipparcos(), receive_ns=log
+        )
+        held = said.exposure(index)
+        assert refused == []
+        assert read.content() == held.content()
+        assert (read.source, read.time_ns) == (held.source, held.time_ns)
+        np.testing.assert_array_equal(read.sigma, held.sigma)
+        np.testing.assert_array_equal(read.identified, held.identified)
+        for name in vars(held.positions):
+            np.testing.assert_array_equal(getattr(read.positions, name), getattr(held.positions, name))
+        # The year of the run's start against that of the exposure.
+        np.testing.assert_allclose(read.position_sigma, held.position_sigma, rtol=1e-4)
+
+
+def test_fixes_and_weather_are_read_as_the_run_holds_them():
+    run = simulate(with_position(with_sensor(paper_stars(duration_s=6.0)), slow_sigma_m=30.0), seed=1)
+    read = {
+        "fix": [position_fix(m, SkyConfig(), log) for m, log in entries_of(run, "gnss/fix")],
+        "pressure": [pressure(m, log) for m, log in entries_of(run, "met/pressure")],
+        "temperature": [temperature(m, log) for m, log in entries_of(run, "met/temperature")],
+        "humidity": [humidity(m, log) for m, log in entries_of(run, "met/humidity")],
+    }
+    arrivals = [(source, index) for _, source, index in run.arrivals() if source in SKY_SOURCES]
+    assert {source: sum(s == source for s, _ in arrivals) for source in SKY_SOURCES} == {
+        "fix": 7,
+        "pressure": 4,
+        "temperature": 4,
+        "humidity": 4,
+    }
+    for source, index in arrivals:
+        held, found = sky_input(run, source, index), read[source][index]
+        if source == "fix":
+            np.testing.assert_array_equal(found.covariance_m2, held.covariance_m2)
+            assert (found.time_ns, found.position) == (held.time_ns, held.position)
+        else:
+            assert found == dataclasses.replace(held, value=pytest.approx(held.value, rel=1e-15))
+
+
+def test_an_observation_has_a_number_or_a_direction_or_nothing():
+    for identity, number, direction in (
+        ({}, True, False),
+        ({"direction_given": True}, False, True),
+        ({"identified": False}, False, False),
+    ):
+        run = simulate(with_sensor(paper_stars(duration_s=1.0), **identity), seed=1)
+        for message, _ in entries_of(run, OBSERVATIONS):
+            for star in message.stars:
+                assert bool(star.catalogue_id) == number
+                assert np.isfinite(star.right_ascension) == np.isfinite(star.declination) == direction
+                assert star.sigma_px == pytest.approx(0.13222, rel=1e-6)
+
+
+def test_an_inertial_attitude_speaks_forward_left_up():
+    sensor = {"output": "inertial_attitude", "sigma_forward_arcsec": 60.0, "sigma_right_arcsec": 5.0}
+    run = simulate(with_sensor(paper_stars(duration_s=1.0), **sensor), seed=1)
+    message, log = entries_of(run, INERTIAL)[3]
+    samples = run.stars["fore"]
+    assert log - ns_from_stamp(message.header.stamp) == SECOND_NS // 10
+    assert (message.sensor_id, message.header.frame_id) == ("fore", "star_fore")
+    q = message.orientation
+    rotation_if = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    # By hand: columns forward, left, up of forward, up, right.
+    forward, up, right = samples.rotation_iv[3].T
+    np.testing.assert_allclose(rotation_if, np.stack([forward, -right, up], axis=1), rtol=0.0, atol=1e-14)
+    # About forward, left, up: 60″, that about right, that about up.
+    expected = np.diag([60.0**2, 5.0**2, 3.0**2]) * ARCSEC**2
+    np.testing.assert_allclose(message.covariance.reshape(3, 3), expected, rtol=1e-12)
+
+
+def in_window(entries, run):
+    """The entries stamped from 1 s to 2 s."""
+    return [m for m, _ in entries if SECOND_NS <= ns_from_stamp(m.header.stamp) - run.start_ns < 2 * SECOND_NS]
+
+
+def faulty(scenario, topic, kind, **changes):
+    """The run, the entries of a topic without, and with a fault from 1 s to 2 s."""
+    fault = Fault(topic=topic, kind=kind, start_s=1.0, end_s=2.0, **changes)
+    clean, spoilt = simulate(scenario, 1), simulate(dataclasses.replace(scenario, faults={"fault": fault}), 1)
+    return clean, entries_of(clean, topic), entries_of(spoilt, topic)
+
+
+def inertial_scenario():
+    return with_sensor(paper_stars(duration_s=3.0), output="inertial_attitude")
+
+
+@pytest.mark.parametrize(
+    ("topic", "kind", "differs"),
+    [
+        (OBSERVATIONS, "nan", lambda m: np.isnan(m.stars[0].u) and np.isfinite(m.stars[1].u)),
+        (OBSERVATIONS, "frame", lambda m: m.header.frame_id == "star_fore_other"),
+        (INERTIAL, "nan", lambda m: np.isnan(m.orientation.x)),
+        (INERTIAL, "covariance_unknown", lambda m: not m.covariance.any()),
+        (INERTIAL, "covariance_negative", lambda m: m.covariance[4] < 0.0 < m.covariance[0]),
+    ],
+)
+def test_a_spoilt_field_is_spoilt_in_the_window_only(topic, kind, differs):
+    scenario = with_sensor(paper_stars(duration_s=3.0)) if topic == OBSERVATIONS else inertial_scenario()
+    run, clean, spoilt = faulty(scenario, topic, kind)
+    assert len(clean) == len(spoilt) == 16
+    window = in_window(spoilt, run)
+    assert len(window) == 5
+    assert all(differs(m) for m in window)
+    outside = [(a, b) for (a, _), (b, _) in zip(clean, spoilt, strict=True) if not any(b is w for w in window)]
+    assert len(outside) == 11
+    assert all(serialize(a) == serialize(b) for a, b in outside)
+
+
+@pytest.mark.parametrize("topic", [OBSERVATIONS, INERTIAL])
+def test_messages_are_dropped_delayed_repeated_and_frozen(topic):
+    scenario = with_sensor(paper_stars(duration_s=3.0)) if topic == OBSERVATIONS else inertial_scenario()
+    run, clean, dropped = faulty(scenario, topic, "drop")
+    assert in_window(dropped, run) == []
+    assert len(dropped) == len(clean) - 5
+    _, _, late = faulty(scenario, topic, "delay", delay_s=0.5)
+    assert sorted(log for _, log in late) != sorted(log for _, log in clean)
+    _, _, doubled = faulty(scenario, topic, "duplicate")
+    pairs = in_window(doubled, run)
+    assert len(pairs) == 10
+    assert all(serialize(a) == serialize(b) for a, b in zip(pairs[::2], pairs[1::2], strict=True))
+    _, _, in_conflict = faulty(scenario, topic, "conflict")
+    pairs = in_window(in_conflict, run)
+    for a, b in zip(pairs[::2], pairs[1::2], strict=True):
+        assert a.header == b.header
+        assert serialize(a) != serialize(b)
+    _, _, frozen = faulty(scenario, topic, "freeze")
+    first, *others = in_window(frozen, run)
+    for other in others:
+        assert other.header != first.header
+        other.header = first.header
+        assert serialize(other) == serialize(first)
+
+
+def test_a_bag_of_stars_repeats_to_the_byte(tmp_path):
+    scenario = with_sensor(paper_stars(duration_s=3.0), false_stars=1.0, swapped_probability=0.3)
+    for name in ("first", "second"):
+        write_bag(simulate(scenario, 7), tmp_path / name, b"")
+    assert (tmp_path / "first").read_bytes() == (tmp_path / "second").read_bytes()

@@ -1,0 +1,372 @@
+"""Single stars and inertial attitudes of a simulated voyage: which stars, where on the detector, called what."""
+
+import dataclasses
+
+import erfa
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2
+
+from ship_attitude_star.sky.catalogue import hipparcos
+from ship_estimation.consistency import mean_nees_band, sigma_ratio_band
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.refraction import refraction
+from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
+from ship_geometry.time_scales import julian_date
+from ship_simulation.draws.noise import SECOND_NS
+from ship_simulation.run import simulate
+from ship_simulation.scenario.scenario import Outage
+from ship_simulation.ship.carriers import carrier_of
+from ship_simulation.stars.star_identities import NEIGHBOURHOOD, neighbour_identities
+from ship_testing.paper_stars import paper_stars, with_position, with_sensor
+
+MAS = 1e-3 * ARCSEC
+FORE = "fore"
+QUIET = {"centroid_sigma_px": 1e-6}
+DISTORTED = {"distortion_k1": -0.4, "distortion_k2": 2.0, "distortion_p1": 1e-3, "distortion_p2": -2e-3}
+
+
+def sightings_of(scenario, seed=1):
+    """(what the sensor says, what its stars are, the sky) of the only sensor."""
+    run = simulate(scenario, seed)
+    return run.stars[FORE], run.truth.sightings[FORE], run.truth.sky
+
+
+def assert_sigma(values, sigma):
+    low, high = sigma_ratio_band(np.size(values))
+    assert low < np.sqrt(np.mean(np.square(values))) / sigma < high
+
+
+def share_band(count, share):
+    """The 99.9 % band of the number of hits."""
+    return binom.ppf([0.0005, 0.9995], count, share)
+
+
+def by_atco13(sky, rows, time_ns):
+    """Observed directions (N, U, E) with air of some stars, at one moment or one moment a star."""
+    stars, orientation, place = sky.positions[rows], sky.orientation(time_ns), sky.track.at(time_ns)
+    air = sky.weather
+    azimuth, zenith_distance, *_ = erfa.atco13(
+        *(getattr(stars, name) for name in vars(stars)),
+        0.0,
+        *julian_date(time_ns),
+        orientation.ut1_minus_utc_s,
+        *(place.longitude, place.latitude, place.height_m),
+        *(orientation.pole_x, orientation.pole_y),
+        *(air.pressure_hpa, air.temperature_c, air.relative_humidity, 0.55),
+    )
+    sine = np.sin(zenith_distance)
+    return np.stack([np.cos(azimuth) * sine, np.cos(zenith_distance), np.sin(azimuth) * sine], axis=-1)
+
+
+def test_each_star_stands_where_the_attitude_and_erfa_put_it():
+    scenario = with_sensor(
+        paper_stars(),
+        time_offset_s=0.3,
+        flexure_sigma_arcsec=50.0,
+        installation_sigma_forward_arcsec=2000.0,
+        camera={**QUIET, **DISTORTED},
+    )
+    run = simulate(scenario, seed=3)
+    said, truth, sky = run.stars[FORE], run.truth.sightings[FORE], run.truth.sky
+    mounted = run.truth.stars[FORE]
+    nominal = rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
+    np.testing.assert_allclose(mounted.rotation_dv, nominal @ exp_rotation(mounted.installation_error_v))
+    moments_s = (said.time_ns - run.start_ns) / SECOND_NS + 0.3
+    stiff = carrier_of(scenario.carrier, 3).attitude(moments_s) @ mounted.rotation_dv
+    bend = log_rotation(np.swapaxes(truth.rotation_nv, -1, -2) @ stiff)
+    assert 10.0 < np.sqrt(np.mean(bend**2)) / ARCSEC < 250.0
+    exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
+    valid_ns = said.time_ns[exposure] + 300_000_000
+    expected_n = by_atco13(sky, sky.catalogue.rows(truth.hip), valid_ns)
+    # Through the camera and back: a millionth of a pixel is 0.02 mas.
+    seen_n = (truth.rotation_nv[exposure] @ said.stars.directions_s[..., None])[..., 0]
+    assert np.max(angle_between(seen_n, expected_n)) < 0.3 * MAS
+    assert len(said.stars) == 8 * said.time_ns.size
+
+
+def test_all_stars_of_the_catalogue_that_stand_on_the_detector_are_there_and_no_others():
+    scenario = with_sensor(paper_stars(duration_s=20.0), magnitude_limit=7.0, most_stars=1000, camera=QUIET)
+    said, truth, sky = sightings_of(scenario)
+    bright = np.flatnonzero(sky.catalogue.magnitude <= 7.0)
+    assert 13_000 < bright.size < 15_000
+    for index in (0, 37, 100):
+        seen_n = by_atco13(sky, bright, said.time_ns[index])
+        forward, up, right = (seen_n @ truth.rotation_nv[index]).T
+        # 2048 pixels of 5.5 µm about the axis at 50 mm: a square of ±0.11264.
+        half = 1024.0 * 5.5e-6 / 0.05
+        inside = (forward > 0.0) & (np.abs(up) < half * forward) & (np.abs(right) < half * forward)
+        expected = sky.catalogue.hip[bright[inside]]
+        assert expected.size > 20
+        assert sorted(truth.hip[said.rows(index)]) == sorted(expected)
+
+
+def test_the_brightest_are_kept():
+    many, many_truth, sky = sightings_of(with_sensor(paper_stars(), most_stars=1000))
+    few, few_truth, _ = sightings_of(with_sensor(paper_stars(), most_stars=5))
+    magnitude = dict(zip(sky.catalogue.hip.tolist(), sky.catalogue.magnitude.tolist(), strict=True))
+    for index in range(few.time_ns.size):
+        by_brightness = sorted(many_truth.hip[many.rows(index)].tolist(), key=magnitude.get)
+        assert set(few_truth.hip[few.rows(index)].tolist()) == set(by_brightness[:5])
+
+
+def test_centroids_scatter_by_their_sigma_and_magnitudes_too():
+    said, truth, sky = sightings_of(paper_stars_one(duration_s=60.0, camera=DISTORTED))
+    camera = paper_stars_one(camera=DISTORTED).star_sensors[FORE].camera.camera("camera")
+    error_px = said.pixel - camera.pixels(truth.direction_s)
+    assert_sigma(error_px[:, 0], 0.13222)
+    assert_sigma(error_px[:, 1], 0.13222)
+    # 3″ on the sky, as the estimator is told; the same from the directions themselves, two degrees each.
+    assert said.stars.sigma == pytest.approx(np.full(len(said.stars), 3.0 * ARCSEC), rel=0.05)
+    angle = angle_between(said.stars.directions_s, truth.direction_s)
+    low, high = mean_nees_band(angle.size, 2)
+    assert low < np.mean((angle / said.stars.sigma) ** 2) < high
+    assert_sigma(said.stars.magnitude - sky.catalogue.magnitude[sky.catalogue.rows(truth.hip)], 0.2)
+
+
+def ways_of(scenario, said, truth, count=200):
+    """Where each star of a run truly is on the detector at many moments of its exposure, shape (count, k, 2)."""
+    sensor, carrier = scenario.star_sensors[FORE], carrier_of(scenario.carrier, 1)
+    camera, first_ns = sensor.camera.camera("camera"), said.time_ns[0]
+    exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
+    middle_s = (said.time_ns - first_ns)[exposure] / SECOND_NS
+    mounting = carrier.attitude(np.zeros(1))[0].T @ truth.rotation_nv[0]
+    place_n = (carrier.attitude(middle_s) @ mounting @ truth.direction_s[..., None])[..., 0]
+    since_s = sensor.exposure_s * ((np.arange(count) + 0.5) / count - 0.5)
+    seen = [np.einsum("kji,kj->ki", carrier.attitude(middle_s + t) @ mounting, place_n) for t in since_s]
+    return camera.pixels(np.array(seen))
+
+
+@pytest.mark.parametrize("exposure_s", [0.1, 2.0])
+def test_mend_09_a_simulated_centroid_is_the_mean_of_the_star_s_true_way(exposure_s):
+    scenario = paper_stars_one(exposure_s=exposure_s, camera={**QUIET, **DISTORTED})
+    said, truth, _ = sightings_of(scenario)
+    way = ways_of(scenario, said, truth)
+    off = np.abs(way.mean(axis=0) - way[100]).max()
+    np.testing.assert_allclose(said.pixel, way.mean(axis=0), atol=max(2e-3, 1e-4 * off))
+    # Points are what they were without an exposure.
+    still, _, _ = sightings_of(paper_stars_one(camera={**QUIET, **DISTORTED}))
+    assert np.max(np.abs(said.pixel - still.pixel)) > 0.05
+    assert said.stars.length.exposure_s == pytest.approx(exposure_s)
+    assert still.stars.length is None
+
+
+def test_mend_09_a_simulated_centroid_scatters_more_along_its_streak():
+    scenario = paper_stars_one(duration_s=60.0, exposure_s=0.05)
+    said, truth, _ = sightings_of(scenario)
+    way = ways_of(scenario, said, truth, 20)
+    streak = (way[-1] - way[0]) * 20.0 / 19.0
+    length = np.linalg.norm(streak, axis=-1)
+    along = streak / length[:, None]
+    error_px = said.pixel - way.mean(axis=0)
+    assert length.min() < 2.0 < 10.0 < length.max()
+    assert_sigma(np.sum(error_px * along, axis=-1) / np.sqrt(1.0 + length**2 / (12.0 * 0.8**2)), 0.13222)
+    assert_sigma(error_px[:, 0] * along[:, 1] - error_px[:, 1] * along[:, 0], 0.13222)
+
+
+def paper_stars_one(duration_s=10.0, **changes):
+    return with_sensor(paper_stars(duration_s=duration_s), **changes)
+
+
+def test_identified_stars_bear_their_number_and_the_catalogues_place():
+    said, truth, sky = sightings_of(paper_stars_one())
+    np.testing.assert_array_equal(said.stars.hip, truth.hip)
+    rows = sky.catalogue.rows(said.stars.hip)
+    np.testing.assert_array_equal(said.stars.positions.declination, sky.catalogue.at_j2000.declination[rows])
+    np.testing.assert_allclose(said.stars.position_sigma, sky.catalogue.sigma(rows, 2014.52), rtol=1e-3)
+    one = said.exposure(7)
+    assert (one.source, one.time_ns, len(one)) == ("star.fore", int(said.time_ns[7]), 8)
+    np.testing.assert_array_equal(one.directions_s, said.stars.directions_s[said.rows(7)])
+
+
+def test_stars_may_be_told_by_their_directions_or_not_at_all():
+    by_direction, truth, sky = sightings_of(paper_stars_one(direction_given=True))
+    assert not by_direction.stars.hip.any()
+    known = sky.catalogue.at_j2000[sky.catalogue.rows(truth.hip)]
+    told = by_direction.stars.positions
+    apart = erfa.seps(known.right_ascension, known.declination, told.right_ascension, told.declination)
+    # Proper motion of fourteen years is in what is told.
+    assert np.all(apart < 40.0 * ARCSEC)
+    assert np.max(apart) > 0.1 * ARCSEC
+    assert not np.any(told.pm_declination)
+    nameless, _, _ = sightings_of(paper_stars_one(identified=False))
+    assert not nameless.stars.hip.any()
+    assert not nameless.stars.identified.any()
+    np.testing.assert_array_equal(nameless.pixel, by_direction.pixel)
+
+
+def test_false_stars_are_poisson_uniform_in_the_field_and_called_anything():
+    scenario = paper_stars_one(duration_s=400.0, rate_hz=5.0, false_stars=2.0, most_stars=1)
+    said, truth, sky = sightings_of(scenario)
+    false = truth.hip == 0
+    exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
+    counts = np.bincount(exposure[false], minlength=said.time_ns.size)
+    # Of a Poisson count the variance is the mean: both in their bands, 2001 exposures.
+    assert abs(counts.mean() - 2.0) < 3.3 * np.sqrt(2.0 / counts.size)
+    low, high = chi2.ppf([0.0005, 0.9995], counts.size - 1)
+    assert low < np.sum((counts - counts.mean()) ** 2) / 2.0 < high
+    cells = np.histogram2d(*said.pixel[false].T, bins=8, range=[[-0.5, 2047.5]] * 2)[0]
+    expected = false.sum() / 64.0
+    assert np.sum((cells - expected) ** 2) / expected < chi2.ppf(0.9995, 63)
+    assert cells.sum() == false.sum()
+    # The identity says nothing of the place: over the sky as the catalogue's stars are, seldom from the field itself.
+    rows = sky.catalogue.rows(said.stars.hip[false])
+    bright = sky.catalogue.brighter_than(6.0)
+    north = np.mean(sky.catalogue.at_j2000.declination[bright] > 0.0)
+    low, high = share_band(rows.size, north)
+    assert low <= np.count_nonzero(sky.catalogue.at_j2000.declination[rows] > 0.0) <= high
+    assert np.isin(rows, bright).all()
+    assert np.unique(rows).size > 0.9 * bright.size * (1.0 - np.exp(-rows.size / bright.size))
+    assert np.isnan(truth.direction_s[false]).all()
+
+
+def test_false_stars_leave_the_true_ones_as_they_were_and_stand_among_them():
+    clean, clean_truth, _ = sightings_of(paper_stars_one())
+    mixed, truth, _ = sightings_of(paper_stars_one(false_stars=3.0))
+    true = truth.hip != 0
+    np.testing.assert_array_equal(mixed.pixel[true], clean.pixel)
+    np.testing.assert_array_equal(mixed.stars.magnitude[true], clean.stars.magnitude)
+    np.testing.assert_array_equal(truth.hip[true], clean_truth.hip)
+    exposure = np.repeat(np.arange(mixed.time_ns.size), np.diff(mixed.first))
+    order = np.lexsort((mixed.pixel[:, 1], exposure))
+    np.testing.assert_array_equal(order, np.arange(len(order)))
+
+
+def test_swapped_identities_are_exchanged_within_their_exposure():
+    said, truth, _ = sightings_of(paper_stars_one(duration_s=200.0, swapped_probability=0.3))
+    swapped_exposures = 0
+    for index in range(said.time_ns.size):
+        rows = said.rows(index)
+        wrong = said.stars.hip[rows] != truth.hip[rows]
+        np.testing.assert_array_equal(wrong, truth.swapped[rows])
+        assert wrong.sum() in (0, 2)
+        assert sorted(said.stars.hip[rows]) == sorted(truth.hip[rows])
+        swapped_exposures += bool(wrong.any())
+    low, high = share_band(said.time_ns.size, 0.3)
+    assert low <= swapped_exposures <= high
+
+
+def test_two_sensors_see_one_sky_and_have_errors_of_their_own():
+    run = simulate(paper_stars(), seed=1)
+    alone = simulate(with_sensor(paper_stars()), seed=1)
+    np.testing.assert_array_equal(alone.stars[FORE].pixel, run.stars[FORE].pixel)
+    fore, starboard = run.truth.sightings[FORE], run.truth.sightings["starboard"]
+    between = np.sum(fore.rotation_nv[:, :, 0] * starboard.rotation_nv[:, :, 0], axis=1)
+    # Two axes 45° up, 90° apart in azimuth: cos = 1/2.
+    np.testing.assert_allclose(between, 0.5, atol=1e-4)
+    assert not set(fore.hip.tolist()) & set(starboard.hip.tolist())
+
+
+def test_the_reference_case_shows_eight_stars_in_each_exposure():
+    scenario = paper_stars(duration_s=600.0)
+    seldom = {key: dataclasses.replace(sensor, rate_hz=0.7) for key, sensor in scenario.star_sensors.items()}
+    run = simulate(dataclasses.replace(scenario, star_sensors=seldom), seed=1)
+    for said in run.stars.values():
+        assert set(np.diff(said.first).tolist()) == {8}
+
+
+def test_clouds_and_daylight_leave_exposures_empty():
+    cloudy, _, _ = sightings_of(paper_stars_one(outages={"cloud": Outage(2.0, 4.0)}, false_stars=1.0))
+    since_start_s = (cloudy.time_ns - cloudy.time_ns[0]) / SECOND_NS
+    inside = (since_start_s >= 2.0) & (since_start_s < 4.0)
+    counts = np.diff(cloudy.first)
+    assert not counts[inside].any()
+    assert counts[~inside].min() >= 8
+    # At dawn: exposures end when the Sun reaches the limit.
+    dawn = dataclasses.replace(paper_stars(duration_s=1200.0), start_utc="2014-07-09T20:10:00Z")
+    said, _, sky = sightings_of(with_sensor(dawn, rate_hz=0.2, sun_limit_deg=-8.0))
+    too_light = np.rad2deg(sky.sun_elevation(said.time_ns)) >= -8.0
+    np.testing.assert_array_equal(np.diff(said.first) == 0, too_light)
+    assert 20 < too_light.sum() < 220
+
+
+def test_stars_below_the_models_lowest_elevation_are_not_seen():
+    low_looking = with_sensor(paper_stars(), elevation_deg=10.0, magnitude_limit=7.5, most_stars=1000)
+    elevation = {}
+    for model in ("erfa", "almanac"):
+        weather = dataclasses.replace(low_looking.weather, refraction_model=model)
+        said, truth, _ = sightings_of(dataclasses.replace(low_looking, weather=weather))
+        exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
+        up = (truth.rotation_nv[exposure] @ truth.direction_s[..., None])[:, 1, 0]
+        elevation[model] = np.rad2deg(np.arcsin(up))
+    # 5° and 14° without air; refraction lifts by 0.16° and 0.06°.
+    assert 5.1 < elevation["erfa"].min() < 5.5
+    assert 14.0 < elevation["almanac"].min() < 14.4
+
+
+def test_the_same_seed_gives_the_same_stars_and_another_seed_others():
+    scenario = paper_stars_one(false_stars=1.0, swapped_probability=0.5)
+    first, again, other = (sightings_of(scenario, seed)[0] for seed in (5, 5, 6))
+    assert first.pixel.tobytes() == again.pixel.tobytes()
+    assert first.stars.content() == again.stars.content()
+    assert first.pixel.shape != other.pixel.shape or np.any(first.pixel != other.pixel)
+
+
+def test_an_inertial_attitude_shows_its_boresight_where_refraction_and_aberration_taken_out_leave_it():
+    scenario = inertial(sigma_forward_arcsec=0.0, sigma_up_arcsec=0.0, sigma_right_arcsec=0.0)
+    scenario = with_position(scenario, speed_m_per_s=15.0)
+    run = simulate(scenario, seed=2)
+    said, sky = run.stars[FORE], run.truth.sky
+    true_nv = carrier_of(scenario.carrier, 2).attitude((said.time_ns - run.start_ns) / SECOND_NS)
+    true_nv = true_nv @ run.truth.stars[FORE].rotation_dv
+    rotation_ni = sky.rotation_horizon_from_icrs(said.time_ns)
+    bare_nv = rotation_ni @ said.rotation_iv
+    elevation = np.arcsin(bare_nv[:, 1, 0])
+    lifted = np.arcsin(true_nv[:, 1, 0]) - elevation
+    np.testing.assert_allclose(lifted, refraction("erfa", elevation, sky.weather).angle, rtol=0.0, atol=0.1 * MAS)
+    # And nothing but a lift: a turn about the horizontal across the boresight.
+    turn_n = log_rotation(true_nv @ np.swapaxes(bare_nv, -1, -2))
+    np.testing.assert_allclose(turn_n[:, 1], 0.0, atol=0.1 * MAS)
+    np.testing.assert_allclose(np.sum(turn_n * true_nv[:, :, 0], axis=1), 0.0, atol=0.1 * MAS)
+
+
+def test_noise_of_inertial_attitudes_belongs_to_their_axes():
+    noisy, quiet = (
+        simulate(inertial(120.0, sigma_forward_arcsec=f, sigma_up_arcsec=u, sigma_right_arcsec=r), seed=1).stars[FORE]
+        for f, u, r in ((60.0, 4.0, 2.0), (0.0, 0.0, 0.0))
+    )
+    noise_v = log_rotation(np.swapaxes(quiet.rotation_iv, -1, -2) @ noisy.rotation_iv)
+    for axis, sigma_arcsec in enumerate([60.0, 4.0, 2.0]):
+        assert_sigma(noise_v[:, axis], sigma_arcsec * ARCSEC)
+    np.testing.assert_allclose(noisy.noise_v, np.diag((np.array([60.0, 4.0, 2.0]) * ARCSEC) ** 2))
+
+
+def test_clouds_daylight_and_the_horizon_leave_no_inertial_attitude():
+    whole = simulate(inertial(), seed=1).stars[FORE]
+    cloudy = simulate(inertial(outages={"cloud": Outage(2.0, 4.0)}), seed=1).stars[FORE]
+    kept = np.isin(whole.time_ns, cloudy.time_ns)
+    assert kept.sum() == kept.size - 10
+    np.testing.assert_array_equal(cloudy.rotation_iv, whole.rotation_iv[kept])
+    assert simulate(inertial(sun_limit_deg=-20.0), seed=1).stars[FORE].time_ns.size == 0
+    # The roll of the ship takes a boresight at 5° under the limit and back.
+    low = simulate(with_sensor(inertial(20.0), elevation_deg=5.0), seed=1).stars[FORE]
+    assert 10 < low.time_ns.size < 95
+
+
+def inertial(duration_s=10.0, **changes):
+    return with_sensor(paper_stars(duration_s=duration_s), output="inertial_attitude", **changes)
+
+
+def test_neighbours_are_other_stars_or_other_places_within_two_arcminutes():
+    catalogue = hipparcos()
+    hip = catalogue.hip[catalogue.brighter_than(7.0)]
+    claimed, positions = neighbour_identities(hip, np.random.default_rng(1))
+    true = catalogue.at_j2000[catalogue.rows(hip)]
+    apart = erfa.seps(true.right_ascension, true.declination, positions.right_ascension, positions.declination)
+    assert np.all((apart > 0.0) & (apart <= NEIGHBOURHOOD * (1.0 + 1e-6)))
+    numbered = claimed != 0
+    assert not np.any(claimed == hip)
+    # By brute force: of whom there is another star within 120″.
+    places = erfa.s2c(catalogue.at_j2000.right_ascension, catalogue.at_j2000.declination)
+    for index in range(0, hip.size, 200):
+        own = places[catalogue.rows(hip[index])]
+        near = np.count_nonzero(np.sum(places * own, axis=1) > np.cos(NEIGHBOURHOOD)) > 1
+        assert near == numbered[index]
+    rows = catalogue.rows(claimed[numbered])
+    np.testing.assert_array_equal(positions.declination[numbered], catalogue.at_j2000.declination[rows])
+    # Uniform over the disc: the mean square is half of the radius squared.
+    moved = apart[~numbered] / NEIGHBOURHOOD
+    assert np.mean(moved**2) == pytest.approx(0.5, abs=3.3 * np.sqrt(1.0 / 12.0 / moved.size))
+    again, same = neighbour_identities(hip, np.random.default_rng(1))
+    np.testing.assert_array_equal(again, claimed)
+    np.testing.assert_array_equal(same.right_ascension, positions.right_ascension)

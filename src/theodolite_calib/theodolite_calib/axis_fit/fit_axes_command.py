@@ -1,0 +1,152 @@
+"""``fit_axes``: axis errors of a theodolite from sightings of known directions, with figures and tables."""
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput
+from ship_bags.output_files import add_force, check_folder
+from ship_geometry.rotations import ARCSEC
+from theodolite_calib.axis_fit.doubts import doubts
+from theodolite_calib.axis_fit.fitted_calibration import fitted_calibration
+from theodolite_calib.axis_fit.robust_fit import AxisFit, fit
+from theodolite_calib.axis_fit.sighting_file import COLUMNS, GROUP_COLUMNS, LABEL_COLUMN, TIME_COLUMN, read_sightings
+from theodolite_calib.axis_fit.sightings import Sightings
+from theodolite_calib.axis_fit.slow_errors import MOST_SIGHTINGS
+from theodolite_calib.axis_fit.tables import write_tables
+from theodolite_calib.axis_fit.words import MEANINGS, summary
+from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.ros import calibration_file
+
+# Sightings that scatter more than this about their own fit (rad) are no sightings, or in other units.
+_MOST_SCATTER = np.deg2rad(1.0)
+
+CALIBRATION = "calibration.yaml"
+WRITTEN = (
+    *("axes.yaml", "axes.csv", "correlation.csv", "residuals.csv"),
+    *("residuals.png", "over_angles.png", "sky.png", "terms.png"),
+    CALIBRATION,
+)
+"""Names of all files written."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    columns = "\n".join(f"  {name:26}{doc}" for name, doc in COLUMNS.items())
+    terms = "\n".join(f"  {name:10}{meaning}" for name, meaning in MEANINGS.items())
+    parser = CommandParser(
+        prog="fit_axes",
+        example="./ros2run theodolite_calib fit_axes sightings.csv --out fit --flexure",
+        description="Axis errors [arcsec, 1 sigma] of a theodolite from sightings of known directions.",
+        epilog=f"columns of the table, all in degrees:\n{columns}\n  {LABEL_COLUMN:26}number or name, optional\n"
+        f"  {TIME_COLUMN:26}moment, UTC as POSIX time [s], optional\n"
+        "errors that sightings share, as columns, optional:\n"
+        "  slow_right_arcsec:NAME:T, slow_up_arcsec:NAME:T   what one sigma of the error NAME moves a sighting by;\n"
+        f"{'':28}T is its correlation time [s], inf where it lasts; axis_sightings writes them\n"
+        f"  {', '.join(GROUP_COLUMNS):26}  the base was turned by one error of this sigma, each axis, for a group\n"
+        "A YAML file holds the same names in a list under 'sightings'.\n\n"
+        f"terms:\n{terms}\n\n"
+        "written: axes.yaml, axes.csv, correlation.csv, residuals.csv, figures as PNG, and calibration.yaml, which\n"
+        "optical_axis takes as its calibration_file\n"
+        "exit code: 0 written; 2 bad input or usage; 130 interrupted",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("sightings", type=Path, metavar="SIGHTINGS", help="table of sightings, .csv or .yaml [deg]")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into, made if absent")
+    parser.add_argument(
+        "--fix",
+        type=_fixed,
+        action="append",
+        default=[],
+        metavar="TERM[=ARCSEC]",
+        help="do not fit a term, hold it at a value [arcsec, default 0]; may be repeated",
+    )
+    parser.add_argument(
+        "--serial", default="", help="serial number of the theodolite, as optical_axis is configured (default: none)"
+    )
+    parser.add_argument("--flexure", action="store_true", help="fit the bending of the tube too")
+    add_force(parser)
+    return parser
+
+
+def _fixed(text: str) -> tuple[str, float]:
+    """Name and value (rad) of a term that is held."""
+    name, _, value = text.partition("=")
+    if name not in NAMES:
+        raise argparse.ArgumentTypeError(f"'{name}' is no term: expected one of {', '.join(NAMES)}")
+    try:
+        arcsec = float(value) if "=" in text else 0.0
+    except ValueError:
+        arcsec = math.nan
+    if not math.isfinite(arcsec):
+        raise argparse.ArgumentTypeError(f"'{value}' is no value of '{name}': expected a finite number of arcsec")
+    return name, arcsec * ARCSEC
+
+
+def _run(options: argparse.Namespace) -> int:
+    fixed = dict(options.fix)
+    if not options.flexure:
+        fixed.setdefault("flexure", 0.0)
+    elif "flexure" in fixed:
+        raise BadInput("--flexure and --fix flexure contradict each other: give one of them")
+    check_folder(options.out, WRITTEN, options.force)
+    sightings = read_sightings(options.sightings)
+    result = _fitted(options.sightings, sightings, fixed)
+    options.out.mkdir(parents=True, exist_ok=True)
+    doubted = doubts(sightings, fixed)
+    write_tables(result, sightings, doubted, options.out)
+    saved = _calibration(result, sightings, doubted, options)
+    # Loading the figures' library takes longer than the fit: bad input is told before.
+    from theodolite_calib.axis_fit.figures import draw_figures
+
+    draw_figures(result, sightings, options.out)
+    sys.stdout.write(f"{summary(result, sightings, doubted)}\n{saved}\nwritten: {options.out}\n")
+    return EXIT_DONE
+
+
+def _calibration(result: AxisFit, sightings: Sightings, doubted: list[str], options: argparse.Namespace) -> str:
+    """Write the calibration that optical_axis starts from, where there is one; the words for it."""
+    path = options.out / CALIBRATION
+    if doubted or not result.sigmas_known:
+        # That of an earlier table must not pass for this one's.
+        path.unlink(missing_ok=True)
+        why = "the table is doubtful" if doubted else "no sigma is known"
+        return f"not written: calibration.yaml, for {why}"
+    calibration_file.save(path, fitted_calibration(result, sightings.time_s, options.serial))
+    dated = "" if sightings.time_s is not None else f", but old: without {TIME_COLUMN} nothing says its age"
+    return f"calibration.yaml: for the parameter calibration_file of optical_axis, serial '{options.serial}'{dated}"
+
+
+def _fitted(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFit:
+    """The fit.
+
+    Raises:
+        BadInput: there is nothing to fit, there are too few sightings, or they fit nothing.
+    """
+    terms = len(NAMES) - len(fixed)
+    if terms == 0:
+        raise BadInput("every term is fixed: nothing is left to fit")
+    if len(sightings.labels) < terms:
+        raise BadInput(f"{path}: {len(sightings.labels)} sightings for {terms} terms: expected at least {terms}")
+    fading = any(not math.isinf(error.time_s) for error in sightings.slow_errors)
+    if fading and len(sightings.labels) > MOST_SIGHTINGS:
+        raise BadInput(
+            f"{path}: {len(sightings.labels)} sightings with errors that fade in time: expected at most "
+            f"{MOST_SIGHTINGS}; take every so many"
+        )
+    result = fit(sightings, fixed)
+    if not result.scale <= _MOST_SCATTER:
+        raise BadInput(
+            f"{path}: the sightings scatter by {np.rad2deg(result.scale):.1f} deg about any axis errors: expected "
+            "offsets [deg] of one theodolite, true direction minus encoder"
+        )
+    return result

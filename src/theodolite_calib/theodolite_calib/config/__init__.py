@@ -1,0 +1,1 @@
+"""Parameters of the node ``optical_axis``, with units and ranges."""

@@ -1,0 +1,231 @@
+"""Parameters of the ``optical_axis`` node. Each states its unit, range and meaning; names are dotted."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ship_estimation.gates import GateConfig
+from ship_estimation.ins_config import GuardedInsConfig, InsErrorConfig
+from ship_estimation.parameters import arcsec, mapping_of, parameter, section
+from ship_geometry.rotations import ARCSEC, FloatArray
+from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.config.beacon import BeaconConfig
+from theodolite_calib.config.lever import LeverConfig
+
+
+def _axis_error(doc: str) -> Any:
+    """What is known of an axis error beforehand; zero points beyond a degree are for ``fit_axes``."""
+    return parameter(0.0, doc=doc, unit="arcsec", minimum=-3600.0, maximum=3600.0)
+
+
+def _axis_sigma(default: float = 30.0) -> Any:
+    return parameter(default, doc="its uncertainty; 0 holds it", unit="arcsec", minimum=0.0, maximum=3600.0)
+
+
+def _telescope_angle(doc: str) -> Any:
+    return parameter(0.0, doc=doc, unit="arcsec", minimum=-36_000.0, maximum=36_000.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShipConfig:
+    """Where the ship's attitude comes from, and how its error behaves."""
+
+    source: str = parameter(
+        "ship/attitude",
+        doc="topic of the ship's attitude: the fused one, or the INS alone with the errors stated under ins",
+        choices=("ship/attitude", "ins/imu"),
+    )
+    frame_id: str = parameter("", doc="frame_id that ship/attitude must carry; empty accepts any")
+    slow_time_s: float = parameter(
+        1800.0, doc="correlation time of the error of ship/attitude", unit="s", minimum=1.0, maximum=1e7
+    )
+    white_sigma_arcsec: float = arcsec(
+        1.0, doc="part of the error of ship/attitude that is new with each sample, each axis", live=True
+    )
+    max_gap_s: float = parameter(
+        0.5, doc="samples of ship/attitude further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class InsConfig(GuardedInsConfig, InsErrorConfig):
+    """The INS, where the ship's attitude is that of it alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderConfig:
+    """The encoders of the two axes."""
+
+    frame_id: str = parameter("", doc="frame_id that theodolite/encoder must carry; empty accepts any")
+    sigma_arcsec: float = arcsec(1.0, doc="noise of each reading where the message gives none", live=True)
+    max_acceleration_deg_per_s2: float = parameter(
+        100.0,
+        doc="no axis is accelerated more: a reading that needs more is wrong (fast tracking mounts reach 60)",
+        unit="deg/s^2",
+        minimum=0.1,
+        maximum=1e6,
+        live=True,
+    )
+    max_gap_s: float = parameter(
+        0.2, doc="readings further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxesConfig:
+    """What is known of the axis errors before the first sighting."""
+
+    g_arcsec: float = _axis_error("zero point of the azimuth encoder; the axis points at A - g")
+    g_sigma_arcsec: float = _axis_sigma()
+    h_arcsec: float = _axis_error("zero point of the elevation encoder; the axis points at E - h")
+    h_sigma_arcsec: float = _axis_sigma()
+    c_arcsec: float = _axis_error("collimation, to the left")
+    c_sigma_arcsec: float = _axis_sigma()
+    I_arcsec: float = _axis_error("tilt of the horizontal axis, right end up")
+    I_sigma_arcsec: float = _axis_sigma()
+    beta_x_arcsec: float = _axis_error("tilt of the vertical axis towards the bow")
+    beta_x_sigma_arcsec: float = _axis_sigma()
+    beta_y_arcsec: float = _axis_error("tilt of the vertical axis towards starboard")
+    beta_y_sigma_arcsec: float = _axis_sigma()
+    flexure_arcsec: float = _axis_error("bending of the tube; it raises the axis by this times cos E")
+    flexure_sigma_arcsec: float = _axis_sigma(0.0)
+
+    @property
+    def values(self) -> FloatArray:
+        """What is known, in the order of :data:`theodolite_calib.chain.axes.NAMES`, rad, shape (7,)."""
+        return ARCSEC * np.array([getattr(self, f"{name}_arcsec") for name in NAMES])
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Its uncertainty, rad, shape (7,)."""
+        return ARCSEC * np.array([getattr(self, f"{name}_sigma_arcsec") for name in NAMES])
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeformationConfig:
+    """How the hull turns between INS and theodolite, about bow, up and starboard."""
+
+    sigma_arcsec: float = arcsec(20.0, doc="each axis")
+    time_s: float = parameter(600.0, doc="correlation time", unit="s", minimum=1.0, maximum=1e7)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TelescopeConfig:
+    """The calibration telescope, its detector, and how parallel it is to the main axis."""
+
+    telescope_id: str = parameter(doc="telescope_id of its images")
+    frame_id: str = parameter("", doc="frame_id that theodolite/beacons must carry; empty accepts any")
+    focal_length_m: float = parameter(doc="focal length, in metres", unit="m", minimum=0.001, maximum=10.0)
+    focal_length_sigma_m: float = parameter(
+        0.0001, doc="its uncertainty; 0 holds it", unit="m", minimum=0.0, maximum=0.1
+    )
+    principal_x_m: float = parameter(
+        0.0, doc="detector point of the telescope's axis, along right", unit="m", minimum=-0.1, maximum=0.1
+    )
+    principal_z_m: float = parameter(
+        0.0, doc="detector point of the telescope's axis, along up", unit="m", minimum=-0.1, maximum=0.1
+    )
+    sigma_m: float = parameter(
+        1e-6,
+        doc="error of x and of z of a light's image where the message gives none",
+        unit="m",
+        minimum=1e-9,
+        maximum=0.001,
+        live=True,
+    )
+    psf_sigma_m: float = parameter(
+        5.2e-6,
+        doc="spread of the image of a light at rest, each axis; a streak long against it is known worse along it",
+        unit="m",
+        minimum=1e-7,
+        maximum=0.001,
+    )
+    azimuth_arcsec: float = _telescope_angle("azimuth of the main axis in the telescope")
+    azimuth_sigma_arcsec: float = arcsec(0.0, doc="its uncertainty")
+    elevation_arcsec: float = _telescope_angle("elevation of the main axis in the telescope")
+    elevation_sigma_arcsec: float = arcsec(0.0, doc="its uncertainty")
+    rotation_arcsec: float = _telescope_angle("rotation of the main image in the telescope")
+    rotation_sigma_arcsec: float = arcsec(0.0, doc="its uncertainty")
+    lens: LeverConfig = section(LeverConfig)
+
+    @property
+    def principal_point_m(self) -> FloatArray:
+        """Detector point of the telescope's axis, shape (2,)."""
+        return np.array([self.principal_x_m, self.principal_z_m])
+
+    @property
+    def parallelism(self) -> FloatArray:
+        """Azimuth, elevation and rotation of the main axis in the telescope, rad, shape (3,)."""
+        return ARCSEC * np.array([self.azimuth_arcsec, self.elevation_arcsec, self.rotation_arcsec])
+
+    @property
+    def parallelism_sigma(self) -> FloatArray:
+        """Their uncertainties, rad, shape (3,)."""
+        return ARCSEC * np.array(
+            [self.azimuth_sigma_arcsec, self.elevation_sigma_arcsec, self.rotation_sigma_arcsec]
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AirConfig:
+    """The coefficient k of terrestrial refraction on the way to the lights."""
+
+    coefficient: float = parameter(0.13, doc="k near the sea", minimum=-5.0, maximum=5.0)
+    sigma: float = parameter(0.06, doc="error of k, the same for all lights", minimum=0.0, maximum=5.0)
+    light_sigma: float = parameter(0.02, doc="further error of k at each light", minimum=0.0, maximum=5.0)
+    time_s: float = parameter(3600.0, doc="correlation time of both", unit="s", minimum=0.0, maximum=1e7)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShipAntennaConfig:
+    """The antenna aboard from which all baselines begin: its error is in all of them."""
+
+    sigma_m: float = parameter(0.01, doc="slow error, each axis", unit="m", minimum=0.0, maximum=10.0)
+    time_s: float = parameter(300.0, doc="its correlation time", unit="s", minimum=0.0, maximum=1e7)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpticalAxisConfig:
+    """All parameters of ``optical_axis``."""
+
+    serial: str = parameter("", doc="serial number of the theodolite; a saved calibration of another one is not used")
+    ship: ShipConfig = section(ShipConfig)
+    ins: InsConfig = section(InsConfig)
+    encoder: EncoderConfig = section(EncoderConfig)
+    axes: AxesConfig = section(AxesConfig)
+    deformation: DeformationConfig = section(DeformationConfig)
+    lever: LeverConfig = section(LeverConfig)
+    telescope: TelescopeConfig = section(TelescopeConfig)
+    air: AirConfig = section(AirConfig)
+    ship_antenna: ShipAntennaConfig = section(ShipAntennaConfig)
+    beacons: dict[str, BeaconConfig] = mapping_of("drones with a light, by beacon_id")
+    gate: GateConfig = section(GateConfig)
+    least_fix: str = parameter(
+        "fixed", doc="baselines with less than this are not used", choices=("fixed", "float"), live=True
+    )
+    lag_s: float = parameter(
+        2.0, doc="measurements up to this late are applied at their own time", unit="s", minimum=0.0, maximum=600.0
+    )
+    lights_recent_s: float = parameter(
+        3.0,
+        doc="lights used within this time make the mode TWO_LIGHTS or ONE_LIGHT",
+        unit="s",
+        minimum=0.1,
+        maximum=3600.0,
+        live=True,
+    )
+    max_age_s: float = parameter(
+        10.0,
+        doc="stamps further than this before the node's clock are an error of the input, although they are used",
+        unit="s",
+        minimum=0.1,
+        maximum=1e9,
+    )
+    slow_topics_period_s: float = parameter(
+        1.0, doc="period of budget, calibration, error and health topics", unit="s", minimum=0.1, maximum=60.0
+    )
+    calibration_file: str = parameter("", doc="file of the saved calibration, read at the start where it exists")
+    calibration_max_age_d: float = parameter(
+        30.0, doc="a calibration older than this is a wider prior", unit="d", minimum=0.0, maximum=36500.0
+    )

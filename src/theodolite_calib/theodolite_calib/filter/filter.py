@@ -1,0 +1,209 @@
+"""The calibration filter: one sighting in, one decision and the next state out. No time, no memory of its own.
+
+A :class:`FilterState` is never changed in place, so that the time-ordered log can keep and return to any of them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_estimation.ins_guard import InsJump
+from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
+from ship_estimation.state import slow_error_later
+from ship_geometry.rotations import FloatArray
+from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, state_model
+from theodolite_calib.filter.observability import Observability, Unaided
+from theodolite_calib.filter.ship_error import ShipErrorStep, ship_error_step, with_step
+from theodolite_calib.filter.sighting_model import Prediction, SightingModel
+from theodolite_calib.measured.encoder_jumps import EncoderJump
+from theodolite_calib.measured.sighting import Sighting
+
+Jump = EncoderJump | InsJump
+
+_STEPS = 5
+# A step of this size (rad) leaves its square of what is not linear: nothing.
+_SMALL_STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """Everything the filter knows after its last sighting.
+
+    Attributes:
+        time_ns: moment of the state; None before the first sighting.
+        mean: estimated errors, shape (n,).
+        parts: covariance by source, shape (n_sources, n, n).
+        unaided: the covariance by the sightings alone.
+        ship_steady_n: stated covariance that the ship's error follows, rad²; None where none is stated.
+        refusals: sightings in a row that disagreed with the encoders and the ship.
+        used_ns: moment of the last sighting used; None before it.
+        light_count: lights used in it.
+        sighting_count: sightings used.
+        lights_used: lights in all of them.
+        squares: sum of the squares of their residuals on the sky, rad².
+    """
+
+    time_ns: int | None
+    mean: FloatArray
+    parts: FloatArray
+    unaided: Unaided
+    ship_steady_n: FloatArray | None = None
+    refusals: int = 0
+    used_ns: int | None = None
+    light_count: int = 0
+    sighting_count: int = 0
+    lights_used: int = 0
+    squares: float = 0.0
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the errors, shape (n, n)."""
+        total: FloatArray = self.parts.sum(axis=0)
+        return total
+
+    @property
+    def residual_rms(self) -> float:
+        """Of the lights' residuals on the sky, rad; NaN before the first."""
+        return float(np.sqrt(self.squares / self.lights_used)) if self.lights_used else float("nan")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A sighting linearised at the predicted state.
+
+    Attributes:
+        prediction: of it.
+        measurement: residual in metres with its Jacobian and noise.
+        covariance: of the residual, m², shape (2 N, 2 N).
+        nis: normalised innovation squared.
+    """
+
+    prediction: Prediction
+    measurement: LinearMeasurement
+    covariance: FloatArray
+    nis: float
+
+
+class CalibrationFilter:
+    """The model of a configuration and the steps from state to state.
+
+    Args:
+        config: the node's parameters.
+    """
+
+    def __init__(self, config: OpticalAxisConfig) -> None:
+        self.model = state_model(config)
+        self.sightings = SightingModel(config, self.model)
+        self.observability = Observability(self.model)
+        self._ship = self.model.slices["ship.attitude"]
+        self._ship_source = self.model.sources.index(SOURCE_SHIP)
+        self._by_ins = config.ship.source == "ins/imu"
+
+    def initial_state(self) -> FilterState:
+        """The state before any sighting: no error known beyond the configuration, all of them possible."""
+        return FilterState(None, np.zeros(self.model.size), self.model.initial_parts(), self.observability.start())
+
+    def predicted(self, state: FilterState, time_ns: int, ship_now_n: FloatArray | None) -> FilterState:
+        """The state carried to a later moment.
+
+        Args:
+            state: after the sighting before.
+            time_ns: the moment.
+            ship_now_n: covariance of the ship's error as then stated, rad², shape (3, 3); None where none is.
+        """
+        dt_s = 0.0 if state.time_ns is None else max(time_ns - state.time_ns, 0) * 1e-9
+        decay, noise = self.model.transition(dt_s)
+        parts = predict(state.parts, decay, self.model.booked_noise(noise))
+        mean, unaided, steady_n = decay * state.mean, state.unaided, state.ship_steady_n
+        mean[self._ship] = self.ship_error(state.mean[self._ship], decay[self._ship])
+        if steady_n is not None:
+            parts[self._ship_source, self._ship, self._ship] += (1.0 - decay[self._ship.start] ** 2) * steady_n
+        unaided = self.observability.predicted(unaided, dt_s, steady_n)
+        step = self.ship_step(state, ship_now_n)
+        if step is not None:
+            mean, parts = with_step(mean, parts, self._ship, self._ship_source, step)
+            unaided = self.observability.with_ship_step(unaided, step)
+        return replace(
+            state,
+            time_ns=time_ns if state.time_ns is None else max(time_ns, state.time_ns),
+            mean=mean,
+            parts=parts,
+            unaided=unaided,
+            ship_steady_n=ship_now_n,
+        )
+
+    def ship_error(self, error_n: FloatArray, decay: FloatArray) -> FloatArray:
+        """The ship's slow error later, shape (3,); that of the INS alone may have jumped."""
+        if not self._by_ins:
+            return decay * error_n
+        return slow_error_later(error_n, decay, self.model.blocks["ship.attitude"].sigma)
+
+    def opened(self, state: FilterState, jump: Jump) -> FilterState:
+        """The state after a jump: the INS's slow error, or the encoders' zero points, may be off by as much."""
+        if isinstance(jump, InsJump):
+            state = self.predicted(state, jump.time_ns, None)
+            parts = state.parts.copy()
+            parts[self._ship_source, self._ship, self._ship] += jump.covariance_n
+            return replace(state, parts=parts)
+        axes, parts = self.model.slices["axes"].start, state.parts.copy()
+        rows = [axes + NAMES.index("g"), axes + NAMES.index("h")]
+        covariance = np.outer(jump.jump, jump.jump) + jump.sigma_rad**2 * np.eye(2)
+        parts[np.ix_([self.model.sources.index(SOURCE_AXES)], rows, rows)] += covariance
+        return replace(state, parts=parts)
+
+    def ship_step(self, state: FilterState, ship_now_n: FloatArray | None) -> ShipErrorStep | None:
+        """What happens to the ship's error at once, for the covariance now stated; None where nothing does."""
+        if ship_now_n is None:
+            return None
+        followed_n = np.zeros((3, 3)) if state.ship_steady_n is None else state.ship_steady_n
+        return ship_error_step(followed_n, ship_now_n)
+
+    def compare(self, state: FilterState, sighting: Sighting) -> Comparison | None:
+        """A sighting against a state predicted to its moment; None where a light would be behind the telescope."""
+        prediction = self.sightings.predict(state.mean, sighting)
+        if not np.all(np.isfinite(prediction.residual)):
+            return None
+        measurement = self._measurement(prediction, prediction.residual)
+        covariance, nis = innovation(state.parts, measurement)
+        return Comparison(prediction, measurement, covariance, nis)
+
+    def used(self, state: FilterState, sighting: Sighting, comparison: Comparison) -> FilterState:
+        """The state after a sighting, from the state predicted to its moment.
+
+        The sighting is linearised anew at the estimate until that stays (Gauss–Newton), as with a first sighting far
+        from what was known.
+        """
+        compared, mean = comparison, state.mean
+        for _ in range(_STEPS):
+            correction, parts = update(state.parts, compared.measurement, compared.covariance)
+            turned = compared.prediction.turn_n @ (state.mean + correction - mean)
+            mean = state.mean + correction
+            if np.max(np.abs(turned)) < _SMALL_STEP:
+                break
+            prediction = self.sightings.predict(mean, sighting)
+            residual = prediction.residual + prediction.jacobian @ correction
+            measurement = self._measurement(prediction, residual)
+            covariance, nis = innovation(state.parts, measurement)
+            compared = Comparison(prediction, measurement, covariance, nis)
+        unaided = self.observability.updated(state.unaided, compared.measurement.jacobian, compared.measurement.noise)
+        on_sky = comparison.measurement.residual / comparison.prediction.camera.focal_length_m
+        return replace(
+            state,
+            mean=mean,
+            parts=parts,
+            unaided=unaided,
+            refusals=0,
+            used_ns=sighting.time_ns,
+            light_count=len(sighting.names),
+            sighting_count=state.sighting_count + 1,
+            lights_used=state.lights_used + len(sighting.names),
+            squares=state.squares + float(on_sky @ on_sky),
+        )
+
+    def _measurement(self, prediction: Prediction, residual: FloatArray) -> LinearMeasurement:
+        index: Callable[[str], int] = self.model.sources.index
+        noise = {index(source): part for source, part in prediction.noise_by_source.items()}
+        return LinearMeasurement(residual, prediction.jacobian, noise)

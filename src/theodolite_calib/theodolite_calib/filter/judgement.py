@@ -1,0 +1,175 @@
+"""May a sighting be used? By its lights among themselves, and by what is known of the telescope.
+
+Two tests, each with the gate's probability: all residuals together, and the part of them that no attitude of the
+telescope explains: the angles between the lights. What fails is looked at more closely
+(:mod:`theodolite_calib.lights.light_check`), so that the refusal says what is wrong: lights with exchanged names are
+used with the right ones, one wrong light among three or more is left out.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_estimation.consistency import normalized_error_squared
+from ship_estimation.gates import GateConfig, chi_square_gate
+from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.rotations import ARCSEC, FloatArray
+from theodolite_calib.filter.filter import CalibrationFilter, Comparison, FilterState
+from theodolite_calib.lights.equations import AttitudePrior
+from theodolite_calib.lights.image import Camera
+from theodolite_calib.lights.light_check import Verdict, angle_residuals, check_lights
+from theodolite_calib.lights.line_of_sight import LinesOfSight
+from theodolite_calib.measured.samples import Decision, Exposure
+from theodolite_calib.measured.sighting import Sighting
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What may be used of a sighting, or why nothing.
+
+    Attributes:
+        decision: about its exposure.
+        sighting: what may be used of it; None where nothing.
+        comparison: of that with the predicted state.
+    """
+
+    decision: Decision
+    sighting: Sighting | None = None
+    comparison: Comparison | None = None
+
+
+class SightingJudge:
+    """Judges sightings by a filter's states.
+
+    Args:
+        filter_: the filter.
+        gate: how improbable a sighting may be.
+    """
+
+    def __init__(self, filter_: CalibrationFilter, gate: GateConfig) -> None:
+        self._filter, self._gate = filter_, gate
+
+    def judge(self, state: FilterState, sighting: Sighting, exposure: Exposure) -> Judgement:
+        """Judge a sighting by the state predicted to its moment."""
+        comparison = self._filter.compare(state, sighting)
+        if comparison is None:
+            text = "a light would be behind the telescope: its baseline, the encoders or the ship are far off"
+            return Judgement(Decision(exposure, Reason.LIGHT_CONFLICT, text=text))
+        if self._passes(comparison):
+            return self._use(exposure, sighting, comparison)
+        if len(sighting.names) == 1:
+            return Judgement(self._disagreement(exposure, sighting, comparison))
+        return self._look_closer(state, sighting, exposure, comparison)
+
+    def _passes(self, comparison: Comparison) -> bool:
+        residual, covariance = comparison.measurement.residual, comparison.covariance
+        # Written so that NaN fails.
+        if not comparison.nis <= chi_square_gate(self._gate.probability, len(residual)):
+            return False
+        if len(residual) == 2:
+            return True
+        # What is left in the residuals beside the columns of the attitude's Jacobian.
+        across = np.linalg.qr(comparison.prediction.by_attitude_n, mode="complete")[0][:, 3:].T
+        chi2 = normalized_error_squared(across @ residual, across @ covariance @ across.T)
+        return bool(chi2 <= chi_square_gate(self._gate.probability, len(across)))
+
+    def _look_closer(
+        self, state: FilterState, sighting: Sighting, exposure: Exposure, comparison: Comparison
+    ) -> Judgement:
+        """Two or more lights that do not fit as they are."""
+        prediction, camera = comparison.prediction, self._camera(state, comparison)
+        prior = AttitudePrior(prediction.rotation_nt, _telescope_parts(state, comparison))
+        check = check_lights(sighting.image, camera, prediction.lines, self._gate.probability, prior)
+        if check.verdict is Verdict.SWAPPED:
+            swapped = sighting.chosen(list(range(len(sighting.names))), list(check.order))
+            again = self._filter.compare(state, swapped)
+            if again is not None and self._passes(again):
+                judgement = self._use(exposure, swapped, again)
+                exchanged = [f"{sighting.names[j]} is {n}" for n, j in zip(sighting.names, check.order, strict=True)]
+                text = f"lights fit only with names exchanged, and are used so: {', '.join(exchanged)}"
+                decision = replace(judgement.decision, reason=Reason.LIGHT_CONFLICT, text=text)
+                return replace(judgement, decision=decision)
+        without_one = self._without_one(state, sighting, exposure)
+        if without_one is not None:
+            return without_one
+        if check.verdict is Verdict.CONFLICT or check.verdict is Verdict.SWAPPED:
+            text = _angles_text(sighting, camera, prediction.lines)
+            decision = self._decision(exposure, sighting, comparison)
+            return Judgement(replace(decision, reason=Reason.LIGHT_CONFLICT, text=text))
+        decision = self._disagreement(exposure, sighting, comparison)
+        if not check.pointing.solved:
+            return Judgement(decision)
+        sigma = float(np.sqrt(np.max(np.diagonal(check.pointing.covariance_n))))
+        return Judgement(replace(decision, telescope_dt=(sighting.in_deck(check.pointing.rotation_nt), sigma)))
+
+    def _camera(self, state: FilterState, comparison: Comparison) -> Camera:
+        """The camera as the state knows it."""
+        row = self._filter.model.slices["focal_length"].start
+        return replace(comparison.prediction.camera, focal_length_sigma_m=float(np.sqrt(state.covariance[row, row])))
+
+    def _without_one(self, state: FilterState, sighting: Sighting, exposure: Exposure) -> Judgement | None:
+        """Three or more lights of which one is wrong: the others, the best of the choices that pass."""
+        rows = range(len(sighting.names))
+        if len(rows) < 3:
+            return None
+        trials = []
+        for row in rows:
+            others = sighting.chosen([other for other in rows if other != row])
+            comparison = self._filter.compare(state, others)
+            if comparison is not None and self._passes(comparison):
+                trials.append((comparison.nis, row, others, comparison))
+        if not trials:
+            return None
+        _, row, others, comparison = min(trials, key=lambda trial: trial[:2])
+        judgement = self._use(exposure, others, comparison)
+        refused = sighting.names[row], Refusal(Reason.LIGHT_CONFLICT, "the other lights fit, but only without it")
+        return replace(judgement, decision=replace(judgement.decision, lights_refused=(refused,)))
+
+    def _use(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Judgement:
+        rotation_nt = comparison.prediction.rotation_nt
+        sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(comparison.covariance)))) / _focal_length_m(comparison)
+        decision = replace(
+            self._decision(exposure, sighting, comparison),
+            reason=Reason.NONE,
+            accepted=True,
+            telescope_dt=(sighting.in_deck(rotation_nt), sigma),
+        )
+        return Judgement(decision, sighting, comparison)
+
+    def _disagreement(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Decision:
+        """The lights may fit among themselves, but not with the encoders and the ship."""
+        decision = self._decision(exposure, sighting, comparison)
+        return replace(decision, text=f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}")
+
+    def _decision(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Decision:
+        focal_length_m = _focal_length_m(comparison)
+        return Decision(
+            exposure=exposure,
+            reason=Reason.GATE,
+            components=tuple(f"{name} {axis}" for name in sighting.names for axis in ("x", "z")),
+            residual=comparison.measurement.residual / focal_length_m,
+            sigma=np.sqrt(np.diagonal(comparison.covariance)) / focal_length_m,
+            nis=comparison.nis,
+            gate=chi_square_gate(self._gate.probability, len(comparison.measurement.residual)),
+        )
+
+
+def _telescope_parts(state: FilterState, comparison: Comparison) -> dict[str, FloatArray]:
+    """Covariance of the predicted telescope's rotation vector in n, rad², shape (3, 3) each."""
+    turn_n = comparison.prediction.turn_n
+    return {"state": turn_n @ state.covariance @ turn_n.T, **comparison.prediction.noise_n}
+
+
+def _focal_length_m(comparison: Comparison) -> float:
+    return float(comparison.prediction.camera.focal_length_m)
+
+
+def _angles_text(sighting: Sighting, camera: Camera, lines: LinesOfSight) -> str:
+    """The angle between lights that is furthest off."""
+    angles = angle_residuals(sighting.image, camera, lines)
+    worst = int(np.argmax(angles.chi2))
+    first, second = (sighting.names[row] for row in angles.pairs[worst])
+    return (
+        f"angle between {first} and {second} is off by {angles.residual[worst] / ARCSEC:+.1f} arcsec, "
+        f"sigma {angles.sigma[worst] / ARCSEC:.1f}: a wrong light, a wrong baseline, or exchanged names"
+    )

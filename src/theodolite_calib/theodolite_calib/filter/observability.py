@@ -1,0 +1,126 @@
+"""Which combinations of axis errors and deformation the sightings cannot tell apart, as the live filter sees it.
+
+Beside the filter runs a covariance that knows next to nothing beforehand: of the axis errors, and of the deformation,
+which walks from an unknown start as fast as the filter's process does, but to no mean. All else is as in the filter,
+slow errors included, so what it leaves open is what the sightings leave open, however many there are of the same kind.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
+from ship_estimation.state import StateModel, block
+from ship_geometry.rotations import FloatArray
+from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.filter.ship_error import ShipErrorStep, with_step
+
+DEFORMATION_NAMES = ("deformation_bow", "deformation_up", "deformation_starboard")
+
+_LEADING = (*DEFORMATION_NAMES, "c", "I", "h", "flexure", "beta_x", "beta_y", "g")
+"""Of two combinations the one is freed of what leads the other: what pairs with the deformation comes last."""
+
+_UNKNOWN = 1000.0
+"""Sigmas beforehand, in those of the configuration."""
+
+_OPEN = 0.5
+"""From this share of the configured sigma on, the sightings do not tell."""
+
+_TAKES_PART = 0.1
+"""Of a combination, in configured sigmas and as a share of the largest."""
+
+
+@dataclass(frozen=True)
+class Unaided:
+    """Covariance of the states by the sightings alone, shape (1, n, n)."""
+
+    parts: FloatArray
+
+
+class Observability:
+    """What the sightings tell, for the states of a filter.
+
+    Args:
+        model: states of the filter.
+    """
+
+    def __init__(self, model: StateModel) -> None:
+        deformation = model.blocks["deformation"]
+        unknown = {
+            "axes": replace(model.blocks["axes"], sigma=_UNKNOWN * model.blocks["axes"].sigma),
+            "deformation": block(
+                "deformation",
+                _UNKNOWN * deformation.sigma,
+                "any",
+                walk=deformation.sigma * np.sqrt(2.0 / deformation.time_s),
+            ),
+        }
+        blocks = [replace(unknown.get(name, entry), source="any") for name, entry in model.blocks.items()]
+        self._model = StateModel(blocks, [])
+        self._ship = model.slices["ship.attitude"]
+        names = (*NAMES, *DEFORMATION_NAMES)
+        sigma = np.concatenate([model.blocks["axes"].sigma, deformation.sigma])
+        rows = np.concatenate([model.rows("axes"), model.rows("deformation")])
+        # What is held is no question.
+        order = [names.index(name) for name in _LEADING if sigma[names.index(name)] > 0.0]
+        self._names, self._sigma, self._rows = [names[i] for i in order], sigma[order], rows[order]
+
+    def start(self) -> Unaided:
+        """Before any sighting."""
+        return Unaided(self._model.initial_parts())
+
+    def predicted(self, unaided: Unaided, dt_s: float, ship_steady_n: FloatArray | None) -> Unaided:
+        """After ``dt_s``; the ship's error follows a stated steady covariance (rad², (3, 3)) where there is one."""
+        decay, noise = self._model.transition(dt_s)
+        parts = predict(unaided.parts, decay, self._model.booked_noise(noise))
+        if ship_steady_n is not None:
+            parts[0, self._ship, self._ship] += (1.0 - decay[self._ship.start] ** 2) * ship_steady_n
+        return Unaided(parts)
+
+    def with_ship_step(self, unaided: Unaided, step: ShipErrorStep) -> Unaided:
+        """After a change of the ship's error at once."""
+        return Unaided(with_step(np.zeros(self._model.size), unaided.parts, self._ship, 0, step)[1])
+
+    def updated(self, unaided: Unaided, jacobian: FloatArray, noise: FloatArray) -> Unaided:
+        """After a sighting with the filter's Jacobian (m, n) and noise (m, m)."""
+        measurement = LinearMeasurement(np.zeros(len(noise)), jacobian, {0: noise})
+        covariance, _ = innovation(unaided.parts, measurement)
+        return Unaided(update(unaided.parts, measurement, covariance)[1])
+
+    def open_combinations(self, unaided: Unaided) -> tuple[str, ...]:
+        """Combinations of names that the sightings so far cannot tell apart, as ``g - deformation_up``."""
+        covariance = unaided.parts[0][np.ix_(self._rows, self._rows)] / np.outer(self._sigma, self._sigma)
+        values, vectors = np.linalg.eigh(covariance)
+        # Rows: directions in configured sigmas that may run so far.
+        runs = _sparse(vectors[:, values > _OPEN**2].T)
+        return tuple(self._words(run * self._sigma) for run in runs)
+
+    def _words(self, run: FloatArray) -> str:
+        """A combination by its errors; sizes where they do not run alike, the largest being one."""
+        scaled = run / self._sigma
+        taking_part = np.flatnonzero(np.abs(scaled) > _TAKES_PART * np.max(np.abs(scaled)))
+        part = sorted(taking_part.tolist(), key=lambda index: (*NAMES, *DEFORMATION_NAMES).index(self._names[index]))
+        sizes = run[part] / run[part[0]]
+        words = self._names[part[0]]
+        for index, size in zip(part[1:], sizes[1:], strict=True):
+            factor = "" if abs(abs(size) - 1.0) < _TAKES_PART else f"{abs(size):.2g} "
+            words += f" {'-' if size < 0.0 else '+'} {factor}{self._names[index]}"
+        return words
+
+
+def _sparse(runs: FloatArray) -> FloatArray:
+    """The same space of rows, each with as few elements as can be: Gauss–Jordan, leading columns in order."""
+    runs = runs.copy()
+    done = 0
+    for column in range(runs.shape[1]):
+        if done == len(runs):
+            break
+        pivot = done + int(np.argmax(np.abs(runs[done:, column])))
+        if abs(runs[pivot, column]) < _TAKES_PART * np.max(np.abs(runs[pivot])):
+            continue
+        runs[[done, pivot]] = runs[[pivot, done]]
+        runs[done] /= runs[done, column]
+        others = np.arange(len(runs)) != done
+        runs[others] -= np.outer(runs[others, column], runs[done])
+        done += 1
+    return runs

@@ -1,0 +1,229 @@
+"""What a state of the calibration filter predicts of an exposure, with the Jacobian by all states.
+
+The lights' points on the detector are predicted from the attitude of the telescope
+(:mod:`theodolite_calib.chain.axis_chain`) and from the lines of sight
+(:mod:`theodolite_calib.lights.line_of_sight`), both with the errors as now known taken out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_estimation.state import StateModel
+from ship_geometry.rotations import FloatArray, exp_rotation
+from theodolite_calib.chain.axis_chain import CHAIN_BLOCKS, AxisChain, ChainErrors, axis_chain, telescope_from_main
+from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.filter.model import (
+    COMMON_TERMS,
+    OWN_TERMS,
+    SOURCE_ENCODER,
+    SOURCE_IMAGE,
+    SOURCE_RTK,
+    SOURCE_SHIP_NOISE,
+)
+from theodolite_calib.lights.image import Camera
+from theodolite_calib.lights.light_points import PredictedPoints, predict_points
+from theodolite_calib.lights.line_of_sight import (
+    ErrorTerm,
+    LeverArm,
+    Lights,
+    LinesOfSight,
+    Ship,
+    Survey,
+    block_diagonal,
+    lines_of_sight,
+)
+from theodolite_calib.measured.sighting import EncoderAt, ShipAt, Sighting
+
+_NONE = np.zeros(3)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """An exposure as the state predicts it; N lights, n states.
+
+    Attributes:
+        rotation_nt: horizon from telescope, shape (3, 3).
+        turn_n: rotation vector of the telescope in n per state, shape (3, n).
+        noise_n: covariance of the same that is new with each exposure, by source, rad², shape (3, 3).
+        camera: with the focal length as now known.
+        lines: where the lights should be seen.
+        residual: measured minus predicted, m, shape (2 N,); NaN for a light behind the telescope.
+        by_attitude_n: of the points by the telescope's rotation vector, m/rad, shape (2 N, 3).
+        jacobian: by all states, shape (2 N, n).
+        noise_by_source: covariance of what is new with each exposure, m², shape (2 N, 2 N).
+    """
+
+    rotation_nt: FloatArray
+    turn_n: FloatArray
+    noise_n: dict[str, FloatArray]
+    camera: Camera
+    lines: LinesOfSight
+    residual: FloatArray
+    by_attitude_n: FloatArray
+    jacobian: FloatArray
+    noise_by_source: dict[str, FloatArray]
+
+
+class SightingModel:
+    """The model of a configuration.
+
+    Args:
+        config: the node's parameters.
+        model: its states.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, model: StateModel) -> None:
+        self._config, self._model = config, model
+        self._axes = config.axes.values
+        self._parallelism = config.telescope.parallelism
+        self._principal_point = config.telescope.principal_point_m
+
+    def chain_errors(self, mean: FloatArray) -> ChainErrors:
+        """What a state says is wrong with the chain to the main axis."""
+        return ChainErrors(
+            ship_n=self._of(mean, "ship.attitude"),
+            deformation_d=self._of(mean, "deformation"),
+            axes=self._axes + self._of(mean, "axes"),
+            ship_time_s=float(self._of(mean, "ship.time_offset", 1)[0]),
+        )
+
+    def parallelism(self, mean: FloatArray) -> FloatArray:
+        """Angles of the main axis in the telescope, rad, shape (3,)."""
+        return self._parallelism + self._of(mean, "parallelism")
+
+    def focal_length_m(self, mean: FloatArray) -> float:
+        """As now known."""
+        return self._config.telescope.focal_length_m + float(self._of(mean, "focal_length")[0])
+
+    def chain(self, mean: FloatArray, ship: ShipAt, encoder: EncoderAt) -> AxisChain:
+        """The main axis at one moment."""
+        return axis_chain(
+            self.chain_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation
+        )
+
+    def predict(self, mean: FloatArray, sighting: Sighting) -> Prediction:
+        """The exposure, and how it follows from the states."""
+        chain = self.chain(mean, sighting.ship, sighting.encoder)
+        rotation_nt, by_parallelism = telescope_from_main(self.parallelism(mean), chain.rotation_nm)
+        lines = self._lines(mean, sighting, chain)
+        camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)
+        points = predict_points(camera, rotation_nt, lines.direction_n)
+        turn_n = self._turn_n(chain, by_parallelism)
+        rows = 2 * len(sighting.names)
+        by_attitude_n = points.by_attitude_n.reshape(rows, 3)
+        noise_n = {
+            SOURCE_ENCODER: sighting.encoder.noise * (chain.by_encoder @ chain.by_encoder.T),
+            SOURCE_SHIP_NOISE: sighting.ship.noise * np.eye(3),
+        }
+        jacobian = by_attitude_n @ turn_n
+        jacobian[:, self._model.slices["focal_length"]] = points.by_focal_length.reshape(rows, 1)
+        self._add_lines(jacobian, points, lines, sighting.names)
+        self._add_carried_lever(jacobian, points, lines, chain)
+        noise = {source: by_attitude_n @ part @ by_attitude_n.T for source, part in noise_n.items()}
+        noise[SOURCE_IMAGE] = sighting.image.covariance_m2
+        noise[SOURCE_RTK] = _own_noise(points, lines, "rtk_noise")
+        residual = (sighting.image.point_m - points.point_m).reshape(rows)
+        return Prediction(rotation_nt, turn_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)
+
+    def _lines(self, mean: FloatArray, sighting: Sighting, chain: AxisChain) -> LinesOfSight:
+        """Lines of sight, what is known of their errors taken out."""
+        config, names = self._config, sighting.names
+        beacons = [config.beacons[name] for name in names]
+
+        def own(state: str, width: int = 3) -> FloatArray:
+            return np.array([self._of(mean, f"light.{name}.{state}", width) for name in names])
+
+        refraction = config.air.coefficient + self._of(mean, "refraction", 1)
+        lights = Lights(
+            baseline_n=sighting.lights.baseline_n + own("rtk") + self._of(mean, "ship_antenna"),
+            baseline_covariance_n=sighting.lights.baseline_covariance_n,
+            rotation_nb=exp_rotation(own("attitude")) @ sighting.lights.rotation_nb,
+            attitude_covariance_n=_drone_covariance(config, names),
+        )
+        survey = Survey(
+            theodolite_lever=_lever(config.lever.vector_m + self._of(mean, "lever"), config.lever.sigma_m),
+            principal_point=_lever(
+                config.telescope.lens.vector_m + self._of(mean, "lens"), config.telescope.lens.sigma_m
+            ),
+            light_lever=LeverArm(
+                np.array([beacon.light.vector_m for beacon in beacons]) + own("lever"),
+                np.array([[beacon.light.sigma_m] * 3 for beacon in beacons]),
+            ),
+            rtk_base_sigma_m=np.full(3, config.ship_antenna.sigma_m),
+            rtk_bias_sigma_m=np.array([[beacon.rtk.bias_sigma_m] * 3 for beacon in beacons]),
+            refraction_coefficient=refraction + own("refraction", 1)[:, 0],
+            refraction_sigma=config.air.sigma,
+            refraction_light_sigma=np.full(len(names), config.air.light_sigma),
+        )
+        ship = Ship(chain.rotation_nd, np.zeros((3, 3)), chain.rotation_dm)
+        return lines_of_sight(lights, ship, survey)
+
+    def _turn_n(self, chain: AxisChain, by_parallelism: FloatArray) -> FloatArray:
+        turn_n = np.zeros((3, self._model.size))
+        start = 0
+        for name in CHAIN_BLOCKS:
+            if name in self._model.slices:
+                columns = self._model.slices[name]
+                width = columns.stop - columns.start
+                turn_n[:, columns] = chain.by_error[:, start : start + width]
+                start += width
+        turn_n[:, self._model.slices["parallelism"]] = by_parallelism
+        return turn_n
+
+    def _add_lines(
+        self, jacobian: FloatArray, points: PredictedPoints, lines: LinesOfSight, names: tuple[str, ...]
+    ) -> None:
+        """Add what the errors of the lines of sight do to the points."""
+        slices = self._model.slices
+        for term in lines.terms:
+            by_error = points.by_direction_n @ term.jacobian_n
+            common = COMMON_TERMS.get(term.name, "")
+            if common in slices:
+                jacobian[:, slices[common]] += by_error.reshape(len(jacobian), -1)
+            for row, name in enumerate(names):
+                own = f"light.{name}.{OWN_TERMS.get(term.name, '')}"
+                if own in slices:
+                    jacobian[2 * row : 2 * row + 2, slices[own]] += by_error[row]
+
+    def _add_carried_lever(
+        self, jacobian: FloatArray, points: PredictedPoints, lines: LinesOfSight, chain: AxisChain
+    ) -> None:
+        """Add that what turns the ship carries the theodolite round the antenna."""
+        by_turn = _points_by(points, lines, "ship_attitude").reshape(len(jacobian), 3)
+        jacobian[:, self._model.slices["ship.attitude"]] += by_turn
+        if "ship.time_offset" in self._model.slices:
+            jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ chain.by_error[:, 13:]
+
+    def _of(self, mean: FloatArray, name: str, width: int = 3) -> FloatArray:
+        """A block of the state; zeros where there is no such state."""
+        columns = self._model.slices.get(name)
+        return mean[columns] if columns is not None else np.zeros(width)
+
+
+def _lever(vector_m: FloatArray, sigma_m: float) -> LeverArm:
+    return LeverArm(vector_m, np.full(3, sigma_m))
+
+
+def _drone_covariance(config: OpticalAxisConfig, names: tuple[str, ...]) -> FloatArray:
+    """Covariance of the attitudes of drones, rad², shape (N, 3, 3)."""
+    imus = [config.beacons[name].imu for name in names]
+    sigma = np.deg2rad([[imu.tilt_sigma_deg, imu.heading_sigma_deg, imu.tilt_sigma_deg] for imu in imus])
+    covariance: FloatArray = sigma[:, :, None] ** 2 * np.eye(3)
+    return covariance
+
+
+def _points_by(points: PredictedPoints, lines: LinesOfSight, name: str) -> FloatArray:
+    """Change of the points by an error of the lines of sight, m per unit, shape (N, 2, k)."""
+    by_error: FloatArray = points.by_direction_n @ _term(lines, name).jacobian_n
+    return by_error
+
+
+def _own_noise(points: PredictedPoints, lines: LinesOfSight, name: str) -> FloatArray:
+    """Covariance of the points by an error that each light has anew, m², shape (2 N, 2 N)."""
+    by_error = _points_by(points, lines, name)
+    return block_diagonal(by_error @ _term(lines, name).covariance @ np.swapaxes(by_error, -1, -2))
+
+
+def _term(lines: LinesOfSight, name: str) -> ErrorTerm:
+    return next(term for term in lines.terms if term.name == name)

@@ -1,0 +1,207 @@
+"""From baselines and attitudes to the direction in which a light is seen, with all that is uncertain about it.
+
+models.md §5, [W18] (3)-(11) with the corrections stated there. The path from the telescope to the light, in n:
+
+    W = baseline + rotation_nb · light lever - rotation_nd · (theodolite lever + rotation_dm · N')
+
+with n horizon (North, Up, East), d deck, m main frame of the theodolite, b drone (nose, up, right). The light is seen
+along W raised by k d²/(2 R), d its distance: an angle of k/(2 R) times the *horizontal* distance, which vanishes at
+the zenith, since air layered by height bends no vertical ray.
+
+Each error is a named :class:`ErrorTerm` in its own natural axes, so that a filter can keep it as a state.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray, skew
+from theodolite_calib.lights.image import unit_vector_jacobian
+
+EARTH_RADIUS_M = 6_371_000.0
+"""Mean radius; its error is nothing beside that of the refraction coefficient."""
+
+_UP = np.array([0.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True)
+class LeverArm:
+    """A surveyed vector in the axes of the device that carries it.
+
+    Attributes:
+        vector_m: shape (3,), or (N, 3) for one at each light.
+        sigma_m: standard deviation of each component, same shape or (3,).
+    """
+
+    vector_m: FloatArray
+    sigma_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Lights:
+    """What is measured of N lights at the middle of an exposure.
+
+    Attributes:
+        baseline_n: from the ship's antenna to the drone's, m, shape (..., N, 3).
+        baseline_covariance_n: of the part of its error that is new in each epoch and at each light, m²,
+            shape (..., N, 3, 3).
+        rotation_nb: horizon from drone, shape (..., N, 3, 3).
+        attitude_covariance_n: of its rotation vector in n, rad², shape (..., N, 3, 3).
+    """
+
+    baseline_n: FloatArray
+    baseline_covariance_n: FloatArray
+    rotation_nb: FloatArray
+    attitude_covariance_n: FloatArray
+
+
+@dataclass(frozen=True)
+class Ship:
+    """The ship at that moment.
+
+    Attributes:
+        rotation_nd: horizon from deck, shape (..., 3, 3).
+        attitude_covariance_n: of its rotation vector in n, rad², shape (..., 3, 3).
+        rotation_dm: deck from main frame, shape (..., 3, 3); a degree is good enough.
+    """
+
+    rotation_nd: FloatArray
+    attitude_covariance_n: FloatArray
+    rotation_dm: FloatArray
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What was measured once, and how well; each error lasts from epoch to epoch.
+
+    Attributes:
+        theodolite_lever: from the ship's antenna to the crossing of the theodolite's axes, in d.
+        principal_point: N' of the telescope's lens from there, in m. Its error shifts all lights alike, so that no
+            residual shows it.
+        light_lever: from the drone's antenna to its light, in b.
+        rtk_base_sigma_m: error of the baselines (N, U, E) that is common to all: the ship's antenna, shape (3,).
+        rtk_bias_sigma_m: error of a baseline (N, U, E) of its own that lasts, shape (3,).
+        refraction_coefficient: k of the air near the sea, about 0.13; one, or one for each light, shape (..., N).
+        refraction_sigma: of k, common to all lights.
+        refraction_light_sigma: of what k differs by on the way to each light, in the same shapes.
+    """
+
+    theodolite_lever: LeverArm
+    principal_point: LeverArm
+    light_lever: LeverArm
+    rtk_base_sigma_m: FloatArray
+    rtk_bias_sigma_m: FloatArray
+    refraction_coefficient: FloatArray | float
+    refraction_sigma: float
+    refraction_light_sigma: FloatArray | float
+
+
+@dataclass(frozen=True)
+class ErrorTerm:
+    """One error of the lines of sight: what is true is what was used plus this, and so are the directions.
+
+    Attributes:
+        name: of the error.
+        source: its part of the error budget.
+        common: one error moves all lights; otherwise each light has its own.
+        slow: the error lasts from epoch to epoch; otherwise it is new at each.
+        jacobian_n: change of the unit directions by the error, rad per unit, shape (..., N, 3, k).
+        covariance: of the error, shape (..., k, k) where common, (..., N, k, k) where not; or (k, k) in either.
+    """
+
+    name: str
+    source: str
+    common: bool
+    slow: bool
+    jacobian_n: FloatArray
+    covariance: FloatArray
+
+    def direction_covariance_n(self) -> FloatArray:
+        """Covariance of all directions, rad², shape (..., 3 N, 3 N), light after light."""
+        lights = self.jacobian_n.shape[-3]
+        leading = self.jacobian_n.shape[:-3]
+        if self.common:
+            rows = self.jacobian_n.reshape(*leading, 3 * lights, -1)
+            return rows @ self.covariance @ np.swapaxes(rows, -1, -2)
+        return block_diagonal(self.jacobian_n @ self.covariance @ np.swapaxes(self.jacobian_n, -1, -2))
+
+
+@dataclass(frozen=True)
+class LinesOfSight:
+    """Where the lights are seen.
+
+    Attributes:
+        direction_n: unit vectors from the telescope, refraction included, shape (..., N, 3).
+        distance_m: to the lights, shape (..., N).
+        terms: the errors of the directions, independent of one another.
+    """
+
+    direction_n: FloatArray
+    distance_m: FloatArray
+    terms: tuple[ErrorTerm, ...]
+
+
+def lines_of_sight(lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
+    """Directions to the lights with their errors, models.md §5."""
+    rotation_nm = ship.rotation_nd @ ship.rotation_dm
+    lens_n = ship.rotation_nd @ survey.theodolite_lever.vector_m + rotation_nm @ survey.principal_point.vector_m
+    light_lever_n = (lights.rotation_nb @ survey.light_lever.vector_m[..., None])[..., 0]
+    path_n = lights.baseline_n + light_lever_n - lens_n[..., None, :]
+    distance_m = np.linalg.norm(path_n, axis=-1)
+    # What a coefficient of one raises the light by, in metres.
+    raised_n = (distance_m**2 / (2.0 * EARTH_RADIUS_M))[..., None] * _UP
+    seen_n = path_n + np.asarray(survey.refraction_coefficient, dtype=float)[..., None] * raised_n
+
+    per_metre = unit_vector_jacobian(seen_n)
+    by_deck = per_metre @ ship.rotation_nd[..., None, :, :]
+    by_main = per_metre @ rotation_nm[..., None, :, :]
+    by_drone = per_metre @ lights.rotation_nb
+    by_ship_turn = per_metre @ skew(lens_n)[..., None, :, :]
+    by_drone_turn = -per_metre @ skew(light_lever_n)
+    by_refraction = per_metre @ raised_n[..., None]
+    own, common = False, True
+    white, slow = False, True
+    terms = (
+        ErrorTerm("rtk_noise", "rtk", own, white, per_metre, lights.baseline_covariance_n),
+        ErrorTerm("rtk_bias", "rtk", own, slow, per_metre, _diagonal(survey.rtk_bias_sigma_m)),
+        ErrorTerm("rtk_base", "rtk", common, slow, per_metre, _diagonal(survey.rtk_base_sigma_m)),
+        ErrorTerm("theodolite_lever", "lever_arms", common, slow, -by_deck, _diagonal(survey.theodolite_lever.sigma_m)),
+        ErrorTerm("principal_point", "lever_arms", common, slow, -by_main, _diagonal(survey.principal_point.sigma_m)),
+        ErrorTerm("light_lever", "lever_arms", own, slow, by_drone, _diagonal(survey.light_lever.sigma_m)),
+        ErrorTerm("ship_attitude", "ship_attitude", common, slow, by_ship_turn, ship.attitude_covariance_n),
+        ErrorTerm("drone_attitude", "drone_attitude", own, slow, by_drone_turn, lights.attitude_covariance_n),
+        ErrorTerm("refraction", "refraction", common, slow, by_refraction, np.array([[survey.refraction_sigma**2]])),
+        ErrorTerm(
+            "light_refraction", "refraction", own, slow, by_refraction, _one_by_one(survey.refraction_light_sigma)
+        ),
+    )
+    return LinesOfSight(seen_n / np.linalg.norm(seen_n, axis=-1, keepdims=True), distance_m, terms)
+
+
+def covariance_by_source(terms: Iterable[ErrorTerm]) -> dict[str, FloatArray]:
+    """Joint covariance of the directions of all lights by source, rad², shape (..., 3 N, 3 N) each."""
+    parts: dict[str, FloatArray] = {}
+    for term in terms:
+        covariance = term.direction_covariance_n()
+        parts[term.source] = parts[term.source] + covariance if term.source in parts else covariance
+    return parts
+
+
+def block_diagonal(blocks: FloatArray) -> FloatArray:
+    """Matrix (..., N a, N b) with the blocks (..., N, a, b) along its diagonal."""
+    count, rows, columns = blocks.shape[-3:]
+    matrix = np.zeros((*blocks.shape[:-3], count * rows, count * columns))
+    for i in range(count):
+        matrix[..., i * rows : (i + 1) * rows, i * columns : (i + 1) * columns] = blocks[..., i, :, :]
+    return matrix
+
+
+def _diagonal(sigma: FloatArray) -> FloatArray:
+    """Covariance (..., 3, 3) of independent components."""
+    return np.asarray(sigma, dtype=float)[..., None] ** 2 * np.eye(3)
+
+
+def _one_by_one(sigma: FloatArray | float) -> FloatArray:
+    """Covariance (..., 1, 1) of one number."""
+    return np.asarray(sigma, dtype=float)[..., None, None] ** 2

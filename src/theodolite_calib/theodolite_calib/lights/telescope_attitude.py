@@ -1,0 +1,159 @@
+"""The telescope's attitude from the image of N lights: maximum likelihood, with covariance and error budget.
+
+Unknown are the attitude (a rotation vector of three), the focal length with its prior and all errors of the lines of
+sight with theirs. All but the attitude is in the covariance S of the residuals
+(:mod:`theodolite_calib.lights.equations`), and Gauss–Newton in the attitude alone minimises rᵀ S⁻¹ r: the optimum and
+the covariance (Hᵀ S⁻¹ H)⁻¹ are those of the full problem. The estimate is linear in each error, with the gain K = (Hᵀ
+S⁻¹ H)⁻¹ Hᵀ S⁻¹: the budget is K S_source Kᵀ.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_geometry import wahba
+from ship_geometry.rotations import FloatArray, exp_rotation
+from theodolite_calib.lights.equations import AttitudePrior, Equations, linearised, total
+from theodolite_calib.lights.image import Camera
+from theodolite_calib.lights.light_points import Image
+from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_source
+
+SOURCE_IMAGE = "image"
+SOURCE_FOCAL_LENGTH = "focal_length"
+
+_MAX_STEPS = 20
+# Each step leaves less than a thousandth of the one before: what is left after such a step (rad) is below rounding.
+_CONVERGED = 1e-9
+
+
+@dataclass(frozen=True)
+class Pointing:
+    """The telescope's attitude; NaN where not solved.
+
+    Attributes:
+        rotation_nt: horizon from telescope, shape (..., 3, 3).
+        parts_n: covariance of its rotation vector δ in n, R_true = exp(δ) R, by source, rad², shape (..., 3, 3) each.
+        focal_length_m: as the angles between the lights have it, together with its prior, shape (...).
+        focal_length_sigma_m: shape (...).
+        chi2: rᵀ S⁻¹ r of what the attitude cannot explain, shape (...).
+        degrees: its degrees of freedom: 2 N - 3, and 3 more with a prior attitude.
+        solved: shape (...).
+    """
+
+    rotation_nt: FloatArray
+    parts_n: dict[str, FloatArray]
+    focal_length_m: FloatArray
+    focal_length_sigma_m: FloatArray
+    chi2: FloatArray
+    degrees: int
+    solved: NDArray[np.bool_]
+
+    @property
+    def covariance_n(self) -> FloatArray:
+        """Covariance of the rotation vector in n, rad², shape (..., 3, 3): the sum of its parts."""
+        return total(self.parts_n)
+
+
+def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrior | None = None) -> Pointing:
+    """The most likely attitude of the telescope.
+
+    Not solved (NaN) is what has too little to go by: without a prior, lights so near to each other that the rotation
+    of the image is known no better than a degree (:data:`ship_geometry.wahba.WORST_SIGMA`).
+
+    Args:
+        image: N lights on the detector.
+        camera: geometry of the telescope.
+        lines: where the same lights are seen, in the same order.
+        prior: attitude known beforehand.
+
+    Raises:
+        ValueError: one light and no prior attitude.
+    """
+    if prior is None and lines.direction_n.shape[-2] < 2:
+        raise ValueError("one light does not tell the rotation of the image: a prior attitude is needed")
+    line_parts = covariance_by_source(lines.terms)
+    line_covariance = total(line_parts)
+    rotation_nt = _start(image, camera, lines, line_covariance, prior)
+    for _ in range(_MAX_STEPS):
+        equations = linearised(image, camera, lines.direction_n, line_covariance, rotation_nt, prior)
+        information = equations.weighted_jacobian @ equations.jacobian
+        gain = np.asarray(np.linalg.solve(information, equations.weighted_jacobian), dtype=float)
+        step = (gain @ equations.residual[..., None])[..., 0]
+        rotation_nt = exp_rotation(step) @ rotation_nt
+        converged = np.all(np.abs(step) < _CONVERGED, axis=-1)
+        # NaN, not solved, never gets any smaller.
+        if np.all(converged | np.isnan(step[..., 0])):
+            break
+    misfit = equations.residual - (equations.jacobian @ step[..., None])[..., 0]
+    focal_length_m, focal_length_sigma_m = _focal_length(equations, camera, gain, misfit)
+    chi2 = np.einsum("...i,...ij,...j", misfit, equations.inverse, misfit)
+    blank = np.where(converged, 1.0, np.nan)
+    return Pointing(
+        rotation_nt=rotation_nt * blank[..., None, None],
+        parts_n={
+            source: part * blank[..., None, None]
+            for source, part in _parts(equations, gain, image, camera, line_parts, prior).items()
+        },
+        focal_length_m=focal_length_m * blank,
+        focal_length_sigma_m=focal_length_sigma_m * blank,
+        chi2=chi2 * blank,
+        degrees=equations.residual.shape[-1] - 3,
+        solved=converged,
+    )
+
+
+def _start(
+    image: Image, camera: Camera, lines: LinesOfSight, line_covariance: FloatArray, prior: AttitudePrior | None
+) -> FloatArray:
+    """First attitude: Wahba's of the lights, the prior's where that refuses."""
+    diagonal = np.einsum("...ii->...i", line_covariance).reshape(*line_covariance.shape[:-2], -1, 3)
+    # Two components across the line of sight share the trace.
+    line_variance = 0.5 * diagonal.sum(axis=-1)
+    image_variance = (image.sigma_m / np.asarray(camera.focal_length_m, dtype=float)[..., None]) ** 2
+    solution = wahba.solve(lines.direction_n, camera.directions(image.point_m), np.sqrt(line_variance + image_variance))
+    if prior is None or np.all(solution.solved):
+        return solution.rotation_nd
+    return np.where(np.asarray(solution.solved)[..., None, None], solution.rotation_nd, prior.rotation_nt)
+
+
+def _focal_length(
+    equations: Equations, camera: Camera, gain: FloatArray, misfit: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Focal length with its standard deviation, given all: prior and what the attitude leaves of the residuals."""
+    variance = np.asarray(camera.focal_length_sigma_m, dtype=float) ** 2
+    rows = equations.by_focal_length.shape[-1]
+    weighted = (equations.by_focal_length[..., None, :] @ equations.inverse[..., :rows, :])[..., 0, :]
+    change = variance * np.einsum("...i,...i", weighted, misfit)
+    # pᵀ (S⁻¹ - S⁻¹ H K) p: the information that is left beside the attitude.
+    kept = (gain[..., :rows] @ equations.by_focal_length[..., None])[..., 0]
+    through_attitude = (weighted[..., None, :] @ equations.jacobian @ kept[..., None])[..., 0, 0]
+    left = np.einsum("...i,...i", weighted[..., :rows], equations.by_focal_length) - through_attitude
+    return camera.focal_length_m + change, np.sqrt(variance * (1.0 - variance * left))
+
+
+def _parts(
+    equations: Equations,
+    gain: FloatArray,
+    image: Image,
+    camera: Camera,
+    line_parts: dict[str, FloatArray],
+    prior: AttitudePrior | None,
+) -> dict[str, FloatArray]:
+    """The attitude's covariance by source."""
+    rows = equations.by_focal_length.shape[-1]
+    by_directions = gain[..., :rows] @ equations.by_directions
+    parts = {source: _transported(by_directions, part) for source, part in line_parts.items()}
+    parts[SOURCE_IMAGE] = _transported(gain[..., :rows], image.covariance_m2)
+    by_focal_length = gain[..., :rows] @ equations.by_focal_length[..., None]
+    by_focal_length = by_focal_length * np.asarray(camera.focal_length_sigma_m, dtype=float)[..., None, None]
+    parts[SOURCE_FOCAL_LENGTH] = by_focal_length @ np.swapaxes(by_focal_length, -1, -2)
+    if prior is not None:
+        for source, part in prior.parts_n.items():
+            carried = _transported(gain[..., rows:], part)
+            parts[source] = parts[source] + carried if source in parts else carried
+    return parts
+
+
+def _transported(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
+    return matrix @ covariance @ np.swapaxes(matrix, -1, -2)

@@ -1,0 +1,1 @@
+"""What is measured: samples, watched as they come, and brought together at the middle of an exposure."""

@@ -1,0 +1,144 @@
+"""The calibration: axis errors, focal length and deformation as the filter now has them, and what outlasts the session.
+
+Two views of the same state: :class:`Calibration`, named values for people and for the calibration topic, and
+:class:`CalibrationPrior`, what the next session starts from: the constants, without the deformation, which is another
+by then.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, FilterState
+from theodolite_calib.filter.model import SOURCE_SAVED
+from theodolite_calib.filter.observability import DEFORMATION_NAMES
+
+SAVED_BLOCKS = ("axes", "focal_length", "parallelism")
+SAVED_NAMES = (*NAMES, "focal_length", "parallelism_azimuth", "parallelism_elevation", "parallelism_rotation")
+"""What is saved, in the order of the states' blocks."""
+
+_OF_TELESCOPE = SAVED_NAMES[len(NAMES) :]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Named quantities with their joint covariance.
+
+    Attributes:
+        time_ns: moment of the last sighting used; 0 before it.
+        names: as in ship_msgs/TheodoliteCalibration.
+        values: rad or m, shape (n,).
+        covariance: of the values, shape (n, n).
+        units: "rad" or "m" for each.
+        unobservable: combinations of names that the sightings so far cannot tell apart.
+        sighting_count: sightings used so far.
+        residual_rms: of the lights on the sky, rad; NaN before the first sighting.
+    """
+
+    time_ns: int
+    names: tuple[str, ...]
+    values: FloatArray
+    covariance: FloatArray
+    units: tuple[str, ...]
+    unobservable: tuple[str, ...]
+    sighting_count: int
+    residual_rms: float
+
+
+@dataclass(frozen=True)
+class CalibrationPrior:
+    """What a saved calibration holds.
+
+    Attributes:
+        time_ns: moment of the data it rests on.
+        serial: of the theodolite.
+        telescope_id: of the telescope.
+        values: in the order of SAVED_NAMES, rad or m, shape (11,).
+        covariance: joint, shape (11, 11).
+    """
+
+    time_ns: int
+    serial: str
+    telescope_id: str
+    values: FloatArray
+    covariance: FloatArray
+
+
+def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: FilterState) -> Calibration:
+    """The named values of a state; an axis error that is held at nothing is left out."""
+    model = filter_.model
+    axes = config.axes.values + state.mean[model.slices["axes"]]
+    variance = np.diagonal(state.covariance)
+    shown = [i for i, row in enumerate(model.rows("axes")) if NAMES[i] != "flexure" or variance[row] > 0.0 or axes[i]]
+    rows = np.concatenate([model.rows("axes")[shown], model.rows("focal_length"), model.rows("deformation")])
+    deformation = state.mean[model.slices["deformation"]]
+    return Calibration(
+        time_ns=state.used_ns or 0,
+        names=(*(NAMES[i] for i in shown), "focal_length", *DEFORMATION_NAMES),
+        values=np.concatenate([axes[shown], [filter_.sightings.focal_length_m(state.mean)], deformation]),
+        covariance=state.covariance[np.ix_(rows, rows)],
+        units=(*("rad" for _ in shown), "m", *("rad" for _ in DEFORMATION_NAMES)),
+        unobservable=filter_.observability.open_combinations(state.unaided),
+        sighting_count=state.sighting_count,
+        residual_rms=state.residual_rms,
+    )
+
+
+def prior_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: FilterState) -> CalibrationPrior:
+    """What to save of a state that rests on sightings."""
+    assert state.used_ns is not None
+    rows = _rows(filter_)
+    values = _configured(config) + state.mean[rows]
+    covariance = state.covariance[np.ix_(rows, rows)]
+    return CalibrationPrior(state.used_ns, config.serial, config.telescope.telescope_id, values, covariance)
+
+
+def state_from_prior(
+    filter_: CalibrationFilter, config: OpticalAxisConfig, prior: CalibrationPrior, now_ns: int
+) -> tuple[FilterState, list[str]]:
+    """The start of a session with a saved calibration, and what is to be said of it.
+
+    One of another theodolite is not used at all, of another telescope without focal length and parallelism. One older
+    than ``calibration_max_age_d`` keeps its values, with the configured uncertainty added.
+    """
+    initial = filter_.initial_state()
+    if prior.serial != config.serial:
+        text = f"saved calibration is of theodolite '{prior.serial}', configured is '{config.serial}': not used"
+        return initial, [text]
+    messages = []
+    # What was held when the calibration was saved has its uncertainty from the configuration.
+    usable = np.diagonal(prior.covariance) > 0.0
+    of_telescope = usable & [name in _OF_TELESCOPE for name in SAVED_NAMES]
+    if prior.telescope_id != config.telescope.telescope_id and np.any(of_telescope):
+        usable &= ~of_telescope
+        messages.append(
+            f"saved calibration is of telescope '{prior.telescope_id}', configured is "
+            f"'{config.telescope.telescope_id}': its focal length and parallelism are not used"
+        )
+    rows, chosen = _rows(filter_)[usable], np.flatnonzero(usable)
+    mean, parts = initial.mean.copy(), initial.parts.copy()
+    mean[rows] = (prior.values - _configured(config))[usable]
+    age_d = max(now_ns - prior.time_ns, 0) * 1e-9 / 86400.0
+    if age_d > config.calibration_max_age_d:
+        messages.append(
+            f"saved calibration is {age_d:.1f} d old, more than calibration_max_age_d = "
+            f"{config.calibration_max_age_d:g}: its uncertainty is widened by the configured one"
+        )
+    else:
+        parts[:, rows, :] = 0.0
+        parts[:, :, rows] = 0.0
+    source = filter_.model.sources.index(SOURCE_SAVED)
+    parts[source][np.ix_(rows, rows)] += prior.covariance[np.ix_(chosen, chosen)]
+    return replace(initial, mean=mean, parts=parts), messages
+
+
+def _configured(config: OpticalAxisConfig) -> FloatArray:
+    telescope = config.telescope
+    return np.concatenate([config.axes.values, [telescope.focal_length_m], telescope.parallelism])
+
+
+def _rows(filter_: CalibrationFilter) -> FloatArray:
+    return np.concatenate([filter_.model.rows(name) for name in SAVED_BLOCKS])

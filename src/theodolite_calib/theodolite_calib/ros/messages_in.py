@@ -1,0 +1,245 @@
+"""From messages to the core's structs: axes, units and checks. Reads attributes only, so any message class will do."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
+from ship_geometry.frames import angles_from_rotation, rotation_vector_covariance
+from ship_geometry.ros_axes import (
+    ENU_FROM_HORIZON,
+    device_vector_from_ros,
+    horizon_covariance,
+    rotation_from_quaternion,
+)
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.edge.imu_messages_in import imu_rotation, ins_sample, ship_rate
+from ship_node.edge.message_checks import (
+    Refused,
+    covariance_3x3,
+    device_id,
+    exposure_length_s,
+    finite_numbers,
+    finite_vector,
+    frame,
+    quoted_id,
+    stamp_ns,
+    unit_quaternion,
+)
+from theodolite_calib.config.beacon import BeaconConfig
+from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Exposure, SeenLight, ShipSample, Status
+
+MOST_LIGHTS = 100
+"""Of one image; what comes after them is not looked at, so that no message can hold up the node."""
+
+_ENCODER_INVALID = 1
+_FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
+_LARGEST_VARIANCE = (2.0 * np.pi) ** 2
+_LARGEST_DETECTOR_M = 0.5
+"""No detector is larger: more are millimetres or pixels."""
+_LONGEST_BASELINE_M = 1e5
+"""No light is seen from further away."""
+
+
+@dataclass(frozen=True)
+class Converted:
+    """A message as the core takes it.
+
+    Attributes:
+        value: sample or exposure.
+        covariance_known: False where the configured sigma was used.
+        lights_refused: of an exposure, lights that could not be read, by name.
+    """
+
+    value: Any
+    covariance_known: bool = True
+    lights_refused: tuple[tuple[str, Refusal], ...] = ()
+
+
+def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Converted:
+    """``theodolite/encoder`` → both angles; their range is judged by the core.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    frame(message.header.frame_id, config.encoder.frame_id)
+    if message.status == _ENCODER_INVALID:
+        raise Refused("gap", "the encoder itself reports a fault")
+    finite_numbers("azimuth, elevation", message.azimuth, message.elevation)
+    sigma = _sigma(message.sigma, 2.0 * np.pi)
+    angles = np.array([message.azimuth, message.elevation])
+    known = sigma is not None
+    return Converted(EncoderSample(time_ns, angles, sigma or config.encoder.sigma_arcsec * ARCSEC), known)
+
+
+def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Converted:
+    """``ship/attitude`` → attitude with the part of its error that lasts.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    frame(message.header.frame_id, config.ship.frame_id)
+    if message.status == Status.INVALID:
+        raise Refused("gap", "the source itself says INVALID")
+    if message.status not in list(Status):
+        raise Refused("units", f"status {message.status} is unknown: expected VALID, COASTING or DEGRADED")
+    rotation_nd = rotation_from_quaternion(unit_quaternion(message.orientation))
+    total_n = _ship_covariance(message, rotation_nd)
+    rate = message.angular_velocity
+    # NaN: the source knows no rate.
+    rate_known = not all(math.isnan(value) for value in (rate.x, rate.y, rate.z))
+    rate_d = device_vector_from_ros(ship_rate(rate)) if rate_known else None
+    slow_n = _ins_covariance(config) if total_n is None else _without_white(total_n, config.ship.white_sigma_arcsec)
+    sample = ShipSample(time_ns, rotation_nd, rate_d, slow_n, Status(message.status))
+    return Converted(sample, total_n is not None)
+
+
+def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Converted:
+    """``ins/imu`` → attitude and rate; their errors are those of the configuration.
+
+    Raises:
+        Refused: with the reason.
+    """
+    converted = ins_sample(message, config.ins, receive_ns)
+    sample = converted.value
+    return Converted(ShipSample(sample.time_ns, sample.rotation_nd, sample.rate_d), converted.covariance_known)
+
+
+def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int) -> Converted:
+    """``beacon/<id>/baseline`` → vector with what is new in its error; one without the least fix with the refusal.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    frame(message.header.frame_id, beacon.rtk.frame_id)
+    for name, given, expected in (
+        ("base_id", message.base_id, beacon.rtk.base_id),
+        ("rover_id", message.rover_id, beacon.rtk.rover_id),
+    ):
+        if expected:
+            device_id(name, given, expected)
+    if message.fix < _FIXES.index(least_fix.upper()) or message.fix >= len(_FIXES):
+        fix = _FIXES[message.fix] if message.fix < len(_FIXES) else message.fix
+        refusal = Refusal(Reason.NOT_FIXED, f"baseline is {fix}: expected {least_fix.upper()}")
+        return Converted(BaselineSample(time_ns, np.zeros(3), np.zeros((3, 3)), refusal))
+    vector_n = ENU_FROM_HORIZON.T @ finite_vector(message.enu, "enu")
+    if np.max(np.abs(vector_n)) > _LONGEST_BASELINE_M:
+        raise Refused("units", f"baseline N, U, E {vector_n.tolist()}: expected metres, 100 km at most")
+    covariance_enu = covariance_3x3(message.covariance)
+    if covariance_enu is not None and np.max(np.diagonal(covariance_enu)) > _LONGEST_BASELINE_M**2:
+        raise Refused("bad_covariance", "a sigma of more than 100 km")
+    if covariance_enu is None:
+        return Converted(BaselineSample(time_ns, vector_n, beacon.rtk.sigma_m**2 * np.eye(3)), False)
+    return Converted(BaselineSample(time_ns, vector_n, horizon_covariance(covariance_enu)))
+
+
+def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> Converted:
+    """``beacon/<id>/imu`` → attitude of the drone; its errors are those of the configuration.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    frame(message.header.frame_id, beacon.imu.frame_id)
+    return Converted(AttitudeSample(time_ns, imu_rotation(message, beacon.imu.convention)))
+
+
+def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Converted:
+    """``theodolite/beacons`` → lights on the detector; one that cannot be read is left out by name.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    frame(message.header.frame_id, config.telescope.frame_id)
+    device_id("telescope_id", message.telescope_id, config.telescope.telescope_id)
+    exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
+    sightings = message.beacons[:MOST_LIGHTS]
+    names = [sighting.beacon_id for sighting in sightings]
+    lights: dict[str, SeenLight] = {}
+    refused: list[tuple[str, Refusal]] = []
+    known = True
+    for sighting in sightings:
+        light = _light_or_refusal(sighting, names, config)
+        if isinstance(light, Refusal):
+            refused.append((sighting.beacon_id, light))
+        else:
+            lights[sighting.beacon_id], sigma_known = light
+            known &= sigma_known
+    if len(message.beacons) > MOST_LIGHTS:
+        text = f"{len(message.beacons)} lights in one image: only the first {MOST_LIGHTS} are looked at"
+        refused.append((message.beacons[MOST_LIGHTS].beacon_id, Refusal(Reason.OVERFLOW, text)))
+    ordered = tuple(lights[name] for name in sorted(lights))
+    return Converted(Exposure(time_ns, ordered, exposure_s), known, tuple(refused))
+
+
+def _light_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool] | Refusal:
+    try:
+        return _seen_light(sighting, names, config)
+    except Refused as error:
+        return Refusal(Reason[error.reason.upper()], error.text)
+
+
+def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool]:
+    """A light, and whether the message says how well it was seen."""
+    name = sighting.beacon_id
+    if name not in config.beacons:
+        expected = ", ".join(sorted(config.beacons)) or "none: beacons.<id> is empty"
+        raise Refused("unknown_sensor", f"beacon_id {quoted_id(name)} is unknown: expected {expected}")
+    if names.count(name) > 1:
+        raise Refused("conflict", f"{quoted_id(name)} is in one image {names.count(name)} times")
+    finite_numbers("x, z", sighting.x, sighting.z)
+    if max(abs(sighting.x), abs(sighting.z)) > _LARGEST_DETECTOR_M:
+        raise Refused("units", f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
+    sigma = _sigma(sighting.sigma, _LARGEST_DETECTOR_M)
+    point_m = np.array([sighting.x, sighting.z])
+    return SeenLight(name, point_m, sigma or config.telescope.sigma_m), sigma is not None
+
+
+def _sigma(value: float, largest: float) -> float | None:
+    """A standard deviation; None where it is not given."""
+    if math.isnan(value) or value == 0.0:
+        return None
+    if math.isinf(value):
+        raise Refused("non_finite", "sigma holds infinity")
+    if not 0.0 < value <= largest:
+        raise Refused("bad_covariance", f"sigma is {value:.6g}: expected a positive number up to {largest:.3g}")
+    return float(value)
+
+
+def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None:
+    """Total covariance of the rotation vector in n, rad²; None where the message gives none."""
+    rotation_enu = covariance_3x3(message.rotation_covariance, "rotation_covariance")
+    if rotation_enu is not None:
+        total_n = horizon_covariance(rotation_enu)
+    else:
+        angles = covariance_3x3(message.covariance)
+        if angles is None:
+            return None
+        heading, pitch, _ = angles_from_rotation(rotation_nd)
+        total_n = rotation_vector_covariance(angles, heading, pitch)
+    largest = float(np.max(np.diagonal(total_n)))
+    if largest > _LARGEST_VARIANCE:
+        raise Refused("bad_covariance", f"a variance of {largest:.3g} rad² is a sigma of more than a full turn")
+    return total_n
+
+
+def _without_white(total_n: FloatArray, white_sigma_arcsec: float) -> FloatArray:
+    """What is left of a covariance when the noise of each sample is taken out; nothing of it negative."""
+    values, vectors = np.linalg.eigh(total_n)
+    left: FloatArray = (vectors * np.maximum(values - (white_sigma_arcsec * ARCSEC) ** 2, 0.0)) @ vectors.T
+    return left
+
+
+def _ins_covariance(config: OpticalAxisConfig) -> FloatArray:
+    """The INS's own, where a source gives none."""
+    tilt, heading = config.ins.tilt_sigma_arcsec * ARCSEC, config.ins.heading_sigma_arcsec * ARCSEC
+    return np.diag([tilt**2, heading**2, tilt**2])

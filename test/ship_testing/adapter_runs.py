@@ -1,0 +1,153 @@
+"""Messages on their way into an adapter, changed, lost or late, and what the adapter makes of them.
+
+Shared by the tests of all packages whose nodes are adapters.
+"""
+
+import copy
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ship_bags.message_factory import RosidlFactory
+from ship_bags.stamps import ns_from_stamp
+from ship_node.edge.adapter import Adapter
+from ship_node.live.tick_grid import TickGrid
+
+SECOND_NS = 1_000_000_000
+START_NS = 1_700_000_000 * SECOND_NS
+FACTORY = RosidlFactory()
+
+Arrivals = tuple["Arrival", ...]
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A message on its way into the adapter."""
+
+    topic: str
+    message: Any
+    receive_ns: int
+
+    @property
+    def stamp_ns(self) -> int:
+        return stamp_of(self.message)
+
+
+@dataclass
+class AdapterRun:
+    """What an adapter made of some arrivals: (time of publishing, topic, message), in the time of waiting."""
+
+    adapter: Adapter
+    published: list[tuple[int, str, Any]] = field(default_factory=list)
+    now_ns: int = 0
+
+    def messages(self, topic: str) -> list[Any]:
+        return [message for _, name, message in self.published if name == topic]
+
+    def results(self) -> list[tuple[int, str, Any]]:
+        """All that is estimated, to the last bit; without the judgements on the inputs."""
+        judgements = "/innovation", "input_health", "/diagnostics"
+        return [(ns, topic, exactly(m)) for ns, topic, m in self.published if not topic.endswith(judgements)]
+
+    def reasons(self, topic: str) -> dict[str, int]:
+        health = self.health(topic)
+        return dict(zip(health.reasons, health.reason_counts, strict=True))
+
+    def health(self, topic: str) -> Any:
+        return next(m for m in self.adapter.health.messages(FACTORY, self.now_ns) if m.topic == topic)
+
+    def innovations(self, reason: int) -> list[Any]:
+        published = [message for _, topic, message in self.published if topic.endswith("/innovation")]
+        return [message for message in published if message.reason == reason]
+
+    def diagnostics(self, name: str, since_ns: int, until_ns: int) -> list[tuple[int, str]]:
+        """(level, text) of one status in all reports of a time."""
+        return [
+            (status.level[0], status.message)
+            for ns, topic, report in self.published
+            if topic == "/diagnostics" and since_ns <= ns <= until_ns
+            for status in report.status
+            if status.name == f"{self.adapter.node_name}: {name}"
+        ]
+
+
+def exactly(value: Any) -> Any:
+    """A message as tuples of bytes and texts: NaN equals NaN, and 0.0 is not -0.0."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return tuple(exactly(getattr(value, name)) for name in value.get_fields_and_field_types())
+    return value if isinstance(value, str) else np.asarray(value).tobytes()
+
+
+def in_order(arrivals: Iterable[Arrival]) -> Arrivals:
+    return tuple(sorted(arrivals, key=lambda arrival: arrival.receive_ns))
+
+
+def stamp_of(message: Any) -> int:
+    return ns_from_stamp(message.header.stamp)
+
+
+def index_at(arrivals: Arrivals, topic: str, since_s: float) -> int:
+    """The first arrival of a topic that was stamped this long after the start."""
+    limit_ns = START_NS + round(since_s * SECOND_NS)
+    return next(i for i, a in enumerate(arrivals) if a.topic == topic and a.stamp_ns >= limit_ns)
+
+
+def without(arrivals: Arrivals, index: int) -> Arrivals:
+    return (*arrivals[:index], *arrivals[index + 1 :])
+
+
+def replaced(
+    arrivals: Arrivals, index: int, change: Callable[[Any], None], receive_ns: int | None = None
+) -> Arrivals:
+    """One message changed in place, at another time of arrival if given."""
+    return in_order((*without(arrivals, index), changed_copy(arrivals[index], change, receive_ns)))
+
+
+def added(arrivals: Arrivals, index: int, change: Callable[[Any], None], receive_ns: int) -> Arrivals:
+    """A changed copy of one message arrives too."""
+    return in_order((*arrivals, changed_copy(arrivals[index], change, receive_ns)))
+
+
+def changed_copy(arrival: Arrival, change: Callable[[Any], None], receive_ns: int | None = None) -> Arrival:
+    message = copy.deepcopy(arrival.message)
+    change(message)
+    return replace(arrival, message=message, receive_ns=arrival.receive_ns if receive_ns is None else receive_ns)
+
+
+def changed_where(
+    arrivals: Iterable[Arrival], chosen: Callable[[Arrival], bool], change: Callable[[Any], None]
+) -> Arrivals:
+    """All chosen messages changed."""
+    return tuple(changed_copy(a, change) if chosen(a) else a for a in arrivals)
+
+
+def delayed(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
+    """Each arrival so long after its stamp."""
+    return in_order(
+        replace(a, receive_ns=a.stamp_ns + round(delay_s * SECOND_NS))
+        for a, delay_s in zip(arrivals, delays_s.tolist(), strict=True)
+    )
+
+
+def hand_over(
+    run: AdapterRun, arrivals: Iterable[Arrival], until_ns: int = 0, node_ns: Callable[[int], int] = lambda ns: ns
+) -> None:
+    """Give a run's adapter the arrivals with the ticks between them, as node and replay do; then tick on.
+
+    Arrivals are in the time of waiting; ``node_ns`` is what the node's clock shows then.
+    """
+    grid = TickGrid()
+    for arrival in arrivals:
+        waiting_ns = arrival.receive_ns
+        _tick(run, grid, waiting_ns, node_ns)
+        published = run.adapter.handle(arrival.topic, arrival.message, node_ns(waiting_ns), waiting_ns)
+        run.published += [(waiting_ns, *item) for item in published]
+    _tick(run, grid, max(until_ns, run.now_ns), node_ns)
+
+
+def _tick(run: AdapterRun, grid: TickGrid, waiting_ns: int, node_ns: Callable[[int], int]) -> None:
+    for tick_ns in grid.due(waiting_ns):
+        run.published += [(tick_ns, *item) for item in run.adapter.tick(node_ns(tick_ns), tick_ns)]
+    run.now_ns = waiting_ns

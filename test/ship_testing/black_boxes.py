@@ -1,0 +1,186 @@
+"""Black boxes made without DDS, by what a live node uses to make them; and copies of them with one thing changed."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from rclpy.serialization import deserialize_message
+
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT
+from ship_bags.message_factory import RosidlFactory, message_class
+from ship_estimation.parameters import ParameterError
+from ship_node.black_box.black_box import BlackBox
+from ship_node.documents.files import NotedFiles
+from ship_node.live.adapter_calls import AdapterCalls
+from ship_node.live.tick_grid import TickGrid
+from ship_node.parameters.parameter_file import load_config
+from ship_testing.places import ROOT
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+
+BAGS = ROOT / "bags"
+LENGTH_NS = 8_000_000_000
+BOX_FORMAT = "2"
+Record = Schema | Channel | Message | Attachment | Metadata
+
+
+@dataclass(frozen=True)
+class BoxedNode:
+    """A node that is put into a box.
+
+    Attributes:
+        adapter_class: what it runs.
+        bag: what it hears.
+        file_parameter: names its saved file.
+        noise_change: a live change of one parameter.
+    """
+
+    adapter_class: Any
+    bag: Path
+    file_parameter: str
+    noise_change: Mapping[str, float]
+
+
+SHIP_ATTITUDE = BoxedNode(ShipAttitudeAdapter, BAGS / "demo.mcap", "alignment_file", {"ins.white_sigma_arcsec": 2.0})
+OPTICAL_AXIS = BoxedNode(OpticalAxisAdapter, BAGS / "theodolite.mcap", "calibration_file", {"telescope.sigma_m": 2e-6})
+
+
+class Nobody:
+    """A publisher without subscribers."""
+
+    def publish(self, message: Any) -> None:
+        """Tell nobody."""
+
+
+def make_box(
+    path: Path,
+    saved_path: Path,
+    close: bool = True,
+    node: BoxedNode = SHIP_ATTITUDE,
+    node_ns: Callable[[int], int] = lambda ns: ns,
+    lost: Callable[[int], bool] = lambda ns: False,
+) -> BlackBox:
+    """Eight seconds of a bag, with all that can happen to a node; the clock goes back at the end.
+
+    Args:
+        path: of the box.
+        saved_path: of the file that the node saves.
+        close: whether the node ends in order.
+        node: what is put into it.
+        node_ns: what the node's clock shows at a time of waiting, which is that of the bag; both ns since its start.
+        lost: times of waiting, ns since the bag's start, at which nothing comes.
+    """
+    name = node.adapter_class.node_name
+    with read_bag(node.bag) as bag:
+        suite = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
+        (section,) = (parameters for node_name, parameters in suite.items() if node_name.endswith(name))
+        section["ros__parameters"][node.file_parameter] = str(saved_path)
+        config = load_config(node.adapter_class.config_type, yaml.safe_dump(suite), name)
+        files = NotedFiles()
+        adapter = node.adapter_class(config, RosidlFactory(), files)
+        kinds = {topic.topic: message_class(topic.type_name) for topic in adapter.inputs}
+        start_ns = bag.start_ns or 0
+        records = [r for r in bag.records(kinds) if r.log_time_ns < start_ns + LENGTH_NS]
+        records = [r for r in records if not lost(r.log_time_ns - start_ns)]
+
+    def node_time(waiting_ns: int) -> int:
+        return start_ns + node_ns(waiting_ns - start_ns)
+
+    box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print)
+    calls = AdapterCalls(adapter, {output.topic: Nobody() for output in adapter.outputs}, files, box)
+    plan = _plan(calls, node)
+    planned = len(plan)
+    grid = TickGrid()
+    for record in [*records, *records[:300]]:
+        waiting_ns = record.log_time_ns
+        now_ns = node_time(waiting_ns)
+        if record is records[0] and len(plan) < planned:
+            grid.restart(waiting_ns)
+            calls.clock_jumped_back(now_ns)
+        for tick_ns in grid.due(waiting_ns):
+            calls.tick(node_time(tick_ns), tick_ns)
+        while plan and waiting_ns >= start_ns + plan[0][0]:
+            plan.pop(0)[1](now_ns)
+        message = deserialize_message(record.data, kinds[record.topic])
+        calls.handle(record.topic, record.data, message, now_ns, waiting_ns)
+    if close:
+        box.close()
+    return box
+
+
+def _plan(calls: AdapterCalls, node: BoxedNode) -> list[tuple[int, Callable[[int], Any]]]:
+    second = 1_000_000_000
+
+    def refused(now_ns: int) -> None:
+        try:
+            calls.set_parameters({"gate.probability": 0.1}, now_ns)
+        except ParameterError:
+            return
+        raise AssertionError("taken")
+
+    return [
+        (1 * second, lambda ns: calls.set_parameters({"gate.probability": 0.99}, ns)),
+        (2 * second, refused),
+        (2 * second, lambda ns: calls.note_refusal({"gate.probability": 5.0}, "out of its range", ns)),
+        (3 * second, lambda ns: calls.set_parameters(node.noise_change, ns)),
+        (4 * second, lambda ns: calls.service("save_alignment", ns)),
+        (5 * second, lambda ns: calls.service("reset", ns)),
+        (6 * second, lambda ns: calls.service("load_alignment", ns)),
+    ]
+
+
+def changed_copy(
+    box: Path,
+    path: Path,
+    change: Callable[[Record, Mapping[int, str]], Record | list[Record] | None],
+    renumber: bool = False,
+) -> Path:
+    """A copy of a box in which each record is what ``change(record, topics by channel)`` makes of it.
+
+    None leaves it out; ``renumber`` makes the writer's count fit again.
+    """
+    count = 0
+    topics: dict[int, str] = {}
+    kept: set[tuple[type, int]] = set()
+    with box.open("rb") as stream, path.open("wb") as out:
+        writer = Writer(out)
+        writer.start("ros2", "test")
+        for record in StreamReader(stream).records:
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            if not isinstance(record, Record):
+                continue
+            if isinstance(record, Schema | Channel):
+                if (type(record), record.id) in kept:
+                    continue
+                kept.add((type(record), record.id))
+            changed = change(record, topics)
+            for one in changed if isinstance(changed, list) else [changed]:
+                if renumber and isinstance(one, Message):
+                    count += 1
+                    one = replace(one, sequence=count)
+                _write(writer, one)
+        writer.finish()
+    return path
+
+
+def _write(writer: Writer, record: Record | None) -> None:
+    if isinstance(record, Schema):
+        assert writer.register_schema(record.name, record.encoding, record.data) == record.id
+    elif isinstance(record, Channel):
+        channel_id = writer.register_channel(record.topic, record.message_encoding, record.schema_id, record.metadata)
+        assert channel_id == record.id
+    elif isinstance(record, Message):
+        writer.add_message(
+            record.channel_id, record.log_time, record.data, record.publish_time, sequence=record.sequence
+        )
+    elif isinstance(record, Attachment):
+        writer.add_attachment(0, 0, record.name, record.media_type, record.data)
+    elif isinstance(record, Metadata):
+        writer.add_metadata(record.name, record.metadata)

@@ -1,0 +1,133 @@
+"""The smallest real adapter: Imu in, ShipAttitude with the same stamp out. Also an executable, for tests."""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ship_bags.message_factory import MessageFactory
+from ship_estimation.parameters import ParameterError, mapping_of, parameter, section
+from ship_node.documents.files import DISK, Files
+from ship_node.edge.adapter import ServiceResult
+from ship_node.edge.diagnostics import DIAGNOSTICS_TOPIC, diagnostic_array
+from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.message_checks import Refused, frame, stamp_ns, unit_quaternion
+from ship_node.edge.topics import InputTopic, OutputTopic, Published
+
+EXPLOSIVE_FRAME = "explosive"
+
+
+@dataclass(frozen=True)
+class GateConfig:
+    """A group of live parameters."""
+
+    probability: float = parameter(0.99, doc="gate", minimum=0.5, maximum=1.0, live=True)
+    count: int = parameter(3, doc="refusals in a row", minimum=1, live=True)
+    bias_deg: float = parameter(0.0, doc="no range", unit="deg", live=True)
+
+
+@dataclass(frozen=True)
+class SensorConfig:
+    """One device of a mapping."""
+
+    elevation_deg: float = parameter(doc="elevation", unit="deg", minimum=-90.0, maximum=90.0)
+    mode: str = parameter("fast", doc="mode", choices=("fast", "slow"))
+
+
+@dataclass(frozen=True)
+class RelayConfig:
+    """All parameters of the relay."""
+
+    gate: GateConfig = section(GateConfig)
+    sensors: dict[str, SensorConfig] = mapping_of("sensors by id")
+    frame_id: str = parameter("", doc="frame_id expected")
+    offsets_s: tuple[float, ...] = parameter((0.0, 1.0), doc="offsets", unit="s", maximum=9.0, live=True)
+
+
+class RelayAdapter:
+    """Relays every Imu as ShipAttitude."""
+
+    node_name = "relay"
+    config_type = RelayConfig
+    services = ("reset", "explode")
+
+    def __init__(self, config: RelayConfig, factory: MessageFactory, files: Files = DISK) -> None:
+        self.config = config
+        self.factory = factory
+        self.inputs = (InputTopic("ins/imu", "sensor_msgs/msg/Imu", required=True, depth=100),)
+        self.outputs = (
+            OutputTopic("ship/attitude", "ship_msgs/msg/ShipAttitude"),
+            OutputTopic("input_health", "ship_msgs/msg/InputHealth"),
+            OutputTopic("ship/calibration", "ship_msgs/msg/AlignmentState", latched=True),
+        )
+        self.health = InputHealthBook(self.inputs)
+        self.start_warnings: tuple[str, ...] = ()
+        self.notices: list[str] = []
+        self.changes: dict[str, Any] = {}
+        self.ticks: list[int] = []
+        self.node_times: list[int] = []
+        self.resets: list[int] = []
+        self.handled: list[int] = []
+
+    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        self.health.arrived(topic, receive_ns if waiting_ns is None else waiting_ns)
+        if message.header.frame_id == EXPLOSIVE_FRAME:
+            raise RuntimeError("a defect of the adapter")
+        try:
+            time_ns = stamp_ns(message.header, receive_ns)
+            frame(message.header.frame_id, self.config.frame_id)
+            x, y, z, w = unit_quaternion(message.orientation)
+        except Refused as refused:
+            self.health.rejected(topic, refused.reason, refused.text, receive_ns)
+            return []
+        self.health.accepted(topic, time_ns, receive_ns)
+        self.handled.append(receive_ns)
+        quaternion = self.factory.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+        rate = self.factory.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        attitude = self.factory.make(
+            "ship_msgs/msg/ShipAttitude",
+            header=message.header,
+            heading=0.0,
+            pitch=0.0,
+            roll=0.0,
+            covariance=np.zeros(9),
+            orientation=quaternion,
+            rotation_covariance=np.zeros(9),
+            angular_velocity=rate,
+            status=0,
+            horizon=1,
+            sources=["ins"],
+            star_age_s=float("nan"),
+        )
+        return [("ship/attitude", attitude)]
+
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        self.ticks.append(now_ns if waiting_ns is None else waiting_ns)
+        self.node_times.append(now_ns)
+        statuses = self.health.statuses(now_ns, waiting_ns)
+        published = [(DIAGNOSTICS_TOPIC, diagnostic_array(self.factory, now_ns, self.node_name, statuses))]
+        return published + [("input_health", m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]
+
+    def clock_jumped_back(self, now_ns: int) -> list[Published]:
+        self.resets.append(now_ns)
+        self.health.restart()
+        return []
+
+    def service(self, name: str, now_ns: int) -> ServiceResult:
+        if name == "explode":
+            raise RuntimeError("a defect of a service")
+        self.health.restart()
+        return ServiceResult(True, "reset")
+
+    def set_parameters(self, changes: Mapping[str, Any]) -> None:
+        if changes.get("gate.count") == 13:
+            raise ParameterError("parameter 'gate.count' = 13 is not wanted by the adapter")
+        self.changes |= changes
+
+
+if __name__ == "__main__":
+    from ship_node.live.node_shell import run
+
+    sys.exit(run(RelayAdapter))

@@ -1,0 +1,172 @@
+"""Epochs of [W18]'s configuration (models.md §5), simulated without the code under test.
+
+Two lights 2 km away stand at (3°, 2°) and (-2°, -3°), azimuth · cos E and elevation, from the telescope's axis. Errors
+per epoch: 2.7 cm per axis of each baseline, 2" of refraction for each light, 0.1 mm of the focal length of 100 mm,
+0.65 µm (a tenth of a pixel) of each image coordinate.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray
+from theodolite_calib.lights.image import Camera
+from theodolite_calib.lights.light_points import Image
+from theodolite_calib.lights.line_of_sight import LeverArm, Lights, LinesOfSight, Ship, Survey, lines_of_sight
+
+DISTANCE_M = 2000.0
+FOCAL_LENGTH_M = 0.1
+FOCAL_LENGTH_SIGMA_M = 1e-4
+DETECTION_M = 0.65e-6
+BASELINE_M = 0.027
+REFRACTION = 2.0 * ARCSEC
+EARTH_RADIUS_M = 6_371_000.0
+FOUR_LIGHTS_DEG = np.array([[3.0, 2.0], [-2.0, -3.0], [-3.0, 1.5], [0.5, -1.0]])
+LIGHTS_DEG = FOUR_LIGHTS_DEG[:2]
+NONE = np.zeros(3)
+
+SURVEY = Survey(
+    theodolite_lever=LeverArm(np.array([12.0, 3.0, -2.0]), NONE),
+    principal_point=LeverArm(np.array([0.4, 0.3, 0.0]), NONE),
+    light_lever=LeverArm(np.array([0.1, -0.3, 0.05]), NONE),
+    rtk_base_sigma_m=NONE,
+    rtk_bias_sigma_m=NONE,
+    refraction_coefficient=0.13,
+    refraction_sigma=0.0,
+    refraction_light_sigma=0.0,
+)
+CAMERA = Camera(FOCAL_LENGTH_M, FOCAL_LENGTH_SIGMA_M, np.array([2e-4, -3e-4]))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """True state of things.
+
+    Attributes:
+        rotation_nt: horizon from telescope, shape (..., 3, 3).
+        direction_n: in which the lights are seen, without refraction, unit vectors, shape (..., N, 3).
+        distance_m: shape (N,) or (..., N).
+    """
+
+    rotation_nt: FloatArray
+    direction_n: FloatArray
+    distance_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Epochs:
+    """What is measured, and of what; ``focal_length_m`` (...) is the true one."""
+
+    truth: Truth
+    focal_length_m: FloatArray
+    image: Image
+    camera: Camera
+    lights: Lights
+    ship: Ship
+    survey: Survey
+
+    def lines(self) -> LinesOfSight:
+        return lines_of_sight(self.lights, self.ship, self.survey)
+
+
+def truth_of(
+    azimuth_deg: FloatArray | float,
+    elevation_deg: FloatArray | float,
+    rotation_deg: FloatArray | float,
+    lights_deg: FloatArray = LIGHTS_DEG,
+) -> Truth:
+    """A telescope that looks there, and lights around its axis that do not turn with its image."""
+    azimuth, elevation, rotation = map(np.deg2rad, np.broadcast_arrays(azimuth_deg, elevation_deg, rotation_deg))
+    right, up = np.tan(np.deg2rad(lights_deg)).T
+    around = np.stack([np.ones_like(up), up, right], axis=-1)
+    around /= np.linalg.norm(around, axis=-1, keepdims=True)
+    upright = rotation_from_angles(azimuth, elevation, np.zeros_like(azimuth))
+    return Truth(
+        rotation_nt=rotation_from_angles(azimuth, elevation, rotation),
+        direction_n=around @ np.swapaxes(upright, -1, -2),
+        distance_m=np.full(len(lights_deg), DISTANCE_M),
+    )
+
+
+def raised(direction_n: FloatArray, angle: FloatArray | float) -> FloatArray:
+    """Directions turned up in their vertical plane."""
+    elevation = np.arcsin(direction_n[..., 1]) + angle
+    azimuth = np.arctan2(direction_n[..., 2], direction_n[..., 0])
+    return np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.sin(elevation), np.cos(elevation) * np.sin(azimuth)], axis=-1
+    )
+
+
+def per_coefficient(truth: Truth) -> FloatArray:
+    """Refraction (rad) of a coefficient of one: horizontal distance over twice the Earth's radius, shape (..., N)."""
+    return truth.distance_m * np.hypot(truth.direction_n[..., 0], truth.direction_n[..., 2]) / (2.0 * EARTH_RADIUS_M)
+
+
+def error_free(truth: Truth, survey: Survey = SURVEY, camera: Camera = CAMERA, seed: int = 0) -> Epochs:
+    """Measurements without errors, for a ship and drones in attitudes of their own."""
+    rng = np.random.default_rng(seed)
+    leading, count = truth.rotation_nt.shape[:-2], truth.direction_n.shape[-2]
+    rotation_nd, rotation_nb = _any_attitudes(rng, leading), _any_attitudes(rng, (*leading, count))
+    # The main axis is taken to look where the telescope does: N' needs no more.
+    rotation_dm = np.swapaxes(rotation_nd, -1, -2) @ truth.rotation_nt
+    lens_n = rotation_nd @ survey.theodolite_lever.vector_m + truth.rotation_nt @ survey.principal_point.vector_m
+    baseline_n = (
+        truth.distance_m[..., None] * truth.direction_n
+        + lens_n[..., None, :]
+        - (rotation_nb @ survey.light_lever.vector_m[..., None])[..., 0]
+    )
+    lights = Lights(baseline_n, np.zeros((3, 3)), rotation_nb, np.zeros((3, 3)))
+    seen_n = raised(truth.direction_n, survey.refraction_coefficient * per_coefficient(truth))
+    focal_length_m = np.full(leading, camera.focal_length_m)
+    point_m = project(camera, focal_length_m, seen_n @ truth.rotation_nt)
+    image = Image(point_m, np.full((*leading, count), DETECTION_M))
+    ship = Ship(rotation_nd, np.zeros((3, 3)), rotation_dm)
+    return Epochs(truth, focal_length_m, image, camera, lights, ship, survey)
+
+
+def project(camera: Camera, focal_length_m: FloatArray, direction_t: FloatArray) -> FloatArray:
+    """[W18] (12): the inverted image."""
+    x = -focal_length_m[..., None] * direction_t[..., 2] / direction_t[..., 0]
+    z = -focal_length_m[..., None] * direction_t[..., 1] / direction_t[..., 0]
+    return np.stack([x, z], axis=-1) + camera.principal_point_m
+
+
+def paper_epochs(truth: Truth, seed: int, common_refraction: bool = False) -> Epochs:
+    """The paper's errors, drawn for each epoch.
+
+    Args:
+        truth: with one leading dimension, the epochs.
+        seed: of the errors.
+        common_refraction: one error of refraction for both lights, that which makes 2" at the telescope's elevation.
+    """
+    epochs = error_free(truth, seed=seed)
+    rng = np.random.default_rng(seed)
+    leading, count = truth.rotation_nt.shape[:-2], truth.direction_n.shape[-2]
+    scale = per_coefficient(truth)
+    if common_refraction:
+        axis_n = truth.rotation_nt[0, :, 0]
+        sigma = REFRACTION / (DISTANCE_M * np.hypot(axis_n[0], axis_n[2]) / (2.0 * EARTH_RADIUS_M))
+        coefficient = 0.13 + sigma * rng.standard_normal((*leading, 1))
+        survey = replace(epochs.survey, refraction_sigma=sigma)
+    else:
+        light_sigma = REFRACTION / scale
+        coefficient = 0.13 + light_sigma * rng.standard_normal((*leading, count))
+        survey = replace(epochs.survey, refraction_light_sigma=light_sigma)
+    focal_length_m = FOCAL_LENGTH_M + FOCAL_LENGTH_SIGMA_M * rng.standard_normal(leading)
+    seen_n = raised(truth.direction_n, coefficient * scale)
+    point_m = project(epochs.camera, focal_length_m, seen_n @ truth.rotation_nt)
+    point_m += DETECTION_M * rng.standard_normal(point_m.shape)
+    lights = replace(
+        epochs.lights,
+        baseline_n=epochs.lights.baseline_n + BASELINE_M * rng.standard_normal((*leading, count, 3)),
+        baseline_covariance_n=np.broadcast_to(BASELINE_M**2 * np.eye(3), (*leading, count, 3, 3)),
+    )
+    image = replace(epochs.image, point_m=point_m)
+    return replace(epochs, focal_length_m=focal_length_m, image=image, lights=lights, survey=survey)
+
+
+def _any_attitudes(rng: np.random.Generator, leading: tuple[int, ...]) -> FloatArray:
+    """All headings, moderate pitch and roll, shape (..., 3, 3)."""
+    heading, pitch, roll = np.moveaxis(rng.uniform([0.0, -0.1, -0.2], [6.2, 0.1, 0.2], (*leading, 3)), -1, 0)
+    return rotation_from_angles(heading, pitch, roll)
