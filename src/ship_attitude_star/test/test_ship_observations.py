@@ -213,8 +213,8 @@ EXACT_SENSOR = {f"installation_sigma_{axis}_arcsec": 0.0 for axis in ("forward",
 
 def test_mend_02_what_is_taken_for_exact_may_be_compared_with_stars(monkeypatch: pytest.MonkeyPatch) -> None:
     """All sigmas of INS and mounting are 0: the predicted attitude has no covariance, and stars are chosen by it."""
-    monkeypatch.setattr("small_voyage._INS_ERROR_N", np.zeros(3))
-    monkeypatch.setattr("small_voyage._TAU_S", 0.0)
+    monkeypatch.setattr("ship_testing.small_voyage._INS_ERROR_N", np.zeros(3))
+    monkeypatch.setattr("ship_testing.small_voyage._TAU_S", 0.0)
     exact = [
         replace(a, message=ins_message(a.stamp_ns - START_NS, HEADING_DEG, np.zeros(3))) if a.topic == INS else a
         for a in voyage(noise=True)

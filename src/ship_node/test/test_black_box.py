@@ -121,7 +121,7 @@ def test_parameters_versions_and_identity_are_attached(tmp_path: Path) -> None:
     assert metadata[METADATA] == {"format": FORMAT, "node": "relay", "namespace": "/ship"}
     assert load_config(RelayConfig, attachments[SUITE_ATTACHMENT], "relay") == CONFIG
     found = json.loads(attachments[VERSIONS_ATTACHMENT])
-    assert found["suite"].keys() == {"ship_msgs", "ship_geometry", "ship_estimation", "ship_node", "relay_adapter"}
+    assert found["suite"].keys() == {"ship_msgs", "ship_geometry", "ship_estimation", "ship_node", "ship_testing"}
     assert found["message_definitions"]["ship_msgs/msg/ShipAttitude"].startswith("RIHS01_")
 
 

@@ -6,26 +6,26 @@ import sys
 import pytest
 
 WITHOUT_ROS = [
-    "adapter",
-    "csv_table",
-    "diagnostics",
-    "errors",
-    "figure_files",
-    "guard",
-    "input_health",
-    "message_checks",
-    "message_factory",
-    "parameter_file",
-    "stamps",
-    "tick_grid",
-    "topics",
-    "usage",
+    "ship_node.edge.adapter",
+    "ship_bags.csv_table",
+    "ship_node.edge.diagnostics",
+    "ship_bags.errors",
+    "ship_node.documents.figure_files",
+    "ship_node.live.guard",
+    "ship_node.edge.input_health",
+    "ship_node.edge.message_checks",
+    "ship_bags.message_factory",
+    "ship_node.parameters.parameter_file",
+    "ship_bags.stamps",
+    "ship_node.live.tick_grid",
+    "ship_node.edge.topics",
+    "ship_node.parameters.usage",
 ]
 
 
 @pytest.mark.parametrize("module", WITHOUT_ROS)
 def test_module_imports_alone_and_without_ros(module):
     check = (
-        f"import sys, ship_node.{module}; sys.exit(any(m.split('.')[0] in ('rclpy', 'ship_msgs') for m in sys.modules))"
+        f"import sys, {module}; sys.exit(any(m.split('.')[0] in ('rclpy', 'ship_msgs') for m in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", check], check=False, timeout=60).returncode == 0
