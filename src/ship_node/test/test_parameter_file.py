@@ -8,8 +8,9 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 from ship_bags.errors import BadInput
+from ship_bags.parameter_yaml import anywhere, full_name
 from ship_estimation.parameters import parameter, section
-from ship_node.parameters.parameter_file import anywhere, full_name, load, load_config, misfit, read, read_whatever_fits
+from ship_node.parameters.parameter_file import load, load_config, misfit, read, read_whatever_fits
 
 RCLError = rclpy_implementation.RCLError
 

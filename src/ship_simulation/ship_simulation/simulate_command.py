@@ -10,7 +10,7 @@ from ship_bags.mcap.stored_messages_writer import SCENARIO_ATTACHMENT, SUITE_ATT
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import add_force, check_file
 from ship_bags.progress import with_bar
-from ship_node.parameters.usage import key_rows
+from ship_estimation.parameter_rows import key_rows
 from ship_simulation.draws.noise import SECOND_NS
 from ship_simulation.faults import faults
 from ship_simulation.messages.to_messages import messages

@@ -11,8 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.task import Future
 
-from ship_node.parameters.parameter_file import full_name, is_shell_parameter
-from ship_node.parameters.parameter_text import sections_text
+from ship_bags.parameter_yaml import full_name, is_shell_parameter, sections_text
 
 ANSWER_S = 5.0
 """A node that has not answered so long after it was seen is named and left, s."""

@@ -24,6 +24,7 @@ from std_srvs.srv import Trigger
 
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import RosidlFactory, message_class
+from ship_bags.parameter_yaml import quoted_parameter
 from ship_estimation.parameters import ParameterError
 from ship_node.black_box.black_box import BlackBox
 from ship_node.documents.files import NotedFiles
@@ -41,7 +42,7 @@ from ship_node.live.ros_parameters import NodeParameters, ParameterNode
 from ship_node.live.start_line import start_line
 from ship_node.live.status_log import StatusLog
 from ship_node.live.tick_grid import TickGrid
-from ship_node.parameters.parameter_file import misfit, quoted_parameter, read_whatever_fits
+from ship_node.parameters.parameter_file import misfit, read_whatever_fits
 
 SPIN_TIMEOUT_S = 0.1
 WATCH_PERIOD_S = 1.0

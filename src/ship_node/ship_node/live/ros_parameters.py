@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ship_bags.errors import BadInput
+from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, is_shell_parameter
 from ship_estimation.parameters import (
     ParameterDescription,
     ParameterError,
@@ -23,7 +24,6 @@ from ship_estimation.parameters import (
 from ship_estimation.refusals import shortened
 from ship_node.edge.diagnostics import Level, Status
 from ship_node.live.adapter_calls import AdapterCalls
-from ship_node.parameters.parameter_file import BLACK_BOX_PARAMETER, is_shell_parameter
 
 USE_SIM_TIME = "use_sim_time"
 

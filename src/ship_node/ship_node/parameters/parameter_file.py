@@ -8,78 +8,18 @@ alone, as in rcl; of several that fit, later ones override earlier ones.
 import difflib
 import re
 from collections.abc import Collection
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ship_bags.errors import BadInput
+from ship_bags.parameter_yaml import ANYWHERE, ParameterFile, Section, anywhere, merged, read_sections
 from ship_estimation.parameters import ParameterError, build
-from ship_node.parameters.parameter_yaml import Section, read_plain_section, read_sections
 
 Config = TypeVar("Config")
 
-BLACK_BOX_PARAMETER = "black_box"
-"""Every node's shell has it: path of the box, empty for none."""
-
-SHELL_PARAMETERS = ("use_sim_time", "qos_overrides", "start_type_description_service", BLACK_BOX_PARAMETER)
-"""First part of the names of parameters that belong to rclpy or the node's shell and not to a configuration."""
-
-_ANYWHERE = "/**/"
 _NEARLY = 0.8
 """Likeness of two names from which on one may be the other misspelt: 'ship_attitude' and 'ship_attitude_node' have
 0.86, 'ship_attitude' and 'star_attitude' 0.75."""
-
-
-@dataclass(frozen=True)
-class ParameterFile:
-    """The parameters of one node in one file.
-
-    Attributes:
-        name: the file, for messages.
-        values: nested mapping, those of rclpy and the node's shell left out.
-        lines: line (from 1) of each parameter and group by dotted name, all of them.
-    """
-
-    name: str
-    values: dict[str, Any]
-    lines: dict[str, int]
-
-    def line_of(self, parameter: str) -> int | None:
-        """Line of a parameter, or of the nearest group around it; None where the file names none of them."""
-        while parameter not in self.lines and "." in parameter:
-            parameter = parameter.rpartition(".")[0]
-        return self.lines.get(parameter)
-
-    def error(self, text: str) -> BadInput:
-        """The bad input of a text that quotes the parameter at fault first, with file and line."""
-        line = self.line_of(quoted_parameter(text))
-        return BadInput(f"{self.name}:{line}: {text}" if line else f"{self.name}: {text}")
-
-
-def quoted_parameter(text: str) -> str:
-    """The first name in quotes, without an index; empty where there is none."""
-    quoted = re.search(r"'([^'\[]+)", text)
-    return quoted[1] if quoted else ""
-
-
-def is_shell_parameter(name: str) -> bool:
-    """Whether a dotted name belongs to rclpy or the node's shell."""
-    return name.split(".")[0] in SHELL_PARAMETERS
-
-
-def full_name(node_name: str, namespace: str = "") -> str:
-    """``/NAMESPACE/NAME`` of a node.
-
-    Args:
-        node_name: name without namespace.
-        namespace: with or without its slashes; empty for none.
-    """
-    return "/".join(["", *filter(None, namespace.split("/")), node_name])
-
-
-def anywhere(node_name: str) -> str:
-    """In the place of a full name: the node of that name in whatever namespace it ran."""
-    return _ANYWHERE + node_name
 
 
 def load(source: Path | str, node: str) -> dict[str, Any]:
@@ -120,7 +60,7 @@ def read(source: Path | str, node: str) -> ParameterFile:
     exact = sorted({section.node for section in fitting if "*" not in section.node})
     if len(exact) > 1:
         raise BadInput(f"{name}: sections {' and '.join(exact)} both fit node '{_last(node)}': keep one in this file")
-    return _merged(name, fitting)
+    return merged(name, fitting)
 
 
 def read_whatever_fits(source: Path | str, node: str) -> ParameterFile:
@@ -130,7 +70,7 @@ def read_whatever_fits(source: Path | str, node: str) -> ParameterFile:
         BadInput: the file cannot be read or is no parameter file.
     """
     name, sections = read_sections(source)
-    return _merged(name, _fitting(sections, node))
+    return merged(name, _fitting(sections, node))
 
 
 def misfit(source: Path | str, node: str) -> str:
@@ -171,29 +111,9 @@ def unknown_sections(source: Path | str, nodes: Collection[str]) -> list[str]:
     return [section.node for section in sections if not any(_fits(section.node, node) for node in nodes)]
 
 
-def read_plain(source: Path | str) -> ParameterFile:
-    """A file that is nothing but nested parameters, without sections for nodes, with their lines.
-
-    Raises:
-        BadInput: the file cannot be read or holds no parameters.
-    """
-    name, section = read_plain_section(source)
-    return _merged(name, [section])
-
-
-def _merged(name: str, sections: list[Section]) -> ParameterFile:
-    file = ParameterFile(name, {}, {})
-    for section in sections:
-        for parameter, (value, line) in section.parameters.items():
-            _put_line(file.lines, parameter, line)
-            if not is_shell_parameter(parameter):
-                _put_value(file, parameter, value)
-    return file
-
-
 def _fits(pattern: str, node: str) -> bool:
     """Whether rcl gives a section of that name to a node: ``/*`` is one part of a name, ``/**`` any number of them."""
-    if node.startswith(_ANYWHERE):
+    if node.startswith(ANYWHERE):
         return _last(pattern) in (_last(node), "*", "**")
     expression = pattern.replace("/*", r"(/\w+)")
     return re.fullmatch(expression, node if node.startswith("/") else f"/{node}", re.ASCII) is not None
@@ -240,23 +160,3 @@ def _names(sections: list[Section]) -> str:
 
 def _last(name: str) -> str:
     return name.rpartition("/")[2]
-
-
-def _put_line(lines: dict[str, int], parameter: str, line: int) -> None:
-    """The line of a parameter, and of the groups around it where they were not met before."""
-    lines[parameter] = line
-    while "." in parameter:
-        parameter = parameter.rpartition(".")[0]
-        lines.setdefault(parameter, line)
-
-
-def _put_value(file: ParameterFile, parameter: str, value: Any) -> None:
-    level = file.values
-    *groups, last = parameter.split(".")
-    for group in groups:
-        level = level.setdefault(group, {})
-        if not isinstance(level, dict):
-            raise file.error(f"parameter '{parameter}': '{group}' is a value elsewhere, not a group")
-    if isinstance(level.get(last), dict):
-        raise file.error(f"parameter '{parameter}' is a group elsewhere, not a value")
-    level[last] = value

@@ -4,10 +4,11 @@ import inspect
 from typing import Any
 
 from ship_bags.message_factory import MessageFactory
+from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
+from ship_estimation.parameter_rows import in_columns, parameter_row
 from ship_estimation.parameters import ParameterDescription, build, describe, nest
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import InputTopic
-from ship_node.parameters.parameter_file import BLACK_BOX_PARAMETER
 
 _BLACK_BOX_ROW = (
     BLACK_BOX_PARAMETER,
@@ -38,13 +39,13 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
             (inspect.getdoc(adapter_class) or name).splitlines()[0],
             "",
             "topics in (best effort; qos_overrides./TOPIC.subscription.reliability: reliable changes that):",
-            *_rows(_input_rows(adapter_class, descriptions, values, factory)),
+            *in_columns(_input_rows(adapter_class, descriptions, values, factory)),
             "topics out (reliable):",
-            *_rows([(t.topic, t.type_name, "latched" if t.latched else "") for t in adapter.outputs]),
+            *in_columns([(t.topic, t.type_name, "latched" if t.latched else "") for t in adapter.outputs]),
             "services (std_srvs/srv/Trigger):",
-            *_rows([(f"~/{service}",) for service in adapter_class.services]),
+            *in_columns([(f"~/{service}",) for service in adapter_class.services]),
             "parameters (* may be changed while the node runs):",
-            *_rows([*(_parameter_row(description) for description in descriptions), _BLACK_BOX_ROW]),
+            *in_columns([*(parameter_row(description) for description in descriptions), _BLACK_BOX_ROW]),
             "",
             "exit code: 0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (one line says which)",
             "",
@@ -102,30 +103,3 @@ def _example_values(descriptions: list[ParameterDescription]) -> dict[str, Any]:
             is_number = description.kind in (float, int) and low is not None
             values[description.name] = max(placeholder, description.kind(low)) if is_number else placeholder
     return values
-
-
-def key_rows(kind: type) -> list[str]:
-    """What a file of nested keys may hold: name, unit, default, range and meaning in columns.
-
-    Args:
-        kind: the dataclass that the file is read into.
-    """
-    return _rows([_parameter_row(description) for description in describe(kind)])
-
-
-def _parameter_row(description: ParameterDescription) -> tuple[str, ...]:
-    default = "must be given" if description.default is None else f"{description.default!r}"
-    allowed = " | ".join(description.choices)
-    if description.minimum is not None or description.maximum is not None:
-        low = "-inf" if description.minimum is None else f"{description.minimum:.12g}"
-        high = "inf" if description.maximum is None else f"{description.maximum:.12g}"
-        allowed = f"[{low}, {high}]"
-    live = "*" if description.live else ""
-    return description.name + live, description.unit or "-", default, allowed, description.doc
-
-
-def _rows(rows: list[tuple[str, ...]]) -> list[str]:
-    """Rows in columns, the last one ragged."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)) for row in rows]
-    return ["  " + line.rstrip() for line in lines]

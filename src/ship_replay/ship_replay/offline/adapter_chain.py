@@ -6,10 +6,10 @@ from typing import Any
 
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.message_factory import MessageFactory
+from ship_bags.parameter_yaml import full_name
 from ship_bags.topic_names import relative_topics
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
-from ship_node.parameters.parameter_file import full_name
 from ship_replay.offline.bag_suite import suite_config, suite_nodes
 
 _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"

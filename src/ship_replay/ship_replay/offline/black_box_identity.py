@@ -7,11 +7,11 @@ from typing import Any
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
+from ship_bags.parameter_yaml import anywhere, full_name
 from ship_estimation.parameters import flatten
 from ship_node.black_box.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT
 from ship_node.black_box.versions import versions
 from ship_node.edge.adapter import Adapter
-from ship_node.parameters.parameter_file import anywhere, full_name
 from ship_replay.offline.bag_suite import suite_config
 from ship_replay.offline.verification import ASIDE
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from ship_bags.mcap.bag_reader import Bag
+from ship_bags.parameter_yaml import ParameterFile
 from ship_bags.topic_names import likely_namespace, relative_topics
-from ship_node.parameters.parameter_file import ParameterFile
 from ship_replay.preflight.check_config import CheckedNode, Findings
 
 _INS_TOPIC = "ins/imu"

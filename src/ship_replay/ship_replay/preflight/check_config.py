@@ -12,18 +12,10 @@ from typing import Any
 from ship_attitude_star.measurements.device_config import MountingConfig
 from ship_bags.errors import BadInput
 from ship_bags.message_store import RosbagsFactory
+from ship_bags.parameter_yaml import ParameterFile, anywhere, full_name, quoted_parameter
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
 from ship_node.edge.adapter import Adapter
-from ship_node.parameters.parameter_file import (
-    ParameterFile,
-    anywhere,
-    full_name,
-    has_section,
-    misfit,
-    quoted_parameter,
-    read,
-    unknown_sections,
-)
+from ship_node.parameters.parameter_file import has_section, misfit, read, unknown_sections
 from ship_replay.offline.bag_suite import nodes_of
 
 

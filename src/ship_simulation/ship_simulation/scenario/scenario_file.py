@@ -9,10 +9,10 @@ import numpy as np
 
 from ship_bags.errors import BadInput
 from ship_bags.errors import BadInput as BadParameterFile
+from ship_bags.parameter_yaml import ParameterFile, read_plain
 from ship_estimation.parameters import ParameterError, build
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.time_scales import DAY_NS
-from ship_node.parameters.parameter_file import ParameterFile, read_plain
 from ship_simulation.draws.noise import SECOND_NS
 from ship_simulation.faults.faults import KINDS_WITH_DELAY, can_happen
 from ship_simulation.messages.topics import simulated_topics

@@ -8,8 +8,8 @@ import yaml
 from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, StarSensorConfig
 from ship_attitude_star.star_attitude.config import ObservingSensorConfig
 from ship_attitude_star.stars.star_config import CameraConfig
+from ship_bags.parameter_yaml import anywhere
 from ship_estimation.ins_config import InsInputConfig
-from ship_node.parameters.parameter_file import anywhere
 from ship_simulation.messages.device_messages import INS_FRAME, star_frame
 from ship_simulation.scenario.scenario import Scenario, StarSensor
 from ship_simulation.suite.shared_parameters import shared

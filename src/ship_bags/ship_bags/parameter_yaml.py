@@ -1,10 +1,11 @@
-"""The sections of a ROS 2 parameter file, each value with its line.
+"""ROS 2 parameter files without ROS: their sections read, each value with its line, and written.
 
+A file holds sections ``node: {ros__parameters: {...}}``; a plain file holds nested parameters alone and no sections.
 Numbers are read as rcl reads them: ``1e-3`` is a number and ``1:30`` a text, unlike in plain YAML 1.1.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,15 @@ from ship_bags.yaml_text import composed
 
 PARAMETERS_KEY = "ros__parameters"
 
+BLACK_BOX_PARAMETER = "black_box"
+"""Every node's shell has it: path of the box, empty for none."""
+
+SHELL_PARAMETERS = ("use_sim_time", "qos_overrides", "start_type_description_service", BLACK_BOX_PARAMETER)
+"""First part of the names of parameters that belong to rclpy or the node's shell and not to a configuration."""
+
+ANYWHERE = "/**/"
+"""Before the name of a node: in whatever namespace."""
+
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NULL = re.compile(r"~|null|Null|NULL|$")
 _BOOLEAN = re.compile(r"yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF")
@@ -23,6 +33,13 @@ _INTEGER = re.compile(r"[-+]?(0x[0-9a-fA-F]+|[0-9]+)")
 _LONGEST_INTEGER = 19
 _FIRST_TOO_LARGE = 2**63
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+
+
+class _Dumper(yaml.SafeDumper):
+    """Texts always in quotes: what looks like a text to YAML may be a number to ROS."""
+
+
+_Dumper.add_representer(str, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", text, style='"'))
 
 
 @dataclass(frozen=True)
@@ -38,6 +55,58 @@ class Section:
     node: str
     parameters: dict[str, tuple[Any, int]]
     line: int = 1
+
+
+@dataclass(frozen=True)
+class ParameterFile:
+    """The parameters of one node in one file.
+
+    Attributes:
+        name: the file, for messages.
+        values: nested mapping, those of rclpy and the node's shell left out.
+        lines: line (from 1) of each parameter and group by dotted name, all of them.
+    """
+
+    name: str
+    values: dict[str, Any]
+    lines: dict[str, int]
+
+    def line_of(self, parameter: str) -> int | None:
+        """Line of a parameter, or of the nearest group around it; None where the file names none of them."""
+        while parameter not in self.lines and "." in parameter:
+            parameter = parameter.rpartition(".")[0]
+        return self.lines.get(parameter)
+
+    def error(self, text: str) -> BadInput:
+        """The bad input of a text that quotes the parameter at fault first, with file and line."""
+        line = self.line_of(quoted_parameter(text))
+        return BadInput(f"{self.name}:{line}: {text}" if line else f"{self.name}: {text}")
+
+
+def quoted_parameter(text: str) -> str:
+    """The first name in quotes, without an index; empty where there is none."""
+    quoted = re.search(r"'([^'\[]+)", text)
+    return quoted[1] if quoted else ""
+
+
+def is_shell_parameter(name: str) -> bool:
+    """Whether a dotted name belongs to rclpy or the node's shell."""
+    return name.split(".")[0] in SHELL_PARAMETERS
+
+
+def full_name(node_name: str, namespace: str = "") -> str:
+    """``/NAMESPACE/NAME`` of a node.
+
+    Args:
+        node_name: name without namespace.
+        namespace: with or without its slashes; empty for none.
+    """
+    return "/".join(["", *filter(None, namespace.split("/")), node_name])
+
+
+def anywhere(node_name: str) -> str:
+    """In the place of a full name: the node of that name in whatever namespace it ran."""
+    return ANYWHERE + node_name
 
 
 def read_sections(source: Path | str) -> tuple[str, list[Section]]:
@@ -56,17 +125,38 @@ def read_sections(source: Path | str) -> tuple[str, list[Section]]:
     return name, list(_sections(name, root, ""))
 
 
-def read_plain_section(source: Path | str) -> tuple[str, Section]:
-    """Name of the source, and all of it as one section: a file of nested parameters that belongs to no node.
+def read_plain(source: Path | str) -> ParameterFile:
+    """A file that is nothing but nested parameters, without sections for nodes, with their lines.
 
     Raises:
-        BadInput: the file cannot be read or is no mapping; names file, line and key.
+        BadInput: the file cannot be read or holds no parameters.
     """
     name, text = _text(source)
     root = composed(name, text)
     if not isinstance(root, yaml.MappingNode):
         raise BadInput(f"{name}:1: expected 'name: value' entries, the file holds none")
-    return name, Section("", dict(_parameters(name, root, "")))
+    return merged(name, [Section("", dict(_parameters(name, root, "")))])
+
+
+def merged(name: str, sections: Sequence[Section]) -> ParameterFile:
+    """Sections of a file as one: of a parameter that several give, the last value."""
+    file = ParameterFile(name, {}, {})
+    for section in sections:
+        for parameter, (value, line) in section.parameters.items():
+            _put_line(file.lines, parameter, line)
+            if not is_shell_parameter(parameter):
+                _put_value(file, parameter, value)
+    return file
+
+
+def sections_text(nodes: Mapping[str, Mapping[str, Any]]) -> str:
+    """The text of a parameter file for several nodes.
+
+    Args:
+        nodes: full name → parameters, by dotted names or nested.
+    """
+    document = {name: {PARAMETERS_KEY: dict(nodes[name])} for name in sorted(nodes)}
+    return yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1_000_000)
 
 
 def _text(source: Path | str) -> tuple[str, str]:
@@ -178,3 +268,23 @@ def _kind(node: yaml.Node) -> str:
 
 def _is_null(node: yaml.ScalarNode) -> bool:
     return node.style is None and _NULL.fullmatch(node.value) is not None
+
+
+def _put_line(lines: dict[str, int], parameter: str, line: int) -> None:
+    """The line of a parameter, and of the groups around it where they were not met before."""
+    lines[parameter] = line
+    while "." in parameter:
+        parameter = parameter.rpartition(".")[0]
+        lines.setdefault(parameter, line)
+
+
+def _put_value(file: ParameterFile, parameter: str, value: Any) -> None:
+    level = file.values
+    *groups, last = parameter.split(".")
+    for group in groups:
+        level = level.setdefault(group, {})
+        if not isinstance(level, dict):
+            raise file.error(f"parameter '{parameter}': '{group}' is a value elsewhere, not a group")
+    if isinstance(level.get(last), dict):
+        raise file.error(f"parameter '{parameter}' is a group elsewhere, not a value")
+    level[last] = value

@@ -1,0 +1,31 @@
+"""The parameters of a dataclass as rows of text, for ``--help``."""
+
+from ship_estimation.parameters import ParameterDescription, describe
+
+
+def key_rows(kind: type) -> list[str]:
+    """What a file of nested keys may hold: name, unit, default, range and meaning in columns.
+
+    Args:
+        kind: the dataclass that the file is read into.
+    """
+    return in_columns([parameter_row(description) for description in describe(kind)])
+
+
+def parameter_row(description: ParameterDescription) -> tuple[str, ...]:
+    """Name, unit, default, range and meaning of a parameter; a star marks one that may change while the node runs."""
+    default = "must be given" if description.default is None else f"{description.default!r}"
+    allowed = " | ".join(description.choices)
+    if description.minimum is not None or description.maximum is not None:
+        low = "-inf" if description.minimum is None else f"{description.minimum:.12g}"
+        high = "inf" if description.maximum is None else f"{description.maximum:.12g}"
+        allowed = f"[{low}, {high}]"
+    live = "*" if description.live else ""
+    return description.name + live, description.unit or "-", default, allowed, description.doc
+
+
+def in_columns(rows: list[tuple[str, ...]]) -> list[str]:
+    """The cells of rows as lines of text with aligned columns; the last column is not padded."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)) for row in rows]
+    return ["  " + line.rstrip() for line in lines]
