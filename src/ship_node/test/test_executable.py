@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ship_testing.places import RELAY_PROGRAM
+from ship_testing.places import RELAY_PROGRAM, ROOT
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
 
@@ -129,8 +129,8 @@ def test_mend_12_a_file_about_other_nodes_is_one_warning_and_each_file_is_judged
 
 
 def test_mend_18_told_to_end_while_it_still_reads_its_libraries_it_ends_well():
-    code = "from ship_node.live.start import start_node; start_node('relay_adapter', 'RelayAdapter')"
-    with subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parent, stderr=subprocess.PIPE) as process:
+    code = "from ship_node.live.start import start_node; start_node('ship_testing.relay_adapter', 'RelayAdapter')"
+    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT / "test", stderr=subprocess.PIPE) as process:
         proc = Path(f"/proc/{process.pid}")
         deadline_s = time.monotonic() + 30.0
         while not _is_caught(proc, signal.SIGTERM):
