@@ -21,8 +21,7 @@ from ship_replay.trials.attitude_monte_carlo import feed, final_error
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Outage, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.ship.attitude_device import DeviceSamples
-from ship_simulation.ship.ins import InsSamples
+from ship_simulation.ship.attitude_device import DeviceSamples, InsSamples
 from ship_simulation.suite.suite import suite_configuration
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"

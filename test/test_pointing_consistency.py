@@ -14,8 +14,8 @@ from ship_replay.trials.pointing_monte_carlo import PointingErrors, feed, pointi
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.theodolite_suite import optical_axis_configuration
-from ship_simulation.theodolite.images import points_on_detector
+from ship_simulation.suite.suite import optical_axis_configuration
+from ship_simulation.theodolite.devices import points_on_detector
 from ship_testing.theodolite_scenes import replaced, sweeping_over, with_beacons, with_theodolite
 from theodolite_calib.config.optical_axis import OpticalAxisConfig
 from theodolite_calib.measured.samples import Exposure, Mode, SeenLight

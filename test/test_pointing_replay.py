@@ -17,9 +17,9 @@ from ship_replay.evaluation.innovations import reason_name
 from ship_replay.offline.orientations import POINTING
 from ship_replay.offline.replay import replay
 from ship_simulation.run import simulate
+from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Fault, FusedAttitude, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.scenario.scenario_units import Outage
 from ship_simulation.simulate_command import write_bag
 from ship_testing.theodolite_scenes import bag_scenario, replaced
 

@@ -2,8 +2,8 @@
 
 import dataclasses
 
-from ship_simulation.scenario.beacon_scenario import Flight, Hover
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.scenario.theodolite_scenario import Flight, Hover
 from ship_testing.places import ROOT
 
 SCENARIOS = ROOT / "bags" / "scenarios"

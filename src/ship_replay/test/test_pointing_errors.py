@@ -16,7 +16,7 @@ from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.evaluation.figures import attitude_error_figure
 from ship_replay.offline.orientations import POINTING
 from ship_replay.offline.truth_errors import TruthErrors
-from ship_simulation.messages.theodolite_truth_messages import true_pointings
+from ship_simulation.messages.theodolite_messages import true_pointings
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Ins
 from ship_simulation.simulate_command import write_bag

@@ -5,25 +5,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_geometry.rotations import FloatArray
-from ship_simulation.draws.noise import SECOND_NS, stamps
-from ship_simulation.scenario.scenario import Scenario
-from ship_simulation.scenario.start_time import start_of
+from ship_simulation.draws.noise import SECOND_NS, stamps, truth_index
+from ship_simulation.scenario.scenario import Scenario, start_of
 from ship_simulation.ship.attitude_device import (
     DeviceSamples,
     DeviceTruth,
+    FusedSamples,
+    InsSamples,
+    InsTruth,
     motion_of_star_sensor,
+    simulate_fused_attitude,
+    simulate_ins,
     simulate_reference,
     simulate_star_sensor,
 )
-from ship_simulation.ship.carriers import carrier_of
-from ship_simulation.ship.fused_attitude import FusedSamples, simulate_fused_attitude
-from ship_simulation.ship.inertial_device import InertialSamples, simulate_inertial_sensor
-from ship_simulation.ship.ins import InsSamples, InsTruth, simulate_ins
-from ship_simulation.ship.motion import Carrier
+from ship_simulation.ship.motion import Carrier, carrier_of
 from ship_simulation.ship.ship_track import FixSamples, ShipTrack, simulate_fixes
-from ship_simulation.ship.truth_grid import truth_index
 from ship_simulation.stars.sky import TrueSky, draw_sky
-from ship_simulation.stars.star_sightings import SightingsTruth, StarSightings, simulate_sightings
+from ship_simulation.stars.star_sightings import (
+    InertialSamples,
+    SightingsTruth,
+    StarSightings,
+    simulate_inertial_sensor,
+    simulate_sightings,
+)
 from ship_simulation.theodolite.run import TheodoliteRun, simulate_theodolite
 
 SKY_SOURCES = ("fix", "pressure", "temperature", "humidity")

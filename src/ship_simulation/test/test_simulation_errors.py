@@ -13,7 +13,7 @@ from ship_simulation.draws.noise import SECOND_NS
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Ins, Outage, Reference, Scenario, StarSensor
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.ship.carriers import carrier_of
+from ship_simulation.ship.motion import carrier_of
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 QUIET_INS = Ins(

@@ -10,8 +10,7 @@ from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import log_rotation, wrap_pi
 from ship_simulation.draws.sea import elevation_spectrum
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Sea, Turn, Wave
-from ship_simulation.ship.carriers import carrier_of, sea_responses
-from ship_simulation.ship.motion import HarmonicMotion, RecordedMotion, SteadyTurn
+from ship_simulation.ship.motion import HarmonicMotion, RecordedMotion, SteadyTurn, carrier_of, sea_responses
 
 PAPER = CarrierMotion(
     kind="sinusoids",

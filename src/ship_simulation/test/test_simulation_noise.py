@@ -5,7 +5,7 @@ import pytest
 
 from ship_estimation.consistency import sigma_ratio_band
 from ship_simulation.draws.noise import SECOND_NS, arrival_times, gauss_markov, random_stream, stamps
-from ship_simulation.scenario.start_time import start_of
+from ship_simulation.scenario.scenario import start_of
 
 
 def assert_sigma(values, sigma):

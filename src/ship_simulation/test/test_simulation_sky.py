@@ -18,7 +18,7 @@ from ship_geometry.star_directions import Observer, directions, fixed_stars
 from ship_geometry.time_scales import julian_date, tt_julian_date
 from ship_simulation.draws.noise import SECOND_NS
 from ship_simulation.run import simulate
-from ship_simulation.scenario.start_time import start_of
+from ship_simulation.scenario.scenario import start_of
 from ship_simulation.ship.ship_track import ShipTrack
 from ship_simulation.stars.sky import draw_sky, place_of_date
 from ship_testing.paper_stars import paper_stars, with_position

@@ -16,8 +16,8 @@ from ship_geometry.time_scales import julian_date
 from ship_simulation.draws.noise import SECOND_NS
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Outage
-from ship_simulation.ship.carriers import carrier_of
-from ship_simulation.stars.star_identities import NEIGHBOURHOOD, neighbour_identities
+from ship_simulation.ship.motion import carrier_of
+from ship_simulation.stars.star_field import NEIGHBOURHOOD, neighbour_identities
 from ship_testing.paper_stars import paper_stars, with_position, with_sensor
 
 MAS = 1e-3 * ARCSEC

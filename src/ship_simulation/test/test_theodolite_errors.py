@@ -9,10 +9,9 @@ from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
 from ship_simulation.draws.noise import SECOND_NS, SlowError, random_stream
 from ship_simulation.run import simulate
-from ship_simulation.scenario.scenario_units import Outage
-from ship_simulation.theodolite.baselines import FIXED, FLOAT, NONE
-from ship_simulation.theodolite.images import points_on_detector
-from ship_simulation.theodolite.true_values import axis_errors_of, draw_theodolite, parallelism_of, surveyed
+from ship_simulation.scenario.motion_scenario import Outage
+from ship_simulation.theodolite.devices import FIXED, FLOAT, NONE, points_on_detector
+from ship_simulation.theodolite.scene import axis_errors_of, draw_theodolite, parallelism_of, surveyed
 from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
 
 SEEDS = 400

@@ -10,11 +10,10 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
 from ship_simulation.draws.noise import SECOND_NS
 from ship_simulation.run import simulate
-from ship_simulation.scenario.beacon_scenario import Flight, Hover, Orbit, Waypoint
-from ship_simulation.scenario.theodolite_scenario import Programme
+from ship_simulation.scenario.theodolite_scenario import Flight, Hover, Orbit, Programme, Waypoint
+from ship_simulation.theodolite.devices import points_on_detector
 from ship_simulation.theodolite.flight import flight_path
-from ship_simulation.theodolite.images import points_on_detector
-from ship_simulation.theodolite.true_values import axis_errors_of, parallelism_of, surveyed
+from ship_simulation.theodolite.scene import axis_errors_of, parallelism_of, surveyed
 from ship_testing.theodolite_scenes import (
     bag_scenario,
     replaced,

@@ -15,11 +15,11 @@ from ship_node.parameters.parameter_file import has_section, load_config
 from ship_simulation.draws.noise import SECOND_NS
 from ship_simulation.messages.to_messages import messages
 from ship_simulation.run import simulate
+from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Fault, FusedAttitude, StarSensor
-from ship_simulation.scenario.scenario_units import Outage
 from ship_simulation.simulate_command import main
 from ship_simulation.suite.suite import suite_yaml
-from ship_simulation.theodolite.true_values import axis_errors_of, parallelism_of
+from ship_simulation.theodolite.scene import axis_errors_of, parallelism_of
 from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, with_beacons, with_theodolite
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config.optical_axis import OpticalAxisConfig

@@ -20,8 +20,7 @@ from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
-from ship_simulation.ship.inertial_device import InertialSamples
-from ship_simulation.stars.star_sightings import StarSightings
+from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 from ship_simulation.suite.suite import suite_configuration
 
 

@@ -12,8 +12,8 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
-from ship_simulation.suite.theodolite_suite import optical_axis_configuration
-from ship_simulation.theodolite.true_values import axis_errors_of
+from ship_simulation.suite.suite import optical_axis_configuration
+from ship_simulation.theodolite.scene import axis_errors_of
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config.optical_axis import OpticalAxisConfig
 from theodolite_calib.measured.samples import (

@@ -1,6 +1,8 @@
 """Random numbers of a simulation: one stream per component, Gauss–Markov processes, stamps."""
 
+import math
 import zlib
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
@@ -12,6 +14,10 @@ SECOND_NS = 1_000_000_000
 _LONGEST_STEP_S = 0.1
 _LEAST_STEPS = 50
 """In a correlation time: halfway between two moments of the grid the variance is then too small by 1 %."""
+
+TRUTH_RATE_HZ = 10.0
+
+_FEWEST_NODES, _NODES_PER_SECOND = 7, 5.0
 
 
 def random_stream(seed: int, component: str) -> np.random.Generator:
@@ -76,3 +82,61 @@ def arrival_times(stamp_ns: np.ndarray, latency_s: float, jitter_s: float, rng: 
     """Log times of samples: stamp + latency + a delay uniform in [0, jitter), ns, shape (n,)."""
     delay_s = latency_s + jitter_s * rng.random(stamp_ns.size)
     return stamp_ns + np.rint(delay_s * SECOND_NS).astype(np.int64)
+
+
+def truth_index(time_ns: np.ndarray, start_ns: int) -> np.ndarray:
+    """The first sample in each tenth of a second, and the last of all, shape (m,)."""
+    return _first_in_each(round(SECOND_NS / TRUTH_RATE_HZ), time_ns, start_ns)
+
+
+def once_a_second(time_ns: np.ndarray, start_ns: int) -> np.ndarray:
+    """The first sample in each second, and the last of all, shape (m,)."""
+    return _first_in_each(SECOND_NS, time_ns, start_ns)
+
+
+def _first_in_each(period_ns: int, time_ns: np.ndarray, start_ns: int) -> np.ndarray:
+    first = np.flatnonzero(np.diff((time_ns - start_ns) // period_ns, prepend=-1))
+    return np.union1d(first, time_ns.size - 1)
+
+
+@dataclass(frozen=True)
+class ExposureTimes:
+    """Moments of an exposure and their shares in its image.
+
+    Attributes:
+        since_middle_s: shape (m,).
+        share: shape (m,); their sum is 1.
+    """
+
+    since_middle_s: FloatArray
+    share: FloatArray
+
+
+def exposure_times(exposure_s: float) -> ExposureTimes:
+    """The moments of an exposure: the middle alone where its length is 0."""
+    if exposure_s == 0.0:
+        return ExposureTimes(np.zeros(1), np.ones(1))
+    count = _FEWEST_NODES + math.ceil(_NODES_PER_SECOND * exposure_s)
+    place, weight = np.polynomial.legendre.leggauss(count)
+    return ExposureTimes(0.5 * exposure_s * place, 0.5 * weight)
+
+
+def centroids(times: ExposureTimes, way: FloatArray, psf_sigma: float, sigma: float, noise: FloatArray) -> FloatArray:
+    """Centroids of streaks, shape (..., 2).
+
+    Args:
+        times: of the exposure.
+        way: where the point was at them, shape (m, ..., 2).
+        psf_sigma: spread of its image at rest, each axis.
+        sigma: error of the centroid of an image at rest, each axis.
+        noise: standard normal numbers, shape (..., 2).
+    """
+    mean = np.tensordot(times.share, way, axes=1)
+    if len(times.share) > 1:
+        off = (way - mean) / psf_sigma
+        spread = np.einsum("m,m...i,m...j->...ij", times.share, off, off)
+        # The root whose square is what the light is spread by, in images of a point at rest.
+        value, vector = np.linalg.eigh(np.eye(2) + np.where(np.isfinite(spread), spread, 0.0))
+        noise = ((vector * np.sqrt(value)[..., None, :]) @ np.swapaxes(vector, -1, -2) @ noise[..., None])[..., 0]
+    centroid: FloatArray = mean + sigma * noise
+    return centroid

@@ -26,7 +26,7 @@ import numpy as np
 
 from ship_bags.stamps import ns_from_stamp, stamp_fields
 from ship_simulation.draws.noise import SECOND_NS
-from ship_simulation.messages.topics import BASELINE, ENCODER, IMAGE, IMU, INERTIAL, OBSERVATIONS, SHIP_ATTITUDE, STAR
+from ship_simulation.scenario.names import BASELINE, ENCODER, IMAGE, IMU, INERTIAL, OBSERVATIONS, SHIP_ATTITUDE, STAR
 from ship_simulation.scenario.scenario import Fault
 
 _REPETITION_AFTER_NS = 1_000_000

@@ -8,11 +8,10 @@ from scipy.spatial.transform import Rotation
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
 from ship_geometry.ros_axes import FLU_FROM_DEVICE
-from ship_simulation.messages.device_messages import Maker, make_quaternion, star_frame
-from ship_simulation.messages.topics import INERTIAL, OBSERVATIONS
+from ship_simulation.messages.ship_messages import Maker, make_quaternion, star_frame
+from ship_simulation.scenario.names import INERTIAL, OBSERVATIONS
 from ship_simulation.scenario.scenario import StarSensor
-from ship_simulation.ship.inertial_device import InertialSamples
-from ship_simulation.stars.star_sightings import StarSightings
+from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 
 
 def observations_maker(sensor_id: str, sightings: StarSightings, config: StarSensor, factory: MessageFactory) -> Maker:

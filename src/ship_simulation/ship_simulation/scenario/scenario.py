@@ -1,10 +1,8 @@
-"""What a scenario file may say: the voyage, the devices, their errors, what goes wrong.
+"""The start of a scenario as POSIX nanoseconds."""
 
-Each field states its unit, its range and its meaning. Sigmas are what the errors are drawn with, and what the
-suite configuration in the bag tells the estimator (:mod:`ship_simulation.suite.suite`).
-"""
-
+import re
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from typing import Any
 
 import numpy as np
@@ -13,12 +11,35 @@ from ship_attitude_star.stars.star_config import CameraConfig
 from ship_estimation.parameters import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import FloatArray
-from ship_simulation.scenario.beacon_scenario import Beacon
-from ship_simulation.scenario.motion_scenario import CarrierMotion
-from ship_simulation.scenario.scenario_units import ANGLE, CORRELATION, DELAY, MOMENT, RATE, SIGMA, Outage
-from ship_simulation.scenario.theodolite_scenario import Theodolite
+from ship_simulation.scenario.motion_scenario import (
+    ANGLE,
+    CORRELATION,
+    DELAY,
+    MOMENT,
+    RATE,
+    SIGMA,
+    CarrierMotion,
+    Outage,
+)
+from ship_simulation.scenario.theodolite_scenario import Beacon, Theodolite
+
+_SECOND_NS = 1_000_000_000
+_MOMENT = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z")
 
 _OFFSET_SIGMA: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1.0}
+
+
+def start_of(start_utc: str) -> int:
+    """POSIX nanoseconds of a moment such as ``2014-07-09T11:50:07.8Z``.
+
+    Raises:
+        ValueError: it is no such moment.
+    """
+    found = _MOMENT.fullmatch(start_utc)
+    if found is None:
+        raise ValueError("expected YYYY-MM-DDThh:mm:ss, at most nine decimals, and the letter Z")
+    whole = datetime.fromisoformat(found[1]).replace(tzinfo=timezone.utc)
+    return round(whole.timestamp()) * _SECOND_NS + int(f"{found[2] or '0':0<9}")
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,8 @@
 """The configuration of the suite that fits a scenario: same layout, same sigmas."""
 
+import dataclasses
 import math
+import typing
 from typing import Any
 
 import yaml
@@ -9,11 +11,19 @@ from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, 
 from ship_attitude_star.star_attitude.config import ObservingSensorConfig
 from ship_attitude_star.stars.star_config import CameraConfig
 from ship_bags.parameter_yaml import anywhere
-from ship_estimation.ins_config import InsInputConfig
-from ship_simulation.messages.device_messages import INS_FRAME, star_frame
+from ship_estimation.ins_config import InsErrorConfig, InsInputConfig
+from ship_simulation.messages.ship_messages import DECK_FRAME, INS_FRAME, star_frame
+from ship_simulation.messages.theodolite_messages import (
+    ANTENNA_FRAME,
+    MOUNT_FRAME,
+    SHIP_ANTENNA_ID,
+    TELESCOPE_FRAME,
+    TELESCOPE_ID,
+    beacon_frame,
+)
 from ship_simulation.scenario.scenario import Scenario, StarSensor
-from ship_simulation.suite.shared_parameters import shared
-from ship_simulation.suite.theodolite_suite import optical_axis_configuration
+from theodolite_calib.config.beacon import BeaconConfig
+from theodolite_calib.config.optical_axis import OpticalAxisConfig, ShipConfig
 
 _LEAST_POSITION_TIME_S = 1.0
 """Of the estimator's parameter."""
@@ -98,3 +108,43 @@ def _sky(scenario: Scenario) -> dict[str, Any]:
     if position.slow_sigma_m > 0.0:
         known["position_time_s"] = max(position.slow_time_s, _LEAST_POSITION_TIME_S)
     return known
+
+
+def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
+    """Parameters of ``optical_axis`` as nested mapping."""
+    configuration = shared_with_groups(scenario.theodolite, OpticalAxisConfig)
+    configuration["ship"] = _ship(scenario)
+    configuration["ins"] = {"frame_id": INS_FRAME, **shared(scenario.ins, InsErrorConfig)}
+    configuration["encoder"]["frame_id"] = MOUNT_FRAME
+    configuration["telescope"] |= {"telescope_id": TELESCOPE_ID, "frame_id": TELESCOPE_FRAME}
+    for key, beacon in scenario.beacons.items():
+        known = shared_with_groups(beacon, BeaconConfig)
+        known["rtk"] |= {"frame_id": ANTENNA_FRAME, "base_id": SHIP_ANTENNA_ID, "rover_id": key}
+        known["imu"] |= {"frame_id": beacon_frame(key)}
+        configuration.setdefault("beacons", {})[key] = known
+    return configuration
+
+
+def _ship(scenario: Scenario) -> dict[str, Any]:
+    """Where the ship's attitude comes from: simulated, from the filter, or, without stars, from the INS alone."""
+    if scenario.fused_attitude.written:
+        fused = scenario.fused_attitude
+        return {"frame_id": DECK_FRAME, "slow_time_s": fused.time_s, **shared(fused, ShipConfig)}
+    return {"source": "ship/attitude" if scenario.star_sensors else "ins/imu"}
+
+
+def shared(device: Any, parameters: type) -> dict[str, Any]:
+    """The values of a simulated device that the estimator has a parameter of the same name for, without groups."""
+    known = {field.name for field in dataclasses.fields(parameters)}
+    values = {field.name: getattr(device, field.name) for field in dataclasses.fields(device) if field.name in known}
+    return {name: value for name, value in values.items() if not dataclasses.is_dataclass(value)}
+
+
+def shared_with_groups(device: Any, parameters: type) -> dict[str, Any]:
+    """The same, and of all groups that both have."""
+    groups = {
+        name: shared_with_groups(getattr(device, name), kind)
+        for name, kind in typing.get_type_hints(parameters).items()
+        if dataclasses.is_dataclass(kind) and hasattr(device, name)
+    }
+    return shared(device, parameters) | groups

@@ -5,14 +5,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_geometry.rotations import FloatArray
-from ship_simulation.draws.noise import SECOND_NS, SlowError, random_stream, stamps
+from ship_simulation.draws.noise import SECOND_NS, SlowError, random_stream, stamps, truth_index
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.ship.motion import Carrier
-from ship_simulation.ship.truth_grid import truth_index
-from ship_simulation.theodolite.baselines import BaselineSamples, solve_baselines
-from ship_simulation.theodolite.drone_attitude import DroneSamples, simulate_drone_attitude
-from ship_simulation.theodolite.encoder import EncoderSamples, read_encoders
-from ship_simulation.theodolite.images import ImageSamples, expose, in_view, points_on_detector
+from ship_simulation.theodolite.devices import (
+    BaselineSamples,
+    DroneSamples,
+    EncoderSamples,
+    ImageSamples,
+    expose,
+    in_view,
+    points_on_detector,
+    read_encoders,
+    simulate_drone_attitude,
+    solve_baselines,
+)
 from ship_simulation.theodolite.scene import MountState, Scene, draw_scene
 
 

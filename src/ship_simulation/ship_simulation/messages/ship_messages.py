@@ -14,10 +14,10 @@ from ship_bags.stamps import make_header
 from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_simulation.messages.topics import IMU, STAR
-from ship_simulation.scenario.scenario import Ins, StarSensor
-from ship_simulation.ship.attitude_device import DeviceSamples
-from ship_simulation.ship.ins import InsSamples
+from ship_simulation.scenario.names import IMU, SHIP_ATTITUDE, STAR
+from ship_simulation.scenario.scenario import Ins, StarSensor, Weather
+from ship_simulation.ship.attitude_device import DeviceSamples, FusedSamples, InsSamples
+from ship_simulation.ship.ship_track import FixSamples
 
 Maker = Callable[[int, int], Any]
 
@@ -26,6 +26,11 @@ INS_FRAME = "ins"
 _STATUS_VALID, _STATUS_ANGLES_SINGULAR = 0, 2
 NOT_GIVEN = np.array([-1.0, *[0.0] * 8])
 """A covariance that says so."""
+
+DECK_FRAME = "deck"
+
+_FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
+"""NavSatStatus.STATUS_FIX, NavSatStatus.SERVICE_GPS, NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN."""
 
 
 def star_frame(sensor_id: str) -> str:
@@ -131,3 +136,90 @@ def make_vector(factory: MessageFactory, xyz: list[float]) -> Any:
     """A geometry_msgs/Vector3."""
     x, y, z = xyz
     return factory.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def fused_maker(samples: FusedSamples, factory: MessageFactory) -> Maker:
+    """Maker of ship/attitude."""
+    angles = angles_from_rotation(samples.rotation_nd)
+    covariances = angle_covariance(samples.covariance_n, angles[:, 0], angles[:, 1]).reshape(-1, 9)
+    total = enu_covariance(samples.covariance_n).ravel()
+    told = {"rotation_covariance": total, "sources": ["ins", "star"], "star_age_s": 0.0}
+    return _maker(samples.time_ns, samples.rotation_nd, samples.rate_d, covariances, told, factory)
+
+
+def true_attitude_maker(
+    time_ns: np.ndarray, rotation_nd: FloatArray, rate_d: FloatArray, factory: MessageFactory
+) -> Maker:
+    """Maker of truth/attitude."""
+    told = {"rotation_covariance": np.zeros(9), "sources": ["truth"], "star_age_s": float("nan")}
+    return _maker(time_ns, rotation_nd, rate_d, np.zeros((time_ns.size, 9)), told, factory)
+
+
+def _maker(
+    time_ns: np.ndarray,
+    rotation_nd: FloatArray,
+    rate_d: FloatArray,
+    covariances: FloatArray,
+    told: dict[str, Any],
+    factory: MessageFactory,
+) -> Maker:
+    """Maker of ShipAttitude; ``told`` are the fields that all messages have alike."""
+    angles = angles_from_rotation(rotation_nd).tolist()
+    quaternions = quaternion_from_rotation(rotation_nd).tolist()
+    rates = flu_from_device_vector(rate_d).tolist()
+
+    def make(stamp: int, value: int) -> Any:
+        heading, pitch, roll = angles[value]
+        return factory.make(
+            SHIP_ATTITUDE,
+            header=make_header(factory, int(time_ns[stamp]), DECK_FRAME),
+            heading=heading,
+            pitch=pitch,
+            roll=roll,
+            covariance=covariances[value],
+            orientation=make_quaternion(factory, quaternions[value]),
+            angular_velocity=make_vector(factory, rates[value]),
+            status=0,
+            horizon=0,
+            **told,
+        )
+
+    return make
+
+
+def fix_maker(fixes: FixSamples, factory: MessageFactory) -> Maker:
+    """Maker of gnss/fix."""
+    covariance = enu_covariance(fixes.covariance_m2).ravel()
+
+    def make(stamp: int, value: int) -> object:
+        return factory.make(
+            "sensor_msgs/msg/NavSatFix",
+            header=make_header(factory, int(fixes.time_ns[stamp]), "gnss"),
+            status=factory.make("sensor_msgs/msg/NavSatStatus", status=_FIX, service=_GPS),
+            latitude=float(fixes.latitude_deg[value]),
+            longitude=float(fixes.longitude_deg[value]),
+            altitude=float(fixes.height_m[value]),
+            position_covariance=covariance,
+            position_covariance_type=_DIAGONAL_KNOWN,
+        )
+
+    return make
+
+
+def weather_makers(time_ns: np.ndarray, weather: Weather, factory: MessageFactory) -> dict[str, Maker]:
+    """Makers of met/pressure (Pa), met/temperature (°C) and met/humidity (0 to 1) by topic."""
+    values = {
+        "met/pressure": ("sensor_msgs/msg/FluidPressure", "fluid_pressure", 100.0 * weather.pressure_hpa),
+        "met/temperature": ("sensor_msgs/msg/Temperature", "temperature", weather.temperature_c),
+        "met/humidity": ("sensor_msgs/msg/RelativeHumidity", "relative_humidity", 0.01 * weather.humidity_percent),
+    }
+    return {topic: _constant_maker(time_ns, *content, factory) for topic, content in values.items()}
+
+
+def _constant_maker(time_ns: np.ndarray, type_name: str, field: str, constant: float, factory: MessageFactory) -> Maker:
+    def make(stamp: int, value: int) -> object:
+        header = make_header(factory, int(time_ns[stamp]), "met")
+        # A variance of zero says unknown.
+        return factory.make(type_name, header=header, variance=0.0, **{field: constant})
+
+    return make

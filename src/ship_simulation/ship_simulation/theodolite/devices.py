@@ -1,0 +1,215 @@
+"""What the encoders say."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, wrap_two_pi
+from ship_simulation.draws.noise import (
+    SECOND_NS,
+    SlowError,
+    arrival_times,
+    centroids,
+    exposure_times,
+    random_stream,
+    stamps,
+)
+from ship_simulation.scenario.theodolite_scenario import Encoder, Telescope
+from ship_simulation.ship.attitude_device import outside
+from ship_simulation.theodolite.scene import MountState, Scene, TrueLight
+from theodolite_calib.lights.image import Camera
+
+NONE, FLOAT, FIXED = 0, 3, 4
+"""RtkBaseline.NONE, RtkBaseline.FLOAT, RtkBaseline.FIXED."""
+
+
+@dataclass(frozen=True)
+class EncoderSamples:
+    """Readings.
+
+    Attributes:
+        time_ns: stamps, increasing, shape (n,).
+        log_time_ns: moments of arrival, shape (n,).
+        azimuth: rad, 0 to 2 pi, shape (n,).
+        elevation: rad, shape (n,).
+        sigma: of each angle, rad.
+    """
+
+    time_ns: np.ndarray
+    log_time_ns: np.ndarray
+    azimuth: FloatArray
+    elevation: FloatArray
+    sigma: float
+
+
+def read_encoders(config: Encoder, mount: MountState, time_ns: np.ndarray, seed: int) -> EncoderSamples:
+    """Readings of the mount at the stamps ``time_ns``, with their noise."""
+    sigma = config.sigma_arcsec * ARCSEC
+    noise = sigma * random_stream(seed, "theodolite.encoder").standard_normal((2, time_ns.size))
+    arrival = random_stream(seed, "theodolite.encoder.arrival")
+    return EncoderSamples(
+        time_ns=time_ns,
+        log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),
+        azimuth=wrap_two_pi(mount.azimuth + noise[0]),
+        elevation=mount.elevation + noise[1],
+        sigma=sigma,
+    )
+
+
+@dataclass(frozen=True)
+class ImageSamples:
+    """Exposures; the lights found in exposure i are those from ``first[i]`` up to ``first[i + 1]``.
+
+    Attributes:
+        time_ns: middles of the exposures, increasing, shape (n,).
+        log_time_ns: moments of arrival, shape (n,).
+        first: shape (n + 1,).
+        beacon_ids: of all lights of the scenario.
+        light: which of them each found one is, shape (k,).
+        point_m: on the detector, along right and up, shape (k, 2).
+        sigma_m: of each coordinate, of a light at rest.
+    """
+
+    time_ns: np.ndarray
+    log_time_ns: np.ndarray
+    first: np.ndarray
+    beacon_ids: tuple[str, ...]
+    light: np.ndarray
+    point_m: FloatArray
+    sigma_m: float
+
+    def sightings(self, exposure: int) -> list[tuple[str, FloatArray]]:
+        """(id, point on the detector, shape (2,)) of each light in an exposure."""
+        rows = range(self.first[exposure], self.first[exposure + 1])
+        return [(self.beacon_ids[self.light[row]], self.point_m[row]) for row in rows]
+
+
+def expose(config: Telescope, scene: Scene, start_ns: int, duration_s: float, seed: int) -> ImageSamples:
+    """All exposures of a run, lights or none."""
+    time_ns = stamps(start_ns, config.rate_hz, config.phase_s, duration_s)
+    t_s = (time_ns - start_ns) / SECOND_NS
+    noise = random_stream(seed, "theodolite.detection").standard_normal((time_ns.size, len(scene.lights), 2))
+    times = exposure_times(config.exposure_s)
+    way_m = np.array([points_on_detector(config, scene, t_s + t, scene.mount(t_s + t)) for t in times.since_middle_s])
+    point_m = centroids(times, way_m, config.psf_sigma_m, config.sigma_m, noise)
+    seen = in_view(config, scene, t_s, point_m)
+    arrival = random_stream(seed, "theodolite.telescope.arrival")
+    return ImageSamples(
+        time_ns=time_ns,
+        log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),
+        first=np.append(0, np.cumsum(seen.sum(axis=1))),
+        beacon_ids=tuple(scene.lights),
+        light=np.nonzero(seen)[1],
+        point_m=point_m[seen],
+        sigma_m=config.sigma_m,
+    )
+
+
+def points_on_detector(config: Telescope, scene: Scene, t_s: FloatArray, mount: MountState) -> FloatArray:
+    """Where the lights truly are on the plane of the detector, m, shape (k, N, 2); NaN behind the telescope."""
+    principal_point_m = np.array([config.principal_x_m, config.principal_z_m])
+    camera = Camera(scene.theodolite.focal_length_m, 0.0, principal_point_m)
+    return camera.points(scene.directions_n(t_s, mount) @ scene.rotation_nt(mount))
+
+
+def in_view(config: Telescope, scene: Scene, t_s: FloatArray, point_m: FloatArray) -> np.ndarray:
+    """Whether the lights are there, not hidden, and on the detector, shape (k, N)."""
+    on_detector = np.all(np.abs(point_m) <= 0.5 * np.array([config.width_m, config.height_m]), axis=-1)
+    shown = [light.shows(t_s) for light in scene.lights.values()]
+    return on_detector & (np.stack(shown, axis=-1) if shown else np.empty((t_s.size, 0), dtype=bool))
+
+
+@dataclass(frozen=True)
+class BaselineSamples:
+    """Solutions.
+
+    Attributes:
+        time_ns: stamps, increasing, shape (n,).
+        log_time_ns: moments of arrival, shape (n,).
+        baseline_n: (North, Up, East), m, shape (n, 3); NaN with the fix NONE.
+        covariance_n: of what is new in each solution, and of the error of FLOAT, m², shape (n, 3, 3); NaN likewise.
+        fix: NONE, FLOAT or FIXED, shape (n,).
+    """
+
+    time_ns: np.ndarray
+    log_time_ns: np.ndarray
+    baseline_n: FloatArray
+    covariance_n: FloatArray
+    fix: np.ndarray
+
+
+def solve_baselines(
+    beacon_id: str, scene: Scene, ship_antenna: SlowError, start_ns: int, duration_s: float, seed: int
+) -> BaselineSamples:
+    """Solutions with white noise, a slow error of their own, and that of the ship's antenna, which all share."""
+    light, name = scene.lights[beacon_id], f"beacon.{beacon_id}.rtk"
+    config = light.config.rtk
+    time_ns = stamps(start_ns, config.rate_hz, config.phase_s, duration_s)
+    t_s = (time_ns - start_ns) / SECOND_NS
+    bias = _slow(name + ".bias", duration_s, config.bias_sigma_m, config.bias_time_s, seed)
+    unfixed = _slow(name + ".float", duration_s, config.float_sigma_m, config.float_time_s, seed)
+    is_float = ~outside(t_s, config.float_times)
+    white_n = config.sigma_m * random_stream(seed, name + ".white").standard_normal((time_ns.size, 3))
+    error_n = white_n + bias.at(t_s) + ship_antenna.at(t_s) + is_float[:, None] * unfixed.at(t_s)
+    true_n = light.path(t_s) + scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
+    variance = config.sigma_m**2 + is_float * config.float_sigma_m**2
+    # The blank of what has no solution.
+    unsolved = ~outside(t_s, config.no_solution_times)
+    blank = np.where(unsolved, np.nan, 1.0)
+    arrival = random_stream(seed, name + ".arrival")
+    log_time_ns = arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)
+    sent = (t_s < light.config.leaves_s) & outside(t_s, config.outages)
+    return BaselineSamples(
+        time_ns=time_ns[sent],
+        log_time_ns=log_time_ns[sent],
+        baseline_n=(blank[:, None] * (true_n + error_n))[sent],
+        covariance_n=((blank * variance)[:, None, None] * np.eye(3))[sent],
+        fix=np.where(unsolved, NONE, np.where(is_float, FLOAT, FIXED))[sent],
+    )
+
+
+def _slow(name: str, duration_s: float, sigma_m: float, time_s: float, seed: int) -> SlowError:
+    return SlowError(random_stream(seed, name), duration_s, np.full(3, sigma_m), time_s)
+
+
+@dataclass(frozen=True)
+class DroneSamples:
+    """Its attitude.
+
+    Attributes:
+        time_ns: stamps, increasing, shape (n,).
+        log_time_ns: moments of arrival, shape (n,).
+        rotation_nb: horizon from drone (nose, up, right) as measured, shape (n, 3, 3).
+        rate_b: angular velocity in the drone's frame, rad/s, shape (n, 3).
+        covariance_n: of its rotation vector (North, Up, East), in all, rad², shape (3, 3).
+    """
+
+    time_ns: np.ndarray
+    log_time_ns: np.ndarray
+    rotation_nb: FloatArray
+    rate_b: FloatArray
+    covariance_n: FloatArray
+
+
+def simulate_drone_attitude(
+    beacon_id: str, light: TrueLight, start_ns: int, duration_s: float, seed: int
+) -> DroneSamples:
+    """Samples by R_true(t) = exp(e) exp(w) R_drone(t), e Gauss–Markov, until it leaves."""
+    config, name = light.config.imu, f"beacon.{beacon_id}.imu"
+    time_ns = stamps(start_ns, config.rate_hz, config.phase_s, duration_s)
+    t_s = (time_ns - start_ns) / SECOND_NS
+    sigma = np.deg2rad([config.tilt_sigma_deg, config.heading_sigma_deg, config.tilt_sigma_deg])
+    white_sigma = np.deg2rad(config.white_sigma_deg)
+    slow = SlowError(random_stream(seed, name + ".slow"), duration_s, sigma, config.time_s)
+    white_n = white_sigma * random_stream(seed, name + ".white").standard_normal((time_ns.size, 3))
+    arrival = random_stream(seed, name + ".arrival")
+    log_time_ns = arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)
+    there = t_s < light.config.leaves_s
+    measured = exp_rotation(-white_n) @ exp_rotation(-slow.at(t_s)) @ light.attitude.attitude(t_s)
+    return DroneSamples(
+        time_ns=time_ns[there],
+        log_time_ns=log_time_ns[there],
+        rotation_nb=measured[there],
+        rate_b=light.attitude.body_rate(t_s)[there],
+        covariance_n=np.diag(sigma**2 + white_sigma**2),
+    )
