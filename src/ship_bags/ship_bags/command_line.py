@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import Any, NoReturn
 
-from ship_bags.errors import BadInput, one_line
-from ship_estimation.parameters import ParameterError
+from ship_bags.errors import one_line
+from ship_geometry.input_error import InputError
 
 EXIT_DONE = 0
 EXIT_BOUND_NOT_MET = 1
@@ -54,7 +54,7 @@ def run_command(
     with _one_interrupt():
         try:
             return command(parsed)
-        except (BadInput, ParameterError) as problem:
+        except InputError as problem:
             reason = str(problem)
         except OSError as problem:
             reason = f"{problem.filename}: {problem.strerror}" if problem.filename else str(problem)

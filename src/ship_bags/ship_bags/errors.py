@@ -1,10 +1,12 @@
 """The package's one exception for bad input, and how what it says is shown."""
 
+from ship_geometry.input_error import InputError
+
 _LONGEST_LINE = 2000
 
 
-class BadInput(ValueError):
-    """A file, an argument or a parameter cannot be used; the text is one line that says which, and why."""
+class BadInput(InputError):
+    """A file or an argument cannot be used; the text is one line that says which, and why."""
 
 
 def one_line(text: str) -> str:

@@ -14,6 +14,7 @@ import yaml
 
 from ship_bags.errors import BadInput
 from ship_bags.yaml_text import composed
+from ship_geometry.input_error import InputError
 
 PARAMETERS_KEY = "ros__parameters"
 
@@ -77,16 +78,12 @@ class ParameterFile:
             parameter = parameter.rpartition(".")[0]
         return self.lines.get(parameter)
 
-    def error(self, text: str) -> BadInput:
-        """The bad input of a text that quotes the parameter at fault first, with file and line."""
-        line = self.line_of(quoted_parameter(text))
-        return BadInput(f"{self.name}:{line}: {text}" if line else f"{self.name}: {text}")
-
-
-def quoted_parameter(text: str) -> str:
-    """The first name in quotes, without an index; empty where there is none."""
-    quoted = re.search(r"'([^'\[]+)", text)
-    return quoted[1] if quoted else ""
+    def error(self, problem: InputError) -> BadInput:
+        """A problem with parameters as bad input that names this file and the line of the first of them."""
+        line = self.line_of(problem.parameters[0]) if problem.parameters else None
+        return BadInput(
+            problem.reason, file=self.name, line=line, parameters=problem.parameters, value=problem.value
+        )
 
 
 def is_shell_parameter(name: str) -> bool:
@@ -284,7 +281,9 @@ def _put_value(file: ParameterFile, parameter: str, value: Any) -> None:
     for group in groups:
         level = level.setdefault(group, {})
         if not isinstance(level, dict):
-            raise file.error(f"parameter '{parameter}': '{group}' is a value elsewhere, not a group")
+            reason = f"parameter '{parameter}': '{group}' is a value elsewhere, not a group"
+            raise file.error(InputError(reason, parameters=(parameter,), value=value))
     if isinstance(level.get(last), dict):
-        raise file.error(f"parameter '{parameter}' is a group elsewhere, not a value")
+        reason = f"parameter '{parameter}' is a group elsewhere, not a value"
+        raise file.error(InputError(reason, parameters=(parameter,), value=value))
     level[last] = value

@@ -15,13 +15,21 @@ import typing
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
+from ship_geometry.input_error import InputError
+
 Config = TypeVar("Config")
 
 _ID = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-class ParameterError(ValueError):
-    """A parameter is unknown, of the wrong type, out of its range or missing; the text names it."""
+class ParameterError(InputError):
+    """A parameter is unknown, of the wrong type, out of its range or missing.
+
+    The text names it; ``parameters`` holds its dotted name, and ``value`` the value that was refused.
+    """
+
+    def __init__(self, reason: str, *parameters: str, value: Any = None) -> None:
+        super().__init__(reason, parameters=parameters, value=value)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,12 +112,17 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
         ParameterError: names the parameter, its value, its unit and what is allowed.
     """
     if not isinstance(values, Mapping):
-        raise ParameterError(f"parameter '{prefix.rstrip('.')}' must be a group of parameters, got {values!r}")
+        raise ParameterError(
+            f"parameter '{prefix.rstrip('.')}' must be a group of parameters, got {values!r}",
+            prefix.rstrip("."),
+            value=values,
+        )
     hints = typing.get_type_hints(kind)
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for name in values:
         if name not in fields:
-            raise ParameterError(f"parameter '{prefix}{name}' is unknown: {_expected(str(name), fields)}")
+            reason = f"parameter '{prefix}{name}' is unknown: {_expected(str(name), fields)}"
+            raise ParameterError(reason, f"{prefix}{name}", value=values[name])
     arguments: dict[str, Any] = {}
     for name, field in fields.items():
         full_name = prefix + name
@@ -117,7 +130,8 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
         if entry is not None:
             group = values.get(name, {})
             if not isinstance(group, Mapping):
-                raise ParameterError(f"parameter '{full_name}' must be a group of parameters, got {group!r}")
+                reason = f"parameter '{full_name}' must be a group of parameters, got {group!r}"
+                raise ParameterError(reason, full_name, value=group)
             arguments[name] = {
                 key: build(entry, group[key], f"{full_name}.{key}.", placeholder)
                 for key in _ids(full_name, group, placeholder)
@@ -127,7 +141,7 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
         elif name in values:
             arguments[name] = _checked(full_name, values[name], hints[name], field.metadata)
         elif field.default is dataclasses.MISSING:
-            raise ParameterError(f"parameter '{full_name}' ({field.metadata['doc']}) must be given")
+            raise ParameterError(f"parameter '{full_name}' ({field.metadata['doc']}) must be given", full_name)
     return kind(**arguments)
 
 
@@ -171,9 +185,11 @@ def changed(config: Config, changes: Mapping[str, Any]) -> Config:
     live = _live_names(config)
     for name in changes:
         if name not in flat:
-            raise ParameterError(f"parameter '{name}' is unknown: {_near(name, flat)}")
+            raise ParameterError(f"parameter '{name}' is unknown: {_near(name, flat)}", name)
         if name not in live:
-            raise ParameterError(f"parameter '{name}' cannot be changed while the node runs: set it at the start")
+            raise ParameterError(
+                f"parameter '{name}' cannot be changed while the node runs: set it at the start", name
+            )
     return build(type(config), nest({**flat, **changes}))
 
 
@@ -200,7 +216,7 @@ def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
         for group in groups:
             level = level.setdefault(group, {})
             if not isinstance(level, dict):
-                raise ParameterError(f"parameter '{name}': '{group}' is a value, not a group")
+                raise ParameterError(f"parameter '{name}': '{group}' is a value, not a group", name, value=value)
         level[leaf] = value
     return nested
 
@@ -227,7 +243,9 @@ def _ids(name: str, group: Mapping[Any, Any], placeholder: str) -> list[str]:
         if not (isinstance(id_, str) and (id_ == placeholder or _ID.fullmatch(id_))):
             raise ParameterError(
                 f"parameter '{name}.{id_}': {id_!r} cannot be an id: expected letters, digits and _, no digit first, "
-                "for it becomes part of the names of topics"
+                "for it becomes part of the names of topics",
+                f"{name}.{id_}",
+                value=id_,
             )
     return sorted(group)
 
@@ -242,29 +260,40 @@ def _checked(name: str, value: Any, hint: Any, metadata: types.MappingProxyType[
         element = typing.get_args(hint)[0]
         length = None if typing.get_args(hint)[-1] is Ellipsis else len(typing.get_args(hint))
         if isinstance(value, str) or not hasattr(value, "__iter__"):
-            raise ParameterError(f"parameter '{name}' must be a list, got {value!r}")
-        elements = tuple(_checked_scalar(f"{name}[{i}]", v, element, metadata) for i, v in enumerate(value))
+            raise ParameterError(f"parameter '{name}' must be a list, got {value!r}", name, value=value)
+        elements = tuple(_checked_scalar(name, v, element, metadata, f"[{i}]") for i, v in enumerate(value))
         if length is not None and len(elements) != length:
-            raise ParameterError(f"parameter '{name}' must have {length} elements, got {len(elements)}")
+            reason = f"parameter '{name}' must have {length} elements, got {len(elements)}"
+            raise ParameterError(reason, name, value=value)
         return elements
     return _checked_scalar(name, value, hint, metadata)
 
 
-def _checked_scalar(name: str, value: Any, kind: type, metadata: types.MappingProxyType[Any, Any]) -> Any:
+def _checked_scalar(
+    name: str, value: Any, kind: type, metadata: types.MappingProxyType[Any, Any], index: str = ""
+) -> Any:
+    """A value of the kind and range that its field asks for; ``index`` is shown behind the name.
+
+    Raises:
+        ParameterError: it is not.
+    """
+    shown = f"parameter '{name}{index}'"
     wrong_type = isinstance(value, bool) != (kind is bool) or not isinstance(
         value, (int, float) if kind is float else kind
     )
     unit = f" {metadata['unit']}" if metadata["unit"] else ""
     if wrong_type:
-        raise ParameterError(f"parameter '{name}' must be of type {kind.__name__}, got {value!r}")
+        raise ParameterError(f"{shown} must be of type {kind.__name__}, got {value!r}", name, value=value)
     if kind is float:
         value = float(value)
         if not math.isfinite(value):
-            raise ParameterError(f"parameter '{name}' must be finite, got {value}")
+            raise ParameterError(f"{shown} must be finite, got {value}", name, value=value)
     low, high = metadata["minimum"], metadata["maximum"]
     if (low is not None and value < low) or (high is not None and value > high):
         allowed = f"[{'-inf' if low is None else low}, {'inf' if high is None else high}]{unit}"
-        raise ParameterError(f"parameter '{name}' = {value}{unit} is out of its range {allowed}")
+        raise ParameterError(f"{shown} = {value}{unit} is out of its range {allowed}", name, value=value)
     if metadata["choices"] and value not in metadata["choices"]:
-        raise ParameterError(f"parameter '{name}' = {value!r} must be one of {', '.join(metadata['choices'])}")
+        raise ParameterError(
+            f"{shown} = {value!r} must be one of {', '.join(metadata['choices'])}", name, value=value
+        )
     return value

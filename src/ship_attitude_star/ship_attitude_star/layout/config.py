@@ -142,7 +142,9 @@ def study_config(values: Mapping[str, Any]) -> LayoutStudyConfig:
     for name in config.sensors:
         if not _SENSOR_NAME.fullmatch(name):
             raise ParameterError(
-                f"parameter 'sensors.{name}': the name of a sensor is letters, digits and _, a letter first"
+                f"parameter 'sensors.{name}': the name of a sensor is letters, digits and _, a letter first",
+                f"sensors.{name}",
+                value=name,
             )
     # In the order of the file: the first sensor is the one that keeps its azimuth.
     return dataclasses.replace(config, sensors={name: config.sensors[name] for name in values["sensors"]})

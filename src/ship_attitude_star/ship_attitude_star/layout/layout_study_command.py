@@ -97,7 +97,7 @@ def _study(options: argparse.Namespace) -> LayoutStudy:
         check_folder(options.out, written(config), options.force)
         return study(config)
     except ParameterError as error:
-        raise error if file is None else file.error(str(error)) from error
+        raise error if file is None else file.error(error) from error
 
 
 def written(config: LayoutStudyConfig) -> list[str]:

@@ -52,7 +52,8 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
         if elevation_deg < LEAST_ELEVATION_DEG - 1e-9:
             raise ParameterError(
                 f"parameter 'sensors.{name}.elevation_deg': with the ship's pitch and roll the boresight is at "
-                f"{elevation_deg:.1f} deg over the horizon, expected at least {LEAST_ELEVATION_DEG:g} deg"
+                f"{elevation_deg:.1f} deg over the horizon, expected at least {LEAST_ELEVATION_DEG:g} deg",
+                f"sensors.{name}.elevation_deg",
             )
     best = recommended(layout)
     count = len(layout.names)

@@ -20,7 +20,8 @@ def check_sensor_ids(ids: Iterable[str]) -> None:
         ParameterError: names the parameter.
     """
     if JOINT in ids:
-        raise ParameterError(f"parameter 'star_sensors.{JOINT}': '{JOINT}' means all sensors, give it another id")
+        name = f"star_sensors.{JOINT}"
+        raise ParameterError(f"parameter '{name}': '{JOINT}' means all sensors, give it another id", name)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -57,7 +57,9 @@ class CameraConfig:
         if not self.given:
             raise ParameterError(
                 f"parameters '{prefix}.focal_length_m' and '{prefix}.pixel_pitch_m' must be given in metres: "
-                "single stars come in pixels"
+                "single stars come in pixels",
+                f"{prefix}.focal_length_m",
+                f"{prefix}.pixel_pitch_m",
             )
         distortion = Distortion(
             self.distortion_k1, self.distortion_k2, self.distortion_p1, self.distortion_p2, self.distortion_k3

@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from ship_bags.errors import BadInput
 from ship_bags.live.installed_definitions import installed_definition, type_hash
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, CdrBagWriter
+from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     EVENTS_TYPE,
@@ -35,7 +36,7 @@ from ship_node.documents.files import FileUse
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.diagnostics import Level, Status
 from ship_node.edge.topics import OutputTopic
-from ship_node.parameters.parameter_text import parameter_text
+from ship_node.parameters.parameter_file import parameter_text
 
 FLUSH_PERIOD_S = 0.07
 """With the time that the writing takes, what is older than a tenth of a second is on the disk."""
@@ -235,7 +236,7 @@ def _open(text: str, node_name: str) -> CdrBagWriter:
     if text.endswith("/") or path.is_dir():
         path = path / f"{node_name}.mcap"
     if path.suffix != ".mcap":
-        raise BadInput(f"parameter 'black_box' = '{text}': expected a file ending in .mcap, or a folder")
+        raise _unusable(text, "expected a file ending in .mcap, or a folder")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         while True:
@@ -247,7 +248,13 @@ def _open(text: str, node_name: str) -> CdrBagWriter:
                 if not free.exists():
                     raise
     except (OSError, BadInput) as error:
-        raise BadInput(f"parameter 'black_box' = '{text}': {error}") from error
+        raise _unusable(text, str(error)) from error
+
+
+def _unusable(path: str, reason: str) -> BadInput:
+    """The parameter names a place where no box can be written."""
+    name = BLACK_BOX_PARAMETER
+    return BadInput(f"parameter '{name}' = '{path}': {reason}", parameters=(name,), value=path)
 
 
 def _event_data(event: Event) -> bytes:

@@ -24,8 +24,7 @@ from std_srvs.srv import Trigger
 
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import RosidlFactory, message_class
-from ship_bags.parameter_yaml import quoted_parameter
-from ship_estimation.parameters import ParameterError
+from ship_geometry.input_error import InputError
 from ship_node.black_box.black_box import BlackBox
 from ship_node.documents.files import NotedFiles
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
@@ -86,7 +85,7 @@ class LiveNode:
             self._publishers = {o.topic: self._create_publisher(o) for o in _outputs(self.adapter)}
             self._subscriptions = {i.topic: self._create_subscription(i) for i in self.adapter.inputs}
             self._box = self._open_box()
-        except (ParameterError, BadInput) as error:
+        except InputError as error:
             self.node.destroy_node()
             raise _with_line(error, parameter_files, self._full_name) from error
         self._calls = AdapterCalls(
@@ -278,10 +277,11 @@ def _outputs(adapter: Adapter) -> tuple[OutputTopic, ...]:
     return (*others, diagnostics)
 
 
-def _with_line(error: ValueError, parameter_files: tuple[Path, ...], node: str) -> BadInput:
+def _with_line(error: InputError, parameter_files: tuple[Path, ...], node: str) -> BadInput:
     """The error with the file that gives the parameter, and its line; the last one of several."""
-    text = str(error)
-    parameter = quoted_parameter(text)
+    if not error.parameters:
+        return BadInput(str(error))
+    parameter = error.parameters[0]
     files = [read_whatever_fits(path, node) for path in reversed(parameter_files)]
     naming = [file for file in files if parameter in file.lines] or [file for file in files if file.line_of(parameter)]
-    return naming[0].error(text) if naming else BadInput(text)
+    return naming[0].error(error) if naming else BadInput(str(error))

@@ -62,7 +62,7 @@ def overrides_checked(node: Node, topic: str) -> Iterator[None]:
             yield
     except (RuntimeError, InvalidQosOverridesError, ParameterException) as error:
         name = f"qos_overrides.{node.resolve_topic_name(topic)}"
-        raise BadInput(f"parameter '{name}': {error}; expected {_EXPECTED}") from error
+        raise BadInput(f"parameter '{name}': {error}; expected {_EXPECTED}", parameters=(name,)) from error
 
 
 def _check_depth(profile: QoSProfile) -> SetParametersResult:

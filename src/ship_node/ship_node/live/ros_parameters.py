@@ -108,7 +108,8 @@ class NodeParameters:
             if isinstance(asked.get(USE_SIM_TIME), bool):
                 # Times from before would be years from those after.
                 raise ParameterError(
-                    f"parameter '{USE_SIM_TIME}' cannot be changed while the node runs: set it at the start"
+                    f"parameter '{USE_SIM_TIME}' cannot be changed while the node runs: set it at the start",
+                    USE_SIM_TIME,
                 )
             # First our own check: it names the unit.
             changed(self.config, {name: value for name, value in asked.items() if not self._is_of_the_shell(name)})
@@ -161,7 +162,8 @@ def _declare_black_box(node: Node) -> str:
     try:
         return str(node.declare_parameter(BLACK_BOX_PARAMETER, "", descriptor).value)
     except InvalidParameterTypeException as error:
-        raise BadInput(f"parameter '{BLACK_BOX_PARAMETER}' must be of type str: {error}") from error
+        reason = f"parameter '{BLACK_BOX_PARAMETER}' must be of type str: {error}"
+        raise BadInput(reason, parameters=(BLACK_BOX_PARAMETER,)) from error
 
 
 def _plain(value: Any) -> Any:
@@ -174,7 +176,7 @@ def _description(name: str, config_type: type) -> ParameterDescription:
     for description in describe(config_type):
         if re.fullmatch(re.escape(description.name).replace("<id>", r"[^.]+"), name):
             return description
-    raise ParameterError(f"parameter '{name}' has no description")
+    raise ParameterError(f"parameter '{name}' has no description", name)
 
 
 def _descriptor(description: ParameterDescription) -> ParameterDescriptor:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ship_bags.errors import BadInput
-from ship_bags.parameter_yaml import ANYWHERE, ParameterFile, Section, anywhere, merged, read_sections
-from ship_estimation.parameters import ParameterError, build
+from ship_bags.parameter_yaml import ANYWHERE, ParameterFile, Section, anywhere, merged, read_sections, sections_text
+from ship_estimation.parameters import ParameterError, build, flatten, nest
 
 Config = TypeVar("Config")
 
@@ -37,7 +37,19 @@ def load_config(kind: type[Config], source: Path | str, node: str) -> Config:
     try:
         return build(kind, file.values)
     except ParameterError as error:
-        raise file.error(str(error)) from error
+        raise file.error(error) from error
+
+
+def parameter_text(node_name: str, config: Any) -> str:
+    """The text of a parameter file that gives a node this very configuration, in whatever namespace.
+
+    All defaults are written out.
+
+    Args:
+        node_name: name without namespace.
+        config: a dataclass in the style of :mod:`ship_estimation.parameters`.
+    """
+    return sections_text({anywhere(node_name): nest(flatten(config))})
 
 
 def read(source: Path | str, node: str) -> ParameterFile:

@@ -12,7 +12,7 @@ from typing import Any
 from ship_attitude_star.measurements.device_config import MountingConfig
 from ship_bags.errors import BadInput
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.parameter_yaml import ParameterFile, anywhere, full_name, quoted_parameter
+from ship_bags.parameter_yaml import ParameterFile, anywhere, full_name
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.parameter_file import has_section, misfit, read, unknown_sections
@@ -106,9 +106,9 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
             config = build(kind, values)
             break
         except ParameterError as problem:
-            findings.errors.append(str(file.error(str(problem))))
-            told.add(quoted_parameter(str(problem)))
-            if not _put_right(values, str(problem), descriptions):
+            findings.errors.append(str(file.error(problem)))
+            told.update(problem.parameters[:1])
+            if not _put_right(values, problem, descriptions):
                 return None
     try:
         adapter = adapter_class(config, RosbagsFactory())
@@ -116,8 +116,8 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
         return CheckedNode(file, config, adapter)
     except ParameterError as problem:
         # A value that was taken out above is missing here: told already.
-        if told.isdisjoint(re.findall(r"'([^']+)'", str(problem))):
-            findings.errors.append(str(file.error(str(problem))))
+        if told.isdisjoint(problem.parameters):
+            findings.errors.append(str(file.error(problem)))
     except BadInput as problem:
         findings.errors.append(f"{path}: {problem}")
     return None
@@ -138,23 +138,23 @@ def _different_mountings(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[s
                 )
 
 
-def _put_right(values: dict[str, Any], problem: str, descriptions: list[ParameterDescription]) -> bool:
+def _put_right(values: dict[str, Any], problem: ParameterError, descriptions: list[ParameterDescription]) -> bool:
     """Take the value that a problem names out, and put an allowed one in where there must be one.
 
     Returns:
         Whether anything changed: if not, the same problem would come again.
     """
-    quoted = quoted_parameter(problem)
-    if not quoted:
+    if not problem.parameters:
         return False
-    *groups, leaf = quoted.split(".")
+    parameter = problem.parameters[0]
+    *groups, leaf = parameter.split(".")
     level = values
     for group in groups:
         level = level.setdefault(group, {})
     removed = level.pop(leaf, None) is not None
     for description in descriptions:
         pattern = re.escape(description.name).replace("<id>", r"[^.]+")
-        if description.default is None and re.fullmatch(pattern, quoted):
+        if description.default is None and re.fullmatch(pattern, parameter):
             level[leaf] = _allowed(description)
             return True
     return removed

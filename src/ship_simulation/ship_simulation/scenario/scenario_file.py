@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from ship_bags.errors import BadInput
-from ship_bags.errors import BadInput as BadParameterFile
 from ship_bags.parameter_yaml import ParameterFile, read_plain
 from ship_estimation.parameters import ParameterError, build
 from ship_geometry.earth_orientation import earth_orientation_table
@@ -48,13 +47,11 @@ def load_scenario(path: Path | str, recording: Path | None = None) -> Scenario:
     Raises:
         BadInput: names file, line, key, value and what was expected.
     """
+    file = read_plain(Path(path))
     try:
-        file = read_plain(Path(path))
         scenario = build(Scenario, file.values)
-    except BadParameterFile as problem:
-        raise BadInput(str(problem)) from problem
     except ParameterError as problem:
-        raise BadInput(str(file.error(str(problem)))) from problem
+        raise file.error(problem) from problem
     if recording is not None and scenario.carrier.kind != "recorded":
         raise _error(file, "'carrier.kind' must be recorded to follow a recording")
     scenario = _with_recording(scenario, Path(path).parent, recording)
@@ -64,7 +61,8 @@ def load_scenario(path: Path | str, recording: Path | None = None) -> Scenario:
 
 
 def _error(file: ParameterFile, text: str) -> BadInput:
-    return BadInput(str(file.error(text)))
+    _, key, _ = text.split("'", 2)
+    return file.error(ParameterError(text, key))
 
 
 def _with_recording(scenario: Scenario, folder: Path, recording: Path | None) -> Scenario:
