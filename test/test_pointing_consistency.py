@@ -17,7 +17,7 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration
 from ship_simulation.theodolite.devices import points_on_detector
 from ship_testing.theodolite_scenes import replaced, sweeping_over, with_beacons, with_theodolite
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import Exposure, Mode, SeenLight
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.lights.image import Camera
-from theodolite_calib.lights.light_points import Image
+from theodolite_calib.lights.image import Camera, Image
 from theodolite_calib.lights.line_of_sight import LeverArm, Lights, LinesOfSight, Ship, Survey, lines_of_sight
 
 DISTANCE_M = 2000.0

@@ -20,7 +20,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotati
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, AdapterRun, Arrival, hand_over, in_order, stamp_of
 from ship_testing.simulated_sightings import project, raised
 from theodolite_calib.chain.axes import AxisErrors, encoder_angles, main_axis_rotation
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.image import Camera
 from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter

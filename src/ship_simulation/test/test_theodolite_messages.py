@@ -22,7 +22,7 @@ from ship_simulation.suite.suite import suite_yaml
 from ship_simulation.theodolite.scene import axis_errors_of, parallelism_of
 from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, with_beacons, with_theodolite
 from theodolite_calib.chain.axes import NAMES
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 
 ENCODER, IMAGE, BASELINE, DRONE = "theodolite/encoder", "theodolite/beacons", "beacon/a/baseline", "beacon/a/imu"
 

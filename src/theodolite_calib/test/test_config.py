@@ -4,7 +4,7 @@ import pytest
 
 from ship_estimation.parameters import ParameterError, build
 from ship_testing.small_session import config
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 
 REFUSED = [
     ({"telescope__focal_length_m": 0.0}, r"'telescope.focal_length_m' = 0.0 m is out of its range \[0.001, 10.0\] m"),

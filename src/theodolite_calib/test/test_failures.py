@@ -8,8 +8,8 @@ import pytest
 from ship_estimation.refusals import Reason
 from ship_testing.adapter_runs import AdapterRun, index_at, stamp_of, without
 from ship_testing.small_session import BEACONS, ENCODER, clean_run, drive, new_adapter, session
-from theodolite_calib.filter.sighting_step import SightingStep
-from theodolite_calib.optical_axis.pointing_estimate import PointingSource
+from theodolite_calib.filter.judgement import SightingStep
+from theodolite_calib.optical_axis.output import PointingSource
 
 MOMENT_S = 2.6
 

@@ -1,12 +1,19 @@
-"""The camera of the calibration telescope: axes, derivatives, covariance."""
+"""The camera of the calibration telescope and the points that it predicts: axes, derivatives, covariance."""
 
 import numpy as np
 import pytest
 
-from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.lights.image import Camera, unit_vector_jacobian
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from ship_testing.simulated_sightings import CAMERA as PAPER_CAMERA
+from ship_testing.simulated_sightings import error_free, truth_of
+from theodolite_calib.lights.image import Camera, predict_points, unit_vector_jacobian
 
 CAMERA = Camera(0.1, 1e-4, np.array([3e-4, -5e-4]))
+
+TRUTH = truth_of(np.array([10.0, 100.0, 190.0, 280.0]), np.array([-5.0, 40.0, 85.0, 90.0]), 50.0)
+EPOCHS = error_free(TRUTH)
+DIRECTION_N = EPOCHS.lines().direction_n
+PREDICTED = predict_points(PAPER_CAMERA, TRUTH.rotation_nt, DIRECTION_N)
 
 
 def points(count: int = 300) -> FloatArray:
@@ -104,3 +111,32 @@ def test_unit_vector_jacobian_equals_finite_differences():
     for column, change in enumerate(np.eye(3) * step):
         expected = (unit(vector + change) - unit(vector - change)) / (2.0 * step)
         assert unit_vector_jacobian(vector)[..., column] == pytest.approx(expected, abs=1e-8)
+
+
+def test_predicted_is_seen():
+    # The refraction of the simulation is the same to 1e-9 rad.
+    assert PREDICTED.point_m == pytest.approx(EPOCHS.image.point_m, abs=1e-10)
+
+
+def test_by_attitude_equals_finite_differences():
+    step = 1e-6
+    for column, change in enumerate(np.eye(3) * step):
+        more, less = (
+            predict_points(PAPER_CAMERA, exp_rotation(sign * change) @ TRUTH.rotation_nt, DIRECTION_N).point_m
+            for sign in (1.0, -1.0)
+        )
+        assert PREDICTED.by_attitude_n[..., column] == pytest.approx((more - less) / (2.0 * step), abs=1e-10)
+
+
+def test_by_direction_equals_finite_differences():
+    step = 1e-6
+    for column, change in enumerate(np.eye(3) * step):
+        more, less = (
+            predict_points(PAPER_CAMERA, TRUTH.rotation_nt, DIRECTION_N + sign * change).point_m for sign in (1.0, -1.0)
+        )
+        assert PREDICTED.by_direction_n[..., column] == pytest.approx((more - less) / (2.0 * step), abs=1e-10)
+
+
+def test_by_focal_length_is_the_distance_from_the_principal_point():
+    expected = (PREDICTED.point_m - PAPER_CAMERA.principal_point_m) / PAPER_CAMERA.focal_length_m
+    assert PREDICTED.by_focal_length == pytest.approx(expected, abs=1e-15)

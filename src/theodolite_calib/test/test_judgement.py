@@ -9,8 +9,8 @@ from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_testing.simulated_session import LIGHTS_DEG, config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.filter.sighting_step import SightingStep
-from theodolite_calib.lights.light_points import Image
+from theodolite_calib.filter.judgement import SightingStep
+from theodolite_calib.lights.image import Image
 from theodolite_calib.measured.samples import Exposure
 from theodolite_calib.measured.sighting import Sighting
 

@@ -16,9 +16,8 @@ from ship_testing.simulated_sightings import (
     paper_epochs,
     truth_of,
 )
-from theodolite_calib.lights.equations import AttitudePrior
 from theodolite_calib.lights.light_check import LightCheck, Verdict, angle_residuals, check_lights
-from theodolite_calib.lights.telescope_attitude import solve
+from theodolite_calib.lights.telescope_attitude import AttitudePrior, solve
 
 PROBABILITY = 0.999
 THREE_LIGHTS_DEG = FOUR_LIGHTS_DEG[:3]

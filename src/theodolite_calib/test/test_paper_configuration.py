@@ -10,7 +10,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
 from ship_testing.paper_method import angles, mean_of_two_triads
 from ship_testing.simulated_sightings import Epochs, paper_epochs, truth_of
-from theodolite_calib.lights.telescope_attitude import Pointing, solve
+from theodolite_calib.lights.telescope_attitude import TelescopeAttitude, solve
 
 EPOCHS = 10_000
 AZIMUTH_DEG = 77.0
@@ -22,7 +22,9 @@ DIRECTIONS = pytest.mark.parametrize(
 
 
 @cache
-def solved(elevation_deg: float, rotation_deg: float, common_refraction: bool = False) -> tuple[Epochs, Pointing]:
+def solved(
+    elevation_deg: float, rotation_deg: float, common_refraction: bool = False
+) -> tuple[Epochs, TelescopeAttitude]:
     truth = truth_of(np.full(EPOCHS, AZIMUTH_DEG), elevation_deg, rotation_deg)
     epochs = paper_epochs(truth, seed=5, common_refraction=common_refraction)
     return epochs, solve(epochs.image, epochs.camera, epochs.lines())

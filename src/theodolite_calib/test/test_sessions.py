@@ -10,12 +10,12 @@ from ship_estimation.consistency import sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_testing.simulated_session import LIGHTS_DEG, Session, config, session, sweep
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
-from theodolite_calib.filter.filter import CalibrationFilter, FilterState
-from theodolite_calib.filter.sighting_step import SightingStep
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.judgement import SightingStep
 from theodolite_calib.measured.samples import Exposure
-from theodolite_calib.measured.sighting import EncoderAt
-from theodolite_calib.optical_axis.pointing_output import CorrectedAxis
+from theodolite_calib.measured.tracks import EncoderAt
+from theodolite_calib.optical_axis.output import CorrectedAxis
 
 SEEDS = 16
 SWEEP_S = np.arange(0.0, 301.0)
@@ -39,7 +39,7 @@ def sigma_on_sky(covariance_n: FloatArray, axis_n: FloatArray) -> float:
     return float(np.sqrt(np.trace(covariance_n) - axis_n @ covariance_n @ axis_n)) / ARCSEC
 
 
-def filtered(settings: OpticalAxisConfig, filter_: CalibrationFilter, given: Session, count: int) -> FilterState:
+def filtered(settings: OpticalAxisConfig, filter_: CalibrationFilter, given: Session, count: int) -> CalibrationState:
     state, step = filter_.initial_state(), SightingStep(settings, filter_)
     for sighting in given.sightings[:count]:
         state, _ = step(state, sighting, Exposure(sighting.time_ns, ()))

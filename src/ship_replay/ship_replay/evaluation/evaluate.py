@@ -23,7 +23,7 @@ from ship_replay.evaluation.attitude_sources import AttitudeSource, PublishedAtt
 from ship_replay.evaluation.evaluation_sources import JOINT_SOLUTION, sources
 from ship_replay.evaluation.innovations import InnovationBook, SourceInnovations
 from ship_replay.offline.orientations import ORIENTATIONS
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 
 Config = TypeVar("Config")
 

@@ -9,7 +9,7 @@ from ship_estimation.ins_config import InsInputConfig
 from ship_replay.evaluation.attitude_sources import AttitudeSource, InsAttitude, PublishedAttitude, StarAttitude, Truth
 from ship_replay.evaluation.pointing_sources import EncoderAlone, Pointing
 from ship_replay.offline.orientations import POINTING, SHIP_ATTITUDE
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 
 JOINT_SOLUTION = f"star/{JOINT}/solution"
 """Attitude of the deck by the stars of all sensors."""

@@ -9,7 +9,7 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_replay.evaluation.attitude_errors import AttitudeErrors
 from ship_replay.evaluation.attitude_sources import AttitudeSource, PublishedAttitude, Truth
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
-from theodolite_calib.config.optical_axis import AxesConfig
+from theodolite_calib.config import AxesConfig
 
 
 class Pointing(PublishedAttitude):

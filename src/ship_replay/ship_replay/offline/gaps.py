@@ -13,7 +13,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.mcap.bag_reader import BagRecord
 from ship_bags.times import NS_PER_S
 from ship_estimation.parameters import flatten
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 
 _MOST_OF_THE_TIME = 0.5
 """Share of the time in gaps longer than a limit from which on the configuration does not serve."""

@@ -15,7 +15,7 @@ from ship_bags.times import NS_PER_S
 from ship_bags.topic_names import relative_topics
 from ship_geometry.rotations import FloatArray, angle_between
 from ship_replay.preflight.check_config import CheckedNode, Findings
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 
 _IMAGES = 30
 _NEAR_NS = NS_PER_S // 5

@@ -15,7 +15,7 @@ from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.suite.suite import optical_axis_configuration
 from ship_simulation.theodolite.scene import axis_errors_of
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import (
     BaselineSample,
     EncoderSample,

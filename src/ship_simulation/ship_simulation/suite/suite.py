@@ -22,8 +22,7 @@ from ship_simulation.messages.theodolite_messages import (
     beacon_frame,
 )
 from ship_simulation.scenario.scenario import Scenario, StarSensor
-from theodolite_calib.config.beacon import BeaconConfig
-from theodolite_calib.config.optical_axis import OpticalAxisConfig, ShipConfig
+from theodolite_calib.config import BeaconConfig, OpticalAxisConfig, ShipConfig
 
 _LEAST_POSITION_TIME_S = 1.0
 """Of the estimator's parameter."""

@@ -6,9 +6,9 @@ from ship_estimation.state import StateModel
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.axis_fit.sightings import right_and_up
 from theodolite_calib.chain.axes import direction_change
-from theodolite_calib.filter.sighting_model import Prediction
-from theodolite_calib.lights.equations import linearised, total
+from theodolite_calib.filter.prediction import Prediction
 from theodolite_calib.lights.line_of_sight import covariance_by_source
+from theodolite_calib.lights.telescope_attitude import linearised, total
 from theodolite_calib.measured.sighting import Sighting
 
 # What is looked for is no error of a sighting.

@@ -1,6 +1,6 @@
 """The calibration filter: one sighting in, one decision and the next state out. No time, no memory of its own.
 
-A :class:`FilterState` is never changed in place, so that the time-ordered log can keep and return to any of them.
+A :class:`CalibrationState` is never changed in place, so that the time-ordered log can keep and return to any of them.
 """
 
 from collections.abc import Callable
@@ -13,11 +13,17 @@ from ship_estimation.kalman import LinearMeasurement, innovation, predict, updat
 from ship_estimation.state import slow_error_later
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
-from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, state_model
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.model import (
+    SOURCE_AXES,
+    SOURCE_SHIP,
+    ShipErrorStep,
+    ship_error_step,
+    state_model,
+    with_step,
+)
 from theodolite_calib.filter.observability import Observability, Unaided
-from theodolite_calib.filter.ship_error import ShipErrorStep, ship_error_step, with_step
-from theodolite_calib.filter.sighting_model import Prediction, SightingModel
+from theodolite_calib.filter.prediction import Prediction, SightingModel
 from theodolite_calib.measured.encoder_jumps import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 
@@ -29,7 +35,7 @@ _SMALL_STEP = 1e-5
 
 
 @dataclass(frozen=True)
-class FilterState:
+class CalibrationState:
     """Everything the filter knows after its last sighting.
 
     Attributes:
@@ -102,11 +108,11 @@ class CalibrationFilter:
         self._ship_source = self.model.sources.index(SOURCE_SHIP)
         self._by_ins = config.ship.source == "ins/imu"
 
-    def initial_state(self) -> FilterState:
+    def initial_state(self) -> CalibrationState:
         """The state before any sighting: no error known beyond the configuration, all of them possible."""
-        return FilterState(None, np.zeros(self.model.size), self.model.initial_parts(), self.observability.start())
+        return CalibrationState(None, np.zeros(self.model.size), self.model.initial_parts(), self.observability.start())
 
-    def predicted(self, state: FilterState, time_ns: int, ship_now_n: FloatArray | None) -> FilterState:
+    def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:
         """The state carried to a later moment.
 
         Args:
@@ -141,7 +147,7 @@ class CalibrationFilter:
             return decay * error_n
         return slow_error_later(error_n, decay, self.model.blocks["ship.attitude"].sigma)
 
-    def opened(self, state: FilterState, jump: Jump) -> FilterState:
+    def opened(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         """The state after a jump: the INS's slow error, or the encoders' zero points, may be off by as much."""
         if isinstance(jump, InsJump):
             state = self.predicted(state, jump.time_ns, None)
@@ -154,14 +160,14 @@ class CalibrationFilter:
         parts[np.ix_([self.model.sources.index(SOURCE_AXES)], rows, rows)] += covariance
         return replace(state, parts=parts)
 
-    def ship_step(self, state: FilterState, ship_now_n: FloatArray | None) -> ShipErrorStep | None:
+    def ship_step(self, state: CalibrationState, ship_now_n: FloatArray | None) -> ShipErrorStep | None:
         """What happens to the ship's error at once, for the covariance now stated; None where nothing does."""
         if ship_now_n is None:
             return None
         followed_n = np.zeros((3, 3)) if state.ship_steady_n is None else state.ship_steady_n
         return ship_error_step(followed_n, ship_now_n)
 
-    def compare(self, state: FilterState, sighting: Sighting) -> Comparison | None:
+    def compare(self, state: CalibrationState, sighting: Sighting) -> Comparison | None:
         """A sighting against a state predicted to its moment; None where a light would be behind the telescope."""
         prediction = self.sightings.predict(state.mean, sighting)
         if not np.all(np.isfinite(prediction.residual)):
@@ -170,7 +176,7 @@ class CalibrationFilter:
         covariance, nis = innovation(state.parts, measurement)
         return Comparison(prediction, measurement, covariance, nis)
 
-    def used(self, state: FilterState, sighting: Sighting, comparison: Comparison) -> FilterState:
+    def used(self, state: CalibrationState, sighting: Sighting, comparison: Comparison) -> CalibrationState:
         """The state after a sighting, from the state predicted to its moment.
 
         The sighting is linearised anew at the estimate until that stays (Gauss–Newton), as with a first sighting far

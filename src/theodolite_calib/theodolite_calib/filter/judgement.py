@@ -14,11 +14,12 @@ from ship_estimation.consistency import normalized_error_squared
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.filter.filter import CalibrationFilter, Comparison, FilterState
-from theodolite_calib.lights.equations import AttitudePrior
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.lights.image import Camera
 from theodolite_calib.lights.light_check import Verdict, angle_residuals, check_lights
 from theodolite_calib.lights.line_of_sight import LinesOfSight
+from theodolite_calib.lights.telescope_attitude import AttitudePrior
 from theodolite_calib.measured.samples import Decision, Exposure
 from theodolite_calib.measured.sighting import Sighting
 
@@ -49,7 +50,7 @@ class SightingJudge:
     def __init__(self, filter_: CalibrationFilter, gate: GateConfig) -> None:
         self._filter, self._gate = filter_, gate
 
-    def judge(self, state: FilterState, sighting: Sighting, exposure: Exposure) -> Judgement:
+    def judge(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> Judgement:
         """Judge a sighting by the state predicted to its moment."""
         comparison = self._filter.compare(state, sighting)
         if comparison is None:
@@ -74,7 +75,7 @@ class SightingJudge:
         return bool(chi2 <= chi_square_gate(self._gate.probability, len(across)))
 
     def _look_closer(
-        self, state: FilterState, sighting: Sighting, exposure: Exposure, comparison: Comparison
+        self, state: CalibrationState, sighting: Sighting, exposure: Exposure, comparison: Comparison
     ) -> Judgement:
         """Two or more lights that do not fit as they are."""
         prediction, camera = comparison.prediction, self._camera(state, comparison)
@@ -102,12 +103,12 @@ class SightingJudge:
         sigma = float(np.sqrt(np.max(np.diagonal(check.pointing.covariance_n))))
         return Judgement(replace(decision, telescope_dt=(sighting.in_deck(check.pointing.rotation_nt), sigma)))
 
-    def _camera(self, state: FilterState, comparison: Comparison) -> Camera:
+    def _camera(self, state: CalibrationState, comparison: Comparison) -> Camera:
         """The camera as the state knows it."""
         row = self._filter.model.slices["focal_length"].start
         return replace(comparison.prediction.camera, focal_length_sigma_m=float(np.sqrt(state.covariance[row, row])))
 
-    def _without_one(self, state: FilterState, sighting: Sighting, exposure: Exposure) -> Judgement | None:
+    def _without_one(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> Judgement | None:
         """Three or more lights of which one is wrong: the others, the best of the choices that pass."""
         rows = range(len(sighting.names))
         if len(rows) < 3:
@@ -154,7 +155,55 @@ class SightingJudge:
         )
 
 
-def _telescope_parts(state: FilterState, comparison: Comparison) -> dict[str, FloatArray]:
+class SightingStep:
+    """The step from state to state.
+
+    Args:
+        config: the node's parameters.
+        filter_: the filter of that configuration.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
+        self._filter, self._gate = filter_, config.gate
+        self._judge = SightingJudge(filter_, config.gate)
+
+    def __call__(
+        self, state: CalibrationState, sighting: Sighting, exposure: Exposure
+    ) -> tuple[CalibrationState, Decision]:
+        """State and decision after a sighting.
+
+        Args:
+            state: after the sighting before.
+            sighting: the lights that have all they need.
+            exposure: that it comes from.
+        """
+        predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
+        try:
+            judgement = self._judge.judge(predicted, sighting, exposure)
+        except np.linalg.LinAlgError as error:
+            return state, Decision(exposure, Reason.BAD_COVARIANCE, text=str(error))
+        if judgement.sighting is not None and judgement.comparison is not None:
+            return self._filter.used(predicted, judgement.sighting, judgement.comparison), judgement.decision
+        # Not even the prediction is kept: the state stays, to the last bit, as without this sighting.
+        if judgement.decision.reason is Reason.LIGHT_CONFLICT:
+            return state, judgement.decision
+        return self._held(state, judgement.decision)
+
+    def _held(self, state: CalibrationState, decision: Decision) -> tuple[CalibrationState, Decision]:
+        """After a run of disagreements say so and, where configured, re-open the gate."""
+        run = state.refusals + 1
+        reason, text = decision.reason, decision.text
+        if run >= self._gate.conflict_after:
+            reason = Reason.ATTITUDE_CONFLICT
+            text = f"{run} refusals in a row: the lights and the encoders with the ship's attitude disagree; {text}"
+        state = replace(state, refusals=run)
+        if self._gate.reopen_after and run % self._gate.reopen_after == 0:
+            state = replace(state, parts=state.parts * self._gate.reopen_factor)
+            text += f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
+        return state, replace(decision, reason=reason, text=text)
+
+
+def _telescope_parts(state: CalibrationState, comparison: Comparison) -> dict[str, FloatArray]:
     """Covariance of the predicted telescope's rotation vector in n, rad², shape (3, 3) each."""
     turn_n = comparison.prediction.turn_n
     return {"state": turn_n @ state.covariance @ turn_n.T, **comparison.prediction.noise_n}

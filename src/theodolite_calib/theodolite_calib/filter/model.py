@@ -20,12 +20,13 @@ light.<id>.refraction (1)             what k differs by on the way to this light
 =========================  =========  =================================================================================
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ship_estimation.state import StateBlock, StateModel, block
-from ship_geometry.rotations import ARCSEC
-from theodolite_calib.config.beacon import BeaconConfig
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from ship_geometry.rotations import ARCSEC, FloatArray
+from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
 
 SOURCE_SHIP = "ship_attitude"
 SOURCE_SHIP_NOISE = "ship_noise"
@@ -58,6 +59,8 @@ OWN_TERMS = {
     "light_refraction": "refraction",
 }
 """Error term of one line of sight → its state, after ``light.<id>.``."""
+
+_AT_ONCE = 2.0
 
 
 def state_model(config: OpticalAxisConfig) -> StateModel:
@@ -118,3 +121,48 @@ def _light_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> 
         block(f"light.{id_}.attitude", attitude, SOURCE_DRONE, time_s=beacon.imu.time_s),
         block(f"light.{id_}.refraction", [air.light_sigma], SOURCE_REFRACTION, time_s=air.time_s),
     ]
+
+
+@dataclass(frozen=True)
+class ShipErrorStep:
+    """What happens to the error at once.
+
+    Attributes:
+        kept: share of each component that is left, shape (3,).
+        new_n: covariance of what comes anew, rad², shape (3, 3).
+    """
+
+    kept: FloatArray
+    new_n: FloatArray
+
+
+def ship_error_step(followed_n: FloatArray, now_n: FloatArray) -> ShipErrorStep | None:
+    """The step from one stated covariance to another, rad², shape (3, 3) each; None where there is none."""
+    old, new = np.diagonal(followed_n), np.diagonal(now_n)
+    if np.all(new <= _AT_ONCE * old) and np.all(old <= _AT_ONCE * new):
+        return None
+    kept = np.where(old > 0.0, np.minimum(new / np.where(old > 0.0, old, 1.0), 1.0), 1.0)
+    left_n = now_n - followed_n * np.outer(kept, kept)
+    # Not all changes of a matrix are such a step in each axis: what would be negative is none.
+    values, vectors = np.linalg.eigh(0.5 * (left_n + left_n.T))
+    return ShipErrorStep(kept, (vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def with_step(
+    mean: FloatArray, parts: FloatArray, rows: slice, source_index: int, step: ShipErrorStep
+) -> tuple[FloatArray, FloatArray]:
+    """State and covariance parts after the step; the arguments are left as they are.
+
+    Args:
+        mean: shape (n,).
+        parts: shape (n_sources, n, n).
+        rows: where the ship's error is.
+        source_index: of its source.
+        step: what happens.
+    """
+    mean, parts = mean.copy(), parts.copy()
+    mean[rows] *= step.kept
+    parts[:, rows, :] *= step.kept[:, None]
+    parts[:, :, rows] *= step.kept
+    parts[source_index, rows, rows] += step.new_n
+    return mean, parts

@@ -13,7 +13,7 @@ from ship_estimation.kalman import LinearMeasurement, innovation, predict, updat
 from ship_estimation.state import StateModel, block
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
-from theodolite_calib.filter.ship_error import ShipErrorStep, with_step
+from theodolite_calib.filter.model import ShipErrorStep, with_step
 
 DEFORMATION_NAMES = ("deformation_bow", "deformation_up", "deformation_starboard")
 

@@ -1,18 +1,21 @@
-"""The calibration telescope's camera: detector point ↔ direction in the telescope frame t (forward, up, right).
+"""The image of lights on the detector of the calibration telescope: camera, found lights, predicted points, streaks.
 
-A detector point is (x, z) in metres along the telescope's right and up axes. The image is inverted, [W18] (12)(13):
-a light to the right of and above the axis has x < 0 and z < 0, so with the principal point (x0, z0)
+The camera relates a detector point to a direction in the telescope frame t (forward, up, right). A point is (x, z) in
+metres along the telescope's right and up axes. The image is inverted, [W18] (12)(13): a light to the right of and above
+the axis has x < 0 and z < 0, so with the principal point (x0, z0)
 
     V ∝ [f, -(z - z0), -(x - x0)]
 
 Points have shape (..., N, 2) and directions (..., N, 3) for N lights of one exposure.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_geometry.rotations import FloatArray
+from ship_geometry.exposure_mean import Nodes
+from ship_geometry.rotations import FloatArray, skew
 
 
 @dataclass(frozen=True)
@@ -88,11 +91,125 @@ class Camera:
         return unit_vector_jacobian(self._rays(point_m))
 
 
+@dataclass(frozen=True)
+class Image:
+    """Lights found on the detector at the middle of an exposure.
+
+    Attributes:
+        point_m: (x right, z up), shape (..., N, 2).
+        sigma_m: standard deviation of x and of z, each above zero, shape (..., N).
+        smear_m2: what the motion during the exposure adds to their covariance, shape (..., N, 2, 2); None where it adds
+            nothing.
+    """
+
+    point_m: FloatArray
+    sigma_m: FloatArray
+    smear_m2: FloatArray | None = None
+
+    @property
+    def covariance_m2(self) -> FloatArray:
+        """Covariance of all points as detected, shape (..., 2 N, 2 N)."""
+        variance = np.repeat(np.asarray(self.sigma_m, dtype=float) ** 2, 2, axis=-1)
+        covariance: FloatArray = variance[..., None] * np.eye(variance.shape[-1])
+        return covariance if self.smear_m2 is None else covariance + block_diagonal(self.smear_m2)
+
+    def chosen(self, rows: Sequence[int]) -> "Image":
+        """The same lights, some of them or in another order."""
+        chosen = list(rows)
+        smear_m2 = None if self.smear_m2 is None else self.smear_m2[chosen]
+        return Image(self.point_m[chosen], np.asarray(self.sigma_m)[chosen], smear_m2)
+
+
+@dataclass(frozen=True)
+class PredictedPoints:
+    """Where lights should be found on the detector; NaN behind the telescope.
+
+    Attributes:
+        point_m: shape (..., N, 2).
+        by_attitude_n: by the rotation vector of the telescope's attitude in n, m/rad, shape (..., N, 2, 3).
+        by_direction_n: by the unit direction of the light in n, m/rad, shape (..., N, 2, 3).
+        by_focal_length: m/m, shape (..., N, 2).
+    """
+
+    point_m: FloatArray
+    by_attitude_n: FloatArray
+    by_direction_n: FloatArray
+    by_focal_length: FloatArray
+
+
+def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatArray) -> PredictedPoints:
+    """Detector points of lights seen along ``direction_n`` by a telescope of the attitude ``rotation_nt``.
+
+    Args:
+        camera: its geometry.
+        rotation_nt: horizon from telescope, shape (..., 3, 3).
+        direction_n: unit vectors, shape (..., N, 3).
+    """
+    direction_t = direction_n @ rotation_nt
+    by_direction_n = camera.point_by_direction(direction_t) @ np.swapaxes(rotation_nt, -1, -2)[..., None, :, :]
+    return PredictedPoints(
+        point_m=camera.points(direction_t),
+        by_attitude_n=by_direction_n @ skew(direction_n),
+        by_direction_n=by_direction_n,
+        by_focal_length=camera.point_by_focal_length(direction_t),
+    )
+
+
+@dataclass(frozen=True)
+class LightStreaks:
+    """N lights as found on the detector, and how telescope and lights moved over the exposure.
+
+    Attributes:
+        image: as found.
+        camera: geometry of the telescope.
+        psf_sigma_m: spread of the image of a light at rest, each axis.
+        nodes: m moments of the exposure.
+        rotation_nt: horizon from telescope at these, shape (m, 3, 3).
+        middle_nt: the same at the middle, shape (3, 3).
+        path_n: from the telescope to the lights at the middle, m, shape (N, 3).
+        moved_n: these paths at the nodes minus those at the middle, m, shape (m, N, 3).
+    """
+
+    image: Image
+    camera: Camera
+    psf_sigma_m: float
+    nodes: Nodes
+    rotation_nt: FloatArray
+    middle_nt: FloatArray
+    path_n: FloatArray
+    moved_n: FloatArray
+
+    def at_middle(self) -> Image:
+        """The lights where they stood at the middle, with what their streaks add to their errors."""
+        image, distance_m = self.image, np.linalg.norm(self.path_n, axis=-1, keepdims=True)
+        # A light is where it is seen; how it moves, its path tells.
+        seen_n = distance_m * (self.camera.directions(image.point_m) @ self.middle_nt.T)
+        way_m = self.camera.points((seen_n + self.moved_n) @ self.rotation_nt)
+        off_m = self.nodes.mean(way_m) - image.point_m
+        smear_m2 = self.nodes.spread(way_m) * ((image.sigma_m / self.psf_sigma_m) ** 2)[:, None, None]
+        return Image(image.point_m - off_m, image.sigma_m, smear_m2)
+
+    def chosen(self, rows: list[int], seen_rows: list[int]) -> "LightStreaks":
+        """Some lights only, or with names exchanged: light ``rows[i]`` is seen as ``seen_rows[i]``."""
+        return replace(
+            self, image=self.image.chosen(seen_rows), path_n=self.path_n[rows], moved_n=self.moved_n[:, rows]
+        )
+
+
 def unit_vector_jacobian(vector: FloatArray) -> FloatArray:
     """Change of v / |v| with v, (I - u uᵀ) / |v| with u = v / |v|, shape (..., 3, 3)."""
     length = np.linalg.norm(vector, axis=-1)[..., None, None]
     unit = vector[..., None] / length
     return (np.eye(3) - unit * np.swapaxes(unit, -1, -2)) / length
+
+
+def block_diagonal(blocks: FloatArray) -> FloatArray:
+    """Matrix (..., N a, N b) with the blocks (..., N, a, b) along its diagonal."""
+    count, rows, columns = blocks.shape[-3:]
+    matrix = np.zeros((*blocks.shape[:-3], count * rows, count * columns))
+    for i in range(count):
+        matrix[..., i * rows : (i + 1) * rows, i * columns : (i + 1) * columns] = blocks[..., i, :, :]
+    return matrix
 
 
 def _per_light(value: FloatArray | float) -> FloatArray:

@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from ship_estimation.consistency import normalized_error_squared
 from ship_estimation.gates import chi_square_gate
 from ship_geometry.rotations import FloatArray, angle_between, log_rotation
-from theodolite_calib.lights.equations import AttitudePrior, total
-from theodolite_calib.lights.image import Camera
-from theodolite_calib.lights.light_points import Image
+from theodolite_calib.lights.image import Camera, Image
 from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_source
-from theodolite_calib.lights.telescope_attitude import Pointing, solve
+from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve, total
 
 _MOST_LIGHTS = 4
 """Of more lights not all exchanges are tried: their number grows as the factorial."""
@@ -50,7 +48,7 @@ class LightCheck:
 
     verdict: Verdict
     order: tuple[int, ...]
-    pointing: Pointing
+    pointing: TelescopeAttitude
     prior_chi2: float | None
 
 
@@ -123,7 +121,7 @@ def check_lights(
 @dataclass(frozen=True)
 class _Trial:
     order: tuple[int, ...]
-    pointing: Pointing
+    pointing: TelescopeAttitude
     prior_chi2: float | None
 
     @property
@@ -147,7 +145,7 @@ def _trial(
     return _Trial(order, pointing, chi2)
 
 
-def _angles_fit(pointing: Pointing, probability: float) -> bool:
+def _angles_fit(pointing: TelescopeAttitude, probability: float) -> bool:
     # Not solved is NaN, and fits nothing.
     return bool(pointing.chi2 <= chi_square_gate(probability, pointing.degrees))
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_geometry.rotations import FloatArray, skew
-from theodolite_calib.lights.image import unit_vector_jacobian
+from theodolite_calib.lights.image import block_diagonal, unit_vector_jacobian
 
 EARTH_RADIUS_M = 6_371_000.0
 """Mean radius; its error is nothing beside that of the refraction coefficient."""
@@ -186,15 +186,6 @@ def covariance_by_source(terms: Iterable[ErrorTerm]) -> dict[str, FloatArray]:
         covariance = term.direction_covariance_n()
         parts[term.source] = parts[term.source] + covariance if term.source in parts else covariance
     return parts
-
-
-def block_diagonal(blocks: FloatArray) -> FloatArray:
-    """Matrix (..., N a, N b) with the blocks (..., N, a, b) along its diagonal."""
-    count, rows, columns = blocks.shape[-3:]
-    matrix = np.zeros((*blocks.shape[:-3], count * rows, count * columns))
-    for i in range(count):
-        matrix[..., i * rows : (i + 1) * rows, i * columns : (i + 1) * columns] = blocks[..., i, :, :]
-    return matrix
 
 
 def _diagonal(sigma: FloatArray) -> FloatArray:

@@ -1,22 +1,25 @@
 """The telescope's attitude from the image of N lights: maximum likelihood, with covariance and error budget.
 
-Unknown are the attitude (a rotation vector of three), the focal length with its prior and all errors of the lines of
-sight with theirs. All but the attitude is in the covariance S of the residuals
-(:mod:`theodolite_calib.lights.equations`), and Gauss–Newton in the attitude alone minimises rᵀ S⁻¹ r: the optimum and
-the covariance (Hᵀ S⁻¹ H)⁻¹ are those of the full problem. The estimate is linear in each error, with the gain K = (Hᵀ
-S⁻¹ H)⁻¹ Hᵀ S⁻¹: the budget is K S_source Kᵀ.
+Unknown are the attitude (a rotation vector of three), the focal length and the errors of the lines of sight; the last
+two have priors. The image is as good as linear in all but the attitude. So the focal length and the errors of the lines
+of sight are integrated out exactly: with their priors they are part of the covariance of the points' residuals,
+
+    S = σ² I  +  F Σ_w Fᵀ  +  σ_f² p_f p_fᵀ          detection, joint errors of the directions, focal length
+
+An attitude known beforehand is one more measurement, of three components. Gauss–Newton in the attitude alone minimises
+rᵀ S⁻¹ r: the optimum and the covariance (Hᵀ S⁻¹ H)⁻¹ are those of the full problem. The estimate is linear in each
+error, with the gain K = (Hᵀ S⁻¹ H)⁻¹ Hᵀ S⁻¹, so the error budget is K S_source Kᵀ.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry import wahba
-from ship_geometry.rotations import FloatArray, exp_rotation
-from theodolite_calib.lights.equations import AttitudePrior, Equations, linearised, total
-from theodolite_calib.lights.image import Camera
-from theodolite_calib.lights.light_points import Image
+from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
+from theodolite_calib.lights.image import Camera, Image, block_diagonal, predict_points
 from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_source
 
 SOURCE_IMAGE = "image"
@@ -28,7 +31,49 @@ _CONVERGED = 1e-9
 
 
 @dataclass(frozen=True)
-class Pointing:
+class AttitudePrior:
+    """What is known of the telescope's attitude without the lights.
+
+    Its errors count as independent of those of the lines of sight: the ship's attitude is in both, but with a lever of
+    10 m at 2 km it enters these 200 times less.
+
+    Attributes:
+        rotation_nt: horizon from telescope, shape (..., 3, 3).
+        parts_n: covariance of its rotation vector in n by source, rad², shape (..., 3, 3) each.
+    """
+
+    rotation_nt: FloatArray
+    parts_n: Mapping[str, FloatArray]
+
+    @property
+    def covariance_n(self) -> FloatArray:
+        """Their sum, rad², shape (..., 3, 3)."""
+        return total(self.parts_n)
+
+
+@dataclass(frozen=True)
+class Equations:
+    """residual = jacobian @ δ + noise: first the points (2 N rows), then the prior attitude (3 rows) if there is one.
+
+    Attributes:
+        residual: shape (..., m).
+        jacobian: H by the attitude, shape (..., m, 3).
+        by_directions: of the points' rows by all directions, shape (..., 2 N, 3 N).
+        by_focal_length: of the points' rows, shape (..., 2 N).
+        inverse: S⁻¹, shape (..., m, m).
+        weighted_jacobian: Hᵀ S⁻¹, shape (..., 3, m).
+    """
+
+    residual: FloatArray
+    jacobian: FloatArray
+    by_directions: FloatArray
+    by_focal_length: FloatArray
+    inverse: FloatArray
+    weighted_jacobian: FloatArray
+
+
+@dataclass(frozen=True)
+class TelescopeAttitude:
     """The telescope's attitude; NaN where not solved.
 
     Attributes:
@@ -55,7 +100,7 @@ class Pointing:
         return total(self.parts_n)
 
 
-def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrior | None = None) -> Pointing:
+def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrior | None = None) -> TelescopeAttitude:
     """The most likely attitude of the telescope.
 
     Not solved (NaN) is what has too little to go by: without a prior, lights so near to each other that the rotation
@@ -89,7 +134,7 @@ def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrio
     focal_length_m, focal_length_sigma_m = _focal_length(equations, camera, gain, misfit)
     chi2 = np.einsum("...i,...ij,...j", misfit, equations.inverse, misfit)
     blank = np.where(converged, 1.0, np.nan)
-    return Pointing(
+    return TelescopeAttitude(
         rotation_nt=rotation_nt * blank[..., None, None],
         parts_n={
             source: part * blank[..., None, None]
@@ -157,3 +202,57 @@ def _parts(
 
 def _transported(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
     return matrix @ covariance @ np.swapaxes(matrix, -1, -2)
+
+
+def total(parts: Mapping[str, FloatArray]) -> FloatArray:
+    """Covariance of an error budget."""
+    return np.sum(np.stack(np.broadcast_arrays(*parts.values())), axis=0)
+
+
+def linearised(
+    image: Image,
+    camera: Camera,
+    direction_n: FloatArray,
+    line_covariance: FloatArray,
+    rotation_nt: FloatArray,
+    prior: AttitudePrior | None,
+) -> Equations:
+    """The equations at a trial attitude.
+
+    Args:
+        image: N lights on the detector.
+        camera: geometry of the telescope.
+        direction_n: where the same lights are seen, unit vectors, shape (..., N, 3).
+        line_covariance: joint covariance of these directions, rad², shape (..., 3 N, 3 N).
+        rotation_nt: the trial, shape (..., 3, 3).
+        prior: attitude known beforehand.
+    """
+    predicted = predict_points(camera, rotation_nt, direction_n)
+    rows = 2 * direction_n.shape[-2]
+    leading = predicted.point_m.shape[:-2]
+    residual = (image.point_m - predicted.point_m).reshape(*leading, rows)
+    jacobian = predicted.by_attitude_n.reshape(*leading, rows, 3)
+    by_directions = block_diagonal(predicted.by_direction_n)
+    by_focal_length = predicted.by_focal_length.reshape(*leading, rows)
+    of_focal_length = np.asarray(camera.focal_length_sigma_m, dtype=float)[..., None] * by_focal_length
+    covariance = by_directions @ line_covariance @ np.swapaxes(by_directions, -1, -2)
+    covariance = covariance + of_focal_length[..., :, None] * of_focal_length[..., None, :]
+    covariance = covariance + image.covariance_m2
+    inverse = np.asarray(np.linalg.inv(covariance), dtype=float)
+    if prior is not None:
+        # log(exp(δ) R R_priorᵀ) = d + J⁻¹ δ is an error drawn from the prior's covariance.
+        departure = log_rotation(rotation_nt @ np.swapaxes(prior.rotation_nt, -1, -2))
+        residual = np.concatenate([residual, -departure], axis=-1)
+        jacobian = np.concatenate([jacobian, np.linalg.inv(left_jacobian(departure))], axis=-2)
+        inverse = _joined(inverse, np.asarray(np.linalg.inv(prior.covariance_n), dtype=float))
+    weighted_jacobian = np.swapaxes(jacobian, -1, -2) @ inverse
+    return Equations(residual, jacobian, by_directions, by_focal_length, inverse, weighted_jacobian)
+
+
+def _joined(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Block diagonal of two matrices of different size."""
+    m, n = first.shape[-1], second.shape[-1]
+    matrix = np.zeros((*first.shape[:-2], m + n, m + n))
+    matrix[..., :m, :m] = first
+    matrix[..., m:, m:] = second
+    return matrix

@@ -10,7 +10,7 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SECOND_NS
 from theodolite_calib.measured.samples import ShipSample
-from theodolite_calib.measured.sighting_inputs import insert
+from theodolite_calib.measured.tracks import insert
 
 
 class ShipWatch:

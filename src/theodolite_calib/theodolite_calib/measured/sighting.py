@@ -1,43 +1,20 @@
-"""Everything that one exposure is compared with, brought to the middle of the exposure."""
+"""A sighting: one exposure of lights with all that it is compared with, brought to the middle of the exposure."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.exposure_mean import Nodes
+from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.lights.light_points import Image
-from theodolite_calib.lights.light_streaks import LightStreaks
+from ship_geometry.sample_track import SECOND_NS
+from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.lights.image import Camera, Image, LightStreaks
 from theodolite_calib.lights.line_of_sight import Lights
-
-
-@dataclass(frozen=True)
-class ShipAt:
-    """The ship's attitude at the moment.
-
-    Attributes:
-        rotation_nd: horizon from deck, shape (3, 3).
-        rate_d: angular velocity in the deck frame, rad/s, shape (3,).
-        slow_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
-        noise: variance of each component of what is new with each sample, and of interpolation, rad².
-    """
-
-    rotation_nd: FloatArray
-    rate_d: FloatArray
-    slow_covariance_n: FloatArray | None
-    noise: float
-
-
-@dataclass(frozen=True)
-class EncoderAt:
-    """The encoders at the moment.
-
-    Attributes:
-        azimuth: rad.
-        elevation: rad.
-        noise: variance of each, that of interpolation included, rad².
-    """
-
-    azimuth: float
-    elevation: float
-    noise: float
+from theodolite_calib.measured.samples import Exposure, SeenLight
+from theodolite_calib.measured.tracks import EncoderAt, LightAt, MeasuredTracks, ShipAt
 
 
 @dataclass(frozen=True)
@@ -77,12 +54,112 @@ class Sighting:
         )
         seen = rows if seen_rows is None else seen_rows
         streaks = None if self.streaks is None else self.streaks.chosen(rows, seen)
-        return Sighting(
-            self.time_ns,
-            tuple(self.names[row] for row in rows),
-            self.image.chosen(seen) if streaks is None else streaks.at_middle(),
-            lights,
-            self.ship,
-            self.encoder,
-            streaks,
+        return replace(
+            self,
+            names=tuple(self.names[row] for row in rows),
+            image=self.image.chosen(seen) if streaks is None else streaks.at_middle(),
+            lights=lights,
+            streaks=streaks,
         )
+
+
+@dataclass(frozen=True)
+class Assembled:
+    """What belongs to an exposure.
+
+    Attributes:
+        sighting: of the lights that have all they need; None where none has.
+        refusal: why there is none.
+        lights_refused: the other lights, by name.
+    """
+
+    sighting: Sighting | None
+    refusal: Refusal | None
+    lights_refused: tuple[tuple[str, Refusal], ...]
+
+
+class SightingAssembler:
+    """Puts sightings together from the tracks of one run.
+
+    Args:
+        config: the node's parameters.
+        tracks: what was measured.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, tracks: MeasuredTracks) -> None:
+        self._tracks, self._telescope, self._lever_m = tracks, config.telescope, config.lever.vector_m
+        self._axes = AxisErrors.from_vector(config.axes.values)
+
+    def assemble(self, exposure: Exposure) -> Assembled:
+        """Everything at the middle of an exposure."""
+        ship, encoder = self._tracks.ship_at(exposure.time_ns), self._tracks.encoder_at(exposure.time_ns)
+        if encoder is None:
+            return Assembled(None, Refusal(Reason.GAP, "no encoder readings on both sides of it"), ())
+        if ship is None:
+            return Assembled(None, Refusal(Reason.GAP, "no attitudes of the ship on both sides of it"), ())
+        found: list[tuple[SeenLight, LightAt]] = []
+        refused: list[tuple[str, Refusal]] = []
+        for light in exposure.lights:
+            placed = self._tracks.light_at(light.beacon_id, exposure.time_ns)
+            if isinstance(placed, Refusal):
+                refused.append((light.beacon_id, placed))
+            else:
+                found.append((light, placed))
+        if not found:
+            return Assembled(None, refused[0][1], tuple(refused))
+        sighting = Sighting(
+            exposure.time_ns,
+            tuple(light.beacon_id for light, _ in found),
+            Image(np.array([light.point_m for light, _ in found]), np.array([light.sigma_m for light, _ in found])),
+            Lights(
+                np.array([placed.baseline_n for _, placed in found]),
+                np.array([placed.covariance_n for _, placed in found]),
+                np.array([placed.rotation_nb for _, placed in found]),
+                np.zeros((len(found), 3, 3)),
+            ),
+            ship,
+            encoder,
+        )
+        if exposure.nodes is None:
+            return Assembled(sighting, None, tuple(refused))
+        at_middle = self._at_middle(sighting, exposure.nodes)
+        if at_middle is None:
+            text = f"no encoder readings or attitudes of the ship over its whole exposure of {exposure.exposure_s:g} s"
+            return Assembled(None, Refusal(Reason.GAP, text), tuple(refused))
+        return Assembled(at_middle, None, tuple(refused))
+
+    def _at_middle(self, sighting: Sighting, nodes: Nodes) -> Sighting | None:
+        """A sighting with its lights where they stood at the middle of the exposure; None where that is not known.
+
+        The lights are compared with the mean over the exposure, so the noise of encoders and ship is that of the mean.
+        """
+        tracks, lever_m, telescope = self._tracks, self._lever_m, self._telescope
+        times_ns = [sighting.time_ns + offset_ns for offset_ns in nodes.offset_ns]
+        ships, encoders = [tracks.ship_at(t) for t in times_ns], [tracks.encoder_at(t) for t in times_ns]
+        attitudes = np.array([ship.rotation_nd for ship in ships if ship is not None])
+        angles = np.array([[encoder.azimuth, encoder.elevation] for encoder in encoders if encoder is not None])
+        if min(len(attitudes), len(angles)) < len(times_ns):
+            return None
+        ship, encoder = tracks.ship_at(sighting.time_ns, nodes), tracks.encoder_at(sighting.time_ns, nodes)
+        assert ship is not None  # as at the nodes
+        assert encoder is not None
+        velocity_n = np.array([tracks.baselines[name].velocity_at(sighting.time_ns) for name in sighting.names])
+        since_s = np.array(nodes.offset_ns)[:, None, None] / SECOND_NS
+        carried_n = (attitudes - ship.rotation_nd) @ lever_m
+        streaks = LightStreaks(
+            image=sighting.image,
+            camera=Camera(telescope.focal_length_m, 0.0, telescope.principal_point_m),
+            psf_sigma_m=telescope.psf_sigma_m,
+            nodes=nodes,
+            rotation_nt=attitudes @ self._rotation_dt(angles[:, 0], angles[:, 1]),
+            middle_nt=ship.rotation_nd @ self._rotation_dt(encoder.azimuth, encoder.elevation),
+            path_n=sighting.lights.baseline_n - ship.rotation_nd @ lever_m,
+            moved_n=since_s * velocity_n - carried_n[:, None, :],
+        )
+        return replace(sighting, image=streaks.at_middle(), streaks=streaks, ship=ship, encoder=encoder)
+
+    def _rotation_dt(self, azimuth: FloatArray | float, elevation: FloatArray | float) -> FloatArray:
+        """Deck from telescope as configured, shape (..., 3, 3): a degree would be good enough."""
+        rotation_dm = main_axis_rotation(self._axes, azimuth, elevation)
+        rotation_dt: FloatArray = rotation_dm @ rotation_from_angles(*self._telescope.parallelism).T
+        return rotation_dt

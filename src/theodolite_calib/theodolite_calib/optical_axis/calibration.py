@@ -11,8 +11,8 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
-from theodolite_calib.filter.filter import CalibrationFilter, FilterState
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import SOURCE_SAVED
 from theodolite_calib.filter.observability import DEFORMATION_NAMES
 
@@ -67,7 +67,7 @@ class CalibrationPrior:
     covariance: FloatArray
 
 
-def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: FilterState) -> Calibration:
+def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> Calibration:
     """The named values of a state; an axis error that is held at nothing is left out."""
     model = filter_.model
     axes = config.axes.values + state.mean[model.slices["axes"]]
@@ -87,7 +87,7 @@ def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state:
     )
 
 
-def prior_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: FilterState) -> CalibrationPrior:
+def prior_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> CalibrationPrior:
     """What to save of a state that rests on sightings."""
     assert state.used_ns is not None
     rows = _rows(filter_)
@@ -98,7 +98,7 @@ def prior_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: Filte
 
 def state_from_prior(
     filter_: CalibrationFilter, config: OpticalAxisConfig, prior: CalibrationPrior, now_ns: int
-) -> tuple[FilterState, list[str]]:
+) -> tuple[CalibrationState, list[str]]:
     """The start of a session with a saved calibration, and what is to be said of it.
 
     One of another theodolite is not used at all, of another telescope without focal length and parallelism. One older

@@ -17,14 +17,14 @@ from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SECOND_NS, SampleTrack
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
-from theodolite_calib.filter.filter import CalibrationFilter, FilterState, Jump
-from theodolite_calib.filter.sighting_step import SightingStep
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
+from theodolite_calib.filter.judgement import SightingStep
 from theodolite_calib.measured.encoder_watch import EncoderWatch
 from theodolite_calib.measured.samples import BaselineSample, Decision, EncoderSample, Exposure, Outcome, ShipSample
 from theodolite_calib.measured.ship_watch import ShipWatch
-from theodolite_calib.measured.sighting import Sighting
-from theodolite_calib.measured.sighting_inputs import SightingInputs, insert
+from theodolite_calib.measured.sighting import Sighting, SightingAssembler
+from theodolite_calib.measured.tracks import MeasuredTracks, insert
 from theodolite_calib.optical_axis.calibration import (
     Calibration,
     CalibrationPrior,
@@ -32,7 +32,7 @@ from theodolite_calib.optical_axis.calibration import (
     prior_of,
     state_from_prior,
 )
-from theodolite_calib.optical_axis.pointing_estimate import PointingSource, no_pointing
+from theodolite_calib.optical_axis.output import PointingSource, no_pointing
 
 
 class OpticalAxisCore:
@@ -61,9 +61,10 @@ class OpticalAxisCore:
         initial = self.filter.initial_state()
         if self._start is not None:
             initial, _ = state_from_prior(self.filter, self.config, *self._start)
-        self._log: TimeOrderedLog[FilterState, Exposure | Jump, Decision | Jump] = TimeOrderedLog(initial)
+        self._log: TimeOrderedLog[CalibrationState, Exposure | Jump, Decision | Jump] = TimeOrderedLog(initial)
         self._jumps: list[Jump] = []
-        self._inputs = SightingInputs(self.config)
+        self._tracks = MeasuredTracks(self.config)
+        self._sightings = SightingAssembler(self.config, self._tracks)
         self._watch = EncoderWatch(*_encoder_limits(self.config))
         self._ship_watch = ShipWatch(self.config.ins) if self.config.ship.source == "ins/imu" else None
         self._pointing = PointingSource(self.config, self.filter)
@@ -77,7 +78,8 @@ class OpticalAxisCore:
         """Go on with other noise and gates; geometry and the set of lights stay."""
         self.config = config
         self._take_models(config)
-        self._inputs.reconfigure(config)
+        self._tracks.reconfigure(config)
+        self._sightings = SightingAssembler(config, self._tracks)
         self._watch.reconfigure(*_encoder_limits(config))
         if self._ship_watch is not None:
             self._ship_watch.reconfigure(config.ins)
@@ -91,17 +93,17 @@ class OpticalAxisCore:
             arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
         """
         arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
-        newest = self._inputs.encoder.newest
+        newest = self._tracks.encoder.newest
         latest = newest is None or sample.time_ns > newest.time_ns
         refusal = self._watch.check_units(sample) or self._late(sample.time_ns)
         if refusal is None:
-            refusal = self._watch.check(sample, self._inputs.encoder)
+            refusal = self._watch.check(sample, self._tracks.encoder)
         if refusal is not None:
             return Outcome(refusal)
         if latest and self._watch.jump is not None:
-            self._inputs.encoder.cut(self._watch.jump.time_ns)
+            self._tracks.encoder.cut(self._watch.jump.time_ns)
             self._take_jump("encoder", self._watch.jump)
-        outcome = self._insert(self._inputs.encoder, sample)
+        outcome = self._insert(self._tracks.encoder, sample)
         if latest and outcome.refusal is None:
             self._encoder_arrival_ns = arrival_ns
             if self._order.follows(sample.time_ns):
@@ -115,20 +117,20 @@ class OpticalAxisCore:
         if refusal is None and self._ship_watch is not None:
             refusal = self._judge_ins(self._ship_watch, sample)
             sample = replace(sample, rate_d=None)
-        outcome = self._insert(self._inputs.ship, sample) if refusal is None else Outcome(refusal)
+        outcome = self._insert(self._tracks.ship, sample) if refusal is None else Outcome(refusal)
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
 
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> Outcome:
         """A baseline to a drone. One that must not be used is refused, and no exposure waits for a better one."""
-        outcome = self._add(self._inputs.baselines[beacon_id], sample)
+        outcome = self._add(self._tracks.baselines[beacon_id], sample)
         if outcome.refusal is None:
             outcome.refusal = sample.refusal
         return outcome
 
     def add_drone_attitude(self, beacon_id: str, sample: AttitudeSample) -> Outcome:
         """An attitude of a drone; not needed where its light is at its antenna."""
-        track = self._inputs.drones.get(beacon_id)
+        track = self._tracks.drones.get(beacon_id)
         return Outcome() if track is None else self._add(track, sample)
 
     def add_exposure(self, exposure: Exposure) -> Outcome:
@@ -172,7 +174,7 @@ class OpticalAxisCore:
         return prior_of(self.filter, self.config, self.state)
 
     @property
-    def state(self) -> FilterState:
+    def state(self) -> CalibrationState:
         """The filter's state after the last exposure applied."""
         return self._log.state
 
@@ -180,7 +182,7 @@ class OpticalAxisCore:
 
     def sighting(self, exposure: Exposure) -> Sighting | None:
         """An exposure within ``lag_s`` with all that belongs to it; None where that is not there."""
-        return self._inputs.assemble(exposure).sighting
+        return self._sightings.assemble(exposure).sighting
 
     def _take_models(self, config: OpticalAxisConfig) -> None:
         self.filter = CalibrationFilter(config)
@@ -221,9 +223,9 @@ class OpticalAxisCore:
                 outcome.decisions.append(decision)
             elif not isinstance(previous, Jump) and previous.accepted != decision.accepted:
                 outcome.decisions.append(replace(decision, revised=True))
-        reach_ns = self._oldest_ns - self._inputs.reach_ns
+        reach_ns = self._oldest_ns - self._tracks.reach_ns
         self._log.forget_before(reach_ns)
-        self._inputs.drop_before(reach_ns)
+        self._tracks.drop_before(reach_ns)
         if self._ship_watch is not None:
             self._ship_watch.drop_before(reach_ns)
 
@@ -231,8 +233,8 @@ class OpticalAxisCore:
         """Why a sample of the INS is not used."""
         judged = watch.judge(sample)
         if judged.jump is not None:
-            self._inputs.ship.cut(judged.jump.time_ns)
-            time_ns = judged.jump.time_ns + self._inputs.ship_shift_ns  # in the time of the exposures
+            self._tracks.ship.cut(judged.jump.time_ns)
+            time_ns = judged.jump.time_ns + self._tracks.ship_shift_ns  # in the time of the exposures
             watch.jumped(time_ns)
             self._take_jump("ins", replace(judged.jump, time_ns=time_ns))
         return judged.refusal
@@ -242,12 +244,14 @@ class OpticalAxisCore:
         self._log.insert((jump.time_ns, source), jump)
         self._jumps.append(jump)
 
-    def _step(self, state: FilterState, exposure: Exposure | Jump) -> tuple[FilterState, Decision | Jump] | None:
+    def _step(
+        self, state: CalibrationState, exposure: Exposure | Jump
+    ) -> tuple[CalibrationState, Decision | Jump] | None:
         if isinstance(exposure, Jump):
             return self.filter.opened(state, exposure), exposure
-        if exposure.time_ns >= self._oldest_ns and self._inputs.awaits(exposure):
+        if exposure.time_ns >= self._oldest_ns and self._tracks.awaits(exposure):
             return None
-        assembled = self._inputs.assemble(exposure)
+        assembled = self._sightings.assemble(exposure)
         if assembled.sighting is None:
             assert assembled.refusal is not None
             reason, text = assembled.refusal.reason, assembled.refusal.text
@@ -269,17 +273,17 @@ class OpticalAxisCore:
         """The pointings of readings whose moment the ship's attitude now covers."""
         while self._waiting:
             sample, doubt = self._waiting[0]
-            if sample.time_ns >= self._oldest_ns and not self._inputs.ship_covers(sample.time_ns):
+            if sample.time_ns >= self._oldest_ns and not self._tracks.ship_covers(sample.time_ns):
                 return
             self._waiting.popleft()
             if not doubt and self._ship_watch is not None:
                 doubt = self._ship_watch.doubt(sample.time_ns)
-            ship = self._inputs.ship_at(sample.time_ns)
+            ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None and self._order.follows(sample.time_ns):
                 try:
                     # A jump counts at once, also where exposures of before it still wait.
                     state = functools.reduce(self.filter.opened, self._jumps, self.state)
-                    estimate = self._pointing.estimate(state, sample, *ship, doubt)
+                    estimate = self._pointing.estimate(state, sample, ship, doubt)
                 except Exception as error:
                     outcome.failures.append((sample.time_ns, failure(error)))
                     continue

@@ -5,7 +5,7 @@ from typing import Any
 
 from ship_estimation.refusals import Refusal
 from ship_node.edge.topics import InputTopic
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import Outcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.ros import messages_in

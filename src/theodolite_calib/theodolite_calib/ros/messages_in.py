@@ -30,8 +30,7 @@ from ship_node.edge.message_checks import (
     stamp_ns,
     unit_quaternion,
 )
-from theodolite_calib.config.beacon import BeaconConfig
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
 from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Exposure, SeenLight, ShipSample, Status
 
 MOST_LIGHTS = 100

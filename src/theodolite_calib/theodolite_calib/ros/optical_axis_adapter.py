@@ -17,7 +17,7 @@ from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.message_checks import Refused
 from ship_node.edge.refusal_message import refusal_message
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import Decision, Outcome, PointingEstimate, Status
 from theodolite_calib.optical_axis.calibration import CalibrationPrior
 from theodolite_calib.optical_axis.core import OpticalAxisCore

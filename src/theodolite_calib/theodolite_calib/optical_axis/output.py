@@ -1,15 +1,24 @@
-"""From the filter's state and the newest data to the published pointing and its covariance by source."""
+"""The pointing at an encoder reading: by the filter's state and the ship's attitude, with its covariance by source."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from ship_geometry.rotations import FloatArray
+from ship_geometry.sample_track import SECOND_NS
 from theodolite_calib.chain.axis_chain import CHAIN_BLOCKS, ChainErrors, axis_chain, telescope_from_main
-from theodolite_calib.filter.filter import CalibrationFilter, FilterState
-from theodolite_calib.filter.model import SOURCE_DEFORMATION, SOURCE_ENCODER, SOURCE_SHIP, SOURCE_SHIP_NOISE
-from theodolite_calib.filter.ship_error import with_step
-from theodolite_calib.measured.sighting import EncoderAt, ShipAt
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.model import (
+    SOURCE_DEFORMATION,
+    SOURCE_ENCODER,
+    SOURCE_SAVED,
+    SOURCE_SHIP,
+    SOURCE_SHIP_NOISE,
+    with_step,
+)
+from theodolite_calib.measured.samples import EncoderSample, Mode, PointingEstimate, Status
+from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 
 @dataclass(frozen=True)
@@ -37,7 +46,7 @@ class CorrectedAxis:
         state: its state after the last sighting.
     """
 
-    def __init__(self, filter_: CalibrationFilter, state: FilterState) -> None:
+    def __init__(self, filter_: CalibrationFilter, state: CalibrationState) -> None:
         self.state = state
         self._filter, self._model = filter_, filter_.model
         blocks = [name for name in CHAIN_BLOCKS if name in self._model.slices]
@@ -79,3 +88,65 @@ class CorrectedAxis:
         if step is not None:
             mean, parts = with_step(mean, parts, ship_rows, self._source[SOURCE_SHIP], step)
         return mean, parts
+
+
+class PointingSource:
+    """Makes pointings by a filter's states.
+
+    Args:
+        config: the node's parameters.
+        filter_: the filter of that configuration.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
+        self._filter = filter_
+        self._recent_ns = round(config.lights_recent_s * SECOND_NS)
+        self._corrected: CorrectedAxis | None = None
+        self._saved = filter_.model.sources.index(SOURCE_SAVED)
+
+    def estimate(self, state: CalibrationState, sample: EncoderSample, ship: ShipAt, doubt: str) -> PointingEstimate:
+        """The pointing at a reading.
+
+        Args:
+            state: after the last exposure applied.
+            sample: the reading.
+            ship: of its moment.
+            doubt: why the encoders are in doubt; empty where they are not.
+        """
+        if self._corrected is None or self._corrected.state is not state:
+            self._corrected = CorrectedAxis(self._filter, state)
+        azimuth, elevation = sample.vector.tolist()
+        axis = self._corrected.at(sample.time_ns, ship, EncoderAt(azimuth, elevation, sample.sigma**2))
+        recent = state.used_ns is not None and sample.time_ns - state.used_ns <= self._recent_ns
+        mode = Mode.ENCODER if not recent else Mode.ONE_LIGHT if state.light_count == 1 else Mode.TWO_LIGHTS
+        status, text = self._worth(state, mode, ship.status, doubt)
+        return PointingEstimate(
+            time_ns=sample.time_ns,
+            rotation_nm=axis.rotation_nm,
+            parts_n=axis.parts_n,
+            rotation_nt=axis.rotation_nt if recent else np.full((3, 3), np.nan),
+            mode=mode,
+            status=status,
+            light_count=state.light_count if recent else 0,
+            text=text,
+        )
+
+    def _worth(self, state: CalibrationState, mode: Mode, ship_status: Status, doubt: str) -> tuple[Status, str]:
+        if doubt:
+            return Status.DEGRADED, doubt
+        if state.refusals:
+            return Status.DEGRADED, "the last lights disagreed with the encoders and the ship's attitude"
+        if ship_status is Status.DEGRADED:
+            return Status.DEGRADED, "the ship's attitude is DEGRADED"
+        if state.used_ns is None and not np.any(state.parts[self._saved]):
+            return Status.DEGRADED, "no light was ever seen and no calibration loaded: axis errors as configured"
+        if mode is Mode.ENCODER:
+            return Status.COASTING, "no lights: by encoders, axis errors and the ship's attitude"
+        return Status.VALID, ""
+
+
+def no_pointing(filter_: CalibrationFilter, now_ns: int, text: str) -> PointingEstimate:
+    """No pointing is claimed."""
+    unknown = np.full((3, 3), np.nan)
+    parts_n = np.full((len(filter_.model.sources), 3, 3), np.nan)
+    return PointingEstimate(now_ns, unknown, parts_n, unknown, Mode.ENCODER, Status.INVALID, 0, text)

@@ -18,12 +18,11 @@ from ship_testing.simulated_sightings import (
     raised,
     truth_of,
 )
-from theodolite_calib.lights.equations import AttitudePrior, linearised, total
 from theodolite_calib.lights.line_of_sight import LeverArm, covariance_by_source
-from theodolite_calib.lights.telescope_attitude import Pointing, solve
+from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, linearised, solve, total
 
 
-def solved(problem: "FullProblem") -> Pointing:
+def solved(problem: "FullProblem") -> TelescopeAttitude:
     epoch = problem.epoch
     return solve(epoch.image, epoch.camera, epoch.lines(), problem.prior)
 

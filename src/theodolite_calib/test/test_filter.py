@@ -10,8 +10,8 @@ from ship_estimation.consistency import mean_nees_band
 from ship_estimation.kalman import predict
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_testing.simulated_session import LIGHTS_DEG, config, session, sweep
-from theodolite_calib.filter.filter import CalibrationFilter, FilterState
-from theodolite_calib.filter.sighting_step import SightingStep
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.judgement import SightingStep
 from theodolite_calib.measured.samples import Exposure
 from theodolite_calib.measured.sighting import Sighting
 
@@ -50,7 +50,7 @@ def sightings_of(settings, count: int, seed: int = 3) -> list[Sighting]:
     return session(settings, seed, times_s, sweep(times_s)).sightings
 
 
-def filtered(filter_: CalibrationFilter, sightings: list[Sighting]) -> FilterState:
+def filtered(filter_: CalibrationFilter, sightings: list[Sighting]) -> CalibrationState:
     state = filter_.initial_state()
     for sighting in sightings:
         predicted = filter_.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)

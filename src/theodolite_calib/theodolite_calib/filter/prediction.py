@@ -12,7 +12,7 @@ import numpy as np
 from ship_estimation.state import StateModel
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.chain.axis_chain import CHAIN_BLOCKS, AxisChain, ChainErrors, axis_chain, telescope_from_main
-from theodolite_calib.config.optical_axis import OpticalAxisConfig
+from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import (
     COMMON_TERMS,
     OWN_TERMS,
@@ -21,8 +21,7 @@ from theodolite_calib.filter.model import (
     SOURCE_RTK,
     SOURCE_SHIP_NOISE,
 )
-from theodolite_calib.lights.image import Camera
-from theodolite_calib.lights.light_points import PredictedPoints, predict_points
+from theodolite_calib.lights.image import Camera, PredictedPoints, block_diagonal, predict_points
 from theodolite_calib.lights.line_of_sight import (
     ErrorTerm,
     LeverArm,
@@ -30,10 +29,10 @@ from theodolite_calib.lights.line_of_sight import (
     LinesOfSight,
     Ship,
     Survey,
-    block_diagonal,
     lines_of_sight,
 )
-from theodolite_calib.measured.sighting import EncoderAt, ShipAt, Sighting
+from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 _NONE = np.zeros(3)
 

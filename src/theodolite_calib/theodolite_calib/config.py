@@ -10,8 +10,9 @@ from ship_estimation.ins_config import GuardedInsConfig, InsErrorConfig
 from ship_estimation.parameters import arcsec, mapping_of, parameter, section
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
-from theodolite_calib.config.beacon import BeaconConfig
-from theodolite_calib.config.lever import LeverConfig
+
+_LONGEST_M = 200.0
+"""No ship has a longer one: more are millimetres, or another mistake."""
 
 
 def _axis_error(doc: str) -> Any:
@@ -25,6 +26,31 @@ def _axis_sigma(default: float = 30.0) -> Any:
 
 def _telescope_angle(doc: str) -> Any:
     return parameter(0.0, doc=doc, unit="arcsec", minimum=-36_000.0, maximum=36_000.0)
+
+
+def _sigma_deg(default: float, doc: str) -> Any:
+    return parameter(default, doc=doc, unit="deg", minimum=0.0, maximum=90.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeverConfig:
+    """A surveyed vector in the axes (forward, up, right) of the device that carries it."""
+
+    forward_m: float = parameter(
+        0.0, doc="component along forward (bow)", unit="m", minimum=-_LONGEST_M, maximum=_LONGEST_M
+    )
+    up_m: float = parameter(0.0, doc="component along up", unit="m", minimum=-_LONGEST_M, maximum=_LONGEST_M)
+    right_m: float = parameter(
+        0.0, doc="component along right (starboard)", unit="m", minimum=-_LONGEST_M, maximum=_LONGEST_M
+    )
+    sigma_m: float = parameter(
+        0.0, doc="error of the survey, each axis; 0 for none", unit="m", minimum=0.0, maximum=10.0
+    )
+
+    @property
+    def vector_m(self) -> FloatArray:
+        """The vector, shape (3,)."""
+        return np.array([self.forward_m, self.up_m, self.right_m])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +75,7 @@ class ShipConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InsConfig(GuardedInsConfig, InsErrorConfig):
+class InsSourceConfig(GuardedInsConfig, InsErrorConfig):
     """The INS, where the ship's attitude is that of it alone."""
 
 
@@ -186,12 +212,61 @@ class ShipAntennaConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RtkConfig:
+    """The baseline from the ship's antenna to the drone's."""
+
+    frame_id: str = parameter("", doc="frame_id that beacon/<id>/baseline must carry; empty accepts any")
+    base_id: str = parameter("", doc="base_id that it must carry; empty accepts any")
+    rover_id: str = parameter("", doc="rover_id that it must carry; empty accepts any")
+    sigma_m: float = parameter(
+        0.02,
+        doc="noise of each solution, each axis, where the message gives none",
+        unit="m",
+        minimum=1e-4,
+        maximum=100.0,
+        live=True,
+    )
+    bias_sigma_m: float = parameter(
+        0.01, doc="slow error of its own, each axis, beside what the message says", unit="m", minimum=0.0, maximum=100.0
+    )
+    bias_time_s: float = parameter(300.0, doc="its correlation time", unit="s", minimum=0.0, maximum=1e7)
+    max_gap_s: float = parameter(
+        0.5, doc="solutions further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DroneImuConfig:
+    """What the drone says of its own attitude; used only where its light has a lever."""
+
+    frame_id: str = parameter("", doc="frame_id that beacon/<id>/imu must carry; empty accepts any")
+    convention: str = parameter(
+        "enu_flu", doc="axes of its messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
+    )
+    tilt_sigma_deg: float = _sigma_deg(0.3, "slow error in tilt, each axis")
+    heading_sigma_deg: float = _sigma_deg(1.0, "slow error in heading")
+    time_s: float = parameter(300.0, doc="their correlation time", unit="s", minimum=0.0, maximum=1e7)
+    max_gap_s: float = parameter(
+        0.5, doc="samples further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeaconConfig:
+    """One drone with its light."""
+
+    light: LeverConfig = section(LeverConfig)
+    rtk: RtkConfig = section(RtkConfig)
+    imu: DroneImuConfig = section(DroneImuConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
 class OpticalAxisConfig:
     """All parameters of ``optical_axis``."""
 
     serial: str = parameter("", doc="serial number of the theodolite; a saved calibration of another one is not used")
     ship: ShipConfig = section(ShipConfig)
-    ins: InsConfig = section(InsConfig)
+    ins: InsSourceConfig = section(InsSourceConfig)
     encoder: EncoderConfig = section(EncoderConfig)
     axes: AxesConfig = section(AxesConfig)
     deformation: DeformationConfig = section(DeformationConfig)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from theodolite_calib.filter.ship_error import ship_error_step, with_step
+from theodolite_calib.filter.model import ship_error_step, with_step
 
 
 def covariance(north: float, up: float, east: float) -> np.ndarray:

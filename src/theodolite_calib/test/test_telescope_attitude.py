@@ -19,19 +19,18 @@ from ship_testing.simulated_sightings import (
     paper_epochs,
     truth_of,
 )
-from theodolite_calib.lights.equations import AttitudePrior
 from theodolite_calib.lights.image import Camera
 from theodolite_calib.lights.line_of_sight import LeverArm
-from theodolite_calib.lights.telescope_attitude import Pointing, solve
+from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve
 
 RTK_ONLY = replace(SURVEY, rtk_bias_sigma_m=np.full(3, 0.027))
 
 
-def solved(epochs: Epochs, prior: AttitudePrior | None = None) -> Pointing:
+def solved(epochs: Epochs, prior: AttitudePrior | None = None) -> TelescopeAttitude:
     return solve(epochs.image, epochs.camera, epochs.lines(), prior)
 
 
-def error_n(epochs: Epochs, pointing: Pointing) -> FloatArray:
+def error_n(epochs: Epochs, pointing: TelescopeAttitude) -> FloatArray:
     return log_rotation(epochs.truth.rotation_nt @ np.swapaxes(pointing.rotation_nt, -1, -2))
 
 

@@ -7,7 +7,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_testing.simulated_session import config
 from theodolite_calib.measured.samples import BaselineSample, EncoderSample, ShipSample
-from theodolite_calib.measured.sighting_inputs import SightingInputs, insert
+from theodolite_calib.measured.tracks import MeasuredTracks, insert
 
 STEP_NS, SECOND_NS = 400_000_000, 1_000_000_000
 ENCODER_SIGMA = 1.0 * ARCSEC
@@ -30,8 +30,8 @@ def baseline(time_s: float) -> np.ndarray:
     return np.array([1000.0 + 50.0 * np.cos(angle), 200.0, 50.0 * np.sin(angle)])
 
 
-def inputs() -> SightingInputs:
-    slow = SightingInputs(config(encoder__max_gap_s=0.5, ship__max_gap_s=0.5, beacons__alpha__rtk__max_gap_s=0.5))
+def inputs() -> MeasuredTracks:
+    slow = MeasuredTracks(config(encoder__max_gap_s=0.5, ship__max_gap_s=0.5, beacons__alpha__rtk__max_gap_s=0.5))
     for k in range(60):
         time_ns, time_s = k * STEP_NS, k * STEP_NS / SECOND_NS
         insert(slow.encoder, EncoderSample(time_ns, encoder_angles(time_s), ENCODER_SIGMA))
@@ -54,8 +54,8 @@ def test_mend_27_what_is_put_together_at_an_exposure_counts_its_interpolation() 
         assert isinstance(placed, tuple)
         off = np.array([encoder.azimuth, encoder.elevation]) - encoder_angles(time_s)
         of_encoder.append(off @ off / encoder.noise)
-        off = log_rotation(ship[0].rotation_nd.T @ ship_attitude(time_s))
-        of_ship.append(off @ off / ship[0].noise)
+        off = log_rotation(ship.rotation_nd.T @ ship_attitude(time_s))
+        of_ship.append(off @ off / ship.noise)
         off = placed[0] - baseline(time_s)
         of_baseline.append(off @ np.linalg.solve(placed[1], off))
     # Samples without noise: what is left is interpolation alone. Left out it was thousands of times as large.

@@ -1,1 +1,0 @@
-"""Parameters of the node ``optical_axis``, with units and ranges."""

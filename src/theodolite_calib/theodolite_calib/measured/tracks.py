@@ -1,0 +1,239 @@
+"""What was measured so far, each source in a track of its own, and what each source says at one moment.
+
+The encoders, the ship, the baseline to each drone and the attitude of each drone have their own stamps and rates. Each
+is interpolated at the moment asked for, and says how much noise it has there.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ship_estimation.refusals import Reason, Refusal, same_stamp
+from ship_geometry.attitude_track import AttitudeTrack
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposure_nodes
+from ship_geometry.rotations import ARCSEC, FloatArray, skew
+from ship_geometry.sample_track import SECOND_NS, SampleTrack
+from ship_geometry.vector_track import VectorTrack
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Exposure, ShipSample, Status
+
+_LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
+_FULL_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class ShipAt:
+    """The ship's attitude at one moment.
+
+    Attributes:
+        rotation_nd: horizon from deck, shape (3, 3).
+        rate_d: angular velocity in the deck frame, rad/s, shape (3,).
+        slow_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
+        noise: variance of each component of what is new with each sample, and of interpolation, rad².
+        status: what the source says that it is worth.
+    """
+
+    rotation_nd: FloatArray
+    rate_d: FloatArray
+    slow_covariance_n: FloatArray | None
+    noise: float
+    status: Status = Status.VALID
+
+
+@dataclass(frozen=True)
+class EncoderAt:
+    """The encoders at one moment.
+
+    Attributes:
+        azimuth: rad.
+        elevation: rad.
+        noise: variance of each, that of interpolation included, rad².
+    """
+
+    azimuth: float
+    elevation: float
+    noise: float
+
+
+@dataclass(frozen=True)
+class LightAt:
+    """Where a light is said to be at one moment.
+
+    Attributes:
+        baseline_n: from the ship's antenna to the drone's, m, shape (3,).
+        covariance_n: of what is new in it, and of interpolation, m², shape (3, 3).
+        rotation_nb: horizon from drone, shape (3, 3); the identity where the light is at the drone's antenna.
+    """
+
+    baseline_n: FloatArray
+    covariance_n: FloatArray
+    rotation_nb: FloatArray
+
+
+@dataclass(frozen=True)
+class Inserted:
+    """What became of a sample.
+
+    Attributes:
+        taken: whether it is in the track.
+        refusal: DUPLICATE or CONFLICT where there was one of its stamp.
+        changed_after_ns: the stamp after which interpolated values may have changed; None where none has.
+    """
+
+    taken: bool
+    refusal: Refusal | None = None
+    changed_after_ns: int | None = None
+
+
+def insert(track: SampleTrack[Any], sample: Any) -> Inserted:
+    """Put a sample into a track; of two with the same stamp the one whose bytes sort first is kept."""
+    known = track.get(sample.time_ns)
+    if known is None:
+        return Inserted(True, None, track.insert(sample))
+    refusal = same_stamp(known.content(), sample.content())
+    if known.content() <= sample.content():
+        return Inserted(False, refusal)
+    return Inserted(True, refusal, track.insert(sample))
+
+
+class BaselineTrack(VectorTrack[BaselineSample]):
+    """Baselines to one drone, good and bad: nothing is interpolated from a bad one or across it."""
+
+    def usable_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Refusal:
+        """The baseline at a moment (N, U, E), m, with the covariance of what is new in it, m²; or why there is none."""
+        interval = self._interval(time_ns)
+        if interval is None:
+            return Refusal(Reason.GAP, "no baselines on both sides of the exposure")
+        left, fraction = interval
+        around = self._samples[left : left + (1 if fraction == 0.0 else 2)]
+        for sample in around:
+            if sample.refusal is not None:
+                return sample.refusal
+        baseline = self.at(time_ns)
+        assert baseline is not None  # in an interval of good samples
+        nearest = around[0] if fraction < 0.5 else around[-1]
+        return baseline.vector, baseline.noise_gain * nearest.covariance_n + baseline.error_covariance
+
+    def velocity_at(self, time_ns: int) -> FloatArray:
+        """Of the drone against the ship (N, U, E) at a moment that a baseline is usable at, m/s; zero beside gaps."""
+        interval = self._interval(time_ns)
+        assert interval is not None
+        left, fraction = interval
+        before, after = self._neighbours(left) if fraction == 0.0 else (left, left + 1)
+        if before == after:
+            return np.zeros(3)
+        velocity: FloatArray = self._change(before, after) / self._seconds(before, after)
+        return velocity
+
+    def _joined(self, left: int) -> bool:
+        both_good = self._samples[left].refusal is None and self._samples[left + 1].refusal is None
+        return both_good and super()._joined(left)
+
+
+class MeasuredTracks:
+    """The tracks of one run.
+
+    Args:
+        config: the node's parameters.
+
+    Attributes:
+        encoder: readings of the encoders.
+        ship: attitudes of the ship, in the stamps of their source.
+        baselines: from the ship's antenna to each drone's, by beacon_id.
+        drones: attitudes of the drones whose light is not at their antenna, by beacon_id.
+        ship_shift_ns: the ship's attitudes are valid so much later than their stamps.
+        reach_ns: so far from its moment data may lie that an exposure is compared with.
+    """
+
+    def __init__(self, config: OpticalAxisConfig) -> None:
+        self.reconfigure(config)
+        by_ins = config.ship.source == "ins/imu"
+        self.ship_shift_ns = round(config.ins.time_offset_s * SECOND_NS) if by_ins else 0
+        self.encoder: VectorTrack[EncoderSample] = VectorTrack(_ns(config.encoder.max_gap_s), _FULL_TURN)
+        self.ship = AttitudeTrack(_ns(config.ins.max_gap_s if by_ins else config.ship.max_gap_s))
+        self.baselines = {id_: BaselineTrack(_ns(b.rtk.max_gap_s)) for id_, b in config.beacons.items()}
+        self._levers_b = {id_: b.light.vector_m for id_, b in config.beacons.items()}
+        # A light at the antenna is where it is, however the drone stands.
+        self.drones = {
+            id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
+        }
+        self._all: list[SampleTrack[Any]] = [self.encoder, self.ship, *self.baselines.values(), *self.drones.values()]
+        widest_gap_ns = max(track.max_gap_ns for track in self._all)
+        self.reach_ns = widest_gap_ns + abs(self.ship_shift_ns) + _LONGEST_REACH_NS
+
+    def reconfigure(self, config: OpticalAxisConfig) -> None:
+        """Go on with other noise."""
+        by_ins = config.ship.source == "ins/imu"
+        white_arcsec = config.ins.white_sigma_arcsec if by_ins else config.ship.white_sigma_arcsec
+        self._ship_noise = (white_arcsec * ARCSEC) ** 2
+
+    def drop_before(self, time_ns: int) -> None:
+        """Forget what no exposure at or after ``time_ns`` needs."""
+        keep_from_ns = time_ns - abs(self.ship_shift_ns)
+        for track in self._all:
+            track.drop_before(keep_from_ns)
+
+    def awaits(self, exposure: Exposure) -> bool:
+        """True while data still to come may belong to an exposure."""
+        end_ns = exposure.time_ns + exposure.reach_ns
+        if not (self.ship_covers(end_ns) and self.encoder.covers(end_ns)):
+            return True
+        for light in exposure.lights:
+            if not self.baselines[light.beacon_id].covers(exposure.time_ns):
+                return True
+            drone = self.drones.get(light.beacon_id)
+            if drone is not None and not drone.covers(exposure.time_ns):
+                return True
+        return False
+
+    def ship_covers(self, time_ns: int) -> bool:
+        """True once later samples can no longer change the ship's attitude at a moment."""
+        return self.ship.covers(time_ns - self.ship_shift_ns)
+
+    def ship_at(self, time_ns: int, over: Nodes | None = None) -> ShipAt | None:
+        """The ship's attitude at a moment; None in a gap.
+
+        Args:
+            time_ns: the moment.
+            over: of an exposure about it that the track spans, where the noise is to be that of the mean over it.
+        """
+        attitude = self.ship.at(time_ns - self.ship_shift_ns)
+        sample = self.ship.last_before(time_ns - self.ship_shift_ns)
+        if attitude is None or not isinstance(sample, ShipSample):
+            return None
+        gain = attitude.noise_gain
+        if over is not None:
+            gain = self.ship.noise_gain_of_mean(over.moments(time_ns - self.ship_shift_ns))
+        noise = gain * self._ship_noise + float(np.trace(attitude.error_covariance_d))
+        return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.slow_covariance_n, noise, sample.status)
+
+    def encoder_at(self, time_ns: int, over: Nodes | None = None) -> EncoderAt | None:
+        """The encoders at a moment; None in a gap. For ``over`` see :meth:`ship_at`."""
+        angles = self.encoder.at(time_ns)
+        sample = self.encoder.last_before(time_ns)
+        if angles is None or sample is None:
+            return None
+        azimuth, elevation = angles.vector.tolist()
+        gain = angles.noise_gain if over is None else self.encoder.noise_gain_of_mean(over.moments(time_ns))
+        noise = gain * sample.sigma**2 + float(np.trace(angles.error_covariance))
+        return EncoderAt(azimuth, elevation, noise)
+
+    def light_at(self, beacon_id: str, time_ns: int) -> LightAt | Refusal:
+        """Where a light is said to be at a moment, or why that is not known."""
+        baseline = self.baselines[beacon_id].usable_at(time_ns)
+        if isinstance(baseline, Refusal):
+            return baseline
+        if beacon_id not in self.drones:
+            return LightAt(*baseline, np.eye(3))
+        attitude = self.drones[beacon_id].at(time_ns)
+        if attitude is None:
+            return Refusal(Reason.GAP, "no attitudes of the drone on both sides of the exposure")
+        lever_n = attitude.rotation_nd @ self._levers_b[beacon_id]
+        by_turn = skew(lever_n)
+        interpolated = by_turn @ attitude.error_covariance_n @ by_turn.T
+        return LightAt(baseline[0], baseline[1] + interpolated, attitude.rotation_nd)
+
+
+def _ns(time_s: float) -> int:
+    return round(time_s * SECOND_NS)
