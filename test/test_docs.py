@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from tools import parameter_table
+from tools import reference_pages
 
 ROOT = Path(__file__).parents[1]
 
 
 def test_parameter_page_is_current() -> None:
-    assert parameter_table.PAGE.read_text(encoding="utf-8") == parameter_table.page(), "run tools/parameter_table.py"
+    assert reference_pages.PAGE.read_text(encoding="utf-8") == reference_pages.page(), "run tools/reference_pages.py"

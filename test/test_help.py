@@ -66,7 +66,7 @@ def test_mend_16_replay_names_all_nodes_and_simulate_all_keys_and_faults(capsys)
 
 def test_mend_16_bounds_on_the_page_are_those_of_the_code():
     """Read back from the page, digit for digit."""
-    page = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "parameters.md").read_text(encoding="utf-8")
     rows = {(section.split("`")[0], row[0]): row[1] for section in page.split("\n## `")[1:] for row in re.findall(
         r"^\| `([^`]+)` \|[^|]*\|[^|]*\| ([^|]*) \|", section, re.MULTILINE)}  # fmt: skip
     count = 0

@@ -2,7 +2,7 @@
 
 Between two samples the rotation vector relative to the earlier one is a cubic with the right attitude and the
 right rate at both ends. The rates are measured where the source gives them; otherwise they come from the
-neighbouring samples. docs/interpolation.md states the error for a rolling ship.
+neighbouring samples. docs/explanation/interpolation.md states the error for a rolling ship.
 """
 
 import bisect
@@ -78,7 +78,21 @@ class InterpolatedAttitude:
 
 
 class AttitudeTrack(SampleTrack[AttitudeSample]):
-    """Attitudes of one source."""
+    """Attitudes of one source.
+
+    Example:
+        A ship that turns by 10° in a second, halfway between two samples:
+
+        >>> from ship_geometry.frames import angles_from_rotation, rotation_from_angles
+        >>> rate_d = np.deg2rad([0.0, -10.0, 0.0])  # clockwise seen from above is negative about up
+        >>> track = AttitudeTrack(max_gap_ns=SECOND_NS)
+        >>> for second, heading_deg in ((0, 40.0), (1, 50.0)):
+        ...     rotation_nd = rotation_from_angles(np.deg2rad(heading_deg), 0.0, 0.0)
+        ...     _ = track.insert(AttitudeSample(second * SECOND_NS, rotation_nd, rate_d))
+        >>> found = track.at(SECOND_NS // 2)
+        >>> print(np.rad2deg(angles_from_rotation(found.rotation_nd)).round(6) + 0.0, round(found.noise_gain, 6))
+        [45.  0.  0.] 0.5
+    """
 
     def at(self, time_ns: int) -> InterpolatedAttitude | None:
         """The attitude at a moment; None outside the track or in a gap."""

@@ -58,7 +58,15 @@ class Nodes:
 
 
 def exposure_nodes(exposure_s: float) -> Nodes:
-    """The nodes of an exposure of a length above 0 and up to :data:`LONGEST_EXPOSURE_S`."""
+    """The nodes of an exposure of a length above 0 and up to :data:`LONGEST_EXPOSURE_S`.
+
+    Example:
+        A tenth of a second is told by the attitudes a tenth of a second before and after its middle:
+
+        >>> nodes = exposure_nodes(0.1)
+        >>> print(nodes.offset_ns, nodes.weight.round(4))
+        (-100000000, 0, 100000000) [0.0417 0.9167 0.0417]
+    """
     pairs = math.ceil(exposure_s / (2.0 * _STEP_S))
     if pairs <= 1:
         beside = (exposure_s / _STEP_S) ** 2 / 24.0
@@ -102,7 +110,17 @@ class Turning:
 
 
 def turning_over(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Turning | None:
-    """How the body of a track turned about the middle of an exposure; None where the track does not tell."""
+    """How the body of a track turned about the middle of an exposure; None where the track does not tell.
+
+    Example:
+        >>> from ship_geometry.attitude_track import AttitudeSample
+        >>> track, still = AttitudeTrack(max_gap_ns=SECOND_NS), np.zeros(3)
+        >>> for tenth in range(5):
+        ...     _ = track.insert(AttitudeSample(tenth * SECOND_NS // 10, np.eye(3), still))
+        >>> turning = turning_over(track, SECOND_NS // 5, exposure_nodes(0.05))
+        >>> print(turning.turns.shape, turning.correction_error)  # at rest nothing turns
+        (3, 3, 3) 0.0
+    """
     middle, moments = track.at(time_ns), nodes.moments(time_ns)
     around = [found for found in (track.at(moment_ns) for moment_ns, _ in moments) if found is not None]
     if middle is None or len(around) < len(moments):

@@ -16,7 +16,15 @@ SINGULAR_ELEVATION = np.deg2rad(89.9)
 
 
 def rotation_from_angles(azimuth: FloatArray, elevation: FloatArray, roll: FloatArray) -> FloatArray:
-    """Rotation "parent from device", shape (..., 3, 3): Ry(A) Rz(-E) Rx(-roll), multiplied out."""
+    """Rotation "parent from device", shape (..., 3, 3): Ry(A) Rz(-E) Rx(-roll), multiplied out.
+
+    Example:
+        A ship heading East with her bow 5° up: the bow's direction (North, Up, East) is the first column.
+
+        >>> rotation_nd = rotation_from_angles(*np.deg2rad([90.0, 5.0, 0.0]))
+        >>> print(rotation_nd[:, 0].round(4))
+        [0.     0.0872 0.9962]
+    """
     ca, sa = np.cos(azimuth), np.sin(azimuth)
     ce, se = np.cos(elevation), np.sin(elevation)
     cr, sr = np.cos(roll), np.sin(roll)
@@ -38,6 +46,11 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
 
     At the zenith and nadir only azimuth + roll, or their difference, is defined; the value returned there still
     gives the rotation back.
+
+    Example:
+        >>> rotation_nd = rotation_from_angles(*np.deg2rad([359.0, 5.0, -3.0]))
+        >>> print(np.rad2deg(angles_from_rotation(rotation_nd)).round(6))  # heading, pitch, roll
+        [359.   5.  -3.]
     """
     if rotation.ndim == 2:
         return _angles_of_one(rotation)
@@ -62,7 +75,15 @@ def _angles_of_one(rotation: FloatArray) -> FloatArray:
 
 
 def rotation_vector_from_angle_errors(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
-    """Matrix B, shape (..., 3, 3): ``delta = B @ [dA, dE, droll]`` in the parent frame (models.md §1)."""
+    """Matrix B, shape (..., 3, 3): ``delta = B @ [dA, dE, droll]`` in the parent frame (models.md §1).
+
+    Example:
+        One degree more of azimuth is a turn by -1° about Up, whatever the elevation:
+
+        >>> matrix = rotation_vector_from_angle_errors(np.deg2rad(30.0), np.deg2rad(60.0))
+        >>> print(matrix @ [1.0, 0.0, 0.0])
+        [ 0. -1.  0.]
+    """
     azimuth, elevation = np.broadcast_arrays(np.asarray(azimuth, float), np.asarray(elevation, float))
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
     matrix = np.zeros((*ca.shape, 3, 3))
@@ -76,7 +97,15 @@ def rotation_vector_from_angle_errors(azimuth: FloatArray, elevation: FloatArray
 
 
 def angle_errors_from_rotation_vector(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
-    """Inverse of B, shape (..., 3, 3); NaN beyond :data:`SINGULAR_ELEVATION`."""
+    """Inverse of B, shape (..., 3, 3); NaN beyond :data:`SINGULAR_ELEVATION`.
+
+    Example:
+        A tilt by 20″ about North, seen by a sensor that looks North and 60° up, is 35″ of azimuth (20″ tan 60°):
+
+        >>> matrix = angle_errors_from_rotation_vector(0.0, np.deg2rad(60.0))
+        >>> print((matrix @ [20.0, 0.0, 0.0]).round(1))  # azimuth, elevation, roll, in arcseconds
+        [34.6  0.  40. ]
+    """
     if np.ndim(azimuth) == 0 and np.ndim(elevation) == 0:
         return _inverse_of_one(float(azimuth), float(elevation))
     azimuth, elevation = np.broadcast_arrays(np.asarray(azimuth, float), np.asarray(elevation, float))
@@ -106,6 +135,13 @@ def angle_covariance(covariance_parent: FloatArray, azimuth: FloatArray, elevati
     """Covariance of (azimuth, elevation, roll), rad², from that of the rotation vector in the parent frame.
 
     NaN beyond :data:`SINGULAR_ELEVATION`.
+
+    Example:
+        An attitude good to 3″ about each axis, as a sensor 45° up sees it; its azimuth and roll are worse by √2:
+
+        >>> covariance = angle_covariance(9.0 * np.eye(3), 0.0, np.deg2rad(45.0))  # arcsec²
+        >>> print(np.sqrt(np.diagonal(covariance)).round(2))
+        [4.24 3.   4.24]
     """
     transport = angle_errors_from_rotation_vector(azimuth, elevation)
     return transport @ covariance_parent @ np.swapaxes(transport, -1, -2)
@@ -114,6 +150,14 @@ def angle_covariance(covariance_parent: FloatArray, azimuth: FloatArray, elevati
 def rotation_vector_covariance(
     covariance_angles: FloatArray, azimuth: FloatArray, elevation: FloatArray
 ) -> FloatArray:
-    """Covariance of the rotation vector in the parent frame, rad², from that of (azimuth, elevation, roll)."""
+    """Covariance of the rotation vector in the parent frame, rad², from that of (azimuth, elevation, roll).
+
+    Example:
+        A level ship heading North, heading good to 72″, pitch and roll to 10″, as (North, Up, East):
+
+        >>> covariance_n = rotation_vector_covariance(np.diag([72.0, 10.0, 10.0]) ** 2, 0.0, 0.0)  # arcsec²
+        >>> print(np.sqrt(np.diagonal(covariance_n)).round(1))
+        [10. 72. 10.]
+    """
     transport = rotation_vector_from_angle_errors(azimuth, elevation)
     return transport @ covariance_angles @ np.swapaxes(transport, -1, -2)

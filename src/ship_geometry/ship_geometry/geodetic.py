@@ -32,19 +32,39 @@ class GeodeticPosition:
 
 
 def ecef_from_geodetic(position: GeodeticPosition) -> FloatArray:
-    """Earth-fixed coordinates in metres, shape (..., 3)."""
+    """Earth-fixed coordinates in metres, shape (..., 3).
+
+    Example:
+        >>> position = GeodeticPosition(latitude=0.0, longitude=np.deg2rad(90.0), height_m=100.0)
+        >>> print(ecef_from_geodetic(position).round(3))
+        [      0. 6378237.       0.]
+    """
     ecef_m: FloatArray = erfa.gd2gc(erfa.WGS84, position.longitude, position.latitude, position.height_m)
     return ecef_m
 
 
 def geodetic_from_ecef(ecef_m: FloatArray) -> GeodeticPosition:
-    """The position with given Earth-fixed coordinates (m), shape (..., 3); longitude in [-pi, pi]."""
+    """The position with given Earth-fixed coordinates (m), shape (..., 3); longitude in [-pi, pi].
+
+    Example:
+        >>> position = geodetic_from_ecef(np.array([6_378_137.0, 0.0, 0.0]))
+        >>> print(position.latitude, position.longitude, round(float(position.height_m), 6))
+        0.0 0.0 0.0
+    """
     longitude, latitude, height_m = erfa.gc2gd(erfa.WGS84, ecef_m)
     return GeodeticPosition(latitude, longitude, height_m)
 
 
 def rotation_horizon_from_ecef(latitude: FloatArray | float, longitude: FloatArray | float) -> FloatArray:
-    """Rotation "horizon (North, Up, East) from ECEF" at a place (rad), shape (..., 3, 3)."""
+    """Rotation "horizon (North, Up, East) from ECEF" at a place (rad), shape (..., 3, 3).
+
+    Example:
+        At 45° north on the meridian of Greenwich the Earth's pole (z) stands 45° over the North point:
+
+        >>> pole_n = rotation_horizon_from_ecef(np.deg2rad(45.0), 0.0) @ [0.0, 0.0, 1.0]
+        >>> print(pole_n.round(4))  # North, Up, East
+        [0.7071 0.7071 0.    ]
+    """
     latitude, longitude = np.broadcast_arrays(np.asarray(latitude, float), np.asarray(longitude, float))
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
     rotation = np.zeros((*latitude.shape, 3, 3))
@@ -60,7 +80,17 @@ def rotation_horizon_from_ecef(latitude: FloatArray | float, longitude: FloatArr
 
 
 def vector_between(start: GeodeticPosition, end: GeodeticPosition) -> FloatArray:
-    """The straight line from ``start`` to ``end`` in the horizon (North, Up, East) of ``start``, metres, (..., 3)."""
+    """The straight line from ``start`` to ``end`` in the horizon (North, Up, East) of ``start``, metres, (..., 3).
+
+    Example:
+        A minute of arc to the north at the equator; the line is straight, so it ends 27 cm below the horizon:
+
+        >>> start = GeodeticPosition(latitude=0.0, longitude=0.0, height_m=0.0)
+        >>> end = GeodeticPosition(latitude=np.deg2rad(1.0 / 60.0), longitude=0.0, height_m=0.0)
+        >>> north_m, up_m, east_m = vector_between(start, end)
+        >>> print(f"{north_m:.2f} {up_m:.2f} {east_m:.2f}")
+        1842.90 -0.27 0.00
+    """
     line_ecef_m = ecef_from_geodetic(end) - ecef_from_geodetic(start)
     rotation = rotation_horizon_from_ecef(start.latitude, start.longitude)
     return (rotation @ line_ecef_m[..., None])[..., 0]
@@ -70,6 +100,11 @@ def horizon_radii_m(position: GeodeticPosition) -> tuple[FloatArray, FloatArray]
     """Metres per radian of the horizon's turn for a way to the north and for one to the east at some positions.
 
     The radii of curvature in the meridian and in the prime vertical, each plus the height.
+
+    Example:
+        >>> north_m, east_m = horizon_radii_m(GeodeticPosition(latitude=0.0, longitude=0.0, height_m=0.0))
+        >>> print(f"{north_m * np.pi / 180.0 / 60.0:.1f} m, {east_m * np.pi / 180.0 / 60.0:.1f} m a minute of arc")
+        1842.9 m, 1855.3 m a minute of arc
     """
     sine = np.sin(position.latitude)
     root = 1.0 - _WGS84_E2 * sine * sine

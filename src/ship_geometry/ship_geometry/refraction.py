@@ -90,6 +90,13 @@ def refraction(
         elevation: rad, shape (...).
         weather: the air at the ship.
         wavelength_um: of the light the sensor sees; the almanac's model does not know it.
+
+    Example:
+        >>> weather = Weather(pressure_hpa=1008.3, temperature_c=28.2)
+        >>> for model in ("erfa", "almanac"):
+        ...     print(model, f"{refraction(model, np.deg2rad(42.2207), weather).angle / ARCSEC:.2f} arcsec")
+        erfa 59.74 arcsec
+        almanac 59.34 arcsec
     """
     elevation = np.asarray(elevation, dtype=float)
     tan_z = 1.0 / np.tan(np.where(elevation >= LOWEST_ELEVATION[model], elevation, np.nan))
@@ -113,6 +120,13 @@ def refraction_slopes(
     """First and second derivative of refraction by elevation, rad/rad and rad/rad², good to 0.1 %; NaN where too low.
 
     The small difference between observed and true zenith distance is left out.
+
+    Example:
+        At 45° a star one degree higher is lifted by 2.0″ less:
+
+        >>> slope, _ = refraction_slopes("erfa", np.deg2rad(45.0), Weather(1013.25, 10.0))
+        >>> print(f"{slope * 3600.0:.1f} arcsec per degree")
+        -2.0 arcsec per degree
     """
     t = 1.0 / np.tan(elevation) if elevation >= LOWEST_ELEVATION[model] else np.nan
     linear, cubic = (float(coefficients[0]) for coefficients in _coefficients(model, weather, wavelength_um))
@@ -143,7 +157,13 @@ def _coefficients(model: ModelName, weather: Weather, wavelength_um: float) -> t
 
 
 def lifted(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
-    """Directions (N, U, E), shape (..., 3), turned up by angles (rad, shape (...)): with air from without."""
+    """Directions (N, U, E), shape (..., 3), turned up by angles (rad, shape (...)): with air from without.
+
+    Example:
+        >>> direction_n = np.array([np.cos(np.pi / 6.0), 0.5, 0.0])  # in the north, 30° up
+        >>> print(np.rad2deg(elevation_of(lifted(direction_n, 100.0 * ARCSEC))).round(5))
+        30.02778
+    """
     up, horizontal = direction_n[..., 1], np.hypot(direction_n[..., 0], direction_n[..., 2])
     cosine, sine = np.cos(angle), np.sin(angle)
     result = np.empty(np.broadcast_shapes(direction_n.shape, (*cosine.shape, 3)))
@@ -157,11 +177,20 @@ def lifting_axis(direction_n: FloatArray) -> FloatArray:
     """The level unit vector about which a direction (N, U, E), shape (3,), turns upwards: direction × Up.
 
     Zero at the zenith itself, where no turn is upwards.
+
+    Example:
+        >>> print(lifting_axis(np.array([0.0, 0.6, 0.8])))  # a star in the east turns upwards about South
+        [-1.  0.  0.]
     """
     level = np.array([-direction_n[2], 0.0, direction_n[0]])
     return level / max(float(np.hypot(direction_n[0], direction_n[2])), _TINY)
 
 
 def elevation_of(direction_n: FloatArray) -> FloatArray:
-    """Elevation (rad) of directions (N, U, E), shape (..., 3)."""
+    """Elevation (rad) of directions (N, U, E), shape (..., 3).
+
+    Example:
+        >>> print(np.rad2deg(elevation_of(np.array([1.0, 1.0, 0.0]))))
+        45.0
+    """
     return np.arctan2(direction_n[..., 1], np.hypot(direction_n[..., 0], direction_n[..., 2]))

@@ -31,6 +31,13 @@ def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu"
     Args:
         quaternion: shape (..., 4), ENU <- FLU, or NED <- FRD where ``convention`` is ``"ned_frd"``.
         convention: ``"enu_flu"`` (REP-103) or ``"ned_frd"``.
+
+    Example:
+        The unit quaternion of ROS points the bow East: yaw 0 is heading 90°.
+
+        >>> rotation_nd = rotation_from_quaternion([0.0, 0.0, 0.0, 1.0])
+        >>> print(rotation_nd[:, 0])  # North, Up, East
+        [0. 0. 1.]
     """
     parent, device = _axes(convention)
     quaternion = np.asarray(quaternion, dtype=float)
@@ -41,12 +48,25 @@ def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu"
 
 
 def celestial_rotation_from_quaternion(quaternion: FloatArray) -> FloatArray:
-    """Rotation "ICRS from device (forward, up, right)", shape (3, 3), of a quaternion x, y, z, w, ICRS <- FLU."""
+    """Rotation "ICRS from device (forward, up, right)", shape (3, 3), of a quaternion x, y, z, w, ICRS <- FLU.
+
+    Example:
+        >>> rotation_cs = celestial_rotation_from_quaternion([0.0, 0.0, 0.0, 1.0])
+        >>> print(rotation_cs[:, 1])  # the sensor's up is the celestial north pole
+        [0. 0. 1.]
+    """
     return _matrix_of_one(np.asarray(quaternion, dtype=float)) @ FLU_FROM_DEVICE
 
 
 def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
-    """Quaternion x, y, z, w (w >= 0), ENU <- FLU, shape (..., 4), of rotations "horizon from device"."""
+    """Quaternion x, y, z, w (w >= 0), ENU <- FLU, shape (..., 4), of rotations "horizon from device".
+
+    Example:
+        A level ship heading North has ROS yaw 90°: half of that is in z and in w.
+
+        >>> print(quaternion_from_rotation(np.eye(3)).round(4))  # x, y, z, w
+        [0.     0.     0.7071 0.7071]
+    """
     rotation = np.asarray(rotation, dtype=float)
     matrix = ENU_FROM_HORIZON @ rotation @ FLU_FROM_DEVICE.T
     if matrix.ndim == 2:
@@ -56,22 +76,42 @@ def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def device_vector_from_ros(vector: FloatArray, convention: str = "enu_flu") -> FloatArray:
-    """(forward, up, right) from (forward, left, up), or from (forward, right, down): shape (..., 3)."""
+    """(forward, up, right) from (forward, left, up), or from (forward, right, down): shape (..., 3).
+
+    Example:
+        >>> print(device_vector_from_ros([1.0, 2.0, 3.0]))  # 2 to the left and 3 up
+        [ 1.  3. -2.]
+    """
     return np.asarray(vector, dtype=float) @ _axes(convention)[1]
 
 
 def flu_from_device_vector(vector: FloatArray) -> FloatArray:
-    """(forward, left, up) from (forward, up, right): shape (..., 3)."""
+    """(forward, left, up) from (forward, up, right): shape (..., 3).
+
+    Example:
+        >>> print(flu_from_device_vector([1.0, 3.0, -2.0]))  # 3 up and 2 to the left
+        [1. 2. 3.]
+    """
     return np.asarray(vector, dtype=float) @ FLU_FROM_DEVICE.T
 
 
 def enu_covariance(covariance_n: FloatArray) -> FloatArray:
-    """Covariance in (East, North, Up) of one in (North, Up, East), shape (..., 3, 3)."""
+    """Covariance in (East, North, Up) of one in (North, Up, East), shape (..., 3, 3).
+
+    Example:
+        >>> print(np.diagonal(enu_covariance(np.diag([1.0, 2.0, 3.0]))))  # from North, Up, East
+        [3. 1. 2.]
+    """
     return ENU_FROM_HORIZON @ covariance_n @ ENU_FROM_HORIZON.T
 
 
 def horizon_covariance(covariance_enu: FloatArray) -> FloatArray:
-    """Covariance in (North, Up, East) of one in (East, North, Up), shape (..., 3, 3)."""
+    """Covariance in (North, Up, East) of one in (East, North, Up), shape (..., 3, 3).
+
+    Example:
+        >>> print(np.diagonal(horizon_covariance(np.diag([3.0, 1.0, 2.0]))))  # from East, North, Up
+        [1. 2. 3.]
+    """
     return ENU_FROM_HORIZON.T @ covariance_enu @ ENU_FROM_HORIZON
 
 

@@ -28,21 +28,37 @@ _SMALL_ANGLE = 1e-4
 
 
 def wrap_pi(angle: FloatArray | float) -> FloatArray:
-    """Angle (rad) brought into [-pi, pi)."""
+    """Angle (rad) brought into [-pi, pi).
+
+    Example:
+        >>> print(np.rad2deg(wrap_pi(np.deg2rad([190.0, -190.0, 180.0]))).round(6))
+        [-170.  170. -180.]
+    """
     wrapped = (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi
     # Just below -pi the remainder is rounded up to 2 pi itself.
     return np.where(wrapped == np.pi, -np.pi, wrapped)[()]
 
 
 def wrap_two_pi(angle: FloatArray | float) -> FloatArray:
-    """Angle (rad) brought into [0, 2 pi)."""
+    """Angle (rad) brought into [0, 2 pi).
+
+    Example:
+        >>> print(np.rad2deg(wrap_two_pi(np.deg2rad([-10.0, 370.0]))).round(6))
+        [350.  10.]
+    """
     wrapped = np.asarray(angle, dtype=float) % (2.0 * np.pi)
     # A tiny negative angle is rounded up to 2 pi itself by the remainder.
     return np.where(wrapped == 2.0 * np.pi, 0.0, wrapped)[()]
 
 
 def skew(vector: FloatArray) -> FloatArray:
-    """Matrix [v x] with ``skew(v) @ w == cross(v, w)``, shape (..., 3, 3)."""
+    """Matrix [v x] with ``skew(v) @ w == cross(v, w)``, shape (..., 3, 3).
+
+    Example:
+        >>> north, up = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+        >>> print(skew(north) @ up)  # North × Up = East
+        [0. 0. 1.]
+    """
     vector = np.asarray(vector, dtype=float)
     return (vector @ _SKEW).reshape(*vector.shape, 3)
 
@@ -89,7 +105,15 @@ def _polynomial_of_one(x: float, y: float, z: float, linear: float, quadratic: f
 
 
 def exp_rotation(vector: FloatArray) -> FloatArray:
-    """Rotation matrix of a rotation vector (rad), shape (..., 3, 3)."""
+    """Rotation matrix of a rotation vector (rad), shape (..., 3, 3).
+
+    Example:
+        A turn by 30° about Up takes North towards West, for positive turns are counter-clockwise seen from above:
+
+        >>> up, north = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+        >>> print((exp_rotation(np.deg2rad(30.0) * up) @ north).round(3))
+        [ 0.866  0.    -0.5  ]
+    """
     vector = np.asarray(vector, dtype=float)
     if vector.ndim == 1:
         x, y, z = vector.tolist()
@@ -103,6 +127,12 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
     """J with ``exp(v + dv) = exp(J dv) exp(v)`` to first order in dv, shape (..., 3, 3).
 
     The right Jacobian, ``exp(v + dv) = exp(v) exp(J_r dv)``, is its transpose.
+
+    Example:
+        >>> vector, change = np.array([0.3, -0.2, 0.5]), 1e-6 * np.array([1.0, 2.0, -1.0])
+        >>> stepped = exp_rotation(left_jacobian(vector) @ change) @ exp_rotation(vector)
+        >>> print(bool(np.allclose(stepped, exp_rotation(vector + change), rtol=0.0, atol=1e-11)))
+        True
     """
     vector = np.asarray(vector, dtype=float)
     if vector.ndim == 1:
@@ -118,6 +148,11 @@ def log_rotation(rotation: FloatArray) -> FloatArray:
 
     Accurate over the whole range: by the antisymmetric part for small and medium angles, by the largest
     diagonal element of the symmetric part near half a turn.
+
+    Example:
+        >>> vector = np.deg2rad([10.0, -20.0, 30.0])
+        >>> print(np.rad2deg(log_rotation(exp_rotation(vector))).round(6))
+        [ 10. -20.  30.]
     """
     rotation = np.asarray(rotation, dtype=float)
     if rotation.ndim == 2:
@@ -168,6 +203,11 @@ def angle_between(first: FloatArray, second: FloatArray) -> FloatArray:
     """Angle (rad) between vectors of shape (..., 3), accurate for small angles.
 
     Kahan's form ``2 atan2(|a/|a| - b/|b||, |a/|a| + b/|b||)``: an arccosine would lose arcseconds.
+
+    Example:
+        >>> star, neighbour = np.array([1.0, 0.0, 0.0]), np.array([1.0, 3.0 * ARCSEC, 0.0])
+        >>> print(f"{angle_between(star, neighbour) / ARCSEC:.6f} arcsec")
+        3.000000 arcsec
     """
     a = first / np.linalg.norm(first, axis=-1, keepdims=True)
     b = second / np.linalg.norm(second, axis=-1, keepdims=True)

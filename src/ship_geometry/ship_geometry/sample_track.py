@@ -27,7 +27,12 @@ Sample = TypeVar("Sample", bound=Stamped)
 
 
 def hermite_weights(fraction: float) -> tuple[float, float, float, float]:
-    """Weights of value 0, slope 0, value 1, slope 1 of a cubic on [0, 1] at ``fraction``."""
+    """Weights of value 0, slope 0, value 1, slope 1 of a cubic on [0, 1] at ``fraction``.
+
+    Example:
+        >>> print(hermite_weights(0.5))
+        (0.5, 0.125, 0.5, -0.125)
+    """
     s = fraction
     return (1 - s) ** 2 * (1 + 2 * s), s * (1 - s) ** 2, s * s * (3 - 2 * s), s * s * (s - 1)
 
@@ -37,6 +42,17 @@ class SampleTrack(Generic[Sample]):
 
     Args:
         max_gap_ns: neighbours further apart than this are not joined.
+
+    Example:
+        :class:`ship_geometry.attitude_track.AttitudeTrack` and :class:`ship_geometry.vector_track.VectorTrack` are used
+        like this:
+
+        >>> from ship_geometry.vector_track import VectorSample, VectorTrack
+        >>> track = VectorTrack(max_gap_ns=2 * SECOND_NS)
+        >>> for second in (0, 2, 1, 3):  # in any order
+        ...     _ = track.insert(VectorSample(second * SECOND_NS, np.array([second**2 * 1.0])))
+        >>> print(track.newest.time_ns // SECOND_NS, track.at(3 * SECOND_NS // 2).vector)
+        3 [2.25]
     """
 
     def __init__(self, max_gap_ns: int) -> None:

@@ -55,7 +55,13 @@ class StarPositions:
 
 
 def fixed_stars(right_ascension: FloatArray, declination: FloatArray) -> StarPositions:
-    """Stars of which only the place is known (ICRS, J2000.0, rad)."""
+    """Stars of which only the place is known (ICRS, J2000.0, rad).
+
+    Example:
+        >>> vega = fixed_stars(np.deg2rad(279.2347), np.deg2rad(38.7837))
+        >>> print(float(vega.parallax_arcsec))
+        0.0
+    """
     alpha, delta = np.broadcast_arrays(np.asarray(right_ascension, float), np.asarray(declination, float))
     none = np.zeros(alpha.shape)
     return StarPositions(alpha, delta, none, none, none)
@@ -67,6 +73,15 @@ def stars_from_epoch(stars: StarPositions, epoch_year: float) -> StarPositions:
     Args:
         stars: places and motions at ``epoch_year``; parallaxes may be negative, as measured ones are.
         epoch_year: Julian year.
+
+    Example:
+        Barnard's star moves by 10.4″ a year to the north, hence by 90.4″ from 1991.25 to 2000:
+
+        >>> mas = np.deg2rad(1e-3 / 3600.0)
+        >>> alpha, delta = np.deg2rad(269.4540), np.deg2rad(4.6683)
+        >>> then = StarPositions(alpha, delta, -798.6 * mas / np.cos(delta), 10_328.1 * mas, 0.5482)
+        >>> print(((stars_from_epoch(then, 1991.25).declination - delta) / (1e3 * mas)).round(1))
+        90.4
     """
     parallax_arcsec = np.maximum(stars.parallax_arcsec, 0.0)
     epoch_d = (epoch_year - 2000.0) * _JULIAN_YEAR_D
@@ -112,6 +127,21 @@ def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orient
 
     Returns:
         Shape (..., 3).
+
+    Example:
+        Beta Lyrae from the ship of [P15], 2014-07-09 11:50:07.8 UTC (the paper prints azimuth 71.9528°, elevation
+        42.2207°: it lacks aberration and UT1):
+
+        >>> from ship_geometry.earth_orientation import earth_orientation_table
+        >>> mas = np.deg2rad(1e-3 / 3600.0)
+        >>> motion = 1.90 * mas / np.cos(0.5822885787), -3.53 * mas  # a year
+        >>> hip_92420 = StarPositions(4.9309037606, 0.5822885787, *motion, parallax_arcsec=0.00339)
+        >>> time_ns = 1_404_906_607_800_000_000
+        >>> ship = Observer(GeodeticPosition(np.deg2rad(31.945213), np.deg2rad(120.293086), height_m=0.0))
+        >>> orientation = earth_orientation_table().at(time_ns)
+        >>> north, up, east = directions(stars_from_epoch(hip_92420, 1991.25), time_ns, ship, orientation)
+        >>> print(np.rad2deg([np.arctan2(east, north), np.arcsin(up)]).round(4))  # azimuth, elevation
+        [71.9496 42.2137]
     """
     tt, position = tt_julian_date(time_ns), observer.position
     heliocentric, barycentric = erfa.epv00(*tt)

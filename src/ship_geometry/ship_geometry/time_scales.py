@@ -56,7 +56,12 @@ class LeapSeconds:
 
 @lru_cache(maxsize=1)
 def leap_seconds() -> LeapSeconds:
-    """The table of the installed `astropy-iers-data`, read once."""
+    """The table of the installed `astropy-iers-data`, read once.
+
+    Example:
+        >>> print(leap_seconds().at(1_404_906_607_800_000_000))  # in 2014, seconds
+        35.0
+    """
     return read_leap_seconds(Path(astropy_iers_data.IERS_LEAP_SECOND_FILE))
 
 
@@ -65,6 +70,11 @@ def read_leap_seconds(path: Path) -> LeapSeconds:
 
     Raises:
         ValueError: names the file and what is missing in it.
+
+    Example:
+        >>> table = read_leap_seconds(Path(astropy_iers_data.IERS_LEAP_SECOND_FILE))
+        >>> print(table.tai_minus_utc_s[:3])  # seconds, from 1972 on
+        [10. 11. 12.]
     """
     text = path.read_text(encoding="ascii")
     rows = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
@@ -84,16 +94,32 @@ def julian_date(time_ns: TimeNs, offset_s: FloatArray | float = 0.0) -> JulianDa
     """Two-part Julian date of a moment plus an offset: UTC + (scale − UTC) gives the date in that scale.
 
     The nanoseconds are split as integers: in one double a Julian date is good to 40 µs (0.6″ of Earth rotation) only.
+
+    Example:
+        >>> whole, fraction = julian_date(1_404_906_607_800_000_000)  # 2014-07-09 11:50:07.8 UTC
+        >>> print(whole, round(fraction, 9))
+        2456847.5 0.493145833
     """
     days, rest_ns = divmod(time_ns, DAY_NS)
     return _UNIX_EPOCH_JD + days, (rest_ns / SECOND_NS + offset_s) / 86_400.0
 
 
 def tt_julian_date(time_ns: TimeNs) -> JulianDate:
-    """Terrestrial Time of a moment as a two-part Julian date."""
+    """Terrestrial Time of a moment as a two-part Julian date.
+
+    Example:
+        >>> utc, tt = julian_date(1_404_906_607_800_000_000), tt_julian_date(1_404_906_607_800_000_000)
+        >>> print(round((tt[1] - utc[1]) * 86_400.0, 6))  # 35 leap seconds and 32.184 s
+        67.184
+    """
     return julian_date(time_ns, leap_seconds().at(time_ns) + TT_MINUS_TAI_S)
 
 
 def utc_text(time_ns: int) -> str:
-    """A moment for messages to people: ``2014-07-09 11:50:07 UTC``."""
+    """A moment for messages to people: ``2014-07-09 11:50:07 UTC``.
+
+    Example:
+        >>> utc_text(1_404_906_607_800_000_000)
+        '2014-07-09 11:50:07 UTC'
+    """
     return datetime.fromtimestamp(time_ns // SECOND_NS, tz=timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -56,6 +56,15 @@ class VectorTrack(SampleTrack[Sample]):
     Args:
         max_gap_ns: neighbours further apart than this are not joined.
         period: after which all components repeat: 2 pi for angles; infinite where they do not.
+
+    Example:
+        An azimuth that passes north, between 359° and 1°:
+
+        >>> track = VectorTrack(max_gap_ns=10**9, period=2.0 * np.pi)
+        >>> _ = track.insert(VectorSample(0, np.deg2rad([359.0])))
+        >>> _ = track.insert(VectorSample(10**9, np.deg2rad([361.0 - 360.0])))
+        >>> print(np.rad2deg(track.at(5 * 10**8).vector).round(6))
+        [360.]
     """
 
     def __init__(self, max_gap_ns: int, period: float = np.inf) -> None:

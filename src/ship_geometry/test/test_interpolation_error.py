@@ -1,4 +1,4 @@
-"""Error of interpolation for a rolling ship: the tables of docs/interpolation.md, measured."""
+"""Error of interpolation for a rolling ship: the tables of docs/explanation/interpolation.md, measured."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +13,7 @@ from ship_geometry.rotations import ARCSEC, log_rotation
 
 Motion = Callable[[float], np.ndarray]
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "interpolation.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "explanation" / "interpolation.md"
 SECOND_NS = 1_000_000_000
 PERIOD_S = 8
 RATES_HZ = [1, 10, 50, 100]

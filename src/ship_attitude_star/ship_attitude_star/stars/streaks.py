@@ -3,7 +3,7 @@
 The centroid of a streak is the mean of the star's pixels over the exposure. The INS tells how the sensor turned, and so
 by how much that mean is off the pixel at the middle: angular acceleration, and the centripetal part with it. Along a
 streak of L pixels the light is spread by L²/12 more than the image of a star at rest, s², so that a centroid is worse
-by the same factor: σ² (1 + L²/(12 s²)). Across it nothing changes (docs/stars.md).
+by the same factor: σ² (1 + L²/(12 s²)). Across it nothing changes (docs/explanation/stars.md).
 """
 
 from dataclasses import replace

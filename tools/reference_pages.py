@@ -1,4 +1,4 @@
-"""Writes docs/parameters.md: every parameter of every node, from the dataclasses that the nodes themselves use."""
+"""Writes docs/reference: every parameter of every node, from the dataclasses that the nodes themselves use."""
 
 import sys
 from pathlib import Path
@@ -9,7 +9,7 @@ from ship_estimation.parameters import ParameterDescription, describe
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
-PAGE = Path(__file__).parents[1] / "docs" / "parameters.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "parameters.md"
 HEAD = """# Parameters
 
 Units are in the names. `<id>` stands for the id of a star sensor or of a beacon, or the name of a reference: naming it
@@ -26,7 +26,7 @@ Every node has `black_box` besides: a file (`.mcap`) or folder that takes everyt
 order; `replay BOX.mcap --verify` runs it again to the last bit. A file that is there is kept: the next box is
 `BOX_2.mcap`.
 
-This page is written by `python tools/parameter_table.py`; a test compares it with the code.
+This page is written by `python tools/reference_pages.py`; a test compares it with the code.
 """
 
 
@@ -58,4 +58,4 @@ def _allowed(parameter: ParameterDescription) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
-    sys.stdout.write(f"{PAGE.relative_to(PAGE.parents[1])} written\n")
+    sys.stdout.write(f"{PAGE.relative_to(PAGE.parents[2])} written\n")

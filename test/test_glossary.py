@@ -1,0 +1,33 @@
+"""The frame letters that the code uses are those of the glossary in :mod:`ship_geometry`."""
+
+import re
+from pathlib import Path
+
+import ship_geometry
+
+ROOT = Path(__file__).parents[1]
+FRAMES = set(re.findall(r"^    ([a-z])     ", ship_geometry.__doc__ or "", re.MULTILINE))
+ROTATION = re.compile(r"\brotations?_([a-z][a-z])\b(?!\()")
+VECTOR = re.compile(
+    r"\b(?:directions?|boresight|rate|covariance|information|noise|error|vector|axis|measured|reference|residual|centre)"
+    r"_([a-z])\b"
+)
+SECONDS_AND_METRES = {"s", "m"}
+"""Letters of frames, which stand for units too: ``error_m`` is a length."""
+
+
+def test_the_glossary_names_frames_once() -> None:
+    rows = re.findall(r"^    ([a-z]|ENU|FLU|NED|FRD)  +\S", ship_geometry.__doc__ or "", re.MULTILINE)
+    assert len(rows) == len(set(rows)) > 10
+
+
+def letters_of(text: str) -> set[str]:
+    """Letters of the frames that the names of rotations and vectors end with."""
+    of_rotations = {letter for pair in ROTATION.findall(text) for letter in pair if pair != "of"}
+    return of_rotations | set(VECTOR.findall(text)) - SECONDS_AND_METRES
+
+
+def test_every_letter_of_a_rotation_or_vector_is_a_frame_of_the_glossary() -> None:
+    used = {path: letters_of(path.read_text(encoding="utf-8")) for path in ROOT.glob("src/*/*/**/*.py")}
+    assert {letter for letters in used.values() for letter in letters} >= set("ndsbmt")
+    assert {str(path): letters - FRAMES for path, letters in used.items() if letters - FRAMES} == {}
