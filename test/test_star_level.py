@@ -124,7 +124,7 @@ def test_a_tracker_against_the_icrs_is_turned_to_the_horizon_as_it_really_stands
     run = simulate(exact, seed=1)
     watch = told_sky(run, build(ShipAttitudeConfig, suite_configuration(exact)))
     for id_, samples in run.stars.items():
-        inertial = InertialAttitude(id_, int(samples.time_ns[0]), samples.rotation_iv[0], samples.noise_v)
+        inertial = InertialAttitude(id_, int(samples.time_ns[0]), samples.rotation_cv[0], samples.noise_v)
         found = in_horizon(inertial, watch)
         true_ns = run.truth.rotation_nd[0] @ run.truth.stars[id_].rotation_dv
         # The estimator refreshes the slow part of its chain every ten seconds.

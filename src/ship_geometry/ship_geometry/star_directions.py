@@ -217,8 +217,8 @@ class RefreshedSky:
         epoch = self._epoch(time_ns)
         polar_motion = erfa.pom00(epoch.orientation.pole_x, epoch.orientation.pole_y, epoch.tio_locator)
         earth_rotation = erfa.era00(*_ut1(time_ns, epoch.orientation))
-        rotation_ei = erfa.c2tcio(epoch.to_cirs["bpn"], earth_rotation, polar_motion)
-        return rotation_horizon_from_ecef(position.latitude, position.longitude) @ rotation_ei
+        rotation_ec = erfa.c2tcio(epoch.to_cirs["bpn"], earth_rotation, polar_motion)
+        return rotation_horizon_from_ecef(position.latitude, position.longitude) @ rotation_ec
 
     def orientation(self, time_ns: int) -> EarthOrientation:
         """Earth orientation used at a moment, with its error."""

@@ -106,7 +106,7 @@ def test_an_inertial_attitude_speaks_forward_left_up():
     q = message.orientation
     rotation_if = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
     # By hand: columns forward, left, up of forward, up, right.
-    forward, up, right = samples.rotation_iv[3].T
+    forward, up, right = samples.rotation_cv[3].T
     np.testing.assert_allclose(rotation_if, np.stack([forward, -right, up], axis=1), rtol=0.0, atol=1e-14)
     # About forward, left, up: 60″, that about right, that about up.
     expected = np.diag([60.0**2, 5.0**2, 3.0**2]) * ARCSEC**2

@@ -309,8 +309,8 @@ def test_an_inertial_attitude_shows_its_boresight_where_refraction_and_aberratio
     said, sky = run.stars[FORE], run.truth.sky
     true_nv = carrier_of(scenario.carrier, 2).attitude((said.time_ns - run.start_ns) / SECOND_NS)
     true_nv = true_nv @ run.truth.stars[FORE].rotation_dv
-    rotation_ni = sky.rotation_horizon_from_icrs(said.time_ns)
-    bare_nv = rotation_ni @ said.rotation_iv
+    rotation_nc = sky.rotation_horizon_from_icrs(said.time_ns)
+    bare_nv = rotation_nc @ said.rotation_cv
     elevation = np.arcsin(bare_nv[:, 1, 0])
     lifted = np.arcsin(true_nv[:, 1, 0]) - elevation
     np.testing.assert_allclose(lifted, refraction("erfa", elevation, sky.weather).angle, rtol=0.0, atol=0.1 * MAS)
@@ -325,7 +325,7 @@ def test_noise_of_inertial_attitudes_belongs_to_their_axes():
         simulate(inertial(120.0, sigma_forward_arcsec=f, sigma_up_arcsec=u, sigma_right_arcsec=r), seed=1).stars[FORE]
         for f, u, r in ((60.0, 4.0, 2.0), (0.0, 0.0, 0.0))
     )
-    noise_v = log_rotation(np.swapaxes(quiet.rotation_iv, -1, -2) @ noisy.rotation_iv)
+    noise_v = log_rotation(np.swapaxes(quiet.rotation_cv, -1, -2) @ noisy.rotation_cv)
     for axis, sigma_arcsec in enumerate([60.0, 4.0, 2.0]):
         assert_sigma(noise_v[:, axis], sigma_arcsec * ARCSEC)
     np.testing.assert_allclose(noisy.noise_v, np.diag((np.array([60.0, 4.0, 2.0]) * ARCSEC) ** 2))
@@ -336,7 +336,7 @@ def test_clouds_daylight_and_the_horizon_leave_no_inertial_attitude():
     cloudy = simulate(inertial(outages={"cloud": Outage(2.0, 4.0)}), seed=1).stars[FORE]
     kept = np.isin(whole.time_ns, cloudy.time_ns)
     assert kept.sum() == kept.size - 10
-    np.testing.assert_array_equal(cloudy.rotation_iv, whole.rotation_iv[kept])
+    np.testing.assert_array_equal(cloudy.rotation_cv, whole.rotation_cv[kept])
     assert simulate(inertial(sun_limit_deg=-20.0), seed=1).stars[FORE].time_ns.size == 0
     # The roll of the ship takes a boresight at 5° under the limit and back.
     low = simulate(with_sensor(inertial(20.0), elevation_deg=5.0), seed=1).stars[FORE]

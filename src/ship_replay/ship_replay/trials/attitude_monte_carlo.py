@@ -106,5 +106,5 @@ def _measurement(run: SimulatedRun, source: str, index: int) -> Measurement:
         return device.exposure(index)
     time_ns = int(device.time_ns[index])
     if isinstance(device, InertialSamples):
-        return InertialAttitude(source, time_ns, device.rotation_iv[index], device.noise_v)
+        return InertialAttitude(source, time_ns, device.rotation_cv[index], device.noise_v)
     return AttitudeMeasurement(source, time_ns, device.rotation_nv[index], device.noise_v, device.common_n)

@@ -51,7 +51,7 @@ def observations_maker(sensor_id: str, sightings: StarSightings, config: StarSen
 def inertial_maker(sensor_id: str, samples: InertialSamples, factory: MessageFactory) -> Maker:
     """Maker of star/<id>/inertial_attitude."""
     # ICRS <- forward, left, up.
-    quaternions = Rotation.from_matrix(samples.rotation_iv @ FLU_FROM_DEVICE.T).as_quat(canonical=True).tolist()
+    quaternions = Rotation.from_matrix(samples.rotation_cv @ FLU_FROM_DEVICE.T).as_quat(canonical=True).tolist()
     covariance = (FLU_FROM_DEVICE @ samples.noise_v @ FLU_FROM_DEVICE.T).ravel()
 
     def make(stamp: int, value: int) -> Any:

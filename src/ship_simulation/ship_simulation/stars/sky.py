@@ -70,8 +70,8 @@ class TrueSky:
         """Attitude of the horizon among the stars, aberration left out, shape (n, 3, 3)."""
         orientation, position = self.orientation(time_ns), self.track.at(time_ns)
         ut1 = julian_date(time_ns, orientation.ut1_minus_utc_s)
-        rotation_ei = erfa.c2t06a(*tt_julian_date(time_ns), *ut1, orientation.pole_x, orientation.pole_y)
-        rotation_ne: FloatArray = rotation_horizon_from_ecef(position.latitude, position.longitude) @ rotation_ei
+        rotation_ec = erfa.c2t06a(*tt_julian_date(time_ns), *ut1, orientation.pole_x, orientation.pole_y)
+        rotation_ne: FloatArray = rotation_horizon_from_ecef(position.latitude, position.longitude) @ rotation_ec
         return rotation_ne
 
     def lift(self, direction_n: FloatArray) -> FloatArray:
@@ -124,7 +124,7 @@ def place_of_date(stars: StarPositions, time_ns: int) -> StarPositions:
     """Stars by nothing but their place among the axes of the ICRS at a moment, proper motion and parallax in it."""
     tt = tt_julian_date(time_ns)
     earth_au = erfa.epv00(*tt)[1]["p"]
-    direction_i = erfa.pmpx(
+    direction_c = erfa.pmpx(
         stars.right_ascension,
         stars.declination,
         stars.pm_right_ascension,
@@ -134,7 +134,7 @@ def place_of_date(stars: StarPositions, time_ns: int) -> StarPositions:
         (tt[0] - _J2000 + tt[1]) / _JULIAN_YEAR_D,
         earth_au,
     )
-    right_ascension, declination = erfa.c2s(direction_i)
+    right_ascension, declination = erfa.c2s(direction_c)
     return fixed_stars(np.mod(right_ascension, 2.0 * np.pi), declination)
 
 

@@ -58,14 +58,14 @@ def stars_in_field(sensor: StarSensor, sky: TrueSky, rotation_nv: FloatArray, va
     bright = sky.catalogue.brighter_than(sensor.magnitude_limit)
     bright = bright[np.argsort(sky.catalogue.magnitude[bright], kind="stable")]
     places = sky.positions[bright]
-    place_i = erfa.s2c(places.right_ascension, places.declination)
+    place_c = erfa.s2c(places.right_ascension, places.declination)
     least_cosine = np.cos(_radius(camera, sensor.camera) + _MARGIN)
     parts = []
     block = max(int(_BLOCK_S * sensor.rate_hz), 1)
     for start in range(0, valid_ns.size, block):
         exposures = slice(start, start + block)
-        boresight_i = rotation_nv[exposures, :, 0] @ sky.rotation_horizon_from_icrs(valid_ns[start])
-        near = np.any(boresight_i @ place_i.T > least_cosine, axis=0)
+        boresight_c = rotation_nv[exposures, :, 0] @ sky.rotation_horizon_from_icrs(valid_ns[start])
+        near = np.any(boresight_c @ place_c.T > least_cosine, axis=0)
         candidates = bright[near]
         direction_n = sky.directions(sky.positions[candidates], valid_ns[exposures, None])
         # R^T v of each star, as rows.
@@ -152,10 +152,10 @@ def neighbour_identities(hip: NDArray[np.int64], rng: np.random.Generator) -> tu
 def _neighbours() -> tuple[Rows, Rows]:
     """Stars within 120″ of each star: those of row i are ``rows[first[i] : first[i + 1]]``."""
     stars = hipparcos().at_j2000
-    directions_i = erfa.s2c(stars.right_ascension, stars.declination)
+    directions_c = erfa.s2c(stars.right_ascension, stars.declination)
     # The chord of the angle.
-    pairs = cKDTree(directions_i).query_pairs(2.0 * np.sin(0.5 * NEIGHBOURHOOD), output_type="ndarray")
+    pairs = cKDTree(directions_c).query_pairs(2.0 * np.sin(0.5 * NEIGHBOURHOOD), output_type="ndarray")
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.lexsort((both[:, 1], both[:, 0]))]
-    first = np.searchsorted(both[:, 0], np.arange(len(directions_i) + 1))
+    first = np.searchsorted(both[:, 0], np.arange(len(directions_c) + 1))
     return first, both[:, 1]
