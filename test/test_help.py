@@ -19,7 +19,9 @@ from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 ROOT = Path(__file__).parents[1]
 NODES = {"ship_attitude": ShipAttitudeAdapter, "star_attitude": StarAttitudeAdapter, "optical_axis": OpticalAxisAdapter}
 EXECUTABLES = re.findall(
-    r'"(\w+) = ([\w.]+):main"', "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("src/*/setup.py"))
+    # What has moved to another package only says where it is now.
+    r'"(\w+) = (?!ship_replay\.commands\.moved)([\w.]+):\w+"',
+    "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("src/*/setup.py")),
 )
 
 

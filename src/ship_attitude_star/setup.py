@@ -20,8 +20,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "ship_attitude = ship_attitude_star.ros.ship_attitude_node:main",
-            "star_attitude = ship_attitude_star.ros.star_attitude_node:main",
+            "ship_attitude = ship_attitude_star.ros.nodes:ship_attitude",
+            "star_attitude = ship_attitude_star.ros.nodes:star_attitude",
             "layout_study = ship_attitude_star.layout.layout_study_command:main",
         ],
     },

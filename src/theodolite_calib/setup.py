@@ -20,7 +20,7 @@ setup(
     entry_points={
         "console_scripts": [
             "fit_axes = theodolite_calib.axis_fit.fit_axes_command:main",
-            "optical_axis = theodolite_calib.ros.optical_axis_node:main",
+            "optical_axis = theodolite_calib.ros.nodes:optical_axis",
         ],
     },
 )

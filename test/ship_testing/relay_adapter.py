@@ -11,9 +11,9 @@ from ship_bags.message_factory import MessageFactory
 from ship_estimation.parameters import ParameterError, mapping_of, parameter, section
 from ship_node.documents.files import DISK, Files
 from ship_node.edge.adapter import ServiceResult
-from ship_node.edge.diagnostics import DIAGNOSTICS_TOPIC, diagnostic_array
 from ship_node.edge.input_health import InputHealthBook
-from ship_node.edge.message_checks import Refused, frame, stamp_ns, unit_quaternion
+from ship_node.edge.messages_in import Refused, frame, stamp_ns, unit_quaternion
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, diagnostic_array
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
 EXPLOSIVE_FRAME = "explosive"
@@ -80,7 +80,7 @@ class RelayAdapter:
             frame(message.header.frame_id, self.config.frame_id)
             x, y, z, w = unit_quaternion(message.orientation)
         except Refused as refused:
-            self.health.rejected(topic, refused.reason, refused.text, receive_ns)
+            self.health.rejected(topic, refused.refusal, receive_ns)
             return []
         self.health.accepted(topic, time_ns, receive_ns)
         self.handled.append(receive_ns)

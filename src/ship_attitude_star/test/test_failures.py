@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from ship_attitude_star.measurements.samples import Reason, Status
-from ship_attitude_star.ros import ship_messages_out as messages_out
+from ship_attitude_star.ros import messages_out
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.output import CorrectedIns
 from ship_attitude_star.star_attitude import core as star_core

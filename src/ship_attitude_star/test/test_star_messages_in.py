@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.measurements.samples import Reason
+from ship_attitude_star.ros.messages_in import humidity, position_fix, pressure, temperature
 from ship_attitude_star.ros.star_messages_in import MOST_STARS, sigmas_given, star_exposure
-from ship_attitude_star.ros.surroundings_messages_in import humidity, position_fix, pressure, temperature
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.star_config import CameraConfig, SkyConfig
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import make_header
 from ship_geometry.rotations import ARCSEC
-from ship_node.edge.message_checks import Refused
+from ship_node.edge.messages_in import Refused
 
 FACTORY = RosidlFactory()
 STAMP_NS = 1_404_906_607_800_000_000
@@ -93,8 +93,8 @@ def test_mend_09_a_length_that_cannot_be_is_refused(exposure_s: float, reason: s
     message.exposure_s = exposure_s
     with pytest.raises(Refused) as caught:
         converted(message)
-    assert caught.value.reason == reason
-    assert "exposure_s" in caught.value.text
+    assert caught.value.refusal.reason.word == reason
+    assert "exposure_s" in caught.value.refusal.text
 
 
 def test_a_star_without_number_has_the_place_given_or_none_yet() -> None:
@@ -185,8 +185,8 @@ WHOLE = [
 def test_a_bad_exposure_is_refused(message: Any, reason: str, text: str) -> None:
     with pytest.raises(Refused) as caught:
         converted(message)
-    assert caught.value.reason == reason
-    assert text in caught.value.text
+    assert caught.value.refusal.reason.word == reason
+    assert text in caught.value.refusal.text
 
 
 def fix(**changes: Any) -> Any:
@@ -248,8 +248,8 @@ FIXES = [
 def test_a_bad_fix_is_refused(changes: dict[str, Any], reason: str, text: str) -> None:
     with pytest.raises(Refused) as caught:
         position_fix(fix(**changes), SkyConfig(), NOW_NS)
-    assert caught.value.reason == reason
-    assert text in caught.value.text
+    assert caught.value.refusal.reason.word == reason
+    assert text in caught.value.refusal.text
 
 
 AIR: dict[Callable[..., Any], tuple[str, str]] = {
@@ -306,8 +306,8 @@ def test_bad_weather_is_refused(
 ) -> None:
     with pytest.raises(Refused) as caught:
         converter(air(converter, value, variance), NOW_NS)
-    assert caught.value.reason == reason
-    assert text in caught.value.text
+    assert caught.value.refusal.reason.word == reason
+    assert text in caught.value.refusal.text
 
 
 def test_weather_without_a_stamp_is_refused() -> None:

@@ -18,7 +18,7 @@ from ship_bags.message_store import (
     type_hash,
 )
 from ship_bags.stamps import make_header
-from ship_node.edge.diagnostics import Level, Status, diagnostic_array
+from ship_node.edge.messages_out import DiagnosticStatus, Level, diagnostic_array
 from ship_testing.hand_made_bags import FACTORY, START_NS, innovation, ship_attitude
 
 SHIP_TYPES = sorted(name for name in message_store().fielddefs if name.startswith("ship_msgs/"))
@@ -53,7 +53,7 @@ def budget(factory):
 
 
 def diagnostics(factory):
-    return diagnostic_array(factory, START_NS, "node", [Status("a", Level.WARN, "text", {"key": "value"})])
+    return diagnostic_array(factory, START_NS, "node", [DiagnosticStatus("a", Level.WARN, "text", {"key": "value"})])
 
 
 @pytest.mark.parametrize("make", [health, budget, diagnostics])

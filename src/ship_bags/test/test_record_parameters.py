@@ -41,7 +41,7 @@ def test_mend_22_a_recording_holds_the_parameters_of_the_nodes_it_hears(name, tm
         for number in range(30):
             stamp_ns = START_NS + number * 10_000_000
             writer.write("ins/imu", imu(stamp_ns, "1e3"), stamp_ns)
-    start = "from ship_attitude_star.ros.ship_attitude_node import main; main()"
+    start = "from ship_attitude_star.ros.nodes import ship_attitude; ship_attitude()"
     options = ("-r", "__ns:=/aurora", "--params-file", tmp_path / "suite.yaml", "-p", f"black_box:={tmp_path}/box.mcap")
     node = [sys.executable, "-c", start, "--ros-args", *map(str, options)]
     recorder = command("ship_bags.commands.record", "--out", str(out))

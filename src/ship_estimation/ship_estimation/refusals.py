@@ -46,6 +46,11 @@ class Reason(enum.IntEnum):
     CLOCK = 28
     FAILED = 29
 
+    @property
+    def word(self) -> str:
+        """The reason as people read it in health, diagnostics and reports: ``bad_stamp``."""
+        return self.name.lower()
+
 
 @dataclass(frozen=True)
 class Refusal:

@@ -1,4 +1,4 @@
-from ship_node.edge.diagnostics import Level
+from ship_node.edge.messages_out import Level
 from ship_node.live.guard import Guard
 
 

@@ -4,8 +4,9 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import duration_text
-from ship_node.edge.diagnostics import Level
+from ship_estimation.refusals import Reason, Refusal
 from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.messages_out import Level
 from ship_node.edge.topics import InputTopic
 
 MS = 1_000_000
@@ -38,7 +39,7 @@ def reject(book, count, reason, *, start_ns=START_NS, period_ns=10 * MS):
     for i in range(count):
         receive_ns = start_ns + i * period_ns
         book.arrived(IMU, receive_ns)
-        book.rejected(IMU, reason, f"text {i}", receive_ns)
+        book.rejected(IMU, Refusal(reason, f"text {i}"), receive_ns)
     return receive_ns
 
 
@@ -136,7 +137,7 @@ def test_rate_falls_while_silent(book):
 
 def test_single_refusal_is_a_warning_for_two_seconds_with_reason_and_count(book):
     feed(book, 50)
-    refused_ns = reject(book, 1, "bad_quaternion", start_ns=START_NS + 500 * MS)
+    refused_ns = reject(book, 1, Reason.BAD_QUATERNION, start_ns=START_NS + 500 * MS)
     feed(book, 300, start_ns=refused_ns + 10 * MS)
     status = imu_status(book, refused_ns + 1_100 * MS)
     assert (status.level, status.message) == (Level.WARN, "refused, bad_quaternion: text 0")
@@ -147,45 +148,45 @@ def test_single_refusal_is_a_warning_for_two_seconds_with_reason_and_count(book)
 
 
 def test_single_gate_refusal_is_no_warning_but_a_run_is(book):
-    last_ns = reject(book, 4, "gate", start_ns=feed(book, 50) + 10 * MS)
+    last_ns = reject(book, 4, Reason.GATE, start_ns=feed(book, 50) + 10 * MS)
     assert imu_status(book, last_ns).level is Level.OK
-    last_ns = reject(book, 1, "gate", start_ns=last_ns + 10 * MS)
+    last_ns = reject(book, 1, Reason.GATE, start_ns=last_ns + 10 * MS)
     assert imu_status(book, last_ns).message == "5 refused in a row, last gate: text 0"
 
 
 @pytest.mark.parametrize(("count", "level"), [(5, Level.WARN), (19, Level.WARN), (20, Level.ERROR)])
 def test_run_of_refusals(book, count, level):
-    status = imu_status(book, reject(book, count, "bad_covariance"))
+    status = imu_status(book, reject(book, count, Reason.BAD_COVARIANCE))
     assert (status.level, status.message.split(",")[0]) == (level, f"{count} refused in a row")
 
 
 def test_accepted_message_ends_the_run(book):
-    last_ns = feed(book, 1, start_ns=reject(book, 30, "units") + 10 * MS)
+    last_ns = feed(book, 1, start_ns=reject(book, 30, Reason.UNITS) + 10 * MS)
     assert imu_status(book, last_ns + 2 * S + 10 * MS).message.startswith("silent")
-    reject(book, 4, "units", start_ns=last_ns + 10 * MS)
+    reject(book, 4, Reason.UNITS, start_ns=last_ns + 10 * MS)
     assert "in a row" not in imu_status(book, last_ns + 50 * MS).message
 
 
 def test_ten_from_the_future_in_a_row_are_a_clock_offset(book):
-    last_ns = reject(book, 9, "future")
+    last_ns = reject(book, 9, Reason.FUTURE)
     assert imu_status(book, last_ns).level is Level.WARN
-    last_ns = reject(book, 1, "future", start_ns=last_ns + 10 * MS)
+    last_ns = reject(book, 1, Reason.FUTURE, start_ns=last_ns + 10 * MS)
     status = imu_status(book, last_ns)
     assert status.level is Level.ERROR
     assert status.message.startswith("clock offset: 10 in a row from the future")
 
 
 def test_another_refusal_in_between_is_no_clock_offset(book):
-    last_ns = reject(book, 9, "future")
-    last_ns = reject(book, 1, "frame", start_ns=last_ns + 10 * MS)
-    last_ns = reject(book, 9, "future", start_ns=last_ns + 10 * MS)
+    last_ns = reject(book, 9, Reason.FUTURE)
+    last_ns = reject(book, 1, Reason.FRAME, start_ns=last_ns + 10 * MS)
+    last_ns = reject(book, 9, Reason.FUTURE, start_ns=last_ns + 10 * MS)
     assert "clock offset" not in imu_status(book, last_ns).message
 
 
 def test_delays_of_late_messages_are_kept(book):
     for delay_ms in (500, 2_500, 4_000, 90_000):
         book.arrived(IMU, START_NS)
-        book.rejected(IMU, "late", "older than the lag", START_NS, START_NS - delay_ms * MS)
+        book.rejected(IMU, Refusal(Reason.LATE, "older than the lag"), START_NS, START_NS - delay_ms * MS)
     values = imu_status(book, START_NS).values
     late = {key: value for key, value in values.items() if key.startswith("late ")}
     assert late == {"late up to 1 s": "1", "late up to 5 s": "2", "late above 60 s": "1"}
@@ -193,7 +194,7 @@ def test_delays_of_late_messages_are_kept(book):
 
 def test_noted_reason_is_counted_and_the_message_accepted(book):
     last_ns = feed(book, 3)
-    book.noted(IMU, "covariance_unknown")
+    book.noted(IMU, Reason.COVARIANCE_UNKNOWN)
     message = imu_message(book, last_ns)
     assert (message.accepted, message.rejected, message.level) == (3, 0, 0)
     assert (message.reasons, list(message.reason_counts)) == (["covariance_unknown"], [1])
@@ -210,7 +211,7 @@ def test_incompatible_qos_is_an_error_until_the_publisher_goes(book):
 
 def test_restart_keeps_counts_and_forgets_times(book):
     feed(book, 50)
-    reject(book, 30, "future", start_ns=START_NS + 500 * MS)
+    reject(book, 30, Reason.FUTURE, start_ns=START_NS + 500 * MS)
     early_ns = START_NS - 3600 * S
     book.restart()
     message = imu_message(book, early_ns + 1 * S)

@@ -7,7 +7,7 @@ import rclpy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Int32
 
-from ship_node.edge.diagnostics import Level
+from ship_node.edge.messages_out import Level
 from ship_node.live.guard import Guard
 from ship_node.live.node_events import MOST_EVENTS, NodeEvents
 

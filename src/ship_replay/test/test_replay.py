@@ -13,6 +13,7 @@ from ship_bags.mcap.stored_messages_writer import BagWriter
 from ship_bags.message_store import serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.parameters import parameter
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.topics import InputTopic, OutputTopic
@@ -54,7 +55,7 @@ class TinyAdapter:
         self.calls.append((topic, receive_ns))
         self.health.arrived(topic, receive_ns)
         if message.header.frame_id == "wrong":
-            self.health.rejected(topic, "frame", "wrong frame", receive_ns)
+            self.health.rejected(topic, Refusal(Reason.FRAME, "wrong frame"), receive_ns)
             return []
         self.health.accepted(topic, ns_from_stamp(message.header.stamp), receive_ns)
         self.latest_header = message.header

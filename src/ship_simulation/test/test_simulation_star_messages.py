@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ship_attitude_star.ros.messages_in import humidity, position_fix, pressure, temperature
 from ship_attitude_star.ros.star_messages_in import star_exposure
-from ship_attitude_star.ros.surroundings_messages_in import humidity, position_fix, pressure, temperature
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_attitude_star.stars.star_config import SkyConfig
 from ship_bags.message_store import RosbagsFactory, message_store, serialize

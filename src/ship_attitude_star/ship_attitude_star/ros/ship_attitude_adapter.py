@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ship_attitude_star.measurements.samples import AttitudeEstimate, Decision, Outcome, Status
-from ship_attitude_star.ros import alignment_file
-from ship_attitude_star.ros import ship_messages_out as messages_out
+from ship_attitude_star.ros import alignment_file, messages_out
 from ship_attitude_star.ros.ship_diagnosis import attitude_status, conflict_statuses, rates_status, start_warnings
 from ship_attitude_star.ros.ship_inputs import ShipInputs
 from ship_attitude_star.ship_attitude.alignment import AlignmentPrior
@@ -21,11 +20,16 @@ from ship_estimation.refusals import Reason, Refusal, failure
 from ship_node.documents.files import DISK, Files
 from ship_node.documents.saved_document import age_words
 from ship_node.edge.adapter import ServiceResult
-from ship_node.edge.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level, diagnostic_array
-from ship_node.edge.diagnostics import Status as DiagnosticStatus
 from ship_node.edge.input_health import InputHealthBook
-from ship_node.edge.message_checks import Refused
-from ship_node.edge.refusal_message import refusal_message
+from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_out import (
+    DIAGNOSTICS_TOPIC,
+    DIAGNOSTICS_TYPE,
+    DiagnosticStatus,
+    Level,
+    diagnostic_array,
+    refusal_message,
+)
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
 _ATTITUDE, _SLOW_TOPICS = "ship/attitude", "slow topics"
@@ -90,11 +94,11 @@ class ShipAttitudeAdapter:
         try:
             taken = self._inputs.take(topic, message, receive_ns, waiting_ns)
         except Refused as refused:
-            reason = Reason[refused.reason.upper()]
+            reason = refused.refusal.reason
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
-            return self._refusal(topic, time_ns, reason, refused.text, receive_ns)
+            return self._refusal(topic, time_ns, reason, refused.refusal.text, receive_ns)
         if not taken.covariance_known:
-            self.health.noted(topic, Reason.COVARIANCE_UNKNOWN.name.lower())
+            self.health.noted(topic, Reason.COVARIANCE_UNKNOWN)
         published = self._stars_refused(topic, taken.time_ns, taken.stars_refused)
         if taken.outcome.refusal is not None:
             refusal = taken.outcome.refusal
@@ -168,7 +172,7 @@ class ShipAttitudeAdapter:
     # -- outputs --------------------------------------------------------------------------------------------
 
     def _refusal(self, topic: str, time_ns: int, reason: Reason, text: str, receive_ns: int) -> list[Published]:
-        self.health.rejected(topic, reason.name.lower(), text, receive_ns, time_ns)
+        self.health.rejected(topic, Refusal(reason, text), receive_ns, time_ns)
         message = refusal_message(self._factory, self._source(topic), time_ns, reason, text)
         return [("ship/innovation", message)]
 
@@ -178,7 +182,7 @@ class ShipAttitudeAdapter:
         """Stars that had no part in their exposure, each said and counted; the exposure may be used all the same."""
         published: list[Published] = []
         for name, refusal in stars_refused:
-            self.health.noted(topic, refusal.reason.name.lower())
+            self.health.noted(topic, refusal.reason)
             text = f"{name}: {refusal.text}"
             message = refusal_message(self._factory, self._source(topic), time_ns, refusal.reason, text)
             published.append(("ship/innovation", message))
@@ -214,11 +218,11 @@ class ShipAttitudeAdapter:
         source = decision.measurement.source
         topic, time_ns = self._topics[source], decision.measurement.time_ns
         if decision.revised:
-            self.health.noted(topic, Reason.REVISED.name.lower())
+            self.health.noted(topic, Reason.REVISED)
         elif decision.accepted:
             self.health.accepted(topic, time_ns, now_ns)
         else:
-            self.health.rejected(topic, decision.reason.name.lower(), decision.text, now_ns, time_ns)
+            self.health.rejected(topic, Refusal(decision.reason, decision.text), now_ns, time_ns)
         if decision.reason is Reason.ATTITUDE_CONFLICT:
             self._conflicts[source] = decision
         elif decision.accepted:

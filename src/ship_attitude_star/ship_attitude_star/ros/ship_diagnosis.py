@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from ship_attitude_star.measurements.samples import AttitudeEstimate, Decision, Status
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_estimation.rate_guard import Rates
-from ship_node.edge.diagnostics import Level
-from ship_node.edge.diagnostics import Status as DiagnosticStatus
+from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 _WORDS = {
     Status.VALID: (Level.OK, "VALID: INS and stars"),

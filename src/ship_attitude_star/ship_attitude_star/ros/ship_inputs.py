@@ -4,13 +4,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from ship_attitude_star.measurements.samples import Measurement, Outcome
-from ship_attitude_star.ros import attitude_messages_in as messages_in
-from ship_attitude_star.ros import star_messages_in, surroundings_messages_in
+from ship_attitude_star.ros import messages_in, star_messages_in
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.refusals import Refusal
-from ship_node.edge import imu_messages_in
+from ship_node.edge.messages_in import ins_sample
 from ship_node.edge.topics import InputTopic
 
 INS_TOPIC = "ins/imu"
@@ -64,7 +63,7 @@ class ShipInputs:
         }
         stars = {f"star/{id_}/{star.input}": f"star.{id_}" for id_, star in config.star_sensors.items()}
         references = {f"reference/{name}/imu": f"reference.{name}" for name in config.references}
-        sky = () if watch is None else surroundings_messages_in.TOPICS
+        sky = () if watch is None else messages_in.TOPICS
         self._sky_topics = {entry.topic for entry in sky}
         # Each star sensor feeds the filter by exactly one topic: no star counts twice.
         self.sources = {INS_TOPIC: "ins", **stars, **references, **{topic: topic for topic in self._sky_topics}}
@@ -89,11 +88,11 @@ class ShipInputs:
             Refused: it cannot be read; nothing has changed.
         """
         if topic == INS_TOPIC:
-            sample = imu_messages_in.ins_sample(message, self.config.ins, receive_ns)
+            sample = ins_sample(message, self.config.ins, receive_ns)
             outcome = self._core.add_ins(sample.value, waiting_ns)
             return Taken(sample.value.time_ns, outcome, judged=False, covariance_known=sample.covariance_known)
         if topic in self._sky_topics:
-            told = surroundings_messages_in.sky_input(topic, message, self.config.sky, receive_ns)
+            told = messages_in.sky_input(topic, message, self.config.sky, receive_ns)
             outcome = self._core.add_sky_input(told)
             return Taken(told.time_ns, outcome, judged=False, covariance_known=told.sigma_known)
         kind, _, id_ = self.sources[topic].partition(".")

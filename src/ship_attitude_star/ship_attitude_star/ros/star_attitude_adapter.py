@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from ship_attitude_star.measurements.device_config import JOINT
-from ship_attitude_star.ros import ship_messages_out as messages_out
-from ship_attitude_star.ros import star_messages_in, star_messages_out, surroundings_messages_in
+from ship_attitude_star.ros import messages_in, messages_out, star_messages_in
 from ship_attitude_star.ros.star_diagnosis import sky_status, solution_statuses
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
@@ -14,14 +13,12 @@ from ship_attitude_star.star_attitude.results import RefusedStar, Solved, StarOu
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.parameters import changed
-from ship_estimation.refusals import Reason
+from ship_estimation.refusals import Reason, Refusal
 from ship_node.documents.files import DISK, Files
-from ship_node.edge import imu_messages_in
 from ship_node.edge.adapter import ServiceResult
-from ship_node.edge.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.edge.input_health import InputHealthBook
-from ship_node.edge.message_checks import Refused
-from ship_node.edge.refusal_message import refusal_message
+from ship_node.edge.messages_in import Refused, ins_sample
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array, refusal_message
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
 _INS_TOPIC = "ins/imu"
@@ -56,7 +53,7 @@ class StarAttitudeAdapter:
         self._sensors = {f"star/{id_}/observations": id_ for id_ in config.star_sensors}
         self.inputs: tuple[InputTopic, ...] = (
             *(InputTopic(topic, _STARS_TYPE, False, depth=100, named=True) for topic in self._sensors),
-            *surroundings_messages_in.TOPICS,
+            *messages_in.TOPICS,
             *([InputTopic(_INS_TOPIC, "sensor_msgs/msg/Imu", False, depth=1000)] if config.use_ins else []),
         )
         self.outputs: tuple[OutputTopic, ...] = (
@@ -88,9 +85,9 @@ class StarAttitudeAdapter:
                 return self._ins(message, receive_ns)
             return self._surroundings(topic, message, receive_ns)
         except Refused as refused:
-            reason = Reason[refused.reason.upper()]
+            reason = refused.refusal.reason
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
-            return self._refusal(topic, time_ns, reason, refused.text, receive_ns)
+            return self._refusal(topic, time_ns, reason, refused.refusal.text, receive_ns)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Solve what has waited long enough; once a period, the slow topics."""
@@ -130,7 +127,7 @@ class StarAttitudeAdapter:
             message, id_, sensor.frame_id, self._cameras[id_], sensor.camera, self._watch.catalogue, receive_ns
         )
         if not star_messages_in.sigmas_given(message):
-            self.health.noted(topic, Reason.COVARIANCE_UNKNOWN.name.lower())
+            self.health.noted(topic, Reason.COVARIANCE_UNKNOWN)
         stars = tuple(
             RefusedStar(exposure.source, exposure.time_ns, _name(message.stars[row], row), refusal)
             for row, refusal in refused
@@ -138,16 +135,16 @@ class StarAttitudeAdapter:
         return self._taken(topic, exposure.time_ns, self.core.add_exposure(exposure, stars, waiting_ns), receive_ns)
 
     def _ins(self, message: Any, receive_ns: int) -> list[Published]:
-        sample = imu_messages_in.ins_sample(message, self._config.ins, receive_ns).value
+        sample = ins_sample(message, self._config.ins, receive_ns).value
         outcome = self.core.add_ins(sample)
         if outcome.refusal is None:
             self.health.accepted(_INS_TOPIC, sample.time_ns, receive_ns)
         return self._taken(_INS_TOPIC, sample.time_ns, outcome, receive_ns)
 
     def _surroundings(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
-        given = surroundings_messages_in.sky_input(topic, message, self._config.sky, receive_ns)
+        given = messages_in.sky_input(topic, message, self._config.sky, receive_ns)
         if not given.sigma_known:
-            self.health.noted(topic, Reason.COVARIANCE_UNKNOWN.name.lower())
+            self.health.noted(topic, Reason.COVARIANCE_UNKNOWN)
         refusal = self.core.add_surroundings(given)
         if refusal is None:
             self.health.accepted(topic, given.time_ns, receive_ns)
@@ -168,7 +165,7 @@ class StarAttitudeAdapter:
     # -- outputs --------------------------------------------------------------------------------------------
 
     def _refusal(self, topic: str, time_ns: int, reason: Reason, text: str, now_ns: int) -> list[Published]:
-        self.health.rejected(topic, reason.name.lower(), text, now_ns, time_ns)
+        self.health.rejected(topic, Refusal(reason, text), now_ns, time_ns)
         sources = {_INS_TOPIC: "ins", **{name: f"star.{id_}" for name, id_ in self._sensors.items()}}
         return [self._told(sources.get(topic, topic), time_ns, reason, text)]
 
@@ -182,7 +179,7 @@ class StarAttitudeAdapter:
             published += self._joint(solved) if solved.sensor_id == JOINT else self._single(solved, now_ns)
         for source, time_ns in outcome.not_joined:
             text = "too late for the joint solution of its time; that of its sensor is published"
-            self.health.noted(_topic(source), Reason.LATE.name.lower())
+            self.health.noted(_topic(source), Reason.LATE)
             published.append(self._told(source, time_ns, Reason.LATE, text))
         return published
 
@@ -194,13 +191,13 @@ class StarAttitudeAdapter:
             return published + self._refusal(topic, solved.time_ns, refusal.reason, refusal.text, now_ns)
         self.health.accepted(topic, solved.time_ns, now_ns)
         for reason in [star.refusal.reason for star in solved.refused] + ([] if refusal is None else [refusal.reason]):
-            self.health.noted(topic, reason.name.lower())
+            self.health.noted(topic, reason)
         return published
 
     def _joint(self, solved: Solved) -> list[Published]:
         self._budget_due = solved if solved.valid else None
         for star in solved.refused:
-            self.health.noted(_topic(star.source), star.refusal.reason.name.lower())
+            self.health.noted(_topic(star.source), star.refusal.reason)
         published, refusal = self._solution(solved, messages_out.DECK_FRAME), solved.solution.refusal
         if refusal is not None and refusal.reason is Reason.FAILED:
             self.health.failed(f"star/{JOINT}/solution: {refusal.text}")
@@ -208,10 +205,10 @@ class StarAttitudeAdapter:
         return published
 
     def _solution(self, solved: Solved, frame_id: str) -> list[Published]:
-        message = star_messages_out.star_horizon_attitude(self._factory, solved, frame_id)
+        message = messages_out.star_horizon_attitude(self._factory, solved, frame_id)
         published: list[Published] = [(f"star/{solved.sensor_id}/solution", message)]
         published += [
-            ("star/innovation", star_messages_out.refused_star(self._factory, star)) for star in solved.refused
+            ("star/innovation", messages_out.refused_star(self._factory, star)) for star in solved.refused
         ]
         refusal = solved.solution.refusal
         if refusal is not None and refusal.reason not in _NOT_LOOKED_AT:
@@ -222,7 +219,7 @@ class StarAttitudeAdapter:
         factory = self._factory
         published: list[Published] = []
         if self._budget_due is not None:
-            published.append((f"star/{JOINT}/error_budget", star_messages_out.error_budget(factory, self._budget_due)))
+            published.append((f"star/{JOINT}/error_budget", messages_out.star_error_budget(factory, self._budget_due)))
             self._budget_due = None
         published += [("input_health", message) for message in self.health.messages(factory, now_ns, waiting_ns)]
         statuses = [

@@ -7,8 +7,7 @@ from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.results import Solved
 from ship_attitude_star.stars.solution import SolutionStatus
 from ship_geometry.rotations import ARCSEC
-from ship_node.edge.diagnostics import Level
-from ship_node.edge.diagnostics import Status as DiagnosticStatus
+from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 _WORDS = {
     SolutionStatus.VALID: (Level.OK, "VALID"),

@@ -1,7 +1,7 @@
 """From a message to the stars of one exposure: checks, directions, identities. Two adapters share it.
 
 Reads attributes only, so any message class will do. A message that cannot be used raises
-:class:`ship_node.edge.message_checks.Refused`; a star that cannot is left out, with its reason, and the others are
+:class:`ship_node.edge.messages_in.Refused`; a star that cannot is left out, with its reason, and the others are
 used.
 """
 
@@ -19,7 +19,7 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
-from ship_node.edge.message_checks import device_id, exposure_length_s, frame, stamp_ns
+from ship_node.edge.messages_in import device_id, exposure_length_s, frame, stamp_ns
 
 MOST_STARS = 100
 """Of one exposure; what comes after them is not looked at, so that no message can hold up the node."""

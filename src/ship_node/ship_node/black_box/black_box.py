@@ -34,7 +34,7 @@ from ship_node.black_box.black_box_format import (
 from ship_node.black_box.versions import versions
 from ship_node.documents.files import FileUse
 from ship_node.edge.adapter import Adapter
-from ship_node.edge.diagnostics import Level, Status
+from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import OutputTopic
 from ship_node.parameters.parameter_file import parameter_text
 
@@ -151,14 +151,15 @@ class BlackBox:
             self._queue.append(_Attachment(name, use.content))
         self.put_event(FileUsed(use.path, use.written, name, use.error), time_ns)
 
-    def status(self) -> Status:
+    def status(self) -> DiagnosticStatus:
         """How the box does."""
         if self._failure:
-            return Status("black box", Level.ERROR, f"{self.path}: writing ended: {self._failure}")
+            return DiagnosticStatus("black box", Level.ERROR, f"{self.path}: writing ended: {self._failure}")
         values = {"bytes": str(self._writer.whole_bytes), "waiting": str(len(self._queue)), "lost": str(self._lost)}
         if self._lost:
-            return Status("black box", Level.ERROR, f"{self.path}: {self._lost} entries lost: the disk is slow", values)
-        return Status("black box", Level.OK, f"writing {self.path}", values)
+            text = f"{self.path}: {self._lost} entries lost: the disk is slow"
+            return DiagnosticStatus("black box", Level.ERROR, text, values)
+        return DiagnosticStatus("black box", Level.OK, f"writing {self.path}", values)
 
     def close(self) -> None:
         """Write what is left and finish the file; a second time does nothing."""

@@ -1,16 +1,26 @@
-"""What has come on one input topic: counts, rate, latency, age, refusals in a row. Time only from arguments, ns."""
+"""What has come on the input topics: counts, rate, latency, age, refusals in a row. Time only from arguments, ns.
+
+Whether that is well is judged in :mod:`ship_node.edge.input_health`.
+"""
 
 import math
 import statistics
 from collections import Counter, deque
+from collections.abc import Iterable
 
+from ship_estimation.refusals import Reason, Refusal
 from ship_node.edge.topics import InputTopic
 
 WINDOW = 50
 """Arrivals from which rate and latency are taken."""
 
+MAX_AGE_S = 10.0
+"""Age of a stamp beyond which it is of another time, s."""
+
 LATE_EDGES_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 """Upper edges of the histogram of the delays of late messages, s."""
+
+_MOST_FAILURES = 20
 
 
 class InputRecord:
@@ -25,8 +35,7 @@ class InputRecord:
         refused_in_a_row: messages refused since the last accepted one.
         future_in_a_row: likewise, stamped in the future.
         last_refusal_ns: when the last message was refused, in the time of waiting; None where none was.
-        last_refusal: its reason.
-        last_text: what was said about it.
+        last_refusal: why; None where none was.
         is_too_old: whether the last accepted one was stamped too long before the node's clock.
         last_arrival_ns: when the last message came, in the time of waiting; None where none has.
     """
@@ -34,8 +43,8 @@ class InputRecord:
     def __init__(self, input_topic: InputTopic) -> None:
         self.input = input_topic
         self.received = self.accepted = self.rejected = 0
-        self.reasons: Counter[str] = Counter()
-        self.noted: Counter[str] = Counter()
+        self.reasons: Counter[Reason] = Counter()
+        self.noted: Counter[Reason] = Counter()
         self.late_delays = [0] * (len(LATE_EDGES_S) + 1)
         self.forget_times()
 
@@ -43,7 +52,7 @@ class InputRecord:
         """Keep the counts, start anew with everything that has to do with time."""
         self.refused_in_a_row = self.future_in_a_row = 0
         self.last_refusal_ns: int | None = None
-        self.last_refusal = self.last_text = ""
+        self.last_refusal: Refusal | None = None
         self.last_arrival_ns: int | None = None
         self.is_too_old = False
         self._newest_stamp_ns: int | None = None
@@ -58,24 +67,24 @@ class InputRecord:
         self.last_arrival_ns = waiting_ns
 
     def add_accepted(self, stamp_ns: int, receive_ns: int, max_age_ns: int) -> None:
-        """A message was used; that ends a run of refusals. One older than ``max_age_ns`` counts for ``clock``."""
+        """A message was used; that ends a run of refusals. One older than ``max_age_ns`` counts for CLOCK."""
         self.accepted += 1
         self.refused_in_a_row = self.future_in_a_row = 0
         self._latencies_ns.append(receive_ns - stamp_ns)
         self.is_too_old = receive_ns - stamp_ns > max_age_ns
         if self.is_too_old:
-            self.reasons["clock"] += 1
+            self.reasons[Reason.CLOCK] += 1
         if self._newest_stamp_ns is None or stamp_ns > self._newest_stamp_ns:
             self._newest_stamp_ns = stamp_ns
 
-    def add_rejected(self, reason: str, text: str, waiting_ns: int, receive_ns: int, stamp_ns: int | None) -> None:
+    def add_rejected(self, refusal: Refusal, waiting_ns: int, receive_ns: int, stamp_ns: int | None) -> None:
         """A message was refused; the delay of a late one goes into the histogram."""
         self.rejected += 1
-        self.reasons[reason] += 1
+        self.reasons[refusal.reason] += 1
         self.refused_in_a_row += 1
-        self.future_in_a_row = self.future_in_a_row + 1 if reason == "future" else 0
-        self.last_refusal_ns, self.last_refusal, self.last_text = waiting_ns, reason, text
-        if reason == "late" and stamp_ns is not None:
+        self.future_in_a_row = self.future_in_a_row + 1 if refusal.reason is Reason.FUTURE else 0
+        self.last_refusal_ns, self.last_refusal = waiting_ns, refusal
+        if refusal.reason is Reason.LATE and stamp_ns is not None:
             delay_s = (receive_ns - stamp_ns) * 1e-9
             self.late_delays[sum(delay_s > edge for edge in LATE_EDGES_S)] += 1
 
@@ -83,9 +92,10 @@ class InputRecord:
         """Messages were cut; that says nothing about those that were looked at."""
         self.received += count
         self.rejected += count
-        self.reasons["overflow"] += count
-        self.last_refusal_ns, self.last_refusal = waiting_ns, "overflow"
-        self.last_text = f"{self.reasons['overflow']} messages cut, the last {why}"
+        self.reasons[Reason.OVERFLOW] += count
+        self.last_refusal_ns = waiting_ns
+        cut = self.reasons[Reason.OVERFLOW]
+        self.last_refusal = Refusal(Reason.OVERFLOW, f"{cut} messages cut, the last {why}")
 
     @property
     def mean_period_ns(self) -> float:
@@ -114,3 +124,94 @@ class InputRecord:
     def age_s(self, now_ns: int) -> float:
         """Time since the newest stamp accepted, NaN before one came."""
         return math.nan if self._newest_stamp_ns is None else (now_ns - self._newest_stamp_ns) * 1e-9
+
+
+class InputRecords:
+    """The books of all inputs of a node, as an adapter and the shell of a node write them.
+
+    Rates and silence are taken in the time of waiting (:class:`ship_node.edge.adapter.Adapter`), ages and latencies by
+    the node's clock, as stamps are.
+
+    Args:
+        inputs: the topics; others are unknown (KeyError).
+        max_age_s: stamps further than this before the node's clock are of another time, s.
+
+    Attributes:
+        records: topic → its book.
+        start_ns: the first time of waiting that was told; None before.
+    """
+
+    def __init__(self, inputs: Iterable[InputTopic], max_age_s: float = MAX_AGE_S) -> None:
+        self._max_age_ns = round(max_age_s * 1e9)
+        self.records = {input_topic.topic: InputRecord(input_topic) for input_topic in inputs}
+        self.start_ns: int | None = None
+        self._waiting_ns: int | None = None
+        self._failures: deque[str] = deque(maxlen=_MOST_FAILURES)
+
+    def arrived(self, topic: str, waiting_ns: int) -> None:
+        """A message came, in the time of waiting."""
+        self.records[topic].add_arrival(self._now(waiting_ns))
+
+    def accepted(self, topic: str, stamp_ns: int, receive_ns: int) -> None:
+        """A message was used."""
+        self.records[topic].add_accepted(stamp_ns, receive_ns, self._max_age_ns)
+
+    def rejected(self, topic: str, refusal: Refusal, receive_ns: int, stamp_ns: int | None = None) -> None:
+        """A message was not used.
+
+        Args:
+            topic: the topic that it came on.
+            refusal: why.
+            receive_ns: when it was refused, by the node's clock.
+            stamp_ns: its stamp, where there is one to believe.
+        """
+        if refusal.reason is Reason.FAILED:
+            self.failed(f"{topic}: {refusal.text}")
+        waiting_ns = receive_ns if self._waiting_ns is None else self._waiting_ns
+        self.records[topic].add_rejected(refusal, waiting_ns, receive_ns, stamp_ns)
+
+    def noted(self, topic: str, reason: Reason) -> None:
+        """Something about a message is worth a count, although it may be used, as COVARIANCE_UNKNOWN."""
+        self.records[topic].reasons[reason] += 1
+        self.records[topic].noted[reason] += 1
+
+    def overflowed(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
+        """So many messages came and were not looked at: they were beyond a bound.
+
+        Args:
+            topic: the topic that they came on.
+            count: how many.
+            why: which bound, for people.
+            waiting_ns: when that is told.
+        """
+        self.records[topic].add_overflow(count, why, self._now(waiting_ns))
+
+    def failed(self, text: str) -> None:
+        """Our own code raised, and that was caught: for the log of a live node."""
+        self._failures.append(text)
+
+    def take_failures(self) -> list[str]:
+        """What failed since the last call, the latest few."""
+        failures = list(self._failures)
+        self._failures.clear()
+        return failures
+
+    def restart(self) -> None:
+        """The clock went back or the node was reset: counts stay, everything timed starts anew."""
+        self.start_ns = None
+        for record in self.records.values():
+            record.forget_times()
+
+    def refused_and_noted(self) -> dict[str, tuple[Counter[Reason], Counter[Reason]]]:
+        """Topic → reason → messages that were not used, and messages used with a note, of topics that had either."""
+        return {
+            topic: (record.reasons - record.noted, record.noted)
+            for topic, record in self.records.items()
+            if record.reasons
+        }
+
+    def _now(self, waiting_ns: int) -> int:
+        self._waiting_ns = waiting_ns
+        if self.start_ns is None:
+            self.start_ns = waiting_ns
+        return waiting_ns

@@ -18,7 +18,7 @@ from ship_node.black_box.black_box_format import (
 )
 from ship_node.documents.files import NotedFiles
 from ship_node.edge.adapter import Adapter, ServiceResult
-from ship_node.edge.diagnostics import DIAGNOSTICS_TOPIC, Level, Status
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DiagnosticStatus, Level
 from ship_node.edge.topics import Published
 from ship_node.live.status_log import StatusLog
 
@@ -134,9 +134,9 @@ class AdapterCalls:
         self._files.uses.clear()
 
 
-def _told_in_the_log(message: Any) -> Iterator[Status]:
+def _told_in_the_log(message: Any) -> Iterator[DiagnosticStatus]:
     """The statuses of a DiagnosticArray but its inputs: these change often, and what is grave shows in the others."""
     for status in message.status:
         name = status.name.partition(": ")[2]
         if not name.startswith("input "):
-            yield Status(name, Level(status.level[0]), status.message)
+            yield DiagnosticStatus(name, Level(status.level[0]), status.message)

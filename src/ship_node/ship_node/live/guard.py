@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 from ship_estimation.refusals import failure
-from ship_node.edge.diagnostics import Level, Status
+from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 Result = TypeVar("Result")
 
@@ -50,13 +50,14 @@ class Guard:
             self.note(f"{what}: {failure(error).text}")
             return None
 
-    def status(self) -> Status:
+    def status(self) -> DiagnosticStatus:
         """State of the node's own code."""
         if self._count == 0:
-            return Status("callbacks", Level.OK, "no exception")
+            return DiagnosticStatus("callbacks", Level.OK, "no exception")
         recent = self._monotonic_ns() - self._last_ns <= SHOWN_NS
         text = f"{self._count} exceptions, the last in {self._last_text}"
-        return Status("callbacks", Level.ERROR if recent else Level.WARN, text, {"exceptions": str(self._count)})
+        level = Level.ERROR if recent else Level.WARN
+        return DiagnosticStatus("callbacks", level, text, {"exceptions": str(self._count)})
 
     def note(self, text: str) -> None:
         """Count, log and report an exception that was caught where it was raised."""

@@ -28,7 +28,7 @@ from ship_geometry.input_error import InputError
 from ship_node.black_box.black_box import BlackBox
 from ship_node.documents.files import NotedFiles
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
-from ship_node.edge.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.edge.topics import InputTopic, OutputTopic
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.guard import Guard

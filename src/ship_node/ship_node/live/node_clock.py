@@ -5,7 +5,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from ship_node.edge.adapter import TICK_PERIOD_NS
-from ship_node.edge.diagnostics import Level, Status
+from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.clock_queue import queue_clock
 from ship_node.live.tick_grid import WaitingClock
 
@@ -61,18 +61,19 @@ class NodeClock:
         """Whether /clock rules, came, and comes no more."""
         return self._was_heard and self._silence_ns() >= DEAD_AFTER_NS
 
-    def status(self) -> Status:
+    def status(self) -> DiagnosticStatus:
         """What there is to say about it."""
         if not self.is_simulated():
-            return Status("clock", Level.OK, "running")
+            return DiagnosticStatus("clock", Level.OK, "running")
         silence_ns = self._silence_ns()
         for_s = f"{silence_ns * 1e-9:.0f} s"
         if self.now_ns() == 0:
             level = Level.ERROR if silence_ns >= _START_NS else Level.OK
-            return Status("clock", level, f"use_sim_time is set, but no /clock came for {for_s}")
+            return DiagnosticStatus("clock", level, f"use_sim_time is set, but no /clock came for {for_s}")
         if silence_ns >= DEAD_AFTER_NS:
-            return Status("clock", Level.ERROR, f"use_sim_time is set, and no /clock came for {for_s}: time stands")
-        return Status("clock", Level.OK, "running by /clock")
+            text = f"use_sim_time is set, and no /clock came for {for_s}: time stands"
+            return DiagnosticStatus("clock", Level.ERROR, text)
+        return DiagnosticStatus("clock", Level.OK, "running by /clock")
 
     def _silence_ns(self) -> int:
         """How long the node has listened since the last /clock."""

@@ -7,7 +7,7 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 
-from ship_node.edge.diagnostics import Level, Status
+from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.guard import Guard
 from ship_node.live.tick_grid import WaitingClock
 
@@ -79,13 +79,13 @@ class NodeEvents:
         if self._listening.now_ns(0) - self._pulse_ns > LONGEST_BEHIND_NS + round(_PULSE_S * 1e9):
             self._drop()
 
-    def status(self) -> Status:
+    def status(self) -> DiagnosticStatus:
         """Whether the node can take what comes."""
         if self._dropped_count == 0:
-            return Status("events", Level.OK, "taken as they come")
+            return DiagnosticStatus("events", Level.OK, "taken as they come")
         recent = self._steady_ns() - self._dropped_ns <= _SHOWN_NS
         text = f"overflow: more came than this node can take; what waited was dropped {self._dropped_count} times"
-        return Status("events", Level.ERROR if recent else Level.WARN, text)
+        return DiagnosticStatus("events", Level.ERROR if recent else Level.WARN, text)
 
     def _drop(self) -> None:
         self._dropped_count += 1

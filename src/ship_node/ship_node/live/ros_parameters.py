@@ -22,7 +22,7 @@ from ship_estimation.parameters import (
     nest,
 )
 from ship_estimation.refusals import shortened
-from ship_node.edge.diagnostics import Level, Status
+from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.adapter_calls import AdapterCalls
 
 USE_SIM_TIME = "use_sim_time"
@@ -89,13 +89,13 @@ class NodeParameters:
         self._node.add_on_set_parameters_callback(self._set)
         self._node.change = self._change
 
-    def status(self) -> Status:
+    def status(self) -> DiagnosticStatus:
         """What of the parameters was changed since the start, and what was refused last."""
         now = flatten(self.config)
         changed = {name: f"{now[name]}, {was} at the start" for name, was in self._at_start.items() if now[name] != was}
         lines = [f"{name} = {change}" for name, change in changed.items()]
         text = f"changed: {'; '.join(lines)}" if lines else "as at the start"
-        return Status("parameters", Level.OK, text + self._last_refusal, changed)
+        return DiagnosticStatus("parameters", Level.OK, text + self._last_refusal, changed)
 
     def _change(
         self, parameters: list[Parameter], take: Callable[[list[Parameter]], SetParametersResult]

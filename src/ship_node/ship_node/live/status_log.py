@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any, Protocol
 
-from ship_node.edge.diagnostics import Level, Status
+from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 
 class LevelledLogger(Protocol):
@@ -37,7 +37,7 @@ class StatusLog:
         """Whether an error of that status was logged and is not over yet."""
         return (self._levels or {}).get(name) is Level.ERROR
 
-    def see(self, statuses: Iterable[Status]) -> None:
+    def see(self, statuses: Iterable[DiagnosticStatus]) -> None:
         """Take all statuses of a report."""
         before, now = self._levels, {}
         for status in statuses:

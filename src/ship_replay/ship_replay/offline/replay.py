@@ -83,7 +83,7 @@ def replay(
                 name = topic if len(chain.adapters) == 1 else f"{adapter.node_name}: {topic}"
                 for kept, reasons in zip((summary.refused, summary.noted), counts, strict=True):
                     if reasons:
-                        kept[name] = dict(reasons)
+                        kept[name] = {reason.word: count for reason, count in reasons.items()}
         summary.problems = left_out + bag.problems
         summary.duration_s = (bag.last_time_ns - bag.start_ns) / NS_PER_S
     summary.elapsed_s = time.monotonic() - started_s

@@ -3,7 +3,7 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
-from ship_node.edge.diagnostics import DIAGNOSTICS_TYPE
+from ship_node.edge.messages_out import DIAGNOSTICS_TYPE
 from ship_replay.offline.message_difference import Difference
 
 ASIDE = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"

@@ -10,10 +10,9 @@ import numpy as np
 from ship_attitude_star.measurements.device_config import MountingConfig
 from ship_attitude_star.measurements.inertial_attitude import in_horizon
 from ship_attitude_star.measurements.star_exposure import StarExposure
-from ship_attitude_star.ros.attitude_messages_in import inertial_attitude, reference_measurement, star_measurement
+from ship_attitude_star.ros.messages_in import TOPICS as SKY_TOPICS
+from ship_attitude_star.ros.messages_in import inertial_attitude, reference_measurement, sky_input, star_measurement
 from ship_attitude_star.ros.star_messages_in import star_exposure
-from ship_attitude_star.ros.surroundings_messages_in import TOPICS as SKY_TOPICS
-from ship_attitude_star.ros.surroundings_messages_in import sky_input
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
@@ -26,8 +25,7 @@ from ship_bags.times import NS_PER_S
 from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray, angle_between
-from ship_node.edge.imu_messages_in import ins_sample
-from ship_node.edge.message_checks import Refused
+from ship_node.edge.messages_in import Refused, ins_sample
 from ship_replay.offline.gaps import stamp_of_bytes
 
 _EPOCHS = 30

@@ -3,8 +3,7 @@
 import numpy as np
 
 from ship_geometry.rotations import ARCSEC
-from ship_node.edge.diagnostics import Level
-from ship_node.edge.diagnostics import Status as DiagnosticStatus
+from ship_node.edge.messages_out import DiagnosticStatus, Level
 from theodolite_calib.measured.samples import Decision, Mode, PointingEstimate, Status
 from theodolite_calib.optical_axis.calibration import Calibration
 

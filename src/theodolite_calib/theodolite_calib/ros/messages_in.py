@@ -17,8 +17,7 @@ from ship_geometry.ros_axes import (
     rotation_from_quaternion,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.edge.imu_messages_in import imu_rotation, ins_sample, ship_rate
-from ship_node.edge.message_checks import (
+from ship_node.edge.messages_in import (
     Refused,
     covariance_3x3,
     device_id,
@@ -26,7 +25,10 @@ from ship_node.edge.message_checks import (
     finite_numbers,
     finite_vector,
     frame,
+    imu_rotation,
+    ins_sample,
     quoted_id,
+    ship_rate,
     stamp_ns,
     unit_quaternion,
 )
@@ -69,7 +71,7 @@ def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Convert
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.encoder.frame_id)
     if message.status == _ENCODER_INVALID:
-        raise Refused("gap", "the encoder itself reports a fault")
+        raise Refused(Reason.GAP, "the encoder itself reports a fault")
     finite_numbers("azimuth, elevation", message.azimuth, message.elevation)
     sigma = _sigma(message.sigma, 2.0 * np.pi)
     angles = np.array([message.azimuth, message.elevation])
@@ -86,9 +88,9 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> C
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.ship.frame_id)
     if message.status == Status.INVALID:
-        raise Refused("gap", "the source itself says INVALID")
+        raise Refused(Reason.GAP, "the source itself says INVALID")
     if message.status not in list(Status):
-        raise Refused("units", f"status {message.status} is unknown: expected VALID, COASTING or DEGRADED")
+        raise Refused(Reason.UNITS, f"status {message.status} is unknown: expected VALID, COASTING or DEGRADED")
     rotation_nd = rotation_from_quaternion(unit_quaternion(message.orientation))
     total_n = _ship_covariance(message, rotation_nd)
     rate = message.angular_velocity
@@ -131,10 +133,10 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
         return Converted(BaselineSample(time_ns, np.zeros(3), np.zeros((3, 3)), refusal))
     vector_n = ENU_FROM_HORIZON.T @ finite_vector(message.enu, "enu")
     if np.max(np.abs(vector_n)) > _LONGEST_BASELINE_M:
-        raise Refused("units", f"baseline N, U, E {vector_n.tolist()}: expected metres, 100 km at most")
+        raise Refused(Reason.UNITS, f"baseline N, U, E {vector_n.tolist()}: expected metres, 100 km at most")
     covariance_enu = covariance_3x3(message.covariance)
     if covariance_enu is not None and np.max(np.diagonal(covariance_enu)) > _LONGEST_BASELINE_M**2:
-        raise Refused("bad_covariance", "a sigma of more than 100 km")
+        raise Refused(Reason.BAD_COVARIANCE, "a sigma of more than 100 km")
     if covariance_enu is None:
         return Converted(BaselineSample(time_ns, vector_n, beacon.rtk.sigma_m**2 * np.eye(3)), False)
     return Converted(BaselineSample(time_ns, vector_n, horizon_covariance(covariance_enu)))
@@ -184,7 +186,7 @@ def _light_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig
     try:
         return _seen_light(sighting, names, config)
     except Refused as error:
-        return Refusal(Reason[error.reason.upper()], error.text)
+        return error.refusal
 
 
 def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool]:
@@ -192,12 +194,12 @@ def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> t
     name = sighting.beacon_id
     if name not in config.beacons:
         expected = ", ".join(sorted(config.beacons)) or "none: beacons.<id> is empty"
-        raise Refused("unknown_sensor", f"beacon_id {quoted_id(name)} is unknown: expected {expected}")
+        raise Refused(Reason.UNKNOWN_SENSOR, f"beacon_id {quoted_id(name)} is unknown: expected {expected}")
     if names.count(name) > 1:
-        raise Refused("conflict", f"{quoted_id(name)} is in one image {names.count(name)} times")
+        raise Refused(Reason.CONFLICT, f"{quoted_id(name)} is in one image {names.count(name)} times")
     finite_numbers("x, z", sighting.x, sighting.z)
     if max(abs(sighting.x), abs(sighting.z)) > _LARGEST_DETECTOR_M:
-        raise Refused("units", f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
+        raise Refused(Reason.UNITS, f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
     sigma = _sigma(sighting.sigma, _LARGEST_DETECTOR_M)
     point_m = np.array([sighting.x, sighting.z])
     return SeenLight(name, point_m, sigma or config.telescope.sigma_m), sigma is not None
@@ -208,9 +210,9 @@ def _sigma(value: float, largest: float) -> float | None:
     if math.isnan(value) or value == 0.0:
         return None
     if math.isinf(value):
-        raise Refused("non_finite", "sigma holds infinity")
+        raise Refused(Reason.NON_FINITE, "sigma holds infinity")
     if not 0.0 < value <= largest:
-        raise Refused("bad_covariance", f"sigma is {value:.6g}: expected a positive number up to {largest:.3g}")
+        raise Refused(Reason.BAD_COVARIANCE, f"sigma is {value:.6g}: expected a positive number up to {largest:.3g}")
     return float(value)
 
 
@@ -227,7 +229,7 @@ def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None
         total_n = rotation_vector_covariance(angles, heading, pitch)
     largest = float(np.max(np.diagonal(total_n)))
     if largest > _LARGEST_VARIANCE:
-        raise Refused("bad_covariance", f"a variance of {largest:.3g} rad² is a sigma of more than a full turn")
+        raise Refused(Reason.BAD_COVARIANCE, f"a variance of {largest:.3g} rad² is a sigma of more than a full turn")
     return total_n
 
 

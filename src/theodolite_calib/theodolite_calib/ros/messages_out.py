@@ -88,7 +88,7 @@ def innovation(factory: MessageFactory, decision: Decision) -> Any:
     """ship_msgs/Innovation of an exposure that was judged."""
     reason, text = decision.reason, decision.text
     if decision.revised:
-        verdict = "now used" if decision.accepted else f"now refused: {reason.name.lower()}"
+        verdict = "now used" if decision.accepted else f"now refused: {reason.word}"
         reason, text = Reason.REVISED, f"judged anew after a measurement that arrived late, {verdict} {text}".rstrip()
     return factory.make(
         "ship_msgs/msg/Innovation",

@@ -12,10 +12,9 @@ from ship_estimation.refusals import Reason, Refusal, failure
 from ship_node.documents.files import DISK, Files
 from ship_node.documents.saved_document import age_words
 from ship_node.edge.adapter import ServiceResult
-from ship_node.edge.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.edge.input_health import InputHealthBook
-from ship_node.edge.message_checks import Refused
-from ship_node.edge.refusal_message import refusal_message
+from ship_node.edge.messages_in import Refused
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array, refusal_message
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import Decision, Outcome, PointingEstimate, Status
@@ -82,11 +81,11 @@ class OpticalAxisAdapter:
         try:
             taken = self._inputs.take(topic, message, receive_ns, waiting_ns)
         except Refused as refused:
-            reason = Reason[refused.reason.upper()]
+            reason = refused.refusal.reason
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
-            return self._refusal(topic, time_ns, Refusal(reason, refused.text), receive_ns)
+            return self._refusal(topic, time_ns, refused.refusal, receive_ns)
         if not taken.covariance_known:
-            self.health.noted(topic, Reason.COVARIANCE_UNKNOWN.name.lower())
+            self.health.noted(topic, Reason.COVARIANCE_UNKNOWN)
         published = self._lights_refused(taken.time_ns, taken.lights_refused)
         if taken.outcome.refusal is not None:
             published += self._refusal(topic, taken.time_ns, taken.outcome.refusal, receive_ns)
@@ -158,7 +157,7 @@ class OpticalAxisAdapter:
     # -- outputs --------------------------------------------------------------------------------------------
 
     def _refusal(self, topic: str, time_ns: int, refusal: Refusal, receive_ns: int) -> list[Published]:
-        self.health.rejected(topic, refusal.reason.name.lower(), refusal.text, receive_ns, time_ns)
+        self.health.rejected(topic, refusal, receive_ns, time_ns)
         source = self._inputs.sources[topic]
         return [(_INNOVATION, refusal_message(self._factory, source, time_ns, refusal.reason, refusal.text))]
 
@@ -166,7 +165,7 @@ class OpticalAxisAdapter:
         """Lights that had no part in their exposure, each said and counted; the others may be used all the same."""
         published: list[Published] = []
         for name, refusal in lights_refused:
-            self.health.noted(BEACONS_TOPIC, refusal.reason.name.lower())
+            self.health.noted(BEACONS_TOPIC, refusal.reason)
             message = refusal_message(self._factory, f"light.{name}", time_ns, refusal.reason, refusal.text)
             published.append((_INNOVATION, message))
         return published
@@ -193,13 +192,13 @@ class OpticalAxisAdapter:
     def _count(self, decision: Decision, now_ns: int) -> None:
         time_ns = decision.exposure.time_ns
         if decision.revised:
-            self.health.noted(BEACONS_TOPIC, Reason.REVISED.name.lower())
+            self.health.noted(BEACONS_TOPIC, Reason.REVISED)
         elif decision.accepted:
             self.health.accepted(BEACONS_TOPIC, time_ns, now_ns)
             if decision.reason is not Reason.NONE:
-                self.health.noted(BEACONS_TOPIC, decision.reason.name.lower())
+                self.health.noted(BEACONS_TOPIC, decision.reason)
         else:
-            self.health.rejected(BEACONS_TOPIC, decision.reason.name.lower(), decision.text, now_ns, time_ns)
+            self.health.rejected(BEACONS_TOPIC, Refusal(decision.reason, decision.text), now_ns, time_ns)
         if decision.reason is Reason.ATTITUDE_CONFLICT:
             self._conflict = decision
         elif decision.accepted:

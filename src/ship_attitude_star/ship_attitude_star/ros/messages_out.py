@@ -1,11 +1,14 @@
-"""From the core's results to messages: axes, units, field names. Sets fields only; a factory knows the classes."""
+"""From results of both cores to messages: axes, units, field names. Sets fields only; a factory knows the classes."""
 
 from typing import Any
 
 import numpy as np
 
+from ship_attitude_star.measurements.device_config import JOINT
 from ship_attitude_star.measurements.samples import AttitudeEstimate, Decision, Status
 from ship_attitude_star.ship_attitude.alignment import Alignment
+from ship_attitude_star.star_attitude.results import RefusedStar, Solved
+from ship_attitude_star.stars.solution import SOLUTION_TERMS
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
 from ship_estimation.refusals import Reason
@@ -100,7 +103,7 @@ def innovation(factory: MessageFactory, decision: Decision) -> Any:
     if decision.accepted and not decision.measurement.covariance_known:
         reason, text = Reason.COVARIANCE_UNKNOWN, "the message gives no covariance: used with the configured sigma"
     if decision.revised:
-        verdict = "now used" if decision.accepted else f"now refused: {reason.name.lower()}"
+        verdict = "now used" if decision.accepted else f"now refused: {reason.word}"
         reason, text = Reason.REVISED, f"judged anew after a measurement that arrived late, {verdict} {text}".rstrip()
     return factory.make(
         "ship_msgs/msg/Innovation",
@@ -114,6 +117,59 @@ def innovation(factory: MessageFactory, decision: Decision) -> Any:
         accepted=decision.accepted,
         reason=int(reason),
         reason_text=text,
+    )
+
+
+def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str) -> Any:
+    """ship_msgs/StarHorizonAttitude; all NaN where there is no attitude."""
+    solution = solved.solution
+    azimuth, elevation, roll = angles_from_rotation(solution.rotation_nb).tolist()
+    covariance_n = solution.covariance_n
+    return factory.make(
+        "ship_msgs/msg/StarHorizonAttitude",
+        header=make_header(factory, solved.time_ns, frame_id),
+        sensor_id=solved.sensor_id,
+        azimuth=azimuth,
+        elevation=elevation,
+        roll=roll,
+        covariance=angle_covariance(covariance_n, azimuth, elevation).ravel(),
+        rotation_covariance=enu_covariance(covariance_n).ravel(),
+        noise_covariance=enu_covariance(solution.noise_n).ravel(),
+        star_count=solved.star_count,
+        rejected_count=solved.rejected_count,
+        residual_rms=solution.residual_rms if solved.valid else float("nan"),
+        status=int(solution.status),
+    )
+
+
+def star_error_budget(factory: MessageFactory, solved: Solved) -> Any:
+    """ship_msgs/ErrorBudget of a joint solution."""
+    return factory.make(
+        "ship_msgs/msg/ErrorBudget",
+        header=make_header(factory, solved.time_ns, DECK_FRAME),
+        quantity=f"star_{JOINT}",
+        sources=list(SOLUTION_TERMS),
+        covariances=enu_covariance(solved.solution.parts_n).ravel(),
+        total=enu_covariance(solved.solution.covariance_n).ravel(),
+    )
+
+
+def refused_star(factory: MessageFactory, star: RefusedStar) -> Any:
+    """ship_msgs/Innovation of a star that was refused, compared with its place or not."""
+    residual = np.array(star.residual)
+    compared = len(residual) > 0
+    return factory.make(
+        "ship_msgs/msg/Innovation",
+        header=make_header(factory, star.time_ns, star.source),
+        source=star.source,
+        components=["up", "right"] if compared else [],
+        residual=residual,
+        sigma=np.full(len(residual), star.sigma),
+        nis=float(residual @ residual / star.sigma**2) if compared else float("nan"),
+        gate=float("nan"),
+        accepted=False,
+        reason=int(star.refusal.reason),
+        reason_text=f"{star.name}: {star.refusal.text}",
     )
 
 

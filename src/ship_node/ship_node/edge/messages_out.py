@@ -1,12 +1,15 @@
-"""State of a node for people: plain records, and the DiagnosticArray made of them."""
+"""Messages that every node gives of itself: why an input was not used, and how the node does."""
 
 import enum
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
+from ship_estimation.refusals import Reason, shortened
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
@@ -22,7 +25,7 @@ class Level(enum.IntEnum):
 
 
 @dataclass(frozen=True)
-class Status:
+class DiagnosticStatus:
     """How one thing does.
 
     Attributes:
@@ -38,7 +41,9 @@ class Status:
     values: Mapping[str, str] = field(default_factory=dict)
 
 
-def diagnostic_array(factory: MessageFactory, now_ns: int, hardware_id: str, statuses: Iterable[Status]) -> Any:
+def diagnostic_array(
+    factory: MessageFactory, now_ns: int, hardware_id: str, statuses: Iterable[DiagnosticStatus]
+) -> Any:
     """A diagnostic_msgs/DiagnosticArray.
 
     Args:
@@ -54,7 +59,7 @@ def diagnostic_array(factory: MessageFactory, now_ns: int, hardware_id: str, sta
     )
 
 
-def _diagnostic_status(factory: MessageFactory, hardware_id: str, status: Status) -> Any:
+def _diagnostic_status(factory: MessageFactory, hardware_id: str, status: DiagnosticStatus) -> Any:
     return factory.make(
         "diagnostic_msgs/msg/DiagnosticStatus",
         level=int(status.level),
@@ -64,4 +69,22 @@ def _diagnostic_status(factory: MessageFactory, hardware_id: str, status: Status
         values=[
             factory.make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in status.values.items()
         ],
+    )
+
+
+def refusal_message(factory: MessageFactory, source: str, time_ns: int, reason: Reason, text: str) -> Any:
+    """ship_msgs/Innovation of an input that was refused before it was compared."""
+    source = shortened(source)
+    return factory.make(
+        "ship_msgs/msg/Innovation",
+        header=make_header(factory, time_ns, source),
+        source=source,
+        components=[],
+        residual=np.empty(0),
+        sigma=np.empty(0),
+        nis=float("nan"),
+        gate=float("nan"),
+        accepted=False,
+        reason=int(reason),
+        reason_text=shortened(text),
     )

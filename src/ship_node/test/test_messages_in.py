@@ -6,7 +6,7 @@ import pytest
 
 from ship_estimation.refusals import LONGEST_TEXT, Reason, Refusal, shortened
 from ship_msgs.msg import Innovation
-from ship_node.edge.message_checks import (
+from ship_node.edge.messages_in import (
     Refused,
     covariance_3x3,
     device_id,
@@ -26,10 +26,10 @@ def header(sec: int, nanosec: int) -> SimpleNamespace:
     return SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec))
 
 
-def refusal(check, *arguments: object) -> Refused:
+def refusal(check, *arguments: object) -> Refusal:
     with pytest.raises(Refused) as caught:
         check(*arguments)
-    return caught.value
+    return caught.value.refusal
 
 
 @pytest.mark.parametrize("norm", [0.9901, 1.0, 1.0099])
@@ -39,7 +39,7 @@ def test_quaternion_a_little_off_is_renormalised(norm):
 
 @pytest.mark.parametrize("norm", [0.0, 9e-7, 0.9899, 1.0101, 57.3])
 def test_quaternion_far_off_is_refused(norm):
-    assert refusal(unit_quaternion, quaternion(0.0, 0.6 * norm, 0.8 * norm, 0.0)).reason == "bad_quaternion"
+    assert refusal(unit_quaternion, quaternion(0.0, 0.6 * norm, 0.8 * norm, 0.0)).reason is Reason.BAD_QUATERNION
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -47,7 +47,7 @@ def test_quaternion_far_off_is_refused(norm):
 def test_quaternion_that_is_not_finite_is_refused(place, bad):
     numbers = [0.0, 0.0, 0.0, 1.0]
     numbers[place] = bad
-    assert refusal(unit_quaternion, quaternion(*numbers)).reason == "non_finite"
+    assert refusal(unit_quaternion, quaternion(*numbers)).reason is Reason.NON_FINITE
 
 
 @pytest.mark.parametrize("unknown", [[0.0] * 9, [-1.0] + [0.0] * 8, [-1.0] + [math.nan] * 8])
@@ -93,29 +93,29 @@ def test_covariance_with_a_perfectly_known_axis_is_a_covariance():
 )
 def test_what_no_covariance_can_be_is_refused(matrix, text):
     refused = refusal(covariance_3x3, np.array(matrix, dtype=float).ravel(), "noise_covariance")
-    assert refused.reason == "bad_covariance"
+    assert refused.reason is Reason.BAD_COVARIANCE
     assert refused.text.startswith("noise_covariance")
     assert text in refused.text
 
 
 def test_covariance_that_is_not_finite_is_refused():
-    assert refusal(covariance_3x3, [1, 0, 0, 0, math.nan, 0, 0, 0, 1]).reason == "non_finite"
+    assert refusal(covariance_3x3, [1, 0, 0, 0, math.nan, 0, 0, 0, 1]).reason is Reason.NON_FINITE
 
 
 def test_stamp_zero_is_refused():
-    assert refusal(stamp_ns, header(0, 0), 10**18).reason == "bad_stamp"
-    assert refusal(stamp_ns, header(-5, 0), 10**18).reason == "bad_stamp"
+    assert refusal(stamp_ns, header(0, 0), 10**18).reason is Reason.BAD_STAMP
+    assert refusal(stamp_ns, header(-5, 0), 10**18).reason is Reason.BAD_STAMP
 
 
 def test_stamp_with_a_second_of_nanoseconds_is_refused():
-    assert refusal(stamp_ns, header(1000, 10**9), 10**18).reason == "bad_stamp"
+    assert refusal(stamp_ns, header(1000, 10**9), 10**18).reason is Reason.BAD_STAMP
     assert stamp_ns(header(1000, 10**9 - 1), 10**18) == 1001 * 10**9 - 1
 
 
 def test_stamp_may_be_50_ms_ahead_and_no_more():
     assert stamp_ns(header(1000, 50_000_000), 1000 * 10**9) == 1000_050_000_000
     refused = refusal(stamp_ns, header(1000, 50_000_001), 1000 * 10**9)
-    assert refused.reason == "future"
+    assert refused.reason is Reason.FUTURE
     assert "0.050 s ahead" in refused.text
 
 
@@ -127,7 +127,7 @@ def test_frame_names_what_was_expected_and_what_came():
     frame("anything", "")
     frame("ins", "ins")
     refused = refusal(frame, "radar", "ins")
-    assert (refused.reason, refused.text) == ("frame", "frame_id is 'radar': expected 'ins'")
+    assert (refused.reason, refused.text) == (Reason.FRAME, "frame_id is 'radar': expected 'ins'")
 
 
 def test_numbers_and_vectors_must_be_finite():
@@ -136,7 +136,7 @@ def test_numbers_and_vectors_must_be_finite():
     vector = SimpleNamespace(x=1.0, y=2.0, z=3.0)
     np.testing.assert_array_equal(finite_vector(vector, "angular_velocity"), [1.0, 2.0, 3.0])
     vector.y = math.inf
-    assert refusal(finite_vector, vector, "angular_velocity").reason == "non_finite"
+    assert refusal(finite_vector, vector, "angular_velocity").reason is Reason.NON_FINITE
 
 
 def test_mend_13_every_reason_is_a_constant_of_the_message_and_keeps_its_number():
@@ -151,7 +151,7 @@ def test_mend_18_texts_from_outside_are_cut_with_an_ellipsis():
     assert len(refused.text) < LONGEST_TEXT
     assert refused.text.endswith("x…': expected 'ins'")
     assert len(refusal(device_id, "sensor_id", endless, "fore").text) < LONGEST_TEXT
-    assert Refused("frame", endless).text == "x" * (LONGEST_TEXT - 1) + "…"
-    assert len(str(Refused("frame", endless))) < LONGEST_TEXT + 10
+    assert Refused(Reason.FRAME, endless).refusal.text == "x" * (LONGEST_TEXT - 1) + "…"
+    assert len(str(Refused(Reason.FRAME, endless))) < LONGEST_TEXT + 10
     assert Refusal(Reason.FRAME, endless).text == shortened(endless)
     assert shortened("x" * LONGEST_TEXT) == "x" * LONGEST_TEXT

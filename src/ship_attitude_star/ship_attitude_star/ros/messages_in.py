@@ -1,5 +1,10 @@
-"""From messages to the core's structs: axes, units and checks. Reads attributes only, so any message class will do."""
+"""Attitudes of sensors, the ship's place and the air: from messages to the structs of the cores, with all checks.
 
+Reads attributes only, so any message class will do. What cannot be used raises
+:class:`ship_node.edge.messages_in.Refused`.
+"""
+
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -7,27 +12,37 @@ import numpy as np
 from ship_attitude_star.measurements.inertial_attitude import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, StarSensorConfig
+from ship_attitude_star.sky.sky_inputs import AirReading, PositionFix, SkyInput
+from ship_attitude_star.stars.star_config import SkyConfig
+from ship_estimation.refusals import Reason
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
+from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import (
     FLU_FROM_DEVICE,
     celestial_rotation_from_quaternion,
     horizon_covariance,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.edge.imu_messages_in import imu_rotation
-from ship_node.edge.message_checks import (
+from ship_node.edge.messages_in import (
     Refused,
     covariance_3x3,
     device_id,
     finite_numbers,
     frame,
+    imu_rotation,
     stamp_ns,
     unit_quaternion,
 )
+from ship_node.edge.topics import InputTopic
 
 _STAR_INVALID = 3
 _COVARIANCE_TOLERANCE = 1e-6
 _LARGEST_VARIANCE = (2.0 * np.pi) ** 2
+
+_NO_FIX = -1
+_COVARIANCE_UNKNOWN = 0
+_LARGEST_POSITION_SIGMA_M = 1e5
+_LARGEST_HEIGHT_M = 20_000.0
 
 
 def star_measurement(message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int) -> AttitudeMeasurement:
@@ -39,7 +54,7 @@ def star_measurement(message: Any, sensor_id: str, config: StarSensorConfig, rec
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
     if message.status == _STAR_INVALID:
-        raise Refused("too_few_stars", "the sensor itself says INVALID")
+        raise Refused(Reason.TOO_FEW_STARS, "the sensor itself says INVALID")
     finite_numbers("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
     _radians(message)
     rotation_ns = rotation_from_angles(message.azimuth, message.elevation, message.roll)
@@ -95,6 +110,113 @@ def reference_measurement(message: Any, name: str, config: ReferenceConfig, rece
     return AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known)
 
 
+def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> PositionFix:
+    """``gnss/fix`` → the ship's place.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    if message.status.status <= _NO_FIX:
+        raise Refused(Reason.NO_FIX, "the receiver itself says that it has no fix (STATUS_NO_FIX)")
+    finite_numbers("latitude, longitude", message.latitude, message.longitude)
+    if abs(message.latitude) > 90.0 or abs(message.longitude) > 360.0:
+        text = f"latitude {message.latitude:.9g}, longitude {message.longitude:.9g}: expected degrees, ±90 and ±180"
+        raise Refused(Reason.UNITS, text)
+    # A receiver without height says NaN; at sea it is near zero, and stars hardly know it.
+    height_m = 0.0 if np.isnan(message.altitude) else message.altitude
+    if not abs(height_m) < _LARGEST_HEIGHT_M:
+        raise Refused(Reason.UNITS, f"altitude {height_m:.6g}: expected metres above the ellipsoid")
+    covariance_enu = None
+    if message.position_covariance_type != _COVARIANCE_UNKNOWN:
+        covariance_enu = covariance_3x3(message.position_covariance, "position_covariance")
+    if covariance_enu is not None and covariance_enu.diagonal().max() > _LARGEST_POSITION_SIGMA_M**2:
+        largest_m = np.sqrt(covariance_enu.diagonal().max())
+        raise Refused(Reason.BAD_COVARIANCE, f"position_covariance: a sigma of {largest_m:.3g} m is no fix")
+    covariance_m2 = np.eye(3) * config.fix_sigma_m**2 if covariance_enu is None else horizon_covariance(covariance_enu)
+    position = GeodeticPosition(np.deg2rad(message.latitude), np.deg2rad(message.longitude), height_m)
+    return PositionFix(time_ns, position, covariance_m2, covariance_enu is not None)
+
+
+def pressure(message: Any, receive_ns: int) -> AirReading:
+    """``met/pressure``, in Pa → hPa.
+
+    Raises:
+        Refused: with the reason.
+    """
+    pascal = float(message.fluid_pressure)
+    hint = ": hPa, not Pa?" if 800.0 <= pascal <= 1100.0 else ""
+    meaning = f"80000 to 110000 Pa at a ship{hint}"
+    return _reading("pressure", message, pascal, (80_000.0, 110_000.0), 0.01, meaning, receive_ns)
+
+
+def temperature(message: Any, receive_ns: int) -> AirReading:
+    """``met/temperature``, in degrees Celsius.
+
+    Raises:
+        Refused: with the reason.
+    """
+    celsius = float(message.temperature)
+    hint = ": kelvin, not °C?" if 213.0 <= celsius <= 333.0 else ""
+    return _reading("temperature", message, celsius, (-60.0, 60.0), 1.0, f"-60 to 60 °C at a ship{hint}", receive_ns)
+
+
+def humidity(message: Any, receive_ns: int) -> AirReading:
+    """``met/humidity``, 0 to 1.
+
+    Raises:
+        Refused: with the reason.
+    """
+    fraction = float(message.relative_humidity)
+    hint = ": percent?" if 1.0 < fraction <= 100.0 else ""
+    return _reading("humidity", message, fraction, (0.0, 1.0), 1.0, f"0 to 1{hint}", receive_ns)
+
+
+def _reading(
+    quantity: str,
+    message: Any,
+    value: float,
+    allowed: tuple[float, float],
+    scale: float,
+    expected: str,
+    receive_ns: int,
+) -> AirReading:
+    time_ns = stamp_ns(message.header, receive_ns)
+    finite_numbers(quantity, value)
+    finite_numbers(f"variance of {quantity}", message.variance)
+    if not allowed[0] <= value <= allowed[1]:
+        raise Refused(Reason.UNITS, f"{quantity} {value:.6g}: expected {expected}")
+    if message.variance < 0.0:
+        raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} is negative: {message.variance:.6g}")
+    if message.variance > (allowed[1] - allowed[0]) ** 2:
+        raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} {message.variance:.6g}: that is no measurement")
+    sigma = None if message.variance == 0.0 else scale * float(np.sqrt(message.variance))
+    return AirReading(quantity, time_ns, scale * value, sigma)
+
+
+_CONVERTERS: dict[str, tuple[str, Callable[[Any, SkyConfig, int], SkyInput]]] = {
+    "gnss/fix": ("sensor_msgs/msg/NavSatFix", position_fix),
+    "met/pressure": ("sensor_msgs/msg/FluidPressure", lambda message, _, receive_ns: pressure(message, receive_ns)),
+    "met/temperature": ("sensor_msgs/msg/Temperature", lambda message, _, receive_ns: temperature(message, receive_ns)),
+    "met/humidity": ("sensor_msgs/msg/RelativeHumidity", lambda message, _, receive_ns: humidity(message, receive_ns)),
+}
+
+TOPICS = tuple(
+    InputTopic(topic, type_name, required=topic == "gnss/fix", depth=100)
+    for topic, (type_name, _) in _CONVERTERS.items()
+)
+"""Of the place and the air; without a place no star is of use."""
+
+
+def sky_input(topic: str, message: Any, config: SkyConfig, receive_ns: int) -> SkyInput:
+    """A message of one of TOPICS as the cores take it.
+
+    Raises:
+        Refused: with the reason.
+    """
+    return _CONVERTERS[topic][1](message, config, receive_ns)
+
+
 def _configured_noise(config: StarSensorConfig) -> FloatArray:
     """Covariance of an attitude whose message gives none, in the sensor frame."""
     sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
@@ -106,7 +228,7 @@ def _radians(message: Any) -> None:
     """Angles in degrees give themselves away where they exceed what radians can be."""
     if abs(message.elevation) > np.pi / 2 + 1e-9 or max(abs(message.azimuth), abs(message.roll)) > 2 * np.pi + 1e-9:
         raise Refused(
-            "units",
+            Reason.UNITS,
             f"azimuth {message.azimuth:.6g}, elevation {message.elevation:.6g}, roll {message.roll:.6g} "
             "cannot be radians: degrees?",
         )
@@ -117,7 +239,8 @@ def _angular_covariance(values: Any, what: str) -> FloatArray | None:
     covariance = covariance_3x3(values, what)
     if covariance is not None and covariance.diagonal().max() > _LARGEST_VARIANCE:
         largest = covariance.diagonal().max()
-        raise Refused("bad_covariance", f"{what}: a variance of {largest:.3g} rad² is a sigma of more than a full turn")
+        text = f"{what}: a variance of {largest:.3g} rad² is a sigma of more than a full turn"
+        raise Refused(Reason.BAD_COVARIANCE, text)
     return covariance
 
 
@@ -137,7 +260,7 @@ def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(total_n - noise_n)
     limit = _COVARIANCE_TOLERANCE * float(np.trace(total_n))
     if values[0] < -limit:
-        raise Refused("bad_covariance", "noise_covariance is larger than the total covariance")
+        raise Refused(Reason.BAD_COVARIANCE, "noise_covariance is larger than the total covariance")
     kept = np.where(values > limit, values, 0.0)
     common: FloatArray = (vectors * kept) @ vectors.T
     return common

@@ -1,0 +1,13 @@
+"""The executables ``ship_attitude`` and ``star_attitude``: each runs its node until it is told to stop."""
+
+from ship_node.live.start import start_node
+
+
+def ship_attitude() -> None:
+    """Run ``ship_attitude``."""
+    start_node("ship_attitude_star.ros.ship_attitude_adapter", "ShipAttitudeAdapter")
+
+
+def star_attitude() -> None:
+    """Run ``star_attitude``."""
+    start_node("ship_attitude_star.ros.star_attitude_adapter", "StarAttitudeAdapter")

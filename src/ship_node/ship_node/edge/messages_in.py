@@ -1,0 +1,239 @@
+"""What a message must hold before any of it reaches a filter, checked field by field; and the INS's message, whole.
+
+Each check returns the value in the form that cores use, or raises :class:`Refused`. The readers of the packages are
+made of these checks; the one of sensor_msgs/Imu stands here, because every node hears an INS.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ship_bags.stamps import duration_text, ns_from_stamp
+from ship_estimation.ins_config import InsInputConfig
+from ship_estimation.refusals import Reason, Refusal, shortened
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
+from ship_geometry.rotations import FloatArray
+
+FUTURE_TOLERANCE_NS = 50_000_000
+"""A stamp may be this far ahead of the node's clock, ns."""
+
+_SECOND_NS = 1_000_000_000
+_LEAST_QUATERNION_NORM = 1e-6
+_QUATERNION_NORM_TOLERANCE = 1e-2
+_COVARIANCE_TOLERANCE = 1e-6
+_LONGEST_ID = 64
+
+_LARGEST_RATE = 100.0
+"""No ship turns like this, rad/s; far above what degrees per second would give, which are found by their ratio."""
+
+
+class Refused(Exception):
+    """A message is not used.
+
+    Attributes:
+        refusal: the reason, and the same for people, with numbers.
+    """
+
+    def __init__(self, reason: Reason, text: str) -> None:
+        self.refusal = Refusal(reason, text)
+        super().__init__(f"{reason.word}: {self.refusal.text}")
+
+
+def quoted_id(name: str) -> str:
+    """A name that came in a message, for people: in quotes, and cut where it is longer than any sensible one."""
+    return f"'{shortened(name, _LONGEST_ID)}'"
+
+
+def stamp_ns(header: Any, receive_ns: int) -> int:
+    """The stamp of a header, ns.
+
+    Raises:
+        Refused: BAD_STAMP where it is zero, negative or has a second and more of nanoseconds, FUTURE where
+            it is more than 50 ms ahead of ``receive_ns``.
+    """
+    if header.stamp.nanosec >= _SECOND_NS:
+        raise Refused(Reason.BAD_STAMP, f"header.stamp.nanosec is {header.stamp.nanosec}: expected less than a second")
+    ns = ns_from_stamp(header.stamp)
+    if ns <= 0:
+        raise Refused(Reason.BAD_STAMP, f"header.stamp is {ns} ns: expected POSIX time")
+    if ns > receive_ns + FUTURE_TOLERANCE_NS:
+        ahead = duration_text(ns - receive_ns)
+        raise Refused(Reason.FUTURE, f"stamp is {ahead} ahead of the node's clock: check both clocks")
+    return ns
+
+
+def frame(frame_id: str, expected: str) -> None:
+    """Refuse a message of another frame; an empty ``expected`` accepts any.
+
+    Raises:
+        Refused: FRAME.
+    """
+    if expected and frame_id != expected:
+        raise Refused(Reason.FRAME, f"frame_id is {quoted_id(frame_id)}: expected '{expected}'")
+
+
+def device_id(what: str, given: str, expected: str) -> None:
+    """Refuse a message of another device than its topic belongs to.
+
+    Raises:
+        Refused: UNKNOWN_SENSOR.
+    """
+    if given != expected:
+        raise Refused(Reason.UNKNOWN_SENSOR, f"{what} is {quoted_id(given)}: expected '{expected}'")
+
+
+def finite_numbers(what: str, *values: float) -> None:
+    """Refuse NaN and infinity.
+
+    Raises:
+        Refused: NON_FINITE.
+    """
+    for value in values:
+        if not math.isfinite(value):
+            raise Refused(Reason.NON_FINITE, f"{what} holds {value}")
+
+
+def exposure_length_s(exposure_s: float, longest_s: float) -> float:
+    """The length of an exposure, s; 0 where it is not given, which NaN and 0 mean.
+
+    Raises:
+        Refused: NON_FINITE, or UNITS where it is negative or longer than ``longest_s``.
+    """
+    if math.isnan(exposure_s):
+        return 0.0
+    finite_numbers("exposure_s", exposure_s)
+    if not 0.0 <= exposure_s <= longest_s:
+        raise Refused(Reason.UNITS, f"exposure_s is {exposure_s:.6g}: expected seconds, {longest_s:g} at most")
+    return float(exposure_s)
+
+
+def finite_vector(vector: Any, what: str) -> FloatArray:
+    """The numbers x, y, z of a message, shape (3,).
+
+    Raises:
+        Refused: NON_FINITE.
+    """
+    finite_numbers(what, vector.x, vector.y, vector.z)
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def unit_quaternion(quaternion: Any, what: str = "orientation") -> FloatArray:
+    """The numbers x, y, z, w of a quaternion message, shape (4,), with norm 1.
+
+    Raises:
+        Refused: NON_FINITE, or BAD_QUATERNION where the norm is off 1 by more than 1e-2.
+    """
+    numbers = quaternion.x, quaternion.y, quaternion.z, quaternion.w
+    finite_numbers(what, *numbers)
+    norm = math.hypot(*numbers)
+    if norm < _LEAST_QUATERNION_NORM:
+        raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.3g}: no orientation is given")
+    if abs(norm - 1.0) > _QUATERNION_NORM_TOLERANCE:
+        raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.6g}: expected 1")
+    return np.array(numbers) / norm
+
+
+def covariance_3x3(values: Sequence[float], what: str = "covariance") -> FloatArray | None:
+    """A covariance given as nine numbers, symmetric, shape (3, 3); None where it is unknown.
+
+    Unknown means all zero, or −1 as the first element (sensor_msgs/Imu): the configured sigma holds then.
+
+    Raises:
+        Refused: NON_FINITE, or BAD_COVARIANCE where a variance is negative or the matrix is, beyond
+            rounding, not symmetric or not positive semidefinite. Rounding itself is taken out.
+    """
+    return _covariance_of_bytes(np.array(values, dtype=np.float64).tobytes(), what)
+
+
+@lru_cache(maxsize=64)
+def _covariance_of_bytes(content: bytes, what: str) -> FloatArray | None:
+    """The same of nine doubles; remembered, because an INS says the same covariance a hundred times a second."""
+    matrix = np.frombuffer(content).reshape(3, 3)
+    if matrix[0, 0] == -1.0 or not matrix.any():
+        return None
+    if not np.isfinite(matrix).all():
+        raise Refused(Reason.NON_FINITE, f"{what} holds NaN or infinity")
+    variances = matrix.diagonal()
+    if (variances < 0.0).any():
+        raise Refused(Reason.BAD_COVARIANCE, f"{what} holds a negative variance: {variances.min():.6g}")
+    # Measured in sigmas, so that a small axis is judged as strictly as a large one.
+    scale = np.sqrt(variances)
+    limit = np.outer(scale, scale)
+    asymmetry = np.abs(matrix - matrix.T)
+    if (asymmetry > _COVARIANCE_TOLERANCE * limit).any():
+        raise Refused(Reason.BAD_COVARIANCE, f"{what} is not symmetric: elements differ by {asymmetry.max():.3g}")
+    symmetric = 0.5 * matrix + 0.5 * matrix.T
+    if (np.abs(symmetric) > limit * (1.0 + _COVARIANCE_TOLERANCE)).any():
+        raise Refused(Reason.BAD_COVARIANCE, f"{what} is not positive semidefinite: a correlation exceeds 1")
+    correlation = symmetric / np.where(limit > 0.0, limit, 1.0)
+    eigenvalues, vectors = np.linalg.eigh(correlation)
+    if eigenvalues[0] < -_COVARIANCE_TOLERANCE:
+        text = f"{what} is not positive semidefinite: eigenvalue {eigenvalues[0]:.3g} of correlations"
+        raise Refused(Reason.BAD_COVARIANCE, text)
+    if eigenvalues[0] < 0.0:
+        # Rounded numbers are let in, but no filter may meet a negative variance.
+        correlation = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
+        symmetric = 0.5 * limit * (correlation + correlation.T)
+    symmetric.flags.writeable = False
+    return symmetric
+
+
+@dataclass(frozen=True)
+class InsMessage:
+    """A message of the INS as the core takes it.
+
+    Attributes:
+        value: attitude and rate of the deck.
+        covariance_known: False where the message gives no covariance.
+    """
+
+    value: AttitudeSample
+    covariance_known: bool
+
+
+def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> InsMessage:
+    """``ins/imu`` → attitude and rate of the deck.
+
+    Its covariance is the INS's total error, not white noise: it is checked and otherwise left alone.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    frame(message.header.frame_id, config.frame_id)
+    rotation_ni = imu_rotation(message, config.convention)
+    covariance = covariance_3x3(message.orientation_covariance, "orientation_covariance")
+    rotation_di = rotation_from_angles(
+        *np.deg2rad([config.installation_heading_deg, config.installation_pitch_deg, config.installation_roll_deg])
+    )
+    rate_d = None
+    if message.angular_velocity_covariance[0] != -1.0:
+        rate_d = rotation_di @ device_vector_from_ros(ship_rate(message.angular_velocity), config.convention)
+    return InsMessage(AttitudeSample(time_ns, rotation_ni @ rotation_di.T, rate_d), covariance is not None)
+
+
+def ship_rate(angular_velocity: Any) -> FloatArray:
+    """The numbers of an angular velocity (rad/s), in the axes of the message, shape (3,).
+
+    Raises:
+        Refused: NON_FINITE, or UNITS where no ship turns so fast.
+    """
+    rate_ros = finite_vector(angular_velocity, "angular_velocity")
+    if np.max(np.abs(rate_ros)) > _LARGEST_RATE:
+        raise Refused(Reason.UNITS, f"angular_velocity {rate_ros.tolist()} cannot be a ship's in rad/s")
+    return rate_ros
+
+
+def imu_rotation(message: Any, convention: str) -> FloatArray:
+    """Orientation of a sensor_msgs/Imu as a rotation "horizon from device", shape (3, 3).
+
+    Raises:
+        Refused: NON_FINITE or BAD_QUATERNION.
+    """
+    return rotation_from_quaternion(unit_quaternion(message.orientation, "orientation"), convention)

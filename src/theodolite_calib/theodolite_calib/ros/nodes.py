@@ -1,0 +1,8 @@
+"""The executable ``optical_axis``: it runs its node until it is told to stop."""
+
+from ship_node.live.start import start_node
+
+
+def optical_axis() -> None:
+    """Run ``optical_axis``."""
+    start_node("theodolite_calib.ros.optical_axis_adapter", "OpticalAxisAdapter")
