@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.stored_messages_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
+from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.evaluation.bounds import judge, read_bounds
 from ship_replay.evaluation.evaluate import evaluate

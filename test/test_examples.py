@@ -12,7 +12,7 @@ import yaml
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.parameter_yaml import read_sections
 from ship_estimation.parameters import describe
 from ship_replay.commands.check_config import main as check_config

@@ -17,7 +17,7 @@ import yaml
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.topic_names import relative_topic

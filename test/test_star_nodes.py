@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
-from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import ns_from_stamp

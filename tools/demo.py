@@ -17,7 +17,7 @@ from rich.progress import Progress
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import relative_topic
 from ship_node.edge.adapter import Adapter
 from ship_replay.evaluation.bounds import judge, read_bounds

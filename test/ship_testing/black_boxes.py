@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_estimation.parameters import ParameterError
 from ship_node.black_box.black_box import BlackBox

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_simulation.messages.to_messages import messages
 from ship_simulation.run import SimulatedRun, simulate

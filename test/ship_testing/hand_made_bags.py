@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
 from ship_geometry.frames import rotation_from_angles

@@ -1,21 +1,34 @@
-"""What every command of the suite does alike: one line on stderr and exit code 2 for bad input, 130 for Ctrl-C."""
+"""What every command of the suite does alike: arguments, exit codes, interruption, progress.
+
+Bad input ends a command with one line on stderr and exit code 2, Ctrl-C with 130. Work of more than two seconds shows
+a bar on a terminal.
+"""
 
 import argparse
 import contextlib
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from ship_bags.errors import one_line
 from ship_geometry.input_error import InputError
+
+if TYPE_CHECKING:
+    from ship_bags.mcap.bag_reader import Bag, BagRecord
 
 EXIT_DONE = 0
 EXIT_BOUND_NOT_MET = 1
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+
+_PATIENCE_S = 2.0
+_REFRESH_EVERY = 1000
+
+Item = TypeVar("Item")
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -62,6 +75,33 @@ def run_command(
             reason, code = "interrupted", EXIT_INTERRUPTED
         sys.stderr.write(f"{parser.prog}: {one_line(reason)}\n")
     return code
+
+
+def watched(records: "Iterator[BagRecord]", bag: "Bag") -> "Iterator[BagRecord]":
+    """The records themselves, with a bar on stderr that shows how far into the bag they are."""
+    if bag.start_ns is None or bag.end_ns is None:
+        return records
+    return with_bar(records, bag.path.name, bag.start_ns, bag.end_ns, lambda record: record.log_time_ns)
+
+
+def with_bar(
+    items: Iterable[Item], label: str, start_ns: int, end_ns: int, time_ns: Callable[[Item], int]
+) -> Iterator[Item]:
+    """Items in order of time, with a bar on stderr that shows how far they are from start to end."""
+    if not sys.stderr.isatty():
+        yield from items
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    started_s, span_ns = time.monotonic(), max(end_ns - start_ns, 1)
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(label, total=span_ns, visible=False)
+        for number, item in enumerate(items):
+            if number % _REFRESH_EVERY == 0:
+                shown = time.monotonic() - started_s > _PATIENCE_S
+                progress.update(task, completed=time_ns(item) - start_ns, visible=shown)
+            yield item
 
 
 @contextlib.contextmanager

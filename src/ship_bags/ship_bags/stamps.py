@@ -1,13 +1,14 @@
-"""Stamps of messages to and from integer nanoseconds of POSIX UTC."""
+"""Times as integer nanoseconds of POSIX UTC: from stamps of messages, to stamps, and as people read them."""
 
 import math
+from datetime import datetime, timezone
 from typing import Any
 
 from ship_bags.message_factory import MessageFactory
 
-_NS_PER_S = 1_000_000_000
+NS_PER_S = 1_000_000_000
 
-END_OF_TIME_NS = 2**31 * _NS_PER_S
+END_OF_TIME_NS = 2**31 * NS_PER_S
 """In 2038: the seconds of a stamp are a signed 32-bit number."""
 
 _UNITS = (
@@ -21,12 +22,22 @@ _UNITS = (
 
 def ns_from_stamp(stamp: Any) -> int:
     """Nanoseconds of a builtin_interfaces/Time."""
-    return int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def stamp_fields(ns: int) -> tuple[int, int]:
     """Fields (sec, nanosec) of a builtin_interfaces/Time."""
-    return divmod(ns, _NS_PER_S)
+    return divmod(ns, NS_PER_S)
+
+
+def utc_text(time_ns: int) -> str:
+    """A POSIX time in nanoseconds as UTC with milliseconds, e.g. ``2014-08-01T00:00:00.170Z``."""
+    seconds, remainder_ns = divmod(time_ns, NS_PER_S)
+    try:
+        moment = datetime.fromtimestamp(seconds, tz=timezone.utc)
+    except (ValueError, OverflowError, OSError):
+        return f"{time_ns} ns"
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{remainder_ns // 1_000_000:03d}Z"
 
 
 def duration_text(ns: int) -> str:

@@ -15,9 +15,9 @@ from mcap.writer import CompressionType, Writer
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import definition, serialize
-from ship_bags.times import utc_text
+from ship_bags.stamps import utc_text
 from ship_testing.hand_made_bags import START_NS, imu, write_imu_bag
 
 IMU = "sensor_msgs/msg/Imu"

@@ -11,9 +11,9 @@ from mcap_ros2.decoder import DecoderFactory
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.mcap_writer import CHUNK_BYTES
 from ship_bags.mcap.recover import recover
-from ship_bags.mcap.stored_messages_writer import BagWriter
 from ship_testing.hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, vector, write_imu_bag
 
 HOUR_NS = 3_600_000_000_000

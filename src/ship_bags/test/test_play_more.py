@@ -10,9 +10,9 @@ import time
 
 import pytest
 
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.message_store import serialize
-from ship_bags.rosbag2.split_bag import FolderWriter, SplitLimits
 from ship_replay.trials.live_graph import GraphObserver
 from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_replay.trials.live_run import executable

@@ -18,7 +18,7 @@ from ship_bags.live.play import CLOCK_PERIOD_NS, with_ticks
 from ship_bags.live.record_topics import is_activity
 from ship_bags.live.security import dds_has_security, loaded_libraries
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory, message_store
 from ship_replay.trials.live_graph import GraphObserver
 from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment

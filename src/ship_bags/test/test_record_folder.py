@@ -18,9 +18,9 @@ from ship_bags.errors import BadInput
 from ship_bags.live.clock_watch import STEP_NS, ClockWatch
 from ship_bags.live.record import Recorder, RecordOptions
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.message_store import serialize
-from ship_bags.rosbag2.split_bag import FolderWriter, SplitLimits
 from ship_replay.trials.live_graph import GraphObserver
 from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_replay.trials.live_run import executable

@@ -8,7 +8,7 @@ import rclpy
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_node.parameters.parameter_file import load_config
 from ship_replay.offline.replay import replay
 from ship_replay.trials.live_graph import GraphObserver

@@ -13,10 +13,10 @@ from rosbags.rosbag2 import Reader
 from ship_bags.commands.record import main
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.mcap.recover import recover, recovered_path
-from ship_bags.mcap.stored_messages_writer import BagWriter
-from ship_bags.rosbag2.split_bag import FolderWriter, SplitLimits
-from ship_bags.times import utc_text
+from ship_bags.stamps import utc_text
 from ship_testing.hand_made_bags import START_NS, imu, vector
 from ship_testing.mcap_places import places
 

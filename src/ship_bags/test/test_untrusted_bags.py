@@ -14,7 +14,7 @@ from mcap.records import Chunk
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.mcap_records import MAX_CHUNK_RECORDS
+from ship_bags.mcap.records import MAX_CHUNK_RECORDS
 from ship_replay.commands import axis_sightings as axis_sightings_command
 from ship_replay.commands import calibrate_installation as calibrate_installation_command
 from ship_replay.commands import evaluate as evaluate_command

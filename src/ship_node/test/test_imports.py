@@ -7,7 +7,7 @@ import pytest
 
 WITHOUT_ROS = [
     "ship_node.edge.adapter",
-    "ship_bags.csv_table",
+    "ship_bags.output_files",
     "ship_node.edge.messages_out",
     "ship_bags.errors",
     "ship_node.documents.figure_files",

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
 from ship_replay.commands.check_config import main

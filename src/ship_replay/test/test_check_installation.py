@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
 from ship_replay.commands.check_config import main

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import make_header
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC

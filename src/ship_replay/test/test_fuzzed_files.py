@@ -20,7 +20,7 @@ from mcap.records import Attachment, Channel, Chunk, Schema
 from ship_bags.commands import import_nmea as import_nmea_command
 from ship_bags.commands import record as record_command
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_node.black_box.black_box_format import VERSIONS_ATTACHMENT
 from ship_replay.commands import axis_sightings as axis_sightings_command
 from ship_replay.commands import calibrate_installation as calibrate_installation_command

@@ -8,7 +8,7 @@ import pytest
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import message_store, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_replay.commands.replay import main

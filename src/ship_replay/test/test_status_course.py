@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from ship_bags.mcap.stored_messages_writer import BagWriter
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
 from ship_replay.commands.check_config import main as check_config

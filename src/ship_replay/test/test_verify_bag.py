@@ -9,7 +9,7 @@ import pytest
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import message_store
 from ship_replay.commands.replay import main
 from ship_replay.offline.replay import replay as replay_bag

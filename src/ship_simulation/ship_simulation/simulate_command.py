@@ -5,11 +5,10 @@ import inspect
 from collections.abc import Sequence
 from pathlib import Path
 
-from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
-from ship_bags.mcap.stored_messages_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command, with_bar
+from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import add_force, check_file
-from ship_bags.progress import with_bar
 from ship_estimation.parameter_rows import key_rows
 from ship_simulation.draws.noise import SECOND_NS
 from ship_simulation.faults import faults

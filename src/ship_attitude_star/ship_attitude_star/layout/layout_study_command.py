@@ -14,9 +14,8 @@ from ship_attitude_star.layout.study import LayoutStudy, study
 from ship_attitude_star.layout.sweeps import SWEEPS
 from ship_attitude_star.layout.tables import TABLES, write_tables
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import add_force, check_folder
+from ship_bags.output_files import add_force, check_folder, write_whole
 from ship_bags.parameter_yaml import read_plain
-from ship_bags.part_file import write_whole
 from ship_estimation.parameters import ParameterError, describe
 
 PAGE = "layout_study.html"

@@ -10,7 +10,7 @@ from ship_attitude_star.layout.installation_model import Reading
 from ship_attitude_star.layout.joint_error import total_arcsec
 from ship_attitude_star.layout.study import LayoutStudy
 from ship_attitude_star.layout.sweeps import CURVE_AZIMUTHS_DEG, SOURCES, source_errors_arcsec
-from ship_bags.csv_table import write_csv
+from ship_bags.output_files import write_csv
 
 _ERRORS = ("heading_arcsec", "pitch_arcsec", "roll_arcsec")
 _SIGMAS = ("heading_sigma_arcsec", "pitch_sigma_arcsec", "roll_sigma_arcsec")

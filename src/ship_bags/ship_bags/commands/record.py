@@ -9,10 +9,10 @@ from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser
 from ship_bags.errors import BadInput, one_line
 from ship_bags.live.record import Recorder, RecordOptions
 from ship_bags.live.ros_command import command_node, on_end_signals, positive, run_ros_command
+from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.mcap.recover import recover, recovered_path
-from ship_bags.mcap.stored_messages_writer import BagWriter
 from ship_bags.output_files import add_force, check_file
-from ship_bags.rosbag2.split_bag import FolderWriter, SplitLimits
 
 _DESCRIPTION = """\
 Records live topics into one MCAP file or a rosbag2 folder, byte for byte, with definitions and quality of service as

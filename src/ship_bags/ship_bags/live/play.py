@@ -11,12 +11,12 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
+from ship_bags.command_line import watched
 from ship_bags.errors import BadInput
 from ship_bags.live.message_class import message_class
 from ship_bags.live.playback_clock import PlaybackClock
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
-from ship_bags.progress import watched
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S
 
 CLOCK_PERIOD_NS = 10_000_000
 """/clock goes out on this grid of bag time, so it is never further than this behind the message just sent."""

@@ -3,7 +3,7 @@
 import threading
 import time
 
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S
 
 # A wait of years, at a tiny rate or over a gap, is no time that a lock can be given.
 _LONGEST_WAIT_S = 3600.0

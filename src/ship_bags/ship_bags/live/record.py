@@ -15,9 +15,9 @@ from ship_bags.live.installed_types import use_installed_definition
 from ship_bags.live.message_class import message_class
 from ship_bags.live.record_parameters import HeardParameters
 from ship_bags.live.record_topics import DEPTH, REPORTS, adapted_qos, is_activity, offers, qos_texts
-from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
-from ship_bags.rosbag2.split_bag import FolderWriter
-from ship_bags.times import NS_PER_S, utc_text
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.mcap.folder import FolderWriter
+from ship_bags.stamps import NS_PER_S, utc_text
 
 _DISCOVERY_PERIOD_S = 0.1
 # Publishers that go on past the end must not hold it up.

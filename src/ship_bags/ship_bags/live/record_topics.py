@@ -8,7 +8,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from ship_bags.mcap.stored_messages_writer import qos_text
+from ship_bags.mcap.bag_writer import qos_text
 
 # Deep enough for ten seconds at 100 Hz, or one at 1 kHz, of a recorder that the disk holds up.
 DEPTH = 1000

@@ -16,9 +16,18 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.summary import Summary
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.mcap_records import COMPRESSIONS, ChunkPlace, DamagedChunk, RecordFile, parsed
-from ship_bags.mcap.mcap_walk import Gap, WalkedRecord, has_header, walk
-from ship_bags.times import utc_text
+from ship_bags.mcap.records import (
+    COMPRESSIONS,
+    ChunkPlace,
+    DamagedChunk,
+    Gap,
+    RecordFile,
+    WalkedRecord,
+    has_header,
+    parsed,
+    walk,
+)
+from ship_bags.stamps import utc_text
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = struct.Struct("<BQQQI8s")

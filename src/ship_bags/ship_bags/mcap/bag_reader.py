@@ -16,15 +16,14 @@ from mcap.records import Message
 from rosbags.typesys.store import Typestore
 
 from ship_bags.errors import BadInput, one_line
-from ship_bags.mcap.bag_file import ChunkPlace, McapFile, open_mcap
+from ship_bags.mcap.bag_file import McapFile, open_mcap
+from ship_bags.mcap.folder import INFORMATION_FILE, file_names
+from ship_bags.mcap.records import ChunkPlace
 from ship_bags.message_store import message_store, store_with_definitions
-from ship_bags.times import utc_text
-from ship_bags.yaml_text import plain_data
+from ship_bags.stamps import utc_text
 
 # A name since rosbag2's metadata version 9, a number before.
 _LATCHED = re.compile(r"durability: (transient_local|1)\b")
-_FOLDER_INFORMATION = "metadata.yaml"
-_INFORMATION_KEY = "rosbag2_bagfile_information"
 
 MAX_HELD_MB = 512
 """So much of a bag is held at once. Of an ordinary one it is a chunk or two: others begin when these have ended."""
@@ -251,37 +250,7 @@ def _parts(path: Path) -> list[Path]:
         raise BadInput(f"{path}: no such file or folder")
     if not path.is_dir():
         return [path]
-    information_path = path / _FOLDER_INFORMATION
+    information_path = path / INFORMATION_FILE
     if not information_path.is_file():
-        raise BadInput(f"{path}: the folder has no {_FOLDER_INFORMATION}: give one of its .mcap files instead")
-    return [path / name for name in _file_names(information_path)]
-
-
-def _file_names(information_path: Path) -> list[str]:
-    """The files that an information file names, all of them in its own folder."""
-    try:
-        document = plain_data(str(information_path), information_path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as problem:
-        raise BadInput(f"{information_path}: cannot be read: {problem}") from problem
-    information = document.get(_INFORMATION_KEY) if isinstance(document, dict) else None
-    if not isinstance(information, dict):
-        raise BadInput(f"{information_path}: not the information file of a rosbag2 bag: it has no {_INFORMATION_KEY}")
-    storage, compression = information.get("storage_identifier"), information.get("compression_mode")
-    if storage != "mcap":
-        raise BadInput(
-            f"{information_path}: storage_identifier is '{storage!s:.40}': expected mcap (ros2 bag convert)"
-        )
-    if compression is not None and str(compression).lower() not in ("", "none"):
-        raise BadInput(
-            f"{information_path}: compression_mode is '{compression!s:.40}': unpack the bag's files first"
-        )
-    names = information.get("relative_file_paths")
-    if not isinstance(names, list) or not names:
-        raise BadInput(f"{information_path}: relative_file_paths names no file")
-    for name in names:
-        # Another folder's file is not of this bag, whoever wrote this.
-        if not isinstance(name, str) or "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
-            raise BadInput(
-                f"{information_path}: relative_file_paths: '{name!s:.80}' is no file of this folder"
-            )
-    return names
+        raise BadInput(f"{path}: the folder has no {INFORMATION_FILE}: give one of its .mcap files instead")
+    return [path / name for name in file_names(information_path)]

@@ -11,18 +11,20 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, NamedTuple, TypeVar
+from typing import Any, BinaryIO, NamedTuple
 
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.disk_sync import DiskSync
 from ship_bags.mcap.mcap_writer import McapWriter
-from ship_bags.part_file import named, open_new, part_of
+from ship_bags.output_files import DiskSync, named, open_new, part_of
 
 SUITE_ATTACHMENT = "suite.yaml"
 """Name of the attachment that holds the suite's configuration."""
+
+SCENARIO_ATTACHMENT = "scenario.yaml"
+"""Name of the attachment that holds the scenario of a simulated bag."""
 
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 _QOS_TEMPLATE = """\
@@ -38,14 +40,16 @@ _QOS_TEMPLATE = """\
 """
 
 
-Self = TypeVar("Self", bound="CdrBagWriter")
-
-
 def qos_text(history: str, depth: int, reliability: str, durability: str) -> str:
     """One offered quality of service as rosbag2 notes it, e.g. ``qos_text("keep_last", 1, "reliable", "volatile")``."""
     return _QOS_TEMPLATE.format(
         history=history, depth=depth, reliability=reliability, durability=durability, forever=_FOREVER
     )
+
+
+def own_qos_text(latched: bool) -> str:
+    """The quality of service that the suite's own publishers offer, as rosbag2 notes it."""
+    return qos_text("keep_last", 1 if latched else 100, "reliable", "transient_local" if latched else "volatile")
 
 
 class TypeDefinition(NamedTuple):
@@ -55,8 +59,22 @@ class TypeDefinition(NamedTuple):
     hash: str
 
 
-class CdrBagWriter:
+def known_definition(type_name: str) -> TypeDefinition:
+    """The definition of a type of ROS 2 Jazzy or of ship_msgs.
+
+    Raises:
+        KeyError: the type is none of these.
+    """
+    from ship_bags.message_store import definition, type_hash
+
+    return TypeDefinition(definition(type_name), type_hash(type_name))
+
+
+class BagWriter:
     """One MCAP file being written; use it in a ``with`` statement.
+
+    The types of :mod:`ship_bags.message_store` are read only where they are needed: a live node gives its own
+    definitions and bytes, and starts sooner without them.
 
     Attributes:
         path: the file.
@@ -65,10 +83,11 @@ class CdrBagWriter:
 
     Args:
         path: file to write, ending in .mcap.
-        define: the definition of a message type by its name; it may fail in any way where there is none.
-        library: name of the program, for the header of the file.
         atomic: write beside it (``<path>.part``) and rename at the end, so that a file of this name is always
             whole. A recorder, whose file must survive a crash, says False.
+        define: the definition of a message type by its name; it may fail in any way where there is none.
+        library: name of the program, for the header of the file. The default stays as it is: the same scenario and
+            seed give the same bytes as ever.
         exclusive: refuse to write over a file that is there.
 
     Raises:
@@ -78,9 +97,10 @@ class CdrBagWriter:
     def __init__(
         self,
         path: Path | str,
-        define: Callable[[str], TypeDefinition],
-        library: str,
         atomic: bool = True,
+        *,
+        define: Callable[[str], TypeDefinition] = known_definition,
+        library: str = "ship_replay",
         exclusive: bool = False,
     ) -> None:
         self.path = Path(path)
@@ -111,6 +131,16 @@ class CdrBagWriter:
             qos_profiles: what its publishers offer, by :func:`qos_text`; None: what the suite's own publishers do.
         """
         self._channel_id(topic, type_name, latched, qos_profiles)
+
+    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
+        """Add a message made by :class:`ship_bags.message_store.RosbagsFactory` or decoded from a bag.
+
+        Raises:
+            BadInput: the topic already carries another type.
+        """
+        from ship_bags.message_store import serialize
+
+        self.write_raw(topic, message.__msgtype__, serialize(message), log_time_ns)
 
     def write_raw(
         self,
@@ -212,7 +242,7 @@ class CdrBagWriter:
         except OSError as problem:
             raise named(problem, self.path) from problem
 
-    def __enter__(self: Self) -> Self:
+    def __enter__(self) -> "BagWriter":
         return self
 
     def __exit__(
@@ -231,11 +261,8 @@ class CdrBagWriter:
             if known[1] != type_name:
                 raise BadInput(f"{self.path}: topic '{topic}' carries {known[1]}, not {type_name}")
             return known[0]
-        own_qos = qos_text(
-            "keep_last", 1 if latched else 100, "reliable", "transient_local" if latched else "volatile"
-        )
         metadata = {
-            "offered_qos_profiles": own_qos if qos_profiles is None else qos_profiles,
+            "offered_qos_profiles": own_qos_text(latched) if qos_profiles is None else qos_profiles,
             "topic_type_hash": self._defined(type_name).hash,
         }
         schema_id = self._schema_id(type_name)

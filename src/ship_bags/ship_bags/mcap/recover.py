@@ -16,12 +16,11 @@ from mcap.records import Attachment, Channel, Message
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 
+from ship_bags.command_line import with_bar
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_file import McapFile, open_mcap
-from ship_bags.output_files import check_file
-from ship_bags.part_file import named, open_new
-from ship_bags.progress import with_bar
-from ship_bags.rosbag2.rosbag2_folder import INFORMATION_FILE, FileInformation, TopicInformation, write_information
+from ship_bags.mcap.folder import INFORMATION_FILE, FileInformation, TopicInformation, write_information
+from ship_bags.output_files import check_file, named, open_new
 
 _LIBRARY = "ship_bags record --recover"
 _NOTE = "recovered"

@@ -6,7 +6,7 @@ from pathlib import Path
 import yaml
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.nmea.nmea_attitude import LONGEST_GAP_S, LoggedAttitude, attitudes, resampled
 from ship_bags.nmea.nmea_log import LogLine, LogReport, read_log

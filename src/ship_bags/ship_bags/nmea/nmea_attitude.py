@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from ship_bags.nmea.nmea_log import LogLine, LogReport, datetime_ns, time_of_day_ns
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 

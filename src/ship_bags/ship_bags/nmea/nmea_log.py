@@ -14,8 +14,7 @@ from typing import Any
 import pynmea2
 
 from ship_bags.errors import BadInput
-from ship_bags.stamps import END_OF_TIME_NS
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import END_OF_TIME_NS, NS_PER_S
 
 _FIRST_FEW = 3
 _DAY = timedelta(days=1)

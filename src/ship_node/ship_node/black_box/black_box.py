@@ -17,7 +17,7 @@ from std_msgs.msg import String
 
 from ship_bags.errors import BadInput
 from ship_bags.live.installed_definitions import installed_definition, type_hash
-from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, CdrBagWriter
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
@@ -231,7 +231,7 @@ def free_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}_{newest + 1}{path.suffix}") if newest else path
 
 
-def _open(text: str, node_name: str) -> CdrBagWriter:
+def _open(text: str, node_name: str) -> BagWriter:
     """A new file for a box at a path, or of the node's name in a folder."""
     path = Path(text)
     if text.endswith("/") or path.is_dir():
@@ -243,7 +243,9 @@ def _open(text: str, node_name: str) -> CdrBagWriter:
         while True:
             free = free_path(path)
             try:
-                return CdrBagWriter(free, installed_definition, "ship_node", atomic=False, exclusive=True)
+                return BagWriter(
+                    free, atomic=False, define=installed_definition, library="ship_node", exclusive=True
+                )
             except BadInput:
                 # Another node may have taken the name in the meantime.
                 if not free.exists():

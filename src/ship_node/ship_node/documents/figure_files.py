@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from ship_bags.part_file import write_whole
+from ship_bags.output_files import write_whole
 from ship_geometry.rotations import FloatArray
 
 _STYLE = {

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from ship_bags.part_file import write_whole
+from ship_bags.output_files import write_whole
 
 LONGEST_FILE_BYTES = 16_000_000
 """A saved alignment or calibration has some ten thousand."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import FloatArray
 
 _ALIGNMENT_TOPIC = "ship/alignment"

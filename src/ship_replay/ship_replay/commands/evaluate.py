@@ -7,8 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import add_force, check_file
-from ship_bags.part_file import write_whole
+from ship_bags.output_files import add_force, check_file, write_whole
 from ship_replay.evaluation.bounds import Bounds, judge, read_bounds
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
 from ship_replay.evaluation.tables import print_evaluation

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.measurements.device_config import MountingConfig
-from ship_bags.stamps import ns_from_stamp
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.ins_config import InsInputConfig
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance

@@ -12,9 +12,9 @@ from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
 from ship_bags.errors import BadInput as BadNodeInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
-from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import anywhere
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import relative_topics
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.alignment_values import AlignmentValue, alignment_values

@@ -14,8 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ship_bags.errors import BadInput
-from ship_bags.part_file import write_whole
-from ship_bags.times import NS_PER_S
+from ship_bags.output_files import write_whole
+from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.figure_files import settled
 from ship_replay.evaluation.attitude_errors import AttitudeErrors

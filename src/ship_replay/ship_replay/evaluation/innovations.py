@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from ship_bags.stamps import ns_from_stamp
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 WINDOW_S = 60

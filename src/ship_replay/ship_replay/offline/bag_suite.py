@@ -6,7 +6,7 @@ from typing import Any
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
-from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import full_name
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.parameter_file import has_section, load_config, misfit

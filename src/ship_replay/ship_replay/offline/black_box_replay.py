@@ -7,9 +7,9 @@ from typing import Any
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord
-from ship_bags.mcap.stored_messages_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.times import utc_text
+from ship_bags.stamps import utc_text
 from ship_estimation.parameters import ParameterError
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,

@@ -11,7 +11,7 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.mcap.bag_reader import BagRecord
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S
 from ship_estimation.parameters import flatten
 from theodolite_calib.config import OpticalAxisConfig
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from heapq import heappop, heappush
 
 from ship_bags.mcap.bag_reader import BagRecord
-from ship_bags.times import NS_PER_S, utc_text
+from ship_bags.stamps import NS_PER_S, utc_text
 from ship_replay.offline.gaps import stamp_of_bytes
 
 LATE_NS = NS_PER_S // 2

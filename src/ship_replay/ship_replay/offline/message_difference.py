@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ship_bags.message_store import serialize
-from ship_bags.stamps import ns_from_stamp
-from ship_bags.times import utc_text
+from ship_bags.stamps import ns_from_stamp, utc_text
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
-from ship_bags.mcap.stored_messages_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
+from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.parameter_yaml import full_name
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
 from ship_node.edge.adapter import Adapter
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import BagRecord
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.edge.topics import Published

@@ -7,8 +7,7 @@ from itertools import groupby
 from typing import Any
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_bags.stamps import ns_from_stamp
-from ship_bags.times import NS_PER_S, utc_text
+from ship_bags.stamps import NS_PER_S, ns_from_stamp, utc_text
 from ship_node.edge.adapter import Adapter
 from ship_replay.offline.gaps import MessageTimes, exceeded
 from ship_replay.offline.orientations import ORIENTATIONS

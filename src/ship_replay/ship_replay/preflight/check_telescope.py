@@ -10,8 +10,7 @@ import numpy as np
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
-from ship_bags.stamps import ns_from_stamp
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import relative_topics
 from ship_geometry.rotations import FloatArray, angle_between
 from ship_replay.preflight.check_config import CheckedNode, Findings

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import relative_topics
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.status_course import hardly_used, most_frequent_refusal

@@ -21,7 +21,7 @@ from ship_attitude_star.stars.solution import SolutionStatus
 from ship_attitude_star.stars.star_config import CameraConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S
 from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray, angle_between

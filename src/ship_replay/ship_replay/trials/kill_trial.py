@@ -17,8 +17,7 @@ from ship_bags.errors import BadInput
 from ship_bags.live.dds_profile import use_quick_repeats
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.recover import recover, recovered_path
-from ship_bags.stamps import ns_from_stamp
-from ship_bags.times import NS_PER_S
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_msgs.msg import ShipAttitude
 from ship_replay.trials.live_graph import GraphObserver
 from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ship_bags.csv_table import write_csv
-from ship_bags.part_file import write_whole
+from ship_bags.output_files import write_csv, write_whole
 from ship_geometry.rotations import ARCSEC
 from theodolite_calib.axis_fit.coverage import azimuth_and_elevation
 from theodolite_calib.axis_fit.robust_fit import AxisFit, rms, sizes

@@ -1,4 +1,7 @@
-"""Files written beside their name: nobody else's file is touched, and nothing is left of what failed."""
+"""Files written beside their name: nobody else's file is touched, and nothing is left of what failed.
+
+Syncs in the background: they happen, they never hold up the caller, their failures are told.
+"""
 
 import errno
 import fcntl
@@ -6,19 +9,20 @@ import os
 import resource
 import subprocess
 import sys
+import threading
 
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_writer import CdrBagWriter, TypeDefinition
-from ship_bags.part_file import open_new, part_of, write_whole
+from ship_bags.mcap.bag_writer import BagWriter, TypeDefinition
+from ship_bags.output_files import DiskSync, open_new, part_of, write_whole
 from ship_node.documents.files import DISK
 
 NEEDS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="mounts a tiny disk in a namespace of its own: needs root")
 
 
 def open_bag(path):
-    return CdrBagWriter(path, lambda name: TypeDefinition("string data\n", "RIHS01_0"), "test")
+    return BagWriter(path, define=lambda name: TypeDefinition("string data\n", "RIHS01_0"), library="test")
 
 
 def write_bag(path):
@@ -100,7 +104,7 @@ def test_mend_25_a_full_disk_is_named_and_nothing_is_left(tmp_path):
 import sys
 from pathlib import Path
 from ship_bags.command_line import CommandParser, run_command
-from test_part_file import WRITERS
+from test_output_files import WRITERS
 path = Path({str(tmp_path)!r}) / "out"
 for write in WRITERS.values():
     code = run_command(CommandParser(prog="test"), lambda parsed: write(path), [])
@@ -111,3 +115,44 @@ for write in WRITERS.values():
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=os.path.dirname(__file__))
     assert done.stdout == "2 []\n" * 3, done.stderr
     assert done.stderr == f"test: {tmp_path}/out: No space left on device\n" * 3
+
+
+def test_a_request_syncs_and_finish_waits_for_it(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", synced.append)
+    with open(tmp_path / "a", "wb") as file:
+        sync = DiskSync(file.fileno())
+        sync.request()
+        sync.finish()
+        assert synced == [file.fileno()]
+
+
+def test_a_slow_disk_does_not_hold_up_the_writer(tmp_path, monkeypatch):
+    goes_on, synced = threading.Event(), []
+
+    def slow(number):
+        goes_on.wait(10)
+        synced.append(number)
+
+    monkeypatch.setattr(os, "fsync", slow)
+    with open(tmp_path / "a", "wb") as file:
+        sync = DiskSync(file.fileno())
+        for _ in range(5):
+            sync.request()
+        assert synced == []
+        goes_on.set()
+        sync.finish()
+        # Those that came while the first one ran are made up for by the next flush.
+        assert len(synced) == 1
+
+
+def test_a_failed_sync_is_told_by_the_next_request(tmp_path):
+    with open(tmp_path / "a", "wb") as file:
+        number = file.fileno()
+    # The file is closed: what the system says then stands for a disk that fails.
+    sync = DiskSync(number)
+    sync.request()
+    sync._thread.submit(lambda: None).result()
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        sync.request()
+    sync.finish()

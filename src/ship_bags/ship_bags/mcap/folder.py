@@ -1,0 +1,266 @@
+"""rosbag2 folders: several MCAP files and an information file (metadata.yaml), as ROS 2 Jazzy writes them.
+
+The information file is read without trust and written whole; :class:`FolderWriter` splits a recording by size and time.
+"""
+
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_writer import BagWriter, own_qos_text
+from ship_bags.message_store import type_hash
+from ship_bags.output_files import write_whole
+from ship_bags.yaml_text import plain_data
+
+INFORMATION_FILE = "metadata.yaml"
+_INFORMATION_KEY = "rosbag2_bagfile_information"
+_VERSION = 9
+_ROS_DISTRO = "jazzy"
+
+
+@dataclass
+class FileInformation:
+    """What the information file says of one file; times are None before its first message."""
+
+    name: str
+    start_ns: int | None = None
+    end_ns: int | None = None
+    message_count: int = 0
+
+    def add(self, log_time_ns: int) -> None:
+        """Count one message."""
+        self.message_count += 1
+        self.start_ns = log_time_ns if self.start_ns is None else min(self.start_ns, log_time_ns)
+        self.end_ns = log_time_ns if self.end_ns is None else max(self.end_ns, log_time_ns)
+
+
+@dataclass
+class TopicInformation:
+    """What the information file says of one topic; `qos_profiles` is the text that its channels carry."""
+
+    name: str
+    type_name: str
+    qos_profiles: str
+    type_hash: str
+    message_count: int = 0
+
+
+class SplitLimits(NamedTuple):
+    """When a new file begins; None is never. A file goes beyond by what one flush period brings, at most."""
+
+    size_bytes: int | None = None
+    time_s: float | None = None
+
+
+class FolderWriter:
+    """A rosbag2 folder being written, with the calls of :class:`ship_bags.mcap.bag_writer.BagWriter`.
+
+    The information file names the file being written before its first message, so that after a crash every file is
+    found; its counts are those of its last writing until :meth:`close`.
+
+    Args:
+        folder: folder to make; its files are named after it.
+        limits: when a new file begins, looked at by each :meth:`flush`.
+
+    Raises:
+        BadInput: the folder is there already or cannot be made.
+    """
+
+    def __init__(self, folder: Path, limits: SplitLimits) -> None:
+        self.path = folder
+        self.files: list[FileInformation] = []
+        self._limits = limits
+        self._topics: dict[str, TopicInformation] = {}
+        self._latched: set[str] = set()
+        self._outdated = False
+        try:
+            folder.mkdir()
+        except OSError as problem:
+            raise BadInput(f"{folder}: cannot be made: {problem.strerror}") from problem
+        self._begin_file()
+
+    @property
+    def message_count(self) -> int:
+        """Messages written, in all files."""
+        return sum(file.message_count for file in self.files)
+
+    @property
+    def whole_bytes(self) -> int:
+        """Length of the file being written at its last flush."""
+        return self._bag.whole_bytes
+
+    def add_topic(
+        self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
+    ) -> None:
+        """Announce a topic; in this and all later files."""
+        text = own_qos_text(latched) if qos_profiles is None else qos_profiles
+        self._bag.add_topic(topic, type_name, latched, text)
+        if latched:
+            self._latched.add(topic)
+        self._topics[topic] = TopicInformation(topic, type_name, text, type_hash(type_name))
+        self._outdated = True
+
+    def write_raw(
+        self, topic: str, type_name: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None
+    ) -> None:
+        """Add a message given by its CDR bytes, as they are."""
+        if topic not in self._topics:
+            self.add_topic(topic, type_name)
+        self._bag.write_raw(topic, type_name, data, log_time_ns, publish_time_ns)
+        self._topics[topic].message_count += 1
+        self.files[-1].add(log_time_ns)
+
+    def add_metadata(self, name: str, entries: dict[str, str]) -> None:
+        """Add a metadata record to the file being written."""
+        self._bag.add_metadata(name, entries)
+
+    def add_attachment(self, name: str, content: str | bytes) -> None:
+        """Attach a file to the file being written; a later one of the same name takes its place."""
+        self._bag.add_attachment(name, content)
+
+    def flush(self) -> None:
+        """Bring every message written so far onto the disk, and begin a new file when it is time."""
+        self._bag.flush()
+        if self._is_full():
+            self._bag.close()
+            self._begin_file()
+        elif self._outdated:
+            self._write_information()
+
+    def close(self) -> None:
+        """Finish the last file and the information file."""
+        self._bag.close()
+        self._write_information()
+
+    def cut(self) -> None:
+        """Give up after a failed write: what was written since the last :meth:`flush` is cut off."""
+        self._bag.cut()
+
+    def _begin_file(self) -> None:
+        self.files.append(FileInformation(f"{self.path.name}_{len(self.files)}.mcap"))
+        self._bag = BagWriter(self.path / self.files[-1].name, atomic=False)
+        # Named once it is there and begins as an MCAP file does: a crash in between costs neither file nor folder.
+        self._bag.flush()
+        self._write_information()
+        self._begun_s = time.monotonic()
+        for topic in self._topics.values():
+            self._bag.add_topic(topic.name, topic.type_name, topic.name in self._latched, topic.qos_profiles)
+
+    def _is_full(self) -> bool:
+        if self.files[-1].message_count == 0:
+            return False
+        size_bytes, time_s = self._limits
+        return (size_bytes is not None and self._bag.whole_bytes >= size_bytes) or (
+            time_s is not None and time.monotonic() - self._begun_s >= time_s
+        )
+
+    def _write_information(self) -> None:
+        write_information(self.path, self.files, list(self._topics.values()))
+        self._outdated = False
+
+
+def file_names(information_path: Path) -> list[str]:
+    """The files that an information file names, all of them in its own folder.
+
+    Raises:
+        BadInput: it cannot be read, is no information file of MCAP files without compression, or names another folder.
+    """
+    try:
+        document = plain_data(str(information_path), information_path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as problem:
+        raise BadInput(f"{information_path}: cannot be read: {problem}") from problem
+    information = document.get(_INFORMATION_KEY) if isinstance(document, dict) else None
+    if not isinstance(information, dict):
+        raise BadInput(f"{information_path}: not the information file of a rosbag2 bag: it has no {_INFORMATION_KEY}")
+    storage, compression = information.get("storage_identifier"), information.get("compression_mode")
+    if storage != "mcap":
+        raise BadInput(
+            f"{information_path}: storage_identifier is '{storage!s:.40}': expected mcap (ros2 bag convert)"
+        )
+    if compression is not None and str(compression).lower() not in ("", "none"):
+        raise BadInput(
+            f"{information_path}: compression_mode is '{compression!s:.40}': unpack the bag's files first"
+        )
+    names = information.get("relative_file_paths")
+    if not isinstance(names, list) or not names:
+        raise BadInput(f"{information_path}: relative_file_paths names no file")
+    for name in names:
+        # Another folder's file is not of this bag, whoever wrote this.
+        if not isinstance(name, str) or "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
+            raise BadInput(
+                f"{information_path}: relative_file_paths: '{name!s:.80}' is no file of this folder"
+            )
+    return names
+
+
+def write_information(folder: Path, files: Sequence[FileInformation], topics: Sequence[TopicInformation]) -> None:
+    """Write metadata.yaml; whenever the power fails, the folder has the former one or this one, whole.
+
+    Raises:
+        OSError: it cannot be written; the former one stays.
+    """
+    write_whole(folder / INFORMATION_FILE, yaml.safe_dump(_information(files, topics), sort_keys=False))
+    _sync_folder(folder)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring the names in a folder onto the disk."""
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)
+
+
+def _information(files: Sequence[FileInformation], topics: Sequence[TopicInformation]) -> dict[str, Any]:
+    start_ns = min((file.start_ns for file in files if file.start_ns is not None), default=None)
+    end_ns = max((file.end_ns for file in files if file.end_ns is not None), default=None)
+    information = {
+        "version": _VERSION,
+        "storage_identifier": "mcap",
+        **_span(start_ns, end_ns),
+        "message_count": sum(file.message_count for file in files),
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type_name,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": _offers(topic.qos_profiles),
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": topic.message_count,
+            }
+            for topic in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file.name for file in files],
+        "files": [
+            {"path": file.name, **_span(file.start_ns, file.end_ns), "message_count": file.message_count}
+            for file in files
+        ],
+        "custom_data": None,
+        "ros_distro": _ROS_DISTRO,
+    }
+    return {_INFORMATION_KEY: information}
+
+
+def _offers(text: str) -> list[Any]:
+    """The quality of service that a channel notes; none where a damaged bag notes something else."""
+    try:
+        offers = plain_data("offered_qos_profiles", text)
+    except BadInput:
+        return []
+    return offers if isinstance(offers, list) else []
+
+
+def _span(start_ns: int | None, end_ns: int | None) -> dict[str, dict[str, int]]:
+    start, end = (0, 0) if start_ns is None or end_ns is None else (start_ns, end_ns)
+    return {"duration": {"nanoseconds": end - start}, "starting_time": {"nanoseconds_since_epoch": start}}
