@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ship_bags.errors import BadInput
+from ship_bags.message_factory import list_of, nested
 
 SHIP_MESSAGES = "ship_msgs"
 
@@ -127,8 +128,9 @@ class RosbagsFactory:
     def make(self, type_name: str, **fields: Any) -> Any:
         """A message with every field given by keyword.
 
-        Arrays of numbers may be any sequence; they become numpy arrays of the field's own type. A field of type
-        byte (DiagnosticStatus.level) takes an integer or, as in rclpy, one byte.
+        As :meth:`ship_bags.message_factory.MessageFactory.make`. Arrays of numbers may be any sequence; they become
+        numpy arrays of the field's own type. A field of type byte (DiagnosticStatus.level) takes an integer or, as in
+        rclpy, one byte.
 
         Raises:
             KeyError: the type is unknown.
@@ -149,10 +151,14 @@ class RosbagsFactory:
         for name, (node, content) in self._store.fielddefs[type_name][1]:
             if node == Nodetype.BASE and content[0] == "byte":
                 converters[name] = _integer_from_byte
-            elif node in (Nodetype.ARRAY, Nodetype.SEQUENCE) and content[0][0] == Nodetype.BASE:
-                element = content[0][1][0]
-                if element != "string":
-                    dtype = np.dtype(_ARRAY_DTYPES.get(element, element))
+            elif node == Nodetype.NAME:
+                converters[name] = nested(self.make, content)
+            elif node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                element_node, element = content[0]
+                if element_node == Nodetype.NAME:
+                    converters[name] = list_of(nested(self.make, element))
+                elif element[0] != "string":
+                    dtype = np.dtype(_ARRAY_DTYPES.get(element[0], element[0]))
                     converters[name] = functools.partial(np.ascontiguousarray, dtype=dtype)
         return converters
 

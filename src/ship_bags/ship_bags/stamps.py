@@ -51,6 +51,4 @@ def duration_text(ns: int) -> str:
 
 def make_header(factory: MessageFactory, ns: int, frame_id: str = "") -> Any:
     """A std_msgs/Header."""
-    sec, nanosec = stamp_fields(ns)
-    stamp = factory.make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-    return factory.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
+    return factory.make("std_msgs/msg/Header", stamp=ns, frame_id=frame_id)

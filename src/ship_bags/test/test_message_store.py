@@ -67,6 +67,29 @@ def test_rclpy_and_we_read_each_other(make):
     assert serialize(back) == serialize(ours)
 
 
+def within_and_before(factory):
+    """One message made in one call, and the same made of messages made before."""
+    make, header = factory.make, {"stamp": START_NS, "frame_id": "deck"}
+    numbers = {"x": 0.5, "y": 1, "z": -2.0}
+    kind = "geometry_msgs/msg/Vector3Stamped"
+    vector = make("geometry_msgs/msg/Vector3", **numbers)
+    before = make(kind, header=make_header(factory, START_NS, "deck"), vector=vector)
+    return make(kind, header=header, vector=numbers), before
+
+
+@pytest.mark.parametrize("factory", [RosbagsFactory(), RosidlFactory()])
+def test_a_message_within_another_is_given_as_its_fields_and_a_stamp_as_ns(factory):
+    whole, before = within_and_before(factory)
+    assert whole == before
+    assert (whole.header.stamp.sec, whole.header.stamp.nanosec) == divmod(START_NS, 10**9)
+    entry = {"key": "a", "value": "b"}
+    status = {"level": 1, "name": "n", "message": "m", "hardware_id": "h", "values": [entry, entry]}
+    array = factory.make("diagnostic_msgs/msg/DiagnosticArray", header=whole.header, status=[status])
+    assert [(value.key, value.value) for value in array.status[0].values] == [("a", "b"), ("a", "b")]
+    with pytest.raises(TypeError, match="frame_id"):
+        factory.make("geometry_msgs/msg/Vector3Stamped", header={"stamp": START_NS}, vector=whole.vector)
+
+
 @pytest.mark.parametrize("type_name", SHIP_TYPES)
 def test_type_hash_is_that_of_the_built_messages(type_name):
     name = type_name.rsplit("/", 1)[1]
