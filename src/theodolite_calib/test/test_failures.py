@@ -9,7 +9,7 @@ from ship_estimation.refusals import Reason
 from ship_testing.adapter_runs import AdapterRun, index_at, stamp_of, without
 from ship_testing.small_session import BEACONS, ENCODER, clean_run, drive, new_adapter, session
 from theodolite_calib.filter.judgement import SightingStep
-from theodolite_calib.optical_axis.output import PointingSource
+from theodolite_calib.optical_axis.output import PointingOutput
 
 MOMENT_S = 2.6
 
@@ -49,8 +49,8 @@ def test_mend_02_an_exposure_on_which_the_filter_raises_is_left_out(monkeypatch:
 
 def test_mend_02_a_pointing_that_cannot_be_computed_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     clean, bad_ns = clean_run(), session()[index_at(session(), ENCODER, MOMENT_S)].stamp_ns
-    bad = failing_where(lambda _, state, sample, *rest: sample.time_ns == bad_ns, PointingSource.estimate)
-    monkeypatch.setattr(PointingSource, "estimate", bad)
+    bad = failing_where(lambda _, state, sample, *rest: sample.time_ns == bad_ns, PointingOutput.estimate)
+    monkeypatch.setattr(PointingOutput, "estimate", bad)
     run = drive(new_adapter(), session())
     expected = [stamp_of(m) for m in clean.pointings if stamp_of(m) != bad_ns]
     assert [stamp_of(m) for m in run.pointings] == expected

@@ -11,6 +11,7 @@ Encoder angles and errors are floats or arrays (rad) that broadcast with each ot
 
 import math
 from dataclasses import astuple, dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -54,9 +55,22 @@ class AxisErrors:
         """The errors in the order of :data:`NAMES`, shape (..., 7)."""
         return np.stack(np.broadcast_arrays(*astuple(self)), axis=-1)
 
+    @cached_property
+    def rotation_of_tilt(self) -> FloatArray:
+        """T, the turn of the vertical axis, shape (..., 3, 3)."""
+        return exp_rotation(_tilt_vector(self))
+
+    @cached_property
+    def by_tilt(self) -> FloatArray:
+        """Rotation vector of the main frame in d per rotation vector of the tilt, shape (..., 3, 3)."""
+        return left_jacobian(_tilt_vector(self))
+
 
 NAMES = tuple(field.name for field in fields(AxisErrors))
 """Names of the axis errors, in the order of the vector form and of the Jacobian's columns."""
+
+_G, _H, _C, _I, _BETA_X, _BETA_Y, _FLEXURE = range(len(NAMES))
+_AZIMUTH, _ELEVATION = range(2)
 
 
 @dataclass(frozen=True)
@@ -76,32 +90,29 @@ class MainAxis:
 
 def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
     """Main frame with its Jacobians. An encoder error counts like a change of the encoder's angle."""
-    tilt = _tilt_vector(errors)
-    tilted = exp_rotation(tilt)
-    rotation_dx = tilted @ _about_vertical_and_horizontal(errors, azimuth)
+    rotation_dx = errors.rotation_of_tilt @ _about_vertical_and_horizontal(errors, azimuth)
     rotation_dm = rotation_dx @ _about_elevation_and_collimation(errors, elevation)
-    by_tilt = left_jacobian(tilt)
     cosine, sine = _cos_sin(elevation)
 
-    vertical = tilted[..., :, 1]
+    vertical = errors.rotation_of_tilt[..., :, 1]
     horizontal = rotation_dx[..., :, 2]
     by_error = np.empty((*rotation_dm.shape[:-1], len(NAMES)))
-    by_error[..., 0] = vertical
-    by_error[..., 1] = -horizontal
-    by_error[..., 2] = rotation_dm[..., :, 1]
-    by_error[..., 3] = -rotation_dx[..., :, 0]
-    by_error[..., 4] = -by_tilt[..., :, 2]
-    by_error[..., 5] = by_tilt[..., :, 0]
-    by_error[..., 6] = _column(cosine) * horizontal
+    by_error[..., _G] = vertical
+    by_error[..., _H] = -horizontal
+    by_error[..., _C] = rotation_dm[..., :, 1]
+    by_error[..., _I] = -rotation_dx[..., :, 0]
+    by_error[..., _BETA_X] = -errors.by_tilt[..., :, 2]
+    by_error[..., _BETA_Y] = errors.by_tilt[..., :, 0]
+    by_error[..., _FLEXURE] = _column(cosine) * horizontal
     by_encoder = np.empty((*rotation_dm.shape[:-1], 2))
-    by_encoder[..., 0] = -vertical
-    by_encoder[..., 1] = _column(1.0 - errors.flexure * sine) * horizontal
+    by_encoder[..., _AZIMUTH] = -vertical
+    by_encoder[..., _ELEVATION] = _column(1.0 - errors.flexure * sine) * horizontal
     return MainAxis(rotation_dm, by_error, by_encoder)
 
 
 def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> FloatArray:
     """Rotation "deck from main frame", shape (..., 3, 3), without the Jacobians."""
-    rotation_dx = exp_rotation(_tilt_vector(errors)) @ _about_vertical_and_horizontal(errors, azimuth)
+    rotation_dx = errors.rotation_of_tilt @ _about_vertical_and_horizontal(errors, azimuth)
     return rotation_dx @ _about_elevation_and_collimation(errors, elevation)
 
 
@@ -129,7 +140,7 @@ def encoder_angles(
     """
     unit_d = direction_d / np.linalg.norm(direction_d, axis=-1, keepdims=True)
     # Seen from the vertical axis: x, y (up), z.
-    x, y, z = np.moveaxis((unit_d[..., None, :] @ exp_rotation(_tilt_vector(errors)))[..., 0, :], -1, 0)
+    x, y, z = np.moveaxis((unit_d[..., None, :] @ errors.rotation_of_tilt)[..., 0, :], -1, 0)
     sin_c, cos_i, sin_i = np.sin(errors.c), np.cos(errors.I), np.sin(errors.I)
     # The azimuth turned what was `left` and `forward`; up it left as it is.
     left = (y * sin_i + sin_c) / cos_i

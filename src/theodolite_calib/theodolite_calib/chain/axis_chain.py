@@ -16,85 +16,85 @@ import numpy as np
 
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance, rotation_vector_from_angle_errors
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
-from theodolite_calib.chain.axes import AxisErrors, main_axis
+from theodolite_calib.chain.axes import Angle, AxisErrors, main_axis
 
-CHAIN_BLOCKS = ("ship.attitude", "deformation", "axes", "ship.time_offset")
-"""States that turn the main axis, in the order of :attr:`AxisChain.by_error`'s columns."""
+SHIP, DEFORMATION, AXES, SHIP_TIME = slice(0, 3), slice(3, 6), slice(6, 13), slice(13, 14)
+"""Columns of :attr:`AxisChain.by_error`: the ship's error, the deformation, the axis errors, the ship's time."""
 
+CHAIN_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES, "ship.time_offset": SHIP_TIME}
+"""States of a filter that turn the main axis, each with its columns and in their order."""
 
 SOURCE_PARALLELISM = "parallelism"
 
 
 @dataclass(frozen=True)
 class ChainErrors:
-    """What is wrong, as now known.
+    """What is wrong with the chain, as now known.
 
     Attributes:
-        ship_n: rotation vector a, shape (3,).
-        deformation_d: rotation vector e, shape (3,).
-        axes: in the order of theodolite_calib.chain.axes.NAMES, rad, shape (7,).
-        ship_time_s: a sample of the ship's attitude is valid so much later than it was taken to be.
+        ship_n: rotation vector a of the ship's error in n, rad, shape (..., 3).
+        deformation_d: rotation vector e of the deformation in d, rad, shape (..., 3).
+        axes: errors of the theodolite's axes.
+        ship_time_s: the sample of the ship's attitude is valid so much later than it was taken to be.
     """
 
     ship_n: FloatArray
     deformation_d: FloatArray
-    axes: FloatArray
+    axes: AxisErrors
     ship_time_s: float
 
 
 @dataclass(frozen=True)
 class AxisChain:
-    """The main axis at one moment.
+    """The main axis at one moment, or at several.
 
     Attributes:
-        rotation_nd: horizon from deck, corrected, shape (3, 3).
-        rotation_dm: deck from main frame, deformation included, shape (3, 3).
-        by_error: rotation vector of the main frame in n per error: ship (3), deformation (3), axes (7), time of the
-            ship's attitude (1), shape (3, 14).
-        by_encoder: the same per encoder angle, shape (3, 2).
+        rotation_nd: horizon from deck, corrected, shape (..., 3, 3).
+        rotation_dm: deck from main frame, deformation included, shape (..., 3, 3).
+        rotation_nm: horizon from main frame, shape (..., 3, 3).
+        by_error: rotation vector of the main frame in n per error, shape (..., 3, 14); the columns are
+            :data:`SHIP`, :data:`DEFORMATION`, :data:`AXES` and :data:`SHIP_TIME`.
+        by_encoder: the same per encoder angle (azimuth, elevation), shape (..., 3, 2).
     """
 
     rotation_nd: FloatArray
     rotation_dm: FloatArray
+    rotation_nm: FloatArray
     by_error: FloatArray
     by_encoder: FloatArray
 
-    @property
-    def rotation_nm(self) -> FloatArray:
-        """Horizon from main frame, shape (3, 3)."""
-        return self.rotation_nd @ self.rotation_dm
-
 
 def axis_chain(
-    errors: ChainErrors, rotation_nd: FloatArray, rate_d: FloatArray, azimuth: float, elevation: float
+    errors: ChainErrors, rotation_nd: FloatArray, rate_d: FloatArray, azimuth: Angle, elevation: Angle
 ) -> AxisChain:
-    """The main axis by a measured attitude of the ship and the encoders.
+    """The main axis by a measured attitude of the ship and the encoders; leading axes broadcast.
 
     Args:
         errors: as now known.
-        rotation_nd: measured attitude of the deck at the moment, shape (3, 3).
-        rate_d: its angular velocity, rad/s, shape (3,).
-        azimuth: of the encoder, rad.
-        elevation: of the encoder, rad.
+        rotation_nd: measured attitude of the deck at the moment, shape (..., 3, 3).
+        rate_d: its angular velocity, rad/s, shape (..., 3).
+        azimuth: of the encoder, rad, shape (...).
+        elevation: of the encoder, rad, shape (...).
     """
     if errors.ship_time_s != 0.0:
         rotation_nd = rotation_nd @ exp_rotation(-errors.ship_time_s * rate_d)
     rotation_nd = exp_rotation(errors.ship_n) @ rotation_nd
     rotation_df = exp_rotation(errors.deformation_d)
-    main = main_axis(AxisErrors.from_vector(errors.axes), azimuth, elevation)
+    by_ship, by_deformation = left_jacobian(errors.ship_n), left_jacobian(errors.deformation_d)
+    main = main_axis(errors.axes, azimuth, elevation)
+    rotation_dm = rotation_df @ main.rotation_dm
+    rotation_nm = rotation_nd @ rotation_dm
     rotation_nf = rotation_nd @ rotation_df
-    by_error = np.empty((3, 14))
-    by_error[:, :3] = left_jacobian(errors.ship_n)
-    by_error[:, 3:6] = rotation_nd @ left_jacobian(errors.deformation_d)
-    by_error[:, 6:13] = rotation_nf @ main.by_error
-    by_error[:, 13] = -(rotation_nd @ rate_d)
-    return AxisChain(rotation_nd, rotation_df @ main.rotation_dm, by_error, rotation_nf @ main.by_encoder)
+    by_error = np.empty((*rotation_nm.shape[:-1], SHIP_TIME.stop))
+    by_error[..., SHIP] = by_ship
+    by_error[..., DEFORMATION] = rotation_nd @ by_deformation
+    by_error[..., AXES] = rotation_nf @ main.by_error
+    by_error[..., SHIP_TIME] = -(rotation_nd @ rate_d[..., None])
+    return AxisChain(rotation_nd, rotation_dm, rotation_nm, by_error, rotation_nf @ main.by_encoder)
 
 
-def telescope_from_main(
-    parallelism: FloatArray, rotation_nm: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """The telescope that goes with a main axis.
+def telescope_from_main(parallelism: FloatArray, rotation_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The telescope's attitude by that of the main axis.
 
     Args:
         parallelism: azimuth, elevation and rotation of the main axis in the telescope, rad, shape (3,).

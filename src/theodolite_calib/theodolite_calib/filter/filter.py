@@ -10,18 +10,10 @@ import numpy as np
 
 from ship_estimation.ins_guard import InsJump
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
-from ship_estimation.state import slow_error_later
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.model import (
-    SOURCE_AXES,
-    SOURCE_SHIP,
-    ShipErrorStep,
-    ship_error_step,
-    state_model,
-    with_step,
-)
+from theodolite_calib.filter.model import SOURCE_AXES, ShipErrorProcess, state_model
 from theodolite_calib.filter.observability import Observability, Unaided
 from theodolite_calib.filter.prediction import Prediction, SightingModel
 from theodolite_calib.measured.encoder_jumps import EncoderJump
@@ -40,8 +32,8 @@ class CalibrationState:
 
     Attributes:
         time_ns: moment of the state; None before the first sighting.
-        mean: estimated errors, shape (n,).
-        parts: covariance by source, shape (n_sources, n, n).
+        mean: estimated errors, shape (..., n); the leading axis may be one of hypotheses.
+        parts: covariance by source, shape (..., n_sources, n, n).
         unaided: the covariance by the sightings alone.
         ship_steady_n: stated covariance that the ship's error follows, rad²; None where none is stated.
         refusals: sightings in a row that disagreed with the encoders and the ship.
@@ -66,8 +58,8 @@ class CalibrationState:
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance of the errors, shape (n, n)."""
-        total: FloatArray = self.parts.sum(axis=0)
+        """Covariance of the errors, shape (..., n, n)."""
+        total: FloatArray = self.parts.sum(axis=-3)
         return total
 
     @property
@@ -104,9 +96,7 @@ class CalibrationFilter:
         self.model = state_model(config)
         self.sightings = SightingModel(config, self.model)
         self.observability = Observability(self.model)
-        self._ship = self.model.slices["ship.attitude"]
-        self._ship_source = self.model.sources.index(SOURCE_SHIP)
-        self._by_ins = config.ship.source == "ins/imu"
+        self.ship_error = ShipErrorProcess(config, self.model)
 
     def initial_state(self) -> CalibrationState:
         """The state before any sighting: no error known beyond the configuration, all of them possible."""
@@ -123,14 +113,11 @@ class CalibrationFilter:
         dt_s = 0.0 if state.time_ns is None else max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)
         parts = predict(state.parts, decay, self.model.booked_noise(noise))
-        mean, unaided, steady_n = decay * state.mean, state.unaided, state.ship_steady_n
-        mean[self._ship] = self.ship_error(state.mean[self._ship], decay[self._ship])
-        if steady_n is not None:
-            parts[self._ship_source, self._ship, self._ship] += (1.0 - decay[self._ship.start] ** 2) * steady_n
-        unaided = self.observability.predicted(unaided, dt_s, steady_n)
-        step = self.ship_step(state, ship_now_n)
+        mean, steady_n, ship = decay * state.mean, state.ship_steady_n, self.ship_error.columns
+        mean[..., ship] = self.ship_error.later(state.mean[..., ship], decay[ship])
+        mean, parts, step = self.ship_error.carried(mean, parts, ship, decay[ship], steady_n, ship_now_n)
+        unaided = self.observability.predicted(state.unaided, dt_s, steady_n)
         if step is not None:
-            mean, parts = with_step(mean, parts, self._ship, self._ship_source, step)
             unaided = self.observability.with_ship_step(unaided, step)
         return replace(
             state,
@@ -141,31 +128,18 @@ class CalibrationFilter:
             ship_steady_n=ship_now_n,
         )
 
-    def ship_error(self, error_n: FloatArray, decay: FloatArray) -> FloatArray:
-        """The ship's slow error later, shape (3,); that of the INS alone may have jumped."""
-        if not self._by_ins:
-            return decay * error_n
-        return slow_error_later(error_n, decay, self.model.blocks["ship.attitude"].sigma)
-
     def opened(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         """The state after a jump: the INS's slow error, or the encoders' zero points, may be off by as much."""
         if isinstance(jump, InsJump):
             state = self.predicted(state, jump.time_ns, None)
-            parts = state.parts.copy()
-            parts[self._ship_source, self._ship, self._ship] += jump.covariance_n
+            parts, ship = state.parts.copy(), self.ship_error.columns
+            parts[..., self.ship_error.source_index, ship, ship] += jump.covariance_n
             return replace(state, parts=parts)
-        axes, parts = self.model.slices["axes"].start, state.parts.copy()
-        rows = [axes + NAMES.index("g"), axes + NAMES.index("h")]
+        parts, first_axis = state.parts.copy(), self.model.slices["axes"].start
+        zero_points = first_axis + np.array([NAMES.index("g"), NAMES.index("h")])
         covariance = np.outer(jump.jump, jump.jump) + jump.sigma_rad**2 * np.eye(2)
-        parts[np.ix_([self.model.sources.index(SOURCE_AXES)], rows, rows)] += covariance
+        parts[..., self.model.sources.index(SOURCE_AXES), zero_points[:, None], zero_points] += covariance
         return replace(state, parts=parts)
-
-    def ship_step(self, state: CalibrationState, ship_now_n: FloatArray | None) -> ShipErrorStep | None:
-        """What happens to the ship's error at once, for the covariance now stated; None where nothing does."""
-        if ship_now_n is None:
-            return None
-        followed_n = np.zeros((3, 3)) if state.ship_steady_n is None else state.ship_steady_n
-        return ship_error_step(followed_n, ship_now_n)
 
     def compare(self, state: CalibrationState, sighting: Sighting) -> Comparison | None:
         """A sighting against a state predicted to its moment; None where a light would be behind the telescope."""

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_estimation.state import StateBlock, StateModel, block
+from ship_estimation.state import StateBlock, StateModel, block, slow_error_later
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
 
@@ -61,6 +61,7 @@ OWN_TERMS = {
 """Error term of one line of sight → its state, after ``light.<id>.``."""
 
 _AT_ONCE = 2.0
+"""A stated variance that changes by more than this factor has changed at once."""
 
 
 def state_model(config: OpticalAxisConfig) -> StateModel:
@@ -125,44 +126,130 @@ def _light_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> 
 
 @dataclass(frozen=True)
 class ShipErrorStep:
-    """What happens to the error at once.
+    """What happens to the ship's error at once, where its stated covariance changes by much.
 
     Attributes:
         kept: share of each component that is left, shape (3,).
-        new_n: covariance of what comes anew, rad², shape (3, 3).
+        new_n: covariance of what is new, rad², shape (3, 3).
     """
 
     kept: FloatArray
     new_n: FloatArray
 
 
-def ship_error_step(followed_n: FloatArray, now_n: FloatArray) -> ShipErrorStep | None:
-    """The step from one stated covariance to another, rad², shape (3, 3) each; None where there is none."""
+class ShipErrorProcess:
+    """How the ship's attitude error evolves, whose size is stated by the messages and may change at once.
+
+    Between two messages the error is a Gauss–Markov process with the steady covariance that the messages state. Where
+    that covariance changes by more than a factor of two, more has happened than the process allows: stars came, or
+    another system took over. Then a step follows, axis by axis (:func:`ship_error_step`).
+
+    Args:
+        config: the node's parameters.
+        model: states of the filter.
+
+    Attributes:
+        columns: where the error is in the state.
+        source_index: of its source of error.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, model: StateModel) -> None:
+        self.columns = model.slices["ship.attitude"]
+        self.source_index = model.sources.index(SOURCE_SHIP)
+        # The error of the INS alone may have jumped: what is far beyond its sigma does not die out.
+        by_ins = config.ship.source == "ins/imu"
+        self._sigma = model.blocks["ship.attitude"].sigma if by_ins else None
+
+    def later(self, error_n: FloatArray, decay: FloatArray) -> FloatArray:
+        """The error after some time, rotation vector in n, rad, shape (..., 3).
+
+        Args:
+            error_n: before, shape (..., 3).
+            decay: of the process over the time, shape (3,).
+        """
+        return decay * error_n if self._sigma is None else slow_error_later(error_n, decay, self._sigma)
+
+    def carried(
+        self,
+        mean: FloatArray,
+        parts: FloatArray,
+        columns: slice,
+        decay: FloatArray,
+        steady_n: FloatArray | None,
+        now_n: FloatArray | None,
+    ) -> tuple[FloatArray, FloatArray, ShipErrorStep | None]:
+        """State and covariance parts with what the messages state, and the step where that changes at once.
+
+        Args:
+            mean: the state, shape (..., n).
+            parts: shape (..., n_sources, n, n), decayed and without the noise of the ship's error; changed in place.
+            columns: where the ship's error is in these two.
+            decay: of the error over the time, shape (3,).
+            steady_n: stated covariance that the error has followed, rad², shape (3, 3); None where none was stated.
+            now_n: that is stated now; None where none is.
+        """
+        add_steady_noise(parts, columns, self.source_index, decay, steady_n)
+        step = ship_error_step(steady_n, now_n)
+        if step is not None:
+            mean, parts = with_step(mean, parts, columns, self.source_index, step)
+        return mean, parts, step
+
+
+def add_steady_noise(
+    parts: FloatArray, columns: slice, source_index: int, decay: FloatArray, steady_n: FloatArray | None
+) -> None:
+    """Add in place the noise that keeps the ship's error at its stated covariance.
+
+    Args:
+        parts: shape (..., n_sources, n, n), decayed already.
+        columns: where the ship's error is in them.
+        source_index: of the ship's error.
+        decay: of the error over the time, shape (3,).
+        steady_n: the stated covariance, rad², shape (3, 3); None where none is stated.
+    """
+    if steady_n is not None:
+        parts[..., source_index, columns, columns] += (1.0 - decay[0] ** 2) * steady_n
+
+
+def ship_error_step(followed_n: FloatArray | None, now_n: FloatArray | None) -> ShipErrorStep | None:
+    """The step from one stated covariance to another, rad², shape (3, 3) each; None where there is none.
+
+    Where the variance shrank, the share new / old of the old error is left: a Kalman update that reduced the variance
+    by as much would leave the same. Where the variance grew, all of the old error is left. The rest is new.
+
+    Args:
+        followed_n: that the error has followed; None where none was stated.
+        now_n: that is stated now; None where none is, and nothing happens.
+    """
+    if now_n is None:
+        return None
+    if followed_n is None:
+        followed_n = np.zeros((3, 3))
     old, new = np.diagonal(followed_n), np.diagonal(now_n)
     if np.all(new <= _AT_ONCE * old) and np.all(old <= _AT_ONCE * new):
         return None
     kept = np.where(old > 0.0, np.minimum(new / np.where(old > 0.0, old, 1.0), 1.0), 1.0)
     left_n = now_n - followed_n * np.outer(kept, kept)
-    # Not all changes of a matrix are such a step in each axis: what would be negative is none.
+    # Not every change of a matrix is such a step in each axis: a negative variance is taken for zero.
     values, vectors = np.linalg.eigh(0.5 * (left_n + left_n.T))
     return ShipErrorStep(kept, (vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def with_step(
-    mean: FloatArray, parts: FloatArray, rows: slice, source_index: int, step: ShipErrorStep
+    mean: FloatArray, parts: FloatArray, columns: slice, source_index: int, step: ShipErrorStep
 ) -> tuple[FloatArray, FloatArray]:
     """State and covariance parts after the step; the arguments are left as they are.
 
     Args:
-        mean: shape (n,).
-        parts: shape (n_sources, n, n).
-        rows: where the ship's error is.
+        mean: shape (..., n).
+        parts: shape (..., n_sources, n, n).
+        columns: where the ship's error is.
         source_index: of its source.
         step: what happens.
     """
     mean, parts = mean.copy(), parts.copy()
-    mean[rows] *= step.kept
-    parts[:, rows, :] *= step.kept[:, None]
-    parts[:, :, rows] *= step.kept
-    parts[source_index, rows, rows] += step.new_n
+    mean[..., columns] *= step.kept
+    parts[..., columns, :] *= step.kept[:, None]
+    parts[..., columns] *= step.kept
+    parts[..., source_index, columns, columns] += step.new_n
     return mean, parts

@@ -13,12 +13,15 @@ from ship_estimation.kalman import LinearMeasurement, innovation, predict, updat
 from ship_estimation.state import StateModel, block
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
-from theodolite_calib.filter.model import ShipErrorStep, with_step
+from theodolite_calib.filter.model import ShipErrorStep, add_steady_noise, with_step
 
 DEFORMATION_NAMES = ("deformation_bow", "deformation_up", "deformation_starboard")
 
 _LEADING = (*DEFORMATION_NAMES, "c", "I", "h", "flexure", "beta_x", "beta_y", "g")
 """Of two combinations the one is freed of what leads the other: what pairs with the deformation comes last."""
+
+_ONLY_SOURCE = 0
+"""Index of the source of error that all states here share."""
 
 _UNKNOWN = 1000.0
 """Sigmas beforehand, in those of the configuration."""
@@ -73,23 +76,22 @@ class Observability:
         """After ``dt_s``; the ship's error follows a stated steady covariance (rad², (3, 3)) where there is one."""
         decay, noise = self._model.transition(dt_s)
         parts = predict(unaided.parts, decay, self._model.booked_noise(noise))
-        if ship_steady_n is not None:
-            parts[0, self._ship, self._ship] += (1.0 - decay[self._ship.start] ** 2) * ship_steady_n
+        add_steady_noise(parts, self._ship, _ONLY_SOURCE, decay[self._ship], ship_steady_n)
         return Unaided(parts)
 
     def with_ship_step(self, unaided: Unaided, step: ShipErrorStep) -> Unaided:
         """After a change of the ship's error at once."""
-        return Unaided(with_step(np.zeros(self._model.size), unaided.parts, self._ship, 0, step)[1])
+        return Unaided(with_step(np.zeros(self._model.size), unaided.parts, self._ship, _ONLY_SOURCE, step)[1])
 
     def updated(self, unaided: Unaided, jacobian: FloatArray, noise: FloatArray) -> Unaided:
         """After a sighting with the filter's Jacobian (m, n) and noise (m, m)."""
-        measurement = LinearMeasurement(np.zeros(len(noise)), jacobian, {0: noise})
+        measurement = LinearMeasurement(np.zeros(len(noise)), jacobian, {_ONLY_SOURCE: noise})
         covariance, _ = innovation(unaided.parts, measurement)
         return Unaided(update(unaided.parts, measurement, covariance)[1])
 
     def open_combinations(self, unaided: Unaided) -> tuple[str, ...]:
         """Combinations of names that the sightings so far cannot tell apart, as ``g - deformation_up``."""
-        covariance = unaided.parts[0][np.ix_(self._rows, self._rows)] / np.outer(self._sigma, self._sigma)
+        covariance = unaided.parts[_ONLY_SOURCE][np.ix_(self._rows, self._rows)] / np.outer(self._sigma, self._sigma)
         values, vectors = np.linalg.eigh(covariance)
         # Rows: directions in configured sigmas that may run so far.
         runs = _sparse(vectors[:, values > _OPEN**2].T)

@@ -11,7 +11,15 @@ import numpy as np
 
 from ship_estimation.state import StateModel
 from ship_geometry.rotations import FloatArray, exp_rotation
-from theodolite_calib.chain.axis_chain import CHAIN_BLOCKS, AxisChain, ChainErrors, axis_chain, telescope_from_main
+from theodolite_calib.chain.axes import AxisErrors
+from theodolite_calib.chain.axis_chain import (
+    CHAIN_STATES,
+    SHIP_TIME,
+    AxisChain,
+    ChainErrors,
+    axis_chain,
+    telescope_from_main,
+)
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import (
     COMMON_TERMS,
@@ -21,9 +29,8 @@ from theodolite_calib.filter.model import (
     SOURCE_RTK,
     SOURCE_SHIP_NOISE,
 )
-from theodolite_calib.lights.image import Camera, PredictedPoints, block_diagonal, predict_points
+from theodolite_calib.lights.image import Camera, block_diagonal, predict_points
 from theodolite_calib.lights.line_of_sight import (
-    ErrorTerm,
     LeverArm,
     Lights,
     LinesOfSight,
@@ -32,9 +39,6 @@ from theodolite_calib.lights.line_of_sight import (
     lines_of_sight,
 )
 from theodolite_calib.measured.sighting import Sighting
-from theodolite_calib.measured.tracks import EncoderAt, ShipAt
-
-_NONE = np.zeros(3)
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ class SightingModel:
         return ChainErrors(
             ship_n=self._of(mean, "ship.attitude"),
             deformation_d=self._of(mean, "deformation"),
-            axes=self._axes + self._of(mean, "axes"),
+            axes=AxisErrors.from_vector(self._axes + self._of(mean, "axes")),
             ship_time_s=float(self._of(mean, "ship.time_offset", 1)[0]),
         )
 
@@ -95,33 +99,30 @@ class SightingModel:
         """As now known."""
         return self._config.telescope.focal_length_m + float(self._of(mean, "focal_length")[0])
 
-    def chain(self, mean: FloatArray, ship: ShipAt, encoder: EncoderAt) -> AxisChain:
-        """The main axis at one moment."""
-        return axis_chain(
-            self.chain_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation
-        )
-
     def predict(self, mean: FloatArray, sighting: Sighting) -> Prediction:
         """The exposure, and how it follows from the states."""
-        chain = self.chain(mean, sighting.ship, sighting.encoder)
+        ship, encoder = sighting.ship, sighting.encoder
+        chain = axis_chain(self.chain_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
         rotation_nt, by_parallelism = telescope_from_main(self.parallelism(mean), chain.rotation_nm)
         lines = self._lines(mean, sighting, chain)
         camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)
         points = predict_points(camera, rotation_nt, lines.direction_n)
+        # Each error of the lines of sight moves the points, m per unit, shape (N, 2, k).
+        by_term = {term.name: points.by_direction_n @ term.jacobian_n for term in lines.terms}
         turn_n = self._turn_n(chain, by_parallelism)
         rows = 2 * len(sighting.names)
         by_attitude_n = points.by_attitude_n.reshape(rows, 3)
-        noise_n = {
-            SOURCE_ENCODER: sighting.encoder.noise * (chain.by_encoder @ chain.by_encoder.T),
-            SOURCE_SHIP_NOISE: sighting.ship.noise * np.eye(3),
-        }
         jacobian = by_attitude_n @ turn_n
         jacobian[:, self._model.slices["focal_length"]] = points.by_focal_length.reshape(rows, 1)
-        self._add_lines(jacobian, points, lines, sighting.names)
-        self._add_carried_lever(jacobian, points, lines, chain)
+        self._add_lines(jacobian, by_term, sighting.names)
+        self._add_carried_lever(jacobian, by_term["ship_attitude"], chain)
+        noise_n = {
+            SOURCE_ENCODER: encoder.noise * (chain.by_encoder @ chain.by_encoder.T),
+            SOURCE_SHIP_NOISE: ship.noise * np.eye(3),
+        }
         noise = {source: by_attitude_n @ part @ by_attitude_n.T for source, part in noise_n.items()}
         noise[SOURCE_IMAGE] = sighting.image.covariance_m2
-        noise[SOURCE_RTK] = _own_noise(points, lines, "rtk_noise")
+        noise[SOURCE_RTK] = _own_noise(by_term["rtk_noise"], sighting.lights.baseline_covariance_n)
         residual = (sighting.image.point_m - points.point_m).reshape(rows)
         return Prediction(rotation_nt, turn_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)
 
@@ -160,39 +161,30 @@ class SightingModel:
 
     def _turn_n(self, chain: AxisChain, by_parallelism: FloatArray) -> FloatArray:
         turn_n = np.zeros((3, self._model.size))
-        start = 0
-        for name in CHAIN_BLOCKS:
+        for name, columns in CHAIN_STATES.items():
             if name in self._model.slices:
-                columns = self._model.slices[name]
-                width = columns.stop - columns.start
-                turn_n[:, columns] = chain.by_error[:, start : start + width]
-                start += width
+                turn_n[:, self._model.slices[name]] = chain.by_error[:, columns]
         turn_n[:, self._model.slices["parallelism"]] = by_parallelism
         return turn_n
 
-    def _add_lines(
-        self, jacobian: FloatArray, points: PredictedPoints, lines: LinesOfSight, names: tuple[str, ...]
-    ) -> None:
+    def _add_lines(self, jacobian: FloatArray, by_term: dict[str, FloatArray], names: tuple[str, ...]) -> None:
         """Add what the errors of the lines of sight do to the points."""
         slices = self._model.slices
-        for term in lines.terms:
-            by_error = points.by_direction_n @ term.jacobian_n
-            common = COMMON_TERMS.get(term.name, "")
+        for term, by_error in by_term.items():
+            common = COMMON_TERMS.get(term, "")
             if common in slices:
                 jacobian[:, slices[common]] += by_error.reshape(len(jacobian), -1)
-            for row, name in enumerate(names):
-                own = f"light.{name}.{OWN_TERMS.get(term.name, '')}"
+            for light, name in enumerate(names):
+                own = f"light.{name}.{OWN_TERMS.get(term, '')}"
                 if own in slices:
-                    jacobian[2 * row : 2 * row + 2, slices[own]] += by_error[row]
+                    jacobian[2 * light : 2 * light + 2, slices[own]] += by_error[light]
 
-    def _add_carried_lever(
-        self, jacobian: FloatArray, points: PredictedPoints, lines: LinesOfSight, chain: AxisChain
-    ) -> None:
-        """Add that what turns the ship carries the theodolite round the antenna."""
-        by_turn = _points_by(points, lines, "ship_attitude").reshape(len(jacobian), 3)
+    def _add_carried_lever(self, jacobian: FloatArray, by_ship_turn: FloatArray, chain: AxisChain) -> None:
+        """Add what a turn of the ship does to the points by carrying the theodolite round the antenna."""
+        by_turn = by_ship_turn.reshape(len(jacobian), 3)
         jacobian[:, self._model.slices["ship.attitude"]] += by_turn
         if "ship.time_offset" in self._model.slices:
-            jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ chain.by_error[:, 13:]
+            jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ chain.by_error[:, SHIP_TIME]
 
     def _of(self, mean: FloatArray, name: str, width: int = 3) -> FloatArray:
         """A block of the state; zeros where there is no such state."""
@@ -212,17 +204,6 @@ def _drone_covariance(config: OpticalAxisConfig, names: tuple[str, ...]) -> Floa
     return covariance
 
 
-def _points_by(points: PredictedPoints, lines: LinesOfSight, name: str) -> FloatArray:
-    """Change of the points by an error of the lines of sight, m per unit, shape (N, 2, k)."""
-    by_error: FloatArray = points.by_direction_n @ _term(lines, name).jacobian_n
-    return by_error
-
-
-def _own_noise(points: PredictedPoints, lines: LinesOfSight, name: str) -> FloatArray:
+def _own_noise(by_error: FloatArray, covariance: FloatArray) -> FloatArray:
     """Covariance of the points by an error that each light has anew, m², shape (2 N, 2 N)."""
-    by_error = _points_by(points, lines, name)
-    return block_diagonal(by_error @ _term(lines, name).covariance @ np.swapaxes(by_error, -1, -2))
-
-
-def _term(lines: LinesOfSight, name: str) -> ErrorTerm:
-    return next(term for term in lines.terms if term.name == name)
+    return block_diagonal(by_error @ covariance @ np.swapaxes(by_error, -1, -2))

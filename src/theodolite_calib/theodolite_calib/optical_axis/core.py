@@ -32,7 +32,7 @@ from theodolite_calib.optical_axis.calibration import (
     prior_of,
     state_from_prior,
 )
-from theodolite_calib.optical_axis.output import PointingSource, no_pointing
+from theodolite_calib.optical_axis.output import PointingOutput, no_pointing
 
 
 class OpticalAxisCore:
@@ -67,7 +67,7 @@ class OpticalAxisCore:
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._watch = EncoderWatch(*_encoder_limits(self.config))
         self._ship_watch = ShipWatch(self.config.ins) if self.config.ship.source == "ins/imu" else None
-        self._pointing = PointingSource(self.config, self.filter)
+        self._pointing = PointingOutput(self.config, self.filter)
         self._newest_ns = 0
         self._waiting: deque[tuple[EncoderSample, str]] = deque()
         self._encoder_arrival_ns: int | None = None
@@ -83,7 +83,7 @@ class OpticalAxisCore:
         self._watch.reconfigure(*_encoder_limits(config))
         if self._ship_watch is not None:
             self._ship_watch.reconfigure(config.ins)
-        self._pointing = PointingSource(config, self.filter)
+        self._pointing = PointingOutput(config, self.filter)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> Outcome:
         """A reading of the encoders; the pointing of its moment follows.

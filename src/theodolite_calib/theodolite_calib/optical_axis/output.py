@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 from ship_geometry.sample_track import SECOND_NS
-from theodolite_calib.chain.axis_chain import CHAIN_BLOCKS, ChainErrors, axis_chain, telescope_from_main
+from theodolite_calib.chain.axis_chain import CHAIN_STATES, DEFORMATION, SHIP, ChainErrors, axis_chain
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import (
@@ -15,7 +16,6 @@ from theodolite_calib.filter.model import (
     SOURCE_SAVED,
     SOURCE_SHIP,
     SOURCE_SHIP_NOISE,
-    with_step,
 )
 from theodolite_calib.measured.samples import EncoderSample, Mode, PointingEstimate, Status
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
@@ -39,7 +39,8 @@ class AxisAt:
 class CorrectedAxis:
     """The main axis corrected by one filter state; made once per state, used at the encoder's rate.
 
-    Only states that turn the main axis enter, so only those rows of the covariance are carried.
+    Only the states that turn the main axis enter, so only these are carried on: the columns are those of
+    :data:`theodolite_calib.chain.axis_chain.CHAIN_STATES`.
 
     Args:
         filter_: the filter and its model.
@@ -48,50 +49,44 @@ class CorrectedAxis:
 
     def __init__(self, filter_: CalibrationFilter, state: CalibrationState) -> None:
         self.state = state
-        self._filter, self._model = filter_, filter_.model
-        blocks = [name for name in CHAIN_BLOCKS if name in self._model.slices]
-        self._rows = np.concatenate([self._model.rows(name) for name in blocks])
+        model, self._ship_error = filter_.model, filter_.ship_error
+        self._transition = model.transition
+        self._rows = np.concatenate([model.rows(name) for name in CHAIN_STATES if name in model.slices])
         self._mean = state.mean[self._rows]
         self._parts = state.parts[:, self._rows[:, None], self._rows]
-        self._errors = filter_.sightings.chain_errors(state.mean)
-        self._known_axes = self._errors.axes
-        self._known_time_s = self._errors.ship_time_s
-        self._parallelism = filter_.sightings.parallelism(state.mean)
-        self._source = {name: self._model.sources.index(name) for name in self._model.sources}
+        self._known = filter_.sightings.chain_errors(state.mean)
+        self._rotation_mt = rotation_from_angles(*filter_.sightings.parallelism(state.mean)).T
+        self._ship, self._deformation, self._encoder, self._ship_noise = (
+            model.sources.index(source)
+            for source in (SOURCE_SHIP, SOURCE_DEFORMATION, SOURCE_ENCODER, SOURCE_SHIP_NOISE)
+        )
 
     def at(self, time_ns: int, ship: ShipAt, encoder: EncoderAt) -> AxisAt:
         """The axis at a moment at or after the state's, with the ship and the encoders of that moment."""
         since_ns = self.state.time_ns if self.state.time_ns is not None else time_ns
         mean, parts = self._carried(max(time_ns - since_ns, 0) * 1e-9, ship)
-        errors = ChainErrors(mean[:3], mean[3:6], self._known_axes, self._known_time_s)
+        errors = ChainErrors(mean[SHIP], mean[DEFORMATION], self._known.axes, self._known.ship_time_s)
         chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
         by_error = chain.by_error[:, : len(self._rows)]
         parts_n = by_error @ parts @ by_error.T
-        parts_n[self._source[SOURCE_ENCODER]] += encoder.noise * (chain.by_encoder @ chain.by_encoder.T)
-        parts_n[self._source[SOURCE_SHIP_NOISE]] += ship.noise * np.eye(3)
-        rotation_nm = chain.rotation_nm
-        return AxisAt(rotation_nm, parts_n, telescope_from_main(self._parallelism, rotation_nm)[0])
+        parts_n[self._encoder] += encoder.noise * (chain.by_encoder @ chain.by_encoder.T)
+        parts_n[self._ship_noise] += ship.noise * np.eye(3)
+        return AxisAt(chain.rotation_nm, parts_n, chain.rotation_nm @ self._rotation_mt)
 
     def _carried(self, dt_s: float, ship: ShipAt) -> tuple[FloatArray, FloatArray]:
         """Errors and covariance of the chain after ``dt_s``."""
-        decay, noise = (values[self._rows] for values in self._model.transition(dt_s))
-        mean = decay * self._mean
-        mean[:3] = self._filter.ship_error(self._mean[:3], decay[:3])
-        parts = self._parts * (decay[:, None] * decay)
-        ship_rows, deformation = slice(0, 3), np.arange(3, 6)
-        parts[self._source[SOURCE_SHIP], [0, 1, 2], [0, 1, 2]] += noise[:3]
-        parts[self._source[SOURCE_DEFORMATION], deformation, deformation] += noise[3:6]
-        if self.state.ship_steady_n is not None:
-            steady_n = self.state.ship_steady_n
-            parts[self._source[SOURCE_SHIP], ship_rows, ship_rows] += (1.0 - decay[0] ** 2) * steady_n
-        step = self._filter.ship_step(self.state, ship.slow_covariance_n)
-        if step is not None:
-            mean, parts = with_step(mean, parts, ship_rows, self._source[SOURCE_SHIP], step)
-        return mean, parts
+        whole_decay, whole_noise = self._transition(dt_s)
+        decay, noise = whole_decay[self._rows], whole_noise[self._rows]
+        mean, parts = decay * self._mean, self._parts * (decay[:, None] * decay)
+        mean[SHIP] = self._ship_error.later(self._mean[SHIP], decay[SHIP])
+        for source, columns in ((self._ship, SHIP), (self._deformation, DEFORMATION)):
+            np.einsum("ii->i", parts[source, columns, columns])[...] += noise[columns]
+        steady_n, now_n = self.state.ship_steady_n, ship.slow_covariance_n
+        return self._ship_error.carried(mean, parts, SHIP, decay[SHIP], steady_n, now_n)[:2]
 
 
-class PointingSource:
-    """Makes pointings by a filter's states.
+class PointingOutput:
+    """Makes the pointings by a filter's states: what is claimed at a reading depends on its arguments alone.
 
     Args:
         config: the node's parameters.
