@@ -148,7 +148,8 @@ class RosbagsFactory:
     def _converters(self, type_name: str) -> dict[str, Callable[[Any], Any]]:
         """Field name → conversion, for the fields that need one."""
         converters: dict[str, Callable[[Any], Any]] = {}
-        for name, (node, content) in self._store.fielddefs[type_name][1]:
+        described: Any = self._store.fielddefs[type_name][1]
+        for name, (node, content) in described:
             if node == Nodetype.BASE and content[0] == "byte":
                 converters[name] = _integer_from_byte
             elif node == Nodetype.NAME:

@@ -100,8 +100,8 @@ def _recover(sources: list[Path], target: Path | None, force: bool) -> int:
             print(f"record: {one_line(str(problem))}", file=sys.stderr)
             exit_code = EXIT_BAD_INPUT
             continue
-        for problem in recovery.problems:
-            print(f"record: {problem}")
+        for line in recovery.problems:
+            print(f"record: {line}")
         print(
             f"record: {recovery.path}: {sum(recovery.counts.values())} messages on {len(recovery.counts)} topics, "
             "all read back by mcap and rosbags"

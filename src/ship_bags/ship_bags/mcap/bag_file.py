@@ -147,7 +147,8 @@ def _take_summary(file: McapFile, summary: Summary) -> None:
             index.chunk_start_offset, index.chunk_length, index.message_start_time, index.message_end_time
         )
         file.chunks.append(place)
-    for offset in [index.offset for index in [*summary.attachment_indexes, *summary.metadata_indexes]]:
+    offsets = [index.offset for index in summary.attachment_indexes]
+    for offset in offsets + [index.offset for index in summary.metadata_indexes]:
         record = file.data.record_at(offset)
         if record is None:
             file.problems.append(f"{file.path.name}: the attachment or metadata at byte {offset} is damaged")

@@ -65,13 +65,16 @@ class McapWriter:
         self._channels: list[Channel] = []
         self._attachment_indexes: list[AttachmentIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
-        self._chunk_indexes = tempfile.SpooledTemporaryFile(max_size=_INDEX_IN_MEMORY_BYTES, dir=folder)  # noqa: SIM115
+        self._chunk_indexes = tempfile.SpooledTemporaryFile(max_size=_INDEX_IN_MEMORY_BYTES, dir=str(folder))  # noqa: SIM115
         self._chunk_count = 0
         self._message_counts: dict[int, int] = {}
         self._first_ns = self._last_ns = 0
         self._compressor = zstandard.ZstdCompressor(level=3)
+        # The chunk being written: its records, where its messages lie by channel, and their earliest and latest times.
         self._chunk = bytearray()
-        self._begin_chunk()
+        self._indexes: dict[int, bytearray] = {}
+        self._start_ns: int | None = None
+        self._end_ns = 0
         stream.write(_MAGIC + _bytes_of(Header(profile, library)))
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
@@ -154,8 +157,8 @@ class McapWriter:
 
     def _begin_chunk(self) -> None:
         self._chunk.clear()
-        self._indexes: dict[int, bytearray] = {}
-        self._start_ns: int | None = None
+        self._indexes = {}
+        self._start_ns = None
         self._end_ns = 0
 
     def _end_chunk(self) -> None:

@@ -33,7 +33,7 @@ class LogLine:
         number: from 1.
         receive_ns: when the ship's network received it, POSIX UTC.
         kind: ``ZDA``, ``GGA``, ``HDT``, ``PSXN20``, ``PSXN23``, ``PASHR`` or ``MET``.
-        content: the sentence of pynmea2, or :class:`Weather`.
+        content: the sentence of pynmea2, or :class:`MetReading`.
     """
 
     number: int
@@ -43,8 +43,8 @@ class LogLine:
 
 
 @dataclass(frozen=True)
-class Weather:
-    """Air at the mast: temperature in °C, relative humidity from 0 to 1, pressure in Pa."""
+class MetReading:
+    """What a line MET says of the air at the mast: temperature in °C, relative humidity from 0 to 1, pressure in Pa."""
 
     temperature_c: float
     humidity: float
@@ -138,11 +138,11 @@ def _parsed(number: int, text: str, report: LogReport) -> LogLine | None:
         return None
     name = sentence.split(",")[0]
     if name == "MET":
-        weather = _weather(sentence)
-        if weather is None:
+        reading = _met_reading(sentence)
+        if reading is None:
             report.reject("unparsed", number, text)
             return None
-        return LogLine(number, receive_ns, "MET", weather)
+        return LogLine(number, receive_ns, "MET", reading)
     if not name.startswith("$"):
         known_shape = name.isalpha() and name.isupper() and "," in sentence
         report.unused.update([name] if known_shape else [])
@@ -206,12 +206,12 @@ def _receive_ns(text: str) -> int | None:
     return time_ns if _DAY_NS <= time_ns < END_OF_TIME_NS - 2 * _DAY_NS else None
 
 
-def _weather(sentence: str) -> Weather | None:
+def _met_reading(sentence: str) -> MetReading | None:
     fields = sentence.split(",")
     if len(fields) < _MET_LEAST_FIELDS:
         return None
     try:
-        return Weather(
+        return MetReading(
             temperature_c=float(fields[_MET_TEMPERATURE]),
             humidity=float(fields[_MET_HUMIDITY]) / 100.0,
             pressure_pa=float(fields[_MET_PRESSURE]) * 100.0,

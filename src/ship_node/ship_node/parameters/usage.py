@@ -85,7 +85,7 @@ def _inputs_with(
     given = {d.name: d.maximum for d in descriptions if d.default == d.minimum == 0.0 and d.maximum is not None}
     for attempt in (values, values | given):
         try:
-            config = build(adapter_class.config_type, nest(attempt), placeholder="<id>")
+            config: Any = build(adapter_class.config_type, nest(attempt), placeholder="<id>")
             return adapter_class(config, factory).inputs
         except ValueError:  # noqa: PERF203 - twice at most
             continue
