@@ -224,28 +224,31 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._samples[index].rate_d is not None
 
     def _between(self, left: int, fraction: float) -> InterpolatedAttitude:
-        interval_s = self._seconds(left, left + 1)
+        interval_s = (self._times[left + 1] - self._times[left]) / SECOND_NS
         first, second = self._samples[left], self._samples[left + 1]
+        start_rate, end_rate = self.rate(left), self.rate(left + 1)
+        measured = first.rate_d is not None and second.rate_d is not None
+        value0, slope0, value1, slope1 = hermite_weights(fraction)
+        gain = value0 * value0 + value1 * value1 if measured else self._noise_gain(left, fraction)
         turn = log_rotation(first.rotation_nd.T @ second.rotation_nd)
-        start_slope = self.rate(left) * interval_s
+        start_slope = start_rate * interval_s
         # d(rotation vector)/dt = J_right^-1 rate, and J_right = J_left^T.
-        end_slope = np.linalg.solve(left_jacobian(turn).T, self.rate(left + 1) * interval_s)
-        _, slope0, value1, slope1 = hermite_weights(fraction)
+        end_slope = np.linalg.solve(left_jacobian(turn).T, end_rate * interval_s)
         vector = slope0 * start_slope + value1 * turn + slope1 * end_slope
         s = fraction
         derivative = (
             (1 - s) * (1 - 3 * s) * start_slope + 6 * s * (1 - s) * turn + s * (3 * s - 2) * end_slope
         )
         rate = left_jacobian(vector).T @ derivative / interval_s
-        gain = self._noise_gain(left, fraction)
-        if first.rate_d is not None and second.rate_d is not None:
+        rotation_nd = first.rotation_nd @ exp_rotation(vector)
+        if measured:
             error = self._error_with_rates(left, fraction, start_slope, turn, end_slope)
         else:
             around = self._around(left)
             values = np.array([self._turn(left, index) for index in around])
             errors = by_polynomial(self._fractions(around, left), values, fraction, vector)
             error = as_covariance(errors, _LARGEST_VARIANCE)
-        return InterpolatedAttitude(first.rotation_nd @ exp_rotation(vector), rate, gain, error)
+        return InterpolatedAttitude(rotation_nd, rate, gain, error)
 
     def _turn(self, first: int, second: int) -> FloatArray:
         """Rotation vector from one sample to another, rad."""
@@ -255,13 +258,15 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         self, left: int, fraction: float, start_slope: FloatArray, turn: FloatArray, end_slope: FloatArray
     ) -> FloatArray:
         """Covariance of the error of a cubic with measured slopes: by how far it misses the sample before."""
-        bound = by_third_derivative(6.0 * (start_slope + end_slope) - 12.0 * turn, fraction)
+        third_derivative = 6.0 * (start_slope + end_slope) - 12.0 * turn
         if left == 0 or not self._joined(left - 1):
-            return as_covariance([bound], _LARGEST_VARIANCE)
+            return as_covariance([by_third_derivative(third_derivative, fraction)], _LARGEST_VARIANCE)
         before = -self._seconds(left - 1, left) / self._seconds(left, left + 1)
         _, slope0, value1, slope1 = hermite_weights(before)
         cubic = slope0 * start_slope + value1 * turn + slope1 * end_slope
-        miss = by_miss(self._turn(left, left - 1) - cubic, before, fraction)
+        turn_back = log_rotation(self._samples[left].rotation_nd.T @ self._samples[left - 1].rotation_nd)
+        bound = by_third_derivative(third_derivative, fraction)
+        miss = by_miss(turn_back - cubic, before, fraction)
         return as_covariance([miss, 0.5 * BESIDE * bound], _LARGEST_VARIANCE)
 
 

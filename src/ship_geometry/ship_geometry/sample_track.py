@@ -114,13 +114,18 @@ class SampleTrack(Generic[Sample]):
             del self._samples[:keep_from]
             self._cuts_ns = [cut_ns for cut_ns in self._cuts_ns if cut_ns > self._times[0]]
 
+    @property
+    def covered_until_ns(self) -> int | None:
+        """The latest moment at which later samples can no longer change the value, arriving in order; None for none."""
+        if self._times and self._has_rate(len(self._times) - 1):
+            return self._times[-1]
+        # A differenced rate at the newest sample needs a later neighbour.
+        return self._times[-2] if len(self._times) > 1 else None
+
     def covers(self, time_ns: int) -> bool:
         """True once later samples can no longer change the value at a moment, arriving in order."""
-        right = bisect.bisect_left(self._times, time_ns)
-        if right == len(self._times):
-            return False
-        # A differenced rate at the right sample needs that one's neighbour.
-        return self._has_rate(right) or right + 1 < len(self._times)
+        until_ns = self.covered_until_ns
+        return until_ns is not None and time_ns <= until_ns
 
     def _has_rate(self, index: int) -> bool:
         """Whether the source measures a rate with sample ``index``."""
