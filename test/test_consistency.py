@@ -19,7 +19,8 @@ from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_replay.trials.attitude_monte_carlo import feed, final_error
 from ship_simulation.run import SimulatedRun, simulate
-from ship_simulation.scenario.scenario import Outage, Scenario
+from ship_simulation.scenario.motion_scenario import Outage
+from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.ship.attitude_device import DeviceSamples, InsSamples
 from ship_simulation.suite.suite import suite_configuration

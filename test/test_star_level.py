@@ -19,7 +19,7 @@ from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.trials.attitude_monte_carlo import sky_input
+from ship_replay.trials.attitude_monte_carlo import sky_input, star_exposure
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -73,7 +73,7 @@ def normalised_errors(scenario: Scenario, told: Scenario | None = None) -> list[
     values = []
     for seed in range(SEEDS):
         run = simulate(scenario, seed)
-        exposures = {id_: sightings.exposure(0) for id_, sightings in run.stars.items()}
+        exposures = {id_: star_exposure(run, id_, 0) for id_ in run.stars}
         solution = solve_stars(sighted(exposures, told_sky(run, configuration), configuration))
         assert solution.status is SolutionStatus.VALID
         # The sensors have no time offset: the truth at the first stamp is theirs.

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_geometry.rotations import FloatArray
-from ship_simulation.draws.noise import SECOND_NS, stamps, truth_index
+from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.draws.noise import stamps, truth_index
 from ship_simulation.scenario.scenario import Scenario, start_of
 from ship_simulation.ship.attitude_device import (
     DeviceSamples,
@@ -39,7 +40,7 @@ StarSamples = DeviceSamples | StarSightings | InertialSamples
 
 
 @dataclass(frozen=True)
-class Truth:
+class VoyageTruth:
     """What the devices should have said.
 
     Attributes:
@@ -84,7 +85,7 @@ class SimulatedRun:
     weather_ns: np.ndarray
     fused: FusedSamples | None
     theodolite: TheodoliteRun | None
-    truth: Truth
+    truth: VoyageTruth
 
     def arrivals(self) -> list[tuple[int, str, int]]:
         """(log time, source, index of the sample) of what ``ship_attitude`` is for, in order of arrival.
@@ -136,7 +137,7 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
     }
     index = truth_index(ins.time_ns, start_ns)
     since_start_s = (ins.time_ns[index] - start_ns) / SECOND_NS
-    truth = Truth(
+    truth = VoyageTruth(
         ins_index=index,
         rotation_nd=carrier.attitude(since_start_s),
         rate_d=carrier.body_rate(since_start_s),

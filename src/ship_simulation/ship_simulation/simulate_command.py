@@ -10,7 +10,7 @@ from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, Bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import add_force, check_file
 from ship_estimation.parameter_rows import key_rows
-from ship_simulation.draws.noise import SECOND_NS
+from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.faults import faults
 from ship_simulation.messages.to_messages import messages
 from ship_simulation.run import SimulatedRun, simulate

@@ -11,8 +11,8 @@ from ship_bags.message_store import RosbagsFactory, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC
+from ship_geometry.time_scales import SECOND_NS
 from ship_node.parameters.parameter_file import has_section, load_config
-from ship_simulation.draws.noise import SECOND_NS
 from ship_simulation.messages.to_messages import messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage

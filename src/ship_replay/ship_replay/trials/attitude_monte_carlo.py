@@ -9,6 +9,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.inertial_attitude import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Measurement
+from ship_attitude_star.measurements.star_exposure import ExposureLength, StarExposure
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.sky_inputs import AirReading, PositionFix, SkyInput
@@ -103,8 +104,19 @@ def _measurement(run: SimulatedRun, source: str, index: int) -> Measurement:
     kind, _, name = source.partition(".")
     device = run.stars[name] if kind == "star" else run.references[name]
     if isinstance(device, StarSightings):
-        return device.exposure(index)
+        return star_exposure(run, name, index)
     time_ns = int(device.time_ns[index])
     if isinstance(device, InertialSamples):
         return InertialAttitude(source, time_ns, device.rotation_cv[index], device.noise_v)
     return AttitudeMeasurement(source, time_ns, device.rotation_nv[index], device.noise_v, device.common_n)
+
+
+def star_exposure(run: SimulatedRun, sensor_id: str, index: int) -> StarExposure:
+    """One exposure of a sensor that gives single stars, as the estimator takes it."""
+    sightings, config = run.stars[sensor_id], run.scenario.star_sensors[sensor_id]
+    source, exposure_s = f"star.{sensor_id}", float(np.float32(config.exposure_s))
+    length = None
+    if exposure_s:
+        length = ExposureLength(exposure_s, config.camera.camera(source), config.camera.psf_sigma_px)
+    stars = sightings.stars[sightings.rows(index)]
+    return StarExposure(source, int(sightings.time_ns[index]), **vars(stars), length=length)

@@ -1,4 +1,8 @@
-"""Random numbers of a simulation: one stream per component, Gauss–Markov processes, stamps."""
+"""What all simulated devices share: random streams, slow errors, the moments of samples, exposures of what moves.
+
+A point that moves while it is exposed has the mean of its way as centroid, and a worse centroid along it. Nothing here
+is the estimators' own: the mean is a Gauss–Legendre sum over the true motion.
+"""
 
 import math
 import zlib
@@ -8,16 +12,18 @@ import numpy as np
 from scipy.signal import lfilter
 
 from ship_geometry.rotations import FloatArray
-
-SECOND_NS = 1_000_000_000
+from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.scenario.motion_scenario import Outage
 
 _LONGEST_STEP_S = 0.1
 _LEAST_STEPS = 50
 """In a correlation time: halfway between two moments of the grid the variance is then too small by 1 %."""
 
 TRUTH_RATE_HZ = 10.0
+"""How often a simulated bag tells the truth."""
 
 _FEWEST_NODES, _NODES_PER_SECOND = 7, 5.0
+"""Of the sum over an exposure."""
 
 
 def random_stream(seed: int, component: str) -> np.random.Generator:
@@ -82,6 +88,14 @@ def arrival_times(stamp_ns: np.ndarray, latency_s: float, jitter_s: float, rng: 
     """Log times of samples: stamp + latency + a delay uniform in [0, jitter), ns, shape (n,)."""
     delay_s = latency_s + jitter_s * rng.random(stamp_ns.size)
     return stamp_ns + np.rint(delay_s * SECOND_NS).astype(np.int64)
+
+
+def outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray:
+    """True where a moment lies in no outage, shape (n,)."""
+    keep = np.ones(since_start_s.size, dtype=bool)
+    for outage in outages.values():
+        keep &= (since_start_s < outage.start_s) | (since_start_s >= outage.end_s)
+    return keep
 
 
 def truth_index(time_ns: np.ndarray, start_ns: int) -> np.ndarray:

@@ -53,13 +53,6 @@ class Response:
         return self.direction_factor * self.gain * averaged_slope / (1.0 - ratio**2 + 2j * self.damping * ratio)
 
 
-def elevation_spectrum(angular_frequency: FloatArray, significant_height_m: float, modal_period_s: float) -> FloatArray:
-    """Bretschneider's spectrum of the wave elevation, m² s/rad, one-sided."""
-    modal = 2.0 * np.pi / modal_period_s
-    ratio4 = (modal / angular_frequency) ** 4
-    return 5.0 / 16.0 * significant_height_m**2 * ratio4 / angular_frequency * np.exp(-1.25 * ratio4)
-
-
 def wave_components(
     significant_height_m: float, modal_period_s: float, count: int, rng: np.random.Generator
 ) -> tuple[FloatArray, np.ndarray]:

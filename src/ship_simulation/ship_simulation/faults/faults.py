@@ -25,8 +25,18 @@ from typing import Any
 import numpy as np
 
 from ship_bags.stamps import ns_from_stamp, stamp_fields
-from ship_simulation.draws.noise import SECOND_NS
-from ship_simulation.scenario.names import BASELINE, ENCODER, IMAGE, IMU, INERTIAL, OBSERVATIONS, SHIP_ATTITUDE, STAR
+from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.scenario.names import (
+    BASELINE,
+    COVARIANCES,
+    ENCODER,
+    IMAGE,
+    IMU,
+    INERTIAL,
+    OBSERVATIONS,
+    SHIP_ATTITUDE,
+    STAR,
+)
 from ship_simulation.scenario.scenario import Fault
 
 _REPETITION_AFTER_NS = 1_000_000
@@ -47,29 +57,6 @@ _FIRST_VALUE = {
     "sensor_msgs/msg/Temperature": "temperature",
     "sensor_msgs/msg/RelativeHumidity": "relative_humidity",
 }
-_COVARIANCES = {
-    IMU: ("orientation_covariance",),
-    STAR: ("covariance", "rotation_covariance", "noise_covariance"),
-    INERTIAL: ("covariance",),
-    SHIP_ATTITUDE: ("covariance", "rotation_covariance"),
-    BASELINE: ("covariance",),
-}
-_TYPES_OF_KIND = {
-    "covariance_unknown": tuple(_COVARIANCES),
-    "covariance_negative": tuple(_COVARIANCES),
-    "rate_in_degrees": (IMU,),
-    "angles_in_degrees": (ENCODER,),
-    "hide": (IMAGE,),
-    "swap": (IMAGE,),
-    "wrong_id": (IMAGE, BASELINE),
-}
-KINDS_WITH_DELAY = ("delay", "stamp_late")
-"""Kinds of fault that need ``delay_s``."""
-
-
-def can_happen(kind: str, type_name: str) -> bool:
-    """Whether a message type has what a fault spoils."""
-    return kind not in _TYPES_OF_KIND or type_name in _TYPES_OF_KIND[kind]
 
 
 @dataclass(frozen=True)
@@ -151,7 +138,7 @@ def _angles_in_degrees(message: Any, type_name: str, fault: Fault) -> None:
 
 
 def _covariance(message: Any, type_name: str, fault: Fault) -> None:
-    for name in _COVARIANCES[type_name]:
+    for name in COVARIANCES[type_name]:
         spoilt = np.zeros(9)
         if fault.kind == "covariance_negative":
             spoilt[:] = getattr(message, name)

@@ -1,1 +1,4 @@
-"""Simulated samples as messages on topics. The room knows message types and units; it draws nothing."""
+"""Simulated arrays as messages in the order of their arrival.
+
+The room imports all other rooms but ``suite/``.
+"""

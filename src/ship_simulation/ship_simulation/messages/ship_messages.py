@@ -11,31 +11,21 @@ import numpy as np
 
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
-from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
+from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_simulation.scenario.names import IMU, SHIP_ATTITUDE, STAR
-from ship_simulation.scenario.scenario import Ins, StarSensor, Weather
+from ship_simulation.scenario.names import DECK_FRAME, IMU, INS_FRAME, SHIP_ATTITUDE
+from ship_simulation.scenario.scenario import Ins, WeatherStation
 from ship_simulation.ship.attitude_device import DeviceSamples, FusedSamples, InsSamples
 from ship_simulation.ship.ship_track import FixSamples
 
 Maker = Callable[[int, int], Any]
 
-INS_FRAME = "ins"
-
-_STATUS_VALID, _STATUS_ANGLES_SINGULAR = 0, 2
 NOT_GIVEN = np.array([-1.0, *[0.0] * 8])
 """A covariance that says so."""
 
-DECK_FRAME = "deck"
-
 _FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
 """NavSatStatus.STATUS_FIX, NavSatStatus.SERVICE_GPS, NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN."""
-
-
-def star_frame(sensor_id: str) -> str:
-    """frame_id of a star sensor."""
-    return f"star_{sensor_id}"
 
 
 def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Maker:
@@ -58,7 +48,7 @@ def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Make
 def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) -> Maker:
     """Maker of reference/<name>/imu. The orientation's covariance is the white part; it gives no rate."""
     quaternions = quaternion_from_rotation(samples.rotation_nv).tolist()
-    covariances = enu_covariance(_in_horizon(samples)).reshape(-1, 9)
+    covariances = enu_covariance(white_in_horizon(samples)).reshape(-1, 9)
 
     def make(stamp: int, value: int) -> Any:
         header = make_header(factory, int(samples.time_ns[stamp]), name)
@@ -67,40 +57,7 @@ def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) 
     return make
 
 
-def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, factory: MessageFactory) -> Maker:
-    """Maker of star/<id>/horizon_attitude."""
-    angles = angles_from_rotation(samples.rotation_nv)
-    noise_n = _in_horizon(samples)
-    total_n = noise_n + samples.common_n
-    angle_covariances = angle_covariance(total_n, angles[:, 0], angles[:, 1]).reshape(-1, 9)
-    rotation_covariances = enu_covariance(total_n).reshape(-1, 9)
-    noise_covariances = enu_covariance(noise_n).reshape(-1, 9)
-    # The solution's error across the boresight is that of one star over the root of their number.
-    residual_rms = ARCSEC * np.hypot(config.sigma_up_arcsec, config.sigma_right_arcsec) * np.sqrt(config.star_count)
-
-    def make(stamp: int, value: int) -> Any:
-        azimuth, elevation, roll = angles[value].tolist()
-        singular = abs(elevation) > SINGULAR_ELEVATION
-        return factory.make(
-            STAR,
-            header=make_header(factory, int(samples.time_ns[stamp]), star_frame(sensor_id)),
-            sensor_id=sensor_id,
-            azimuth=azimuth,
-            elevation=elevation,
-            roll=roll,
-            covariance=angle_covariances[value],
-            rotation_covariance=rotation_covariances[value],
-            noise_covariance=noise_covariances[value],
-            star_count=config.star_count,
-            rejected_count=0,
-            residual_rms=float(residual_rms),
-            status=_STATUS_ANGLES_SINGULAR if singular else _STATUS_VALID,
-        )
-
-    return make
-
-
-def _in_horizon(samples: DeviceSamples) -> FloatArray:
+def white_in_horizon(samples: DeviceSamples) -> FloatArray:
     """White covariance about the horizon's axes, turned by the measured attitude, shape (n, 3, 3)."""
     return samples.rotation_nv @ samples.noise_v @ np.swapaxes(samples.rotation_nv, -1, -2)
 
@@ -206,7 +163,7 @@ def fix_maker(fixes: FixSamples, factory: MessageFactory) -> Maker:
     return make
 
 
-def weather_makers(time_ns: np.ndarray, weather: Weather, factory: MessageFactory) -> dict[str, Maker]:
+def weather_makers(time_ns: np.ndarray, weather: WeatherStation, factory: MessageFactory) -> dict[str, Maker]:
     """Makers of met/pressure (Pa), met/temperature (°C) and met/humidity (0 to 1) by topic."""
     values = {
         "met/pressure": ("sensor_msgs/msg/FluidPressure", "fluid_pressure", 100.0 * weather.pressure_hpa),

@@ -1,4 +1,4 @@
-"""Messages of the theodolite and of the drones from the arrays of a run; what a maker is: :mod:`device_messages`."""
+"""Messages of the theodolite and of the drones from the arrays of a run; and of the truth about them."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -12,20 +12,23 @@ from ship_geometry.ros_axes import ENU_FROM_HORIZON, enu_covariance, flu_from_de
 from ship_simulation.draws.noise import once_a_second
 from ship_simulation.messages.ship_messages import Maker, make_imu, make_vector
 from ship_simulation.scenario.names import (
+    ANTENNA_FRAME,
     BASELINE,
     ENCODER,
     ENCODER_TOPIC,
     IMAGE,
     IMAGE_TOPIC,
+    MOUNT_FRAME,
+    SHIP_ANTENNA_ID,
+    TELESCOPE_FRAME,
+    TELESCOPE_ID,
     baseline_topic,
+    beacon_frame,
     drone_topic,
 )
 from ship_simulation.theodolite.devices import BaselineSamples, DroneSamples, EncoderSamples, ImageSamples
 from ship_simulation.theodolite.run import TheodoliteRun
 from theodolite_calib.chain.axes import NAMES
-
-MOUNT_FRAME, TELESCOPE_FRAME, ANTENNA_FRAME = "theodolite", "telescope", "ship_antenna"
-TELESCOPE_ID, SHIP_ANTENNA_ID = "calibration", "ship"
 
 _UNKNOWN = float("nan")
 _EXACT_RATE = np.zeros(9)
@@ -46,11 +49,6 @@ CALIBRATION_NAMES = (
     "deformation_starboard",
 )
 """What truth/calibration holds; telescope_...: angles of the main axis in the telescope."""
-
-
-def beacon_frame(beacon_id: str) -> str:
-    """frame_id of a drone."""
-    return f"beacon_{beacon_id}"
 
 
 def theodolite_sources(

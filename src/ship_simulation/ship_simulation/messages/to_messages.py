@@ -13,20 +13,18 @@ from ship_geometry.rotations import wrap_pi
 from ship_simulation.draws.noise import once_a_second
 from ship_simulation.faults.faults import deliver, spoil
 from ship_simulation.messages.ship_messages import (
-    DECK_FRAME,
     Maker,
     fix_maker,
     fused_maker,
     ins_maker,
     reference_maker,
-    star_maker,
     true_attitude_maker,
     weather_makers,
 )
-from ship_simulation.messages.star_messages import inertial_maker, observations_maker
+from ship_simulation.messages.star_messages import inertial_maker, observations_maker, star_maker
 from ship_simulation.messages.theodolite_messages import theodolite_sources, true_calibrations, true_pointings
 from ship_simulation.run import SimulatedRun
-from ship_simulation.scenario.names import FUSED_TOPIC, simulated_topics
+from ship_simulation.scenario.names import DECK_FRAME, FUSED_TOPIC, simulated_topics
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 
 TRUTH_ATTITUDE, TRUTH_ALIGNMENT = "truth/attitude", "truth/alignment"

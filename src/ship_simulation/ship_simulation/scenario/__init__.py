@@ -1,4 +1,4 @@
-"""What is simulated: scenario files, read and checked, as frozen dataclasses.
+"""What is simulated: scenario files, read and checked, as frozen dataclasses, and the names that follow from them.
 
 The room draws nothing and imports no other room.
 """

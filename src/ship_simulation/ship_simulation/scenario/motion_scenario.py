@@ -1,6 +1,5 @@
-"""Units and ranges that several parts of a scenario file share."""
+"""The part of a scenario file that says how the ship moves, and the units and ranges that all parts share."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,12 +25,6 @@ class Outage:
 
     start_s: float = parameter(doc="from, after the start", **MOMENT)
     end_s: float = parameter(doc="to, after the start", **MOMENT)
-
-
-def window_problems(key: str, start_s: float, end_s: float) -> Iterator[str]:
-    """What is wrong with a time, as text that begins with the key."""
-    if end_s <= start_s:
-        yield f"'{key}.end_s' = {end_s} s must be after start_s = {start_s} s"
 
 
 @dataclass(frozen=True)

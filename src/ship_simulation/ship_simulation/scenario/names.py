@@ -1,4 +1,7 @@
-"""What the devices of a scenario send: topics and their types (the truth aside)."""
+"""Names that a scenario gives its devices: topics and their types (the truth aside), frames, ids, and which faults fit.
+
+The messages carry these names, and the suite file tells them to the nodes.
+"""
 
 from ship_simulation.scenario.scenario import Scenario
 
@@ -14,7 +17,32 @@ BASELINE = "ship_msgs/msg/RtkBaseline"
 FUSED_TOPIC = "ship/attitude"
 ENCODER_TOPIC, IMAGE_TOPIC = "theodolite/encoder", "theodolite/beacons"
 
+INS_FRAME, DECK_FRAME = "ins", "deck"
+MOUNT_FRAME, TELESCOPE_FRAME, ANTENNA_FRAME = "theodolite", "telescope", "ship_antenna"
+TELESCOPE_ID, SHIP_ANTENNA_ID = "calibration", "ship"
+
+COVARIANCES = {
+    IMU: ("orientation_covariance",),
+    STAR: ("covariance", "rotation_covariance", "noise_covariance"),
+    INERTIAL: ("covariance",),
+    SHIP_ATTITUDE: ("covariance", "rotation_covariance"),
+    BASELINE: ("covariance",),
+}
+"""Message type → its fields that are covariances, 3 × 3 each."""
+
+KINDS_WITH_DELAY = ("delay", "stamp_late")
+"""Kinds of fault that need ``delay_s``."""
+
 _STAR_TYPES = {"horizon_attitude": STAR, "observations": OBSERVATIONS, "inertial_attitude": INERTIAL}
+_TYPES_OF_KIND = {
+    "covariance_unknown": tuple(COVARIANCES),
+    "covariance_negative": tuple(COVARIANCES),
+    "rate_in_degrees": (IMU,),
+    "angles_in_degrees": (ENCODER,),
+    "hide": (IMAGE,),
+    "swap": (IMAGE,),
+    "wrong_id": (IMAGE, BASELINE),
+}
 
 
 def simulated_topics(scenario: Scenario) -> dict[str, str]:
@@ -37,6 +65,11 @@ def simulated_topics(scenario: Scenario) -> dict[str, str]:
     return topics
 
 
+def can_happen(kind: str, type_name: str) -> bool:
+    """Whether a message type has what a kind of fault spoils."""
+    return kind not in _TYPES_OF_KIND or type_name in _TYPES_OF_KIND[kind]
+
+
 def baseline_topic(beacon_id: str) -> str:
     """Topic of a drone's baselines."""
     return f"beacon/{beacon_id}/baseline"
@@ -45,3 +78,13 @@ def baseline_topic(beacon_id: str) -> str:
 def drone_topic(beacon_id: str) -> str:
     """Topic of a drone's attitude."""
     return f"beacon/{beacon_id}/imu"
+
+
+def star_frame(sensor_id: str) -> str:
+    """frame_id of a star sensor."""
+    return f"star_{sensor_id}"
+
+
+def beacon_frame(beacon_id: str) -> str:
+    """frame_id of a drone."""
+    return f"beacon_{beacon_id}"

@@ -1,4 +1,8 @@
-"""The start of a scenario as POSIX nanoseconds."""
+"""What a scenario file may say: the voyage, the devices, their errors, what goes wrong.
+
+Each field states its unit, its range and its meaning. Sigmas are what the errors are drawn with, and what the
+suite file in the bag tells the estimators (:mod:`ship_simulation.suite.suite`).
+"""
 
 import re
 from dataclasses import dataclass
@@ -11,6 +15,7 @@ from ship_attitude_star.stars.star_config import CameraConfig
 from ship_estimation.parameters import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.scenario.motion_scenario import (
     ANGLE,
     CORRELATION,
@@ -23,23 +28,9 @@ from ship_simulation.scenario.motion_scenario import (
 )
 from ship_simulation.scenario.theodolite_scenario import Beacon, Theodolite
 
-_SECOND_NS = 1_000_000_000
 _MOMENT = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z")
 
 _OFFSET_SIGMA: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1.0}
-
-
-def start_of(start_utc: str) -> int:
-    """POSIX nanoseconds of a moment such as ``2014-07-09T11:50:07.8Z``.
-
-    Raises:
-        ValueError: it is no such moment.
-    """
-    found = _MOMENT.fullmatch(start_utc)
-    if found is None:
-        raise ValueError("expected YYYY-MM-DDThh:mm:ss, at most nine decimals, and the letter Z")
-    whole = datetime.fromisoformat(found[1]).replace(tzinfo=timezone.utc)
-    return round(whole.timestamp()) * _SECOND_NS + int(f"{found[2] or '0':0<9}")
 
 
 @dataclass(frozen=True)
@@ -194,7 +185,7 @@ class Position:
 
 
 @dataclass(frozen=True)
-class Weather:
+class WeatherStation:
     """What the weather station says, how wrong it is, and how the air bends light."""
 
     pressure_hpa: float = parameter(1013.25, doc="air pressure", unit="hPa", minimum=800.0, maximum=1100.0)
@@ -257,7 +248,7 @@ class Scenario:
     theodolite: Theodolite = section(Theodolite)
     beacons: dict[str, Beacon] = mapping_of("drones with lights by id")
     position: Position = section(Position)
-    weather: Weather = section(Weather)
+    weather: WeatherStation = section(WeatherStation)
     earth_rotation_sigma_s: float = parameter(
         0.0, doc="error of UT1 - UTC; 0: that of the table of Earth orientation", unit="s", minimum=0.0, maximum=1.0
     )
@@ -267,3 +258,16 @@ class Scenario:
     def needs_sky(self) -> bool:
         """Whether a star sensor looks at the real sky."""
         return any(sensor.output != "horizon_attitude" for sensor in self.star_sensors.values())
+
+
+def start_of(start_utc: str) -> int:
+    """POSIX nanoseconds of a moment such as ``2014-07-09T11:50:07.8Z``.
+
+    Raises:
+        ValueError: it is no such moment.
+    """
+    found = _MOMENT.fullmatch(start_utc)
+    if found is None:
+        raise ValueError("expected YYYY-MM-DDThh:mm:ss, at most nine decimals, and the letter Z")
+    whole = datetime.fromisoformat(found[1]).replace(tzinfo=timezone.utc)
+    return round(whole.timestamp()) * SECOND_NS + int(f"{found[2] or '0':0<9}")

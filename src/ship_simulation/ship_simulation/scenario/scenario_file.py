@@ -7,15 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import ParameterFile, read_plain
 from ship_estimation.parameters import ParameterError, build
 from ship_geometry.earth_orientation import earth_orientation_table
-from ship_geometry.time_scales import DAY_NS
-from ship_simulation.draws.noise import SECOND_NS
-from ship_simulation.faults.faults import KINDS_WITH_DELAY, can_happen
-from ship_simulation.scenario.motion_scenario import SECTIONS_OF_KIND, CarrierMotion, window_problems
-from ship_simulation.scenario.names import simulated_topics
+from ship_geometry.time_scales import DAY_NS, SECOND_NS
+from ship_simulation.scenario.motion_scenario import SECTIONS_OF_KIND, CarrierMotion
+from ship_simulation.scenario.names import KINDS_WITH_DELAY, can_happen, simulated_topics
 from ship_simulation.scenario.scenario import Scenario, StarSensor, start_of
 from ship_simulation.scenario.theodolite_scenario import SECTIONS_OF_FLIGHT, Beacon
 
@@ -53,16 +50,15 @@ def load_scenario(path: Path | str, recording: Path | None = None) -> Scenario:
     except ParameterError as problem:
         raise file.error(problem) from problem
     if recording is not None and scenario.carrier.kind != "recorded":
-        raise _error(file, "'carrier.kind' must be recorded to follow a recording")
+        raise file.error(_wrong("carrier.kind", "must be recorded to follow a recording"))
     scenario = _with_recording(scenario, Path(path).parent, recording)
-    for text in _problems(scenario, file):
-        raise _error(file, text)
+    for wrong in _problems(scenario, file):
+        raise file.error(wrong)
     return scenario
 
 
-def _error(file: ParameterFile, text: str) -> BadInput:
-    _, key, _ = text.split("'", 2)
-    return file.error(ParameterError(text, key))
+def _wrong(key: str, text: str) -> ParameterError:
+    return ParameterError(f"'{key}' {text}", key)
 
 
 def _with_recording(scenario: Scenario, folder: Path, recording: Path | None) -> Scenario:
@@ -75,99 +71,111 @@ def _with_recording(scenario: Scenario, folder: Path, recording: Path | None) ->
     return dataclasses.replace(scenario, carrier=moved)
 
 
-def _problems(scenario: Scenario, file: ParameterFile) -> Iterator[str]:
-    """What no single value shows; each text begins with the key."""
+def _problems(scenario: Scenario, file: ParameterFile) -> Iterator[ParameterError]:
+    """What is wrong with a scenario although each value for itself is right."""
     try:
         start_of(scenario.start_utc)
     except ValueError as problem:
-        yield f"'start_utc' = {scenario.start_utc} is not a moment such as 2014-07-09T11:50:07.8Z: {problem}"
+        yield _wrong("start_utc", f"= {scenario.start_utc} is not a moment such as 2014-07-09T11:50:07.8Z: {problem}")
     yield from _carrier_problems(scenario.carrier, file)
     for sensor_id, sensor in scenario.star_sensors.items():
         for name, outage in sensor.outages.items():
-            yield from window_problems(f"star_sensors.{sensor_id}.outages.{name}", outage.start_s, outage.end_s)
+            yield from _window_problems(f"star_sensors.{sensor_id}.outages.{name}", outage.start_s, outage.end_s)
         yield from _output_problems(f"star_sensors.{sensor_id}", sensor, file.values["star_sensors"][sensor_id])
-    yield from theodolite_problems(scenario, file.values)
+    yield from _theodolite_problems(scenario, file.values)
     yield from _fault_problems(scenario)
     if scenario.needs_sky:
         yield from _sky_problems(scenario)
 
 
-def _carrier_problems(carrier: CarrierMotion, file: ParameterFile) -> Iterator[str]:
+def _carrier_problems(carrier: CarrierMotion, file: ParameterFile) -> Iterator[ParameterError]:
     used = SECTIONS_OF_KIND[carrier.kind]
     for group in file.values["carrier"]:
         if group not in ("kind", *used):
-            yield f"'carrier.{group}' is not used by a carrier of kind {carrier.kind}: expected {', '.join(used)}"
+            expected = ", ".join(used)
+            yield _wrong(f"carrier.{group}", f"is not used by a carrier of kind {carrier.kind}: expected {expected}")
     if carrier.kind == "recorded" and not Path(carrier.recording.bag).exists():
         named = carrier.recording.bag or "not given"
-        yield f"'carrier.recording.bag' = {named} is not there: expected a bag with {carrier.recording.topic}"
+        yield _wrong("carrier.recording.bag", f"= {named} is not there: expected a bag with {carrier.recording.topic}")
 
 
-def _output_problems(key: str, sensor: StarSensor, given: Mapping[str, Any]) -> Iterator[str]:
+def _output_problems(key: str, sensor: StarSensor, given: Mapping[str, Any]) -> Iterator[ParameterError]:
     for outputs, fields in FIELDS_OF_OUTPUTS.items():
         for field in fields:
             if field in given and sensor.output not in outputs:
-                yield f"'{key}.{field}' is not used with output {sensor.output}: it belongs to {' or '.join(outputs)}"
+                owners = " or ".join(outputs)
+                yield _wrong(f"{key}.{field}", f"is not used with output {sensor.output}: it belongs to {owners}")
     if sensor.output != "observations":
         return
     try:
         sensor.camera.camera(f"{key}.camera")
     except ParameterError as problem:
-        yield str(problem)
+        yield problem
     if not (sensor.camera.width_px and sensor.camera.height_px):
-        yield f"'{key}.camera.width_px' and '{key}.camera.height_px' must be given: they are the field of view"
+        text = f"and '{key}.camera.height_px' must be given: they are the field of view"
+        yield _wrong(f"{key}.camera.width_px", text)
     if sensor.direction_given and not sensor.identified:
-        yield f"'{key}.direction_given' needs identified stars: leave one of the two out"
+        yield _wrong(f"{key}.direction_given", "needs identified stars: leave one of the two out")
 
 
-def _sky_problems(scenario: Scenario) -> Iterator[str]:
+def _sky_problems(scenario: Scenario) -> Iterator[ParameterError]:
     start_ns = start_of(scenario.start_utc)
     ends_ns = np.array([start_ns, start_ns + round(scenario.duration_s * SECOND_NS)])
     # A day more, so that no time offset leaves the table.
     reason = earth_orientation_table().reason_against(ends_ns + np.array([-DAY_NS, DAY_NS]))
     if reason is not None:
-        yield f"'start_utc' = {scenario.start_utc} cannot be given a sky: {reason}"
+        yield _wrong("start_utc", f"= {scenario.start_utc} cannot be given a sky: {reason}")
 
 
-def _fault_problems(scenario: Scenario) -> Iterator[str]:
+def _fault_problems(scenario: Scenario) -> Iterator[ParameterError]:
     topics = simulated_topics(scenario)
     for name, fault in scenario.faults.items():
-        yield from window_problems(f"faults.{name}", fault.start_s, fault.end_s)
+        yield from _window_problems(f"faults.{name}", fault.start_s, fault.end_s)
         if fault.topic not in topics:
-            yield f"'faults.{name}.topic' = {fault.topic} is not simulated: expected one of {', '.join(topics)}"
+            known = ", ".join(topics)
+            yield _wrong(f"faults.{name}.topic", f"= {fault.topic} is not simulated: expected one of {known}")
         if not can_happen(fault.kind, topics[fault.topic]):
-            yield f"'faults.{name}.kind' = {fault.kind} cannot happen to {topics[fault.topic]}"
+            yield _wrong(f"faults.{name}.kind", f"= {fault.kind} cannot happen to {topics[fault.topic]}")
         if (fault.kind in KINDS_WITH_DELAY) != (fault.delay_s > 0.0):
             kinds = " and ".join(KINDS_WITH_DELAY)
-            yield f"'faults.{name}.delay_s' must be positive with the kinds {kinds}, and not given with another"
+            text = f"must be positive with the kinds {kinds}, and not given with another"
+            yield _wrong(f"faults.{name}.delay_s", text)
 
 
-def theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterator[str]:
+def _theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterator[ParameterError]:
     """The problems of a scenario; ``given`` is what its file holds."""
     if not scenario.theodolite.aboard:
         for group in ("theodolite", "beacons"):
             if given.get(group):
-                yield f"'{group}' is not used without 'theodolite.aboard: true'"
+                yield _wrong(group, "is not used without 'theodolite.aboard: true'")
         return
     programme = scenario.theodolite.programme
     if programme.greatest_elevation_deg < programme.least_elevation_deg:
-        yield (
-            f"'theodolite.programme.greatest_elevation_deg' = {programme.greatest_elevation_deg} deg must not be "
-            f"less than least_elevation_deg = {programme.least_elevation_deg} deg"
+        yield _wrong(
+            "theodolite.programme.greatest_elevation_deg",
+            f"= {programme.greatest_elevation_deg} deg must not be "
+            f"less than least_elevation_deg = {programme.least_elevation_deg} deg",
         )
     for beacon_id, beacon in scenario.beacons.items():
         yield from _beacon_problems(f"beacons.{beacon_id}", beacon, given["beacons"][beacon_id].get("flight", {}))
 
 
-def _beacon_problems(key: str, beacon: Beacon, flight: Mapping[str, Any]) -> Iterator[str]:
+def _beacon_problems(key: str, beacon: Beacon, flight: Mapping[str, Any]) -> Iterator[ParameterError]:
     kind = beacon.flight.kind
+    used = SECTIONS_OF_FLIGHT[kind]
     for group in SECTIONS_OF_FLIGHT.values():
-        if group in flight and group != SECTIONS_OF_FLIGHT[kind]:
-            yield f"'{key}.flight.{group}' is not used by a flight of kind {kind}: expected {SECTIONS_OF_FLIGHT[kind]}"
+        if group in flight and group != used:
+            yield _wrong(f"{key}.flight.{group}", f"is not used by a flight of kind {kind}: expected {used}")
     moments = [waypoint.time_s for waypoint in beacon.flight.waypoints.values()]
     if kind == "legs" and len(set(moments)) < max(2, len(moments)):
-        yield f"'{key}.flight.waypoints' must be two or more with different time_s, got {moments}"
+        yield _wrong(f"{key}.flight.waypoints", f"must be two or more with different time_s, got {moments}")
     windows = {"hidden": beacon.hidden, "rtk.float_times": beacon.rtk.float_times}
     windows |= {"rtk.no_solution_times": beacon.rtk.no_solution_times, "rtk.outages": beacon.rtk.outages}
     for group, named in windows.items():
         for name, window in named.items():
-            yield from window_problems(f"{key}.{group}.{name}", window.start_s, window.end_s)
+            yield from _window_problems(f"{key}.{group}.{name}", window.start_s, window.end_s)
+
+
+def _window_problems(key: str, start_s: float, end_s: float) -> Iterator[ParameterError]:
+    if end_s <= start_s:
+        yield _wrong(f"{key}.end_s", f"= {end_s} s must be after start_s = {start_s} s")

@@ -1,4 +1,7 @@
-"""The part of a scenario file that describes the theodolite. Vectors of devices are (forward, up, right)."""
+"""The part of a scenario file that describes the theodolite, and the drones whose lights it sees.
+
+Vectors of devices are (forward, up, right). Places of drones are seen from the crossing of the theodolite's axes.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -126,8 +129,8 @@ class Programme:
 
 
 @dataclass(frozen=True)
-class Air:
-    """The coefficient k of terrestrial refraction on the way to the lights: Gauss–Markov about what is known."""
+class TerrestrialRefraction:
+    """Refraction on the way to the lights: its coefficient k is a Gauss–Markov process about what is known."""
 
     coefficient: float = parameter(0.13, doc="k as known", minimum=-5.0, maximum=5.0)
     sigma: float = parameter(0.0, doc="error of k, the same for all lights", minimum=0.0, maximum=5.0)
@@ -154,7 +157,7 @@ class Theodolite:
     lever: Lever = section(Lever)
     telescope: Telescope = section(Telescope)
     programme: Programme = section(Programme)
-    air: Air = section(Air)
+    air: TerrestrialRefraction = section(TerrestrialRefraction)
     ship_antenna: ShipAntenna = section(ShipAntenna)
 
 

@@ -1,1 +1,4 @@
-"""The ship's true motion and the devices that measure attitude: INS, attitude references, star sensors that solve."""
+"""The ship's true motion and track, and the devices aboard that tell an attitude or a place.
+
+The room knows no stars and no theodolite. It imports ``draws/`` and ``scenario/``.
+"""

@@ -1,4 +1,8 @@
-"""The INS: true motion in, its samples with their errors out."""
+"""Devices bolted to the ship that tell an attitude: true motion in, samples with their errors out.
+
+The INS, star sensors that solve for the horizon, other attitude systems, and the fused attitude as INS and stars
+together leave it.
+"""
 
 from dataclasses import dataclass
 
@@ -6,17 +10,18 @@ import numpy as np
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import (
-    SECOND_NS,
     ExposureTimes,
     SlowError,
     arrival_times,
     exposure_times,
     gauss_markov,
+    outside,
     random_stream,
     stamps,
 )
-from ship_simulation.scenario.scenario import Outage, Reference, Scenario, StarSensor
+from ship_simulation.scenario.scenario import Reference, Scenario, StarSensor
 from ship_simulation.ship.motion import Carrier
 
 
@@ -240,14 +245,6 @@ def _samples(
         noise_v=np.diag(sigma_v**2),
         common_n=common_sigma**2 * np.eye(3),
     )
-
-
-def outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray:
-    """True where a moment lies in no outage, shape (n,)."""
-    keep = np.ones(since_start_s.size, dtype=bool)
-    for outage in outages.values():
-        keep &= (since_start_s < outage.start_s) | (since_start_s >= outage.end_s)
-    return keep
 
 
 def _kept(samples: DeviceSamples, keep: np.ndarray) -> DeviceSamples:

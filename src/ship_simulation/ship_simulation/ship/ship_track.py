@@ -6,7 +6,8 @@ import numpy as np
 
 from ship_geometry.geodetic import GeodeticPosition, horizon_radii_m
 from ship_geometry.rotations import FloatArray
-from ship_simulation.draws.noise import SECOND_NS, gauss_markov, random_stream, stamps
+from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.draws.noise import gauss_markov, random_stream, stamps
 from ship_simulation.scenario.scenario import Position, Scenario
 
 _EARTH_RADIUS_M = 6_371_000.0

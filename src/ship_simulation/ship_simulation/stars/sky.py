@@ -19,8 +19,7 @@ from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_geometry.star_directions import Observer, StarPositions, directions, fixed_stars
 from ship_geometry.time_scales import SECOND_NS, julian_date, tt_julian_date
 from ship_simulation.draws.noise import random_stream
-from ship_simulation.scenario.scenario import Scenario
-from ship_simulation.scenario.scenario import Weather as WeatherStation
+from ship_simulation.scenario.scenario import Scenario, WeatherStation
 from ship_simulation.ship.ship_track import ShipTrack
 
 _J2000, _JULIAN_YEAR_D = 2_451_545.0, 365.25

@@ -1,20 +1,22 @@
-"""Star sensors that give single stars: the true sky in, centroids and identities with their errors out."""
+"""Star sensors that look at the true sky: single stars, or attitudes among the stars, with their errors.
 
-import dataclasses
+Sensors of the first kind give centroids with identities. Those of the second solve for their attitude, as most star
+trackers do.
+"""
+
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.measurements.star_exposure import ExposureLength, StarExposure
 from ship_attitude_star.sky.catalogue import UNKNOWN
-from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
+from ship_attitude_star.stars.camera import equivalent_sigma
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.star_directions import StarPositions, fixed_stars
-from ship_simulation.draws.noise import arrival_times, centroids, random_stream
+from ship_simulation.draws.noise import arrival_times, centroids, outside, random_stream
 from ship_simulation.scenario.scenario import Scenario, StarSensor
-from ship_simulation.ship.attitude_device import MountedMotion, outside, sigma_of_attitudes
+from ship_simulation.ship.attitude_device import MountedMotion, sigma_of_attitudes
 from ship_simulation.stars.sky import TrueSky, place_of_date, year_of
 from ship_simulation.stars.star_field import stars_in_field, swapped_identities
 
@@ -26,16 +28,44 @@ _GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
 
 
 @dataclass(frozen=True)
+class ToldStars:
+    """Stars as a sensor tells them, an entry a star.
+
+    Attributes:
+        hip: HIP number told, shape (k,); 0 where the sensor tells a direction, or nothing.
+        directions_s: unit vectors by the centroids, in the sensor frame (forward, up, right), shape (k, 3).
+        sigma: error of a direction, rad per axis across it, shape (k,).
+        positions: of the stars told, J2000.0; NaN where the sensor does not say which star it is.
+        position_sigma: error of these, rad per axis, shape (k,).
+        magnitude: as measured, shape (k,).
+    """
+
+    hip: NDArray[np.int64]
+    directions_s: FloatArray
+    sigma: FloatArray
+    positions: StarPositions
+    position_sigma: FloatArray
+    magnitude: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.hip)
+
+    def __getitem__(self, rows: Any) -> "ToldStars":
+        """Some of the stars."""
+        return ToldStars(*(getattr(self, field)[rows] for field in vars(self)))
+
+
+@dataclass(frozen=True)
 class StarSightings:
-    """What such a sensor says; the stars of all exposures in a row, those of exposure i from first[i] to first[i + 1].
+    """What a sensor says that gives single stars; all exposures in a row.
 
     Attributes:
         time_ns: middle of each exposure, stamp of the sensor, increasing, shape (n,).
         log_time_ns: moments of arrival, in any order, shape (n,).
-        first: shape (n + 1,).
+        first: the stars of exposure i are those from first[i] up to first[i + 1], shape (n + 1,).
         pixel: centroids (u, v), shape (k, 2).
         sigma_px: error of u and of v that the sensor states.
-        stars: the same as the estimator takes it, and the identities, all exposures in one.
+        stars: the stars told.
     """
 
     time_ns: NDArray[np.int64]
@@ -43,15 +73,11 @@ class StarSightings:
     first: NDArray[np.int64]
     pixel: FloatArray
     sigma_px: float
-    stars: StarExposure
+    stars: ToldStars
 
     def rows(self, index: int) -> slice:
         """Where the stars of an exposure are."""
         return slice(int(self.first[index]), int(self.first[index + 1]))
-
-    def exposure(self, index: int) -> StarExposure:
-        """One exposure as the estimator takes it."""
-        return dataclasses.replace(self.stars[self.rows(index)], time_ns=int(self.time_ns[index]))
 
 
 @dataclass(frozen=True)
@@ -91,16 +117,13 @@ def simulate_sightings(
         first=np.searchsorted(spots.exposure, np.arange(motion.time_ns.size + 1)),
         pixel=spots.pixel,
         sigma_px=sigma_px,
-        stars=StarExposure(
-            source=source,
-            time_ns=int(sky.track.start_ns),
+        stars=ToldStars(
             hip=hip,
             directions_s=camera.directions(spots.pixel),
             sigma=equivalent_sigma(camera.direction_covariance(spots.pixel, sigma_px)),
             positions=positions,
             position_sigma=position_sigma,
             magnitude=spots.magnitude.astype(np.float32).astype(float),
-            length=_length(config, camera),
         ),
     )
     true_hip = np.where(spots.row == UNKNOWN, 0, sky.catalogue.hip[spots.row])
@@ -151,13 +174,6 @@ def _true_spots(
         ),
         magnitude=sky.catalogue.magnitude[field.row] + MAGNITUDE_SIGMA * magnitude_noise,
     )
-
-
-def _length(config: StarSensor, camera: StarCamera) -> ExposureLength | None:
-    """How long an exposure lasts, as the estimator takes it."""
-    if config.exposure_s == 0.0:
-        return None
-    return ExposureLength(float(np.float32(config.exposure_s)), camera, config.camera.psf_sigma_px)
 
 
 def _false_spots(source: str, config: StarSensor, sky: TrueSky, seeing: NDArray[np.bool_], seed: int) -> _Spots:

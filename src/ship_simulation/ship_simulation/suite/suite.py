@@ -1,47 +1,131 @@
-"""The configuration of the suite that fits a scenario: same layout, same sigmas."""
+"""The suite file that fits a scenario: same layout, same sigmas.
 
-import dataclasses
+A scenario and a node's parameters call the same thing by the same name. Each table here lists what a node is told of a
+device; a test loads the file of each scenario into the nodes' own configurations.
+"""
+
 import math
-import typing
 from typing import Any
 
 import yaml
 
-from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, StarSensorConfig
-from ship_attitude_star.star_attitude.config import ObservingSensorConfig
-from ship_attitude_star.stars.star_config import CameraConfig
-from ship_bags.parameter_yaml import anywhere
-from ship_estimation.ins_config import InsErrorConfig, InsInputConfig
-from ship_simulation.messages.ship_messages import DECK_FRAME, INS_FRAME, star_frame
-from ship_simulation.messages.theodolite_messages import (
+from ship_bags.parameter_yaml import PARAMETERS_KEY, anywhere
+from ship_simulation.scenario.names import (
     ANTENNA_FRAME,
+    DECK_FRAME,
+    INS_FRAME,
     MOUNT_FRAME,
     SHIP_ANTENNA_ID,
     TELESCOPE_FRAME,
     TELESCOPE_ID,
     beacon_frame,
+    star_frame,
 )
-from ship_simulation.scenario.scenario import Scenario, StarSensor
-from theodolite_calib.config import BeaconConfig, OpticalAxisConfig, ShipConfig
+from ship_simulation.scenario.scenario import Detector, Scenario, StarSensor
+from ship_simulation.scenario.theodolite_scenario import Beacon, Telescope
+from theodolite_calib.chain.axes import NAMES
+
+_INS = (
+    "tilt_sigma_arcsec",
+    "tilt_time_s",
+    "heading_sigma_arcsec",
+    "heading_time_s",
+    "white_sigma_arcsec",
+    "time_offset_s",
+    "time_offset_sigma_s",
+)
+_INS_BESIDE_STARS = tuple(name for name in _INS if name not in ("tilt_time_s", "heading_time_s"))
+"""``star_attitude`` asks for nothing that takes longer than an exposure."""
+_STAR_MOUNTING = (
+    "azimuth_deg",
+    "elevation_deg",
+    "roll_deg",
+    "installation_sigma_forward_arcsec",
+    "installation_sigma_up_arcsec",
+    "installation_sigma_right_arcsec",
+)
+_STAR_SENSOR = (
+    *_STAR_MOUNTING,
+    "sigma_forward_arcsec",
+    "sigma_up_arcsec",
+    "sigma_right_arcsec",
+    "common_time_s",
+    "flexure_sigma_arcsec",
+    "flexure_time_s",
+    "time_offset_s",
+    "time_offset_sigma_s",
+)
+_CAMERA = (
+    "focal_length_m",
+    "pixel_pitch_m",
+    "principal_u_px",
+    "principal_v_px",
+    "distortion_k1",
+    "distortion_k2",
+    "distortion_k3",
+    "distortion_p1",
+    "distortion_p2",
+    "centroid_sigma_px",
+    "psf_sigma_px",
+)
+_REFERENCE = (
+    "heading_deg",
+    "pitch_deg",
+    "roll_deg",
+    "installation_sigma_arcsec",
+    "sigma_roll_arcsec",
+    "sigma_pitch_arcsec",
+    "sigma_heading_arcsec",
+    "time_offset_s",
+    "time_offset_sigma_s",
+)
+_AXES = tuple(f"{name}_{told}" for name in NAMES for told in ("arcsec", "sigma_arcsec"))
+_LEVER = ("forward_m", "up_m", "right_m", "sigma_m")
+_TELESCOPE = (
+    "focal_length_m",
+    "focal_length_sigma_m",
+    "principal_x_m",
+    "principal_z_m",
+    "sigma_m",
+    "psf_sigma_m",
+    "azimuth_arcsec",
+    "azimuth_sigma_arcsec",
+    "elevation_arcsec",
+    "elevation_sigma_arcsec",
+    "rotation_arcsec",
+    "rotation_sigma_arcsec",
+)
+_REFRACTION = ("coefficient", "sigma", "light_sigma", "time_s")
 
 _LEAST_POSITION_TIME_S = 1.0
-"""Of the estimator's parameter."""
+"""The least value that the estimator's parameter may have."""
+
+
+def suite_yaml(scenario: Scenario) -> str:
+    """A ROS 2 parameter file, for whatever namespace, of all nodes that the scenario has inputs for."""
+    # Where the fused attitude is in the bag already, ship_attitude has nothing to do.
+    nodes = {} if scenario.fused_attitude.written else {"ship_attitude": suite_configuration(scenario)}
+    if scenario.theodolite.aboard:
+        nodes["optical_axis"] = optical_axis_configuration(scenario)
+    if any(sensor.output == "observations" for sensor in scenario.star_sensors.values()):
+        nodes["star_attitude"] = star_attitude_configuration(scenario)
+    sections = {anywhere(node): {PARAMETERS_KEY: values} for node, values in nodes.items()}
+    return yaml.safe_dump(sections, sort_keys=False)
 
 
 def suite_configuration(scenario: Scenario) -> dict[str, Any]:
     """Parameters of ``ship_attitude`` as nested mapping."""
-    configuration: dict[str, Any] = {"ins": _ins(scenario, InsConfig)}
+    configuration: dict[str, Any] = {"ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS)}}
     if scenario.star_sensors:
         configuration["star_sensors"] = {
-            key: {"frame_id": star_frame(key), **_input(sensor), **shared(sensor, StarSensorConfig)}
+            key: {"frame_id": star_frame(key), **_input(sensor), **_told(sensor, _STAR_SENSOR)}
             for key, sensor in scenario.star_sensors.items()
         }
     if scenario.needs_sky:
         configuration["sky"] = _sky(scenario)
     if scenario.references:
         configuration["references"] = {
-            key: {"frame_id": key, **shared(reference, ReferenceConfig)}
-            for key, reference in scenario.references.items()
+            key: {"frame_id": key, **_told(reference, _REFERENCE)} for key, reference in scenario.references.items()
         }
     return configuration
 
@@ -49,13 +133,9 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
 def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
     """Parameters of ``star_attitude``, for the sensors that give single stars."""
     return {
-        "ins": _ins(scenario, InsInputConfig),
+        "ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS_BESIDE_STARS)},
         "star_sensors": {
-            key: {
-                "frame_id": star_frame(key),
-                "camera": shared(sensor.camera, CameraConfig),
-                **shared(sensor, ObservingSensorConfig),
-            }
+            key: {"frame_id": star_frame(key), "camera": _camera(sensor.camera), **_told(sensor, _STAR_MOUNTING)}
             for key, sensor in scenario.star_sensors.items()
             if sensor.output == "observations"
         },
@@ -63,30 +143,41 @@ def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def suite_yaml(scenario: Scenario) -> str:
-    """The same as ROS 2 parameter file, for whatever namespace, of all nodes that the scenario has inputs for."""
-    # Where the fused attitude is in the bag already, ship_attitude has nothing to do.
-    nodes = {} if scenario.fused_attitude.written else {"ship_attitude": suite_configuration(scenario)}
-    if scenario.theodolite.aboard:
-        nodes["optical_axis"] = optical_axis_configuration(scenario)
-    if any(sensor.output == "observations" for sensor in scenario.star_sensors.values()):
-        nodes["star_attitude"] = star_attitude_configuration(scenario)
-    sections = {anywhere(node): {"ros__parameters": values} for node, values in nodes.items()}
-    return yaml.safe_dump(sections, sort_keys=False)
+def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
+    """Parameters of ``optical_axis`` as nested mapping."""
+    theodolite = scenario.theodolite
+    configuration = {
+        "encoder": {**_told(theodolite.encoder, ("sigma_arcsec",)), "frame_id": MOUNT_FRAME},
+        "axes": _told(theodolite.axes, _AXES),
+        "deformation": _told(theodolite.deformation, ("sigma_arcsec", "time_s")),
+        "lever": _told(theodolite.lever, _LEVER),
+        "telescope": _telescope(theodolite.telescope),
+        "air": _told(theodolite.air, _REFRACTION),
+        "ship_antenna": _told(theodolite.ship_antenna, ("sigma_m", "time_s")),
+        "ship": _ship(scenario),
+        "ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS)},
+    }
+    if scenario.beacons:
+        configuration["beacons"] = {key: _beacon(key, beacon) for key, beacon in scenario.beacons.items()}
+    return configuration
 
 
-def _ins(scenario: Scenario, parameters: type) -> dict[str, Any]:
-    return {"frame_id": INS_FRAME, **shared(scenario.ins, parameters)}
+def _told(device: object, names: tuple[str, ...]) -> dict[str, Any]:
+    return {name: getattr(device, name) for name in names}
+
+
+def _camera(detector: Detector) -> dict[str, Any]:
+    return _told(detector, _CAMERA)
 
 
 def _input(sensor: StarSensor) -> dict[str, Any]:
-    """What a sensor sends, and its camera where that is single stars."""
+    """What a sensor sends, and its camera where it sends single stars."""
     if sensor.output == "horizon_attitude":
         return {}
     if sensor.output == "inertial_attitude":
         # The simulated tracker sees the air of its boresight alone.
         return {"input": sensor.output, "inertial": {"field_deg": 0.0}}
-    return {"input": sensor.output, "camera": shared(sensor.camera, CameraConfig)}
+    return {"input": sensor.output, "camera": _camera(sensor.camera)}
 
 
 def _sky(scenario: Scenario) -> dict[str, Any]:
@@ -109,41 +200,28 @@ def _sky(scenario: Scenario) -> dict[str, Any]:
     return known
 
 
-def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
-    """Parameters of ``optical_axis`` as nested mapping."""
-    configuration = shared_with_groups(scenario.theodolite, OpticalAxisConfig)
-    configuration["ship"] = _ship(scenario)
-    configuration["ins"] = {"frame_id": INS_FRAME, **shared(scenario.ins, InsErrorConfig)}
-    configuration["encoder"]["frame_id"] = MOUNT_FRAME
-    configuration["telescope"] |= {"telescope_id": TELESCOPE_ID, "frame_id": TELESCOPE_FRAME}
-    for key, beacon in scenario.beacons.items():
-        known = shared_with_groups(beacon, BeaconConfig)
-        known["rtk"] |= {"frame_id": ANTENNA_FRAME, "base_id": SHIP_ANTENNA_ID, "rover_id": key}
-        known["imu"] |= {"frame_id": beacon_frame(key)}
-        configuration.setdefault("beacons", {})[key] = known
-    return configuration
+def _telescope(telescope: Telescope) -> dict[str, Any]:
+    ids = {"telescope_id": TELESCOPE_ID, "frame_id": TELESCOPE_FRAME}
+    return {**_told(telescope, _TELESCOPE), "lens": _told(telescope.lens, _LEVER), **ids}
 
 
 def _ship(scenario: Scenario) -> dict[str, Any]:
     """Where the ship's attitude comes from: simulated, from the filter, or, without stars, from the INS alone."""
     if scenario.fused_attitude.written:
         fused = scenario.fused_attitude
-        return {"frame_id": DECK_FRAME, "slow_time_s": fused.time_s, **shared(fused, ShipConfig)}
+        return {
+            "frame_id": DECK_FRAME, "slow_time_s": fused.time_s, "white_sigma_arcsec": fused.white_sigma_arcsec
+        }  # fmt: skip
     return {"source": "ship/attitude" if scenario.star_sensors else "ins/imu"}
 
 
-def shared(device: Any, parameters: type) -> dict[str, Any]:
-    """The values of a simulated device that the estimator has a parameter of the same name for, without groups."""
-    known = {field.name for field in dataclasses.fields(parameters)}
-    values = {field.name: getattr(device, field.name) for field in dataclasses.fields(device) if field.name in known}
-    return {name: value for name, value in values.items() if not dataclasses.is_dataclass(value)}
-
-
-def shared_with_groups(device: Any, parameters: type) -> dict[str, Any]:
-    """The same, and of all groups that both have."""
-    groups = {
-        name: shared_with_groups(getattr(device, name), kind)
-        for name, kind in typing.get_type_hints(parameters).items()
-        if dataclasses.is_dataclass(kind) and hasattr(device, name)
+def _beacon(beacon_id: str, beacon: Beacon) -> dict[str, Any]:
+    ids = {"frame_id": ANTENNA_FRAME, "base_id": SHIP_ANTENNA_ID, "rover_id": beacon_id}
+    return {
+        "light": _told(beacon.light, _LEVER),
+        "rtk": {**_told(beacon.rtk, ("sigma_m", "bias_sigma_m", "bias_time_s")), **ids},
+        "imu": {
+            **_told(beacon.imu, ("tilt_sigma_deg", "heading_sigma_deg", "time_s")),
+            "frame_id": beacon_frame(beacon_id),
+        },
     }
-    return shared(device, parameters) | groups

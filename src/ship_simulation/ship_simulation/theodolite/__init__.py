@@ -1,8 +1,7 @@
 """A simulated theodolite whose calibration telescope sees the lights of drones, models.md §5.
 
-One sighting walks one way: :mod:`scenario` and :mod:`beacon_scenario` → what is true: :mod:`true_values`,
-:mod:`flight`, :mod:`aim`, together in :mod:`scene` → what the devices say: :mod:`encoder`, :mod:`images`,
-:mod:`baselines`, :mod:`drone_attitude`, together in :mod:`run` → :mod:`sources`. With d the deck, m the main frame, t
+One sighting walks one way: scenario → where the drones fly and the main axis looks (:mod:`flight`) → all that is true
+(:mod:`scene`) → what the devices say (:mod:`devices`) → together in :mod:`run`. With d the deck, m the main frame, t
 the telescope, b a drone, k the refraction coefficient:
 
     rotation_nm = rotation_nd · exp(deformation) · rotation_dm(encoder; axis errors)
@@ -11,5 +10,7 @@ the telescope, b a drone, k the refraction coefficient:
     baseline_n  = drone + rotation_nd · theodolite lever
 
 A light is seen along its path raised by k · (horizontal distance) / (2 R), on the detector where the true focal length
-puts it. Everything has the errors of its own that the scenario states, drawn once, or slow, or new each time.
+puts it. Each value has an error that the scenario states: drawn once a run, or slow, or new in each sample.
+
+The room imports ``ship/``, ``draws/`` and ``scenario/``, and the pure geometry of ``theodolite_calib``.
 """

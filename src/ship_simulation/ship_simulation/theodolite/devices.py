@@ -5,17 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, wrap_two_pi
+from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import (
-    SECOND_NS,
     SlowError,
     arrival_times,
     centroids,
     exposure_times,
+    outside,
     random_stream,
     stamps,
 )
 from ship_simulation.scenario.theodolite_scenario import Encoder, Telescope
-from ship_simulation.ship.attitude_device import outside
 from ship_simulation.theodolite.scene import MountState, Scene, TrueLight
 from theodolite_calib.lights.image import Camera
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_geometry.rotations import FloatArray
-from ship_simulation.draws.noise import SECOND_NS, SlowError, random_stream, stamps, truth_index
+from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.draws.noise import SlowError, random_stream, stamps, truth_index
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.ship.motion import Carrier
 from ship_simulation.theodolite.devices import (

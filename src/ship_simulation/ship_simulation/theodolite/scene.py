@@ -7,10 +7,9 @@ import numpy as np
 from ship_bags.errors import BadInput
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_simulation.draws.noise import SlowError, random_stream
+from ship_simulation.draws.noise import SlowError, outside, random_stream
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import Axes, Beacon, Lever, Telescope, Theodolite
-from ship_simulation.ship.attitude_device import outside
 from ship_simulation.ship.motion import Carrier
 from ship_simulation.theodolite.flight import Aim, FlightPath, direction, flight_path, swaying
 from theodolite_calib.chain.axes import NAMES, AxisErrors, encoder_angles, main_axis_rotation

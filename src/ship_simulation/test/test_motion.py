@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from ship_bags.errors import BadInput
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import log_rotation, wrap_pi
-from ship_simulation.draws.sea import elevation_spectrum
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Sea, Turn, Wave
 from ship_simulation.ship.motion import HarmonicMotion, RecordedMotion, SteadyTurn, carrier_of, sea_responses
 
@@ -100,6 +99,13 @@ def test_a_spline_through_one_sample_a_second_follows_a_rolling_ship():
     )
     # A cubic spline errs by h⁴/384 of the fourth derivative, 4° (2 pi / 11)⁴ + 1.8° (2 pi / 8)⁴: 0.0029°.
     assert np.rad2deg(error.magnitude().max()) < 0.004
+
+
+def elevation_spectrum(angular_frequency, significant_height_m, modal_period_s):
+    """Bretschneider's spectrum of the wave elevation, m² s/rad, one-sided."""
+    modal = 2.0 * np.pi / modal_period_s
+    ratio4 = (modal / angular_frequency) ** 4
+    return 5.0 / 16.0 * significant_height_m**2 * ratio4 / angular_frequency * np.exp(-1.25 * ratio4)
 
 
 def test_the_spectrum_holds_a_sixteenth_of_the_squared_height():

@@ -8,7 +8,7 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
-from ship_simulation.draws.noise import SECOND_NS
+from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.run import simulate
 from ship_simulation.scenario.theodolite_scenario import Flight, Hover, Orbit, Programme, Waypoint
 from ship_simulation.theodolite.devices import points_on_detector

@@ -15,8 +15,7 @@ from ship_geometry.geodetic import GeodeticPosition, vector_between
 from ship_geometry.refraction import elevation_of
 from ship_geometry.rotations import ARCSEC, angle_between, log_rotation
 from ship_geometry.star_directions import Observer, directions, fixed_stars
-from ship_geometry.time_scales import julian_date, tt_julian_date
-from ship_simulation.draws.noise import SECOND_NS
+from ship_geometry.time_scales import SECOND_NS, julian_date, tt_julian_date
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import start_of
 from ship_simulation.ship.ship_track import ShipTrack

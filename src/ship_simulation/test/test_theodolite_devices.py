@@ -7,7 +7,8 @@ import pytest
 
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
-from ship_simulation.draws.noise import SECOND_NS, SlowError, random_stream
+from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.draws.noise import SlowError, random_stream
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.theodolite.devices import FIXED, FLOAT, NONE, points_on_detector

@@ -7,7 +7,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
 from ship_node.parameters.parameter_file import load_config
-from ship_simulation.scenario.scenario import Weather
+from ship_simulation.scenario.scenario import WeatherStation
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_yaml
 from ship_testing.paper_stars import PAPER_STARS, paper_stars, with_position, with_sensor
@@ -81,7 +81,7 @@ def test_a_voyage_without_real_stars_may_lie_anywhere_in_time(tmp_path):
 
 def test_the_suite_configuration_of_both_nodes_has_the_scenarios_cameras_and_sigmas():
     scenario = with_sensor(
-        paper_stars(weather=Weather(999.0, -5.0, 80.0, 2.0, 3.0, "almanac")),
+        paper_stars(weather=WeatherStation(999.0, -5.0, 80.0, 2.0, 3.0, "almanac")),
         camera={"distortion_k1": -0.3},
         magnitude_limit=5.5,
         time_offset_s=0.01,

@@ -9,9 +9,10 @@ import pytest
 from ship_estimation.consistency import mean_nees_band, sigma_ratio_band
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
-from ship_simulation.draws.noise import SECOND_NS
+from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.run import simulate
-from ship_simulation.scenario.scenario import Ins, Outage, Reference, Scenario, StarSensor
+from ship_simulation.scenario.motion_scenario import Outage
+from ship_simulation.scenario.scenario import Ins, Reference, Scenario, StarSensor
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.ship.motion import carrier_of
 

@@ -11,7 +11,7 @@ from ship_bags.stamps import ns_from_stamp
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from ship_simulation.draws.noise import SECOND_NS
+from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.messages.to_messages import messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion

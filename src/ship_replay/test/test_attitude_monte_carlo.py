@@ -1,0 +1,87 @@
+"""What trials feed into a core is what an adapter reads in the messages of the same run."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.ros.messages_in import humidity, position_fix, pressure, temperature
+from ship_attitude_star.ros.star_messages_in import star_exposure as read_exposure
+from ship_attitude_star.sky.catalogue import hipparcos
+from ship_attitude_star.stars.star_config import SkyConfig
+from ship_bags.message_store import RosbagsFactory, message_store, serialize
+from ship_replay.trials.attitude_monte_carlo import sky_input, star_exposure
+from ship_simulation.messages.to_messages import messages
+from ship_simulation.run import SKY_SOURCES, simulate
+from ship_simulation.scenario.motion_scenario import Outage
+from ship_testing.paper_stars import paper_stars, with_position, with_sensor
+
+OBSERVATIONS = "star/fore/observations"
+
+
+def entries_of(run, topic):
+    """(message, log time) of one topic, through the bytes of a bag."""
+    store = message_store()
+    found = [(message, log) for name, message, log in messages(run, RosbagsFactory()) if name == topic]
+    return [(store.deserialize_cdr(serialize(message), message.__msgtype__), log) for message, log in found]
+
+
+@pytest.mark.parametrize("identity", [{}, {"direction_given": True}, {"identified": False}], ids=str)
+def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
+    scenario = with_sensor(
+        paper_stars(duration_s=4.0), false_stars=1.0, outages={"cloud": Outage(1.0, 2.0)}, exposure_s=0.05, **identity
+    )
+    run = simulate(scenario, seed=1)
+    said, config = run.stars["fore"], scenario.star_sensors["fore"].camera
+    entries = entries_of(run, OBSERVATIONS)
+    assert len(entries) == said.time_ns.size == 21
+    for index, (message, log) in enumerate(entries):
+        assert log == said.log_time_ns[index]
+        assert message.exposure_s == pytest.approx(0.05)
+        read, refused = read_exposure(
+            message, "fore", "star_fore", config.camera("camera"), config, hipparcos(), receive_ns=log
+        )
+        held = star_exposure(run, "fore", index)
+        assert refused == []
+        assert read.content() == held.content()
+        assert (read.source, read.time_ns) == (held.source, held.time_ns)
+        np.testing.assert_array_equal(read.sigma, held.sigma)
+        np.testing.assert_array_equal(read.identified, held.identified)
+        for name in vars(held.positions):
+            np.testing.assert_array_equal(getattr(read.positions, name), getattr(held.positions, name))
+        # The year of the run's start against that of the exposure.
+        np.testing.assert_allclose(read.position_sigma, held.position_sigma, rtol=1e-4)
+
+
+@pytest.mark.parametrize("exposure_s", [0.1, 2.0])
+def test_an_estimator_is_told_the_length_of_an_exposure_that_has_one(exposure_s):
+    still, moving = (
+        star_exposure(simulate(with_sensor(paper_stars(duration_s=4.0), exposure_s=length_s), seed=1), "fore", 0)
+        for length_s in (0.0, exposure_s)
+    )
+    assert moving.length.exposure_s == pytest.approx(exposure_s)
+    assert still.length is None
+
+
+def test_fixes_and_weather_are_read_as_the_run_holds_them():
+    run = simulate(with_position(with_sensor(paper_stars(duration_s=6.0)), slow_sigma_m=30.0), seed=1)
+    read = {
+        "fix": [position_fix(m, SkyConfig(), log) for m, log in entries_of(run, "gnss/fix")],
+        "pressure": [pressure(m, log) for m, log in entries_of(run, "met/pressure")],
+        "temperature": [temperature(m, log) for m, log in entries_of(run, "met/temperature")],
+        "humidity": [humidity(m, log) for m, log in entries_of(run, "met/humidity")],
+    }
+    arrivals = [(source, index) for _, source, index in run.arrivals() if source in SKY_SOURCES]
+    assert {source: sum(s == source for s, _ in arrivals) for source in SKY_SOURCES} == {
+        "fix": 7,
+        "pressure": 4,
+        "temperature": 4,
+        "humidity": 4,
+    }
+    for source, index in arrivals:
+        held, found = sky_input(run, source, index), read[source][index]
+        if source == "fix":
+            np.testing.assert_array_equal(found.covariance_m2, held.covariance_m2)
+            assert (found.time_ns, found.position) == (held.time_ns, held.position)
+        else:
+            assert found == dataclasses.replace(held, value=pytest.approx(held.value, rel=1e-15))
