@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import Reason
+from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import (
     SECOND_NS,

@@ -5,11 +5,12 @@ from typing import Any
 
 import pytest
 
-from ship_attitude_star.measurements.samples import Reason, Status
 from ship_attitude_star.ros import messages_out
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.output import CorrectedIns
 from ship_attitude_star.star_attitude import core as star_core
+from ship_estimation.outcome import Status
+from ship_estimation.refusals import Reason
 from ship_testing import star_voyage
 from ship_testing.adapter_runs import SECOND_NS, START_NS, AdapterRun, exactly, index_at, stamp_of, without
 from ship_testing.small_voyage import FORE, STARBOARD, clean_run, cut, drive, new_adapter, voyage

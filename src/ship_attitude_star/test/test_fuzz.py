@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 from rclpy.serialization import serialize_message
 
-from ship_attitude_star.measurements.samples import Status
+from ship_estimation.outcome import Status
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival
 from ship_testing.garbage import paths, spoil
 from ship_testing.small_voyage import FORE, INS, Run, clean_run, new_adapter, voyage

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Status
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
+from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles

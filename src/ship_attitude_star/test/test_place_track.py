@@ -5,9 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import Reason
 from ship_attitude_star.sky.place_track import ACCELERATION_SIGMA_M_PER_S2, SPEED_SIGMA_M_PER_S, PlaceTrack
 from ship_attitude_star.stars.star_config import SkyConfig
+from ship_estimation.refusals import Reason
 from ship_geometry.geodetic import GeodeticPosition, vector_between
 
 SECOND_NS = 1_000_000_000

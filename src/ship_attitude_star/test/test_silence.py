@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ship_attitude_star.measurements.samples import Status
+from ship_estimation.outcome import Status
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, hand_over, in_order, stamp_of
 from ship_testing.ship_observations import sail
 from ship_testing.small_voyage import (

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import Reason
 from ship_attitude_star.ros.messages_in import humidity, position_fix, pressure, temperature
 from ship_attitude_star.ros.star_messages_in import MOST_STARS, sigmas_given, star_exposure
 from ship_attitude_star.sky.catalogue import hipparcos
@@ -14,6 +13,7 @@ from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.star_config import CameraConfig, SkyConfig
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import make_header
+from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.messages_in import Refused
 

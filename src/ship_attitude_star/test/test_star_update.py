@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.measurements.inertial_attitude import InertialAttitude
-from ship_attitude_star.measurements.samples import AttitudeMeasurement, Reason
+from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.measurement_models import predict_attitude
@@ -14,6 +14,7 @@ from ship_attitude_star.ship_attitude.star_update import star_residuals
 from ship_attitude_star.sky.sky_inputs import PositionFix
 from ship_attitude_star.stars.identification import identified
 from ship_attitude_star.stars.selection import AttitudePrior
+from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
@@ -110,8 +111,8 @@ def test_a_star_of_another_identity_is_refused_by_name_and_the_rest_is_used(ship
     wrong = replace(exposure, hip=exposure.hip[swapped], positions=exposure.positions[swapped])
     _, decision = ship_filter.step(ship_filter.initial_state(), wrong, ins_track(), watch)
     assert decision.accepted
-    assert {name for name, _ in decision.stars_refused} == {f"HIP {hip}" for hip in exposure.hip[:2]}
-    assert all(refusal.reason is Reason.MISIDENTIFIED for _, refusal in decision.stars_refused)
+    assert {name for name, _ in decision.left_out} == {f"HIP {hip}" for hip in exposure.hip[:2]}
+    assert all(refusal.reason is Reason.MISIDENTIFIED for _, refusal in decision.left_out)
     assert decision.components[0] == f"HIP {exposure.hip[2]} up"
 
 

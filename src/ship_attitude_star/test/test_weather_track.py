@@ -4,9 +4,9 @@ import itertools
 
 import pytest
 
-from ship_attitude_star.measurements.samples import Reason
 from ship_attitude_star.sky.weather_track import WeatherTrack
 from ship_attitude_star.stars.star_config import SkyConfig
+from ship_estimation.refusals import Reason
 from ship_geometry.refraction import Weather
 
 SECOND_NS = 1_000_000_000

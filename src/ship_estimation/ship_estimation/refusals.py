@@ -2,6 +2,7 @@
 
 import enum
 from dataclasses import dataclass
+from typing import Protocol
 
 LONGEST_TEXT = 200
 """Characters of a reason; and what comes from outside is never longer than that in anything that goes out."""
@@ -76,8 +77,21 @@ def _place_of(error: Exception) -> str:
     return f"{trace.tb_frame.f_code.co_filename.rpartition('/')[2]}:{trace.tb_lineno}" if trace else "nowhere"
 
 
-def same_stamp(known: bytes, new: bytes) -> Refusal:
-    """The refusal of a second input with the same stamp; ``known`` and ``new`` are their contents."""
-    if known == new:
-        return Refusal(Reason.DUPLICATE, "the same stamp and the same content again")
-    return Refusal(Reason.CONFLICT, "the same stamp with other content: the one whose bytes sort first is kept")
+class Content(Protocol):
+    """Something that can be told from another of its kind."""
+
+    def content(self) -> bytes:
+        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        ...
+
+
+def same_stamp(known: Content, new: Content) -> tuple[bool, Refusal]:
+    """Of two inputs with the same stamp: whether the new one takes the place of the known one, and what to say of it.
+
+    The one whose bytes sort first is kept, so that the order of arrival does not matter.
+    """
+    known_bytes, new_bytes = known.content(), new.content()
+    if known_bytes == new_bytes:
+        return False, Refusal(Reason.DUPLICATE, "the same stamp and the same content again")
+    text = "the same stamp with other content: the one whose bytes sort first is kept"
+    return new_bytes < known_bytes, Refusal(Reason.CONFLICT, text)

@@ -1,18 +1,9 @@
 """Values kept in the order of their stamps, whatever the order of their arrival."""
 
 import bisect
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
-from ship_estimation.refusals import Refusal, same_stamp
-
-
-class Content(Protocol):
-    """Something that can be told from another of its kind."""
-
-    def content(self) -> bytes:
-        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
-        ...
-
+from ship_estimation.refusals import Content, Refusal, same_stamp
 
 Value = TypeVar("Value", bound=Content)
 
@@ -32,7 +23,7 @@ class StampedValues(Generic[Value]):
     def refusal(self, time_ns: int, value: Value) -> Refusal | None:
         """DUPLICATE or CONFLICT where there is a value of that stamp."""
         known = self._at(time_ns)
-        return None if known is None else same_stamp(known.content(), value.content())
+        return None if known is None else same_stamp(known, value)[1]
 
     def insert(self, time_ns: int, value: Value) -> int | None:
         """Put a value in its place; returns its index, None where another one of its stamp is kept."""

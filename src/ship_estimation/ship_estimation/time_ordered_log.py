@@ -38,13 +38,18 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
 
     Args:
         state: the state before any measurement.
+
+    Attributes:
+        waiting: number of measurements not applied yet.
+        oldest_ns: time of the first measurement of the window; None where there is none.
     """
 
     def __init__(self, state: State) -> None:
         self._base = state
         self._keys: list[Key] = []
         self._entries: list[_Entry[Measurement, State, Decision]] = []
-        self._applied = 0
+        self.waiting = 0
+        self.oldest_ns: int | None = None
         self._repeats, self._repeats_since_ns = 0, 0
 
     @property
@@ -52,10 +57,9 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
         """The state after the last measurement applied."""
         return self._state_before(self._applied)
 
-    @property
-    def waiting(self) -> int:
-        """Number of measurements not applied yet."""
-        return len(self._entries) - self._applied
+    def not_applied(self) -> list[Measurement]:
+        """The measurements that wait, in order."""
+        return [entry.measurement for entry in self._entries[self._applied :]]
 
     def get(self, key: Key) -> Measurement | None:
         """The measurement of exactly this time and tie-breaker."""
@@ -71,14 +75,16 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
         else:
             self._keys.insert(index, key)
             self._entries.insert(index, _Entry(key, measurement))
-        self._applied = min(self._applied, index)
+            self.oldest_ns = self._keys[0][0]
+            self.waiting += 1
+        self.waiting = max(self.waiting, len(self._entries) - index)
 
     def rewind_where(self, affected: Callable[[Decision], bool]) -> None:
         """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
         for index in range(self._applied):
             decision = self._entries[index].decision
             if decision is not None and affected(decision):
-                self._applied = index
+                self.waiting = len(self._entries) - index
                 return
 
     def apply(
@@ -100,11 +106,12 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
             For each measurement applied: its decision and, where it had been applied before, the one it replaces.
         """
         decisions: list[tuple[Decision, Decision | None]] = []
-        while self._applied < len(self._entries):
-            entry = self._entries[self._applied]
+        while self.waiting:
+            index = self._applied
+            entry = self._entries[index]
             if window_ns is not None and entry.decision is not None and not self._may_repeat(entry.key, *window_ns):
                 break
-            before = self._state_before(self._applied)
+            before = self._state_before(index)
             result: tuple[State, Decision] | None
             try:
                 result = step(before, entry.measurement)
@@ -116,7 +123,7 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
             self._repeats += previous is not None
             entry.state_after, entry.decision = result
             decisions.append((entry.decision, previous))
-            self._applied += 1
+            self.waiting -= 1
         return decisions
 
     def forget_before(self, time_ns: int) -> None:
@@ -126,7 +133,12 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
             self._base = self._state_before(count)
             del self._keys[:count]
             del self._entries[:count]
-            self._applied -= count
+            self.oldest_ns = self._keys[0][0] if self._keys else None
+
+    @property
+    def _applied(self) -> int:
+        """Number of measurements of the window that are applied: always its first ones."""
+        return len(self._entries) - self.waiting
 
     def _may_repeat(self, key: Key, oldest_ns: int, newest_ns: int) -> bool:
         if newest_ns - self._repeats_since_ns >= _SECOND_NS:

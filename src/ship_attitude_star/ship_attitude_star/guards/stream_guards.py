@@ -3,10 +3,11 @@
 import numpy as np
 
 from ship_attitude_star.measurements.inertial_attitude import InertialAttitude
-from ship_attitude_star.measurements.samples import AttitudeMeasurement, Measurement
+from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.measurements.star_exposure import StarExposure
 from ship_estimation.ins_config import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard, JudgedIns
+from ship_estimation.outcome import Measurement
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.stuck_guard import StuckGuard, Witness
@@ -25,6 +26,7 @@ class StreamGuards:
         self._ins = InsGuard(config.white_sigma_arcsec * ARCSEC, config.jump_samples)
         self._stuck: dict[str, StuckGuard] = {}
         self._witnesses: dict[str, Witness] = {}
+        self._latest_ns: dict[str, int] = {}
 
     def reconfigure(self, config: GuardedInsConfig) -> None:
         """Go on with another noise."""
@@ -45,6 +47,30 @@ class StreamGuards:
         if self._ins.watched(sample.time_ns):
             return self._ins.check_late(sample, track.last_before(sample.time_ns - 1))
         return self._ins.check(sample, self._witnesses)
+
+    def check(self, measurement: Measurement, ins: AttitudeSample | None) -> Refusal | None:
+        """The refusal of a measurement that cannot be true; one that is not refused witnesses from now on.
+
+        A measurement that comes after a later one of its source is not watched: guards follow a stream in its order.
+
+        Args:
+            measurement: of any kind.
+            ins: the last sample of the INS before it.
+        """
+        if measurement.time_ns <= self._latest_ns.get(measurement.source, measurement.time_ns - 1):
+            return None
+        if isinstance(measurement, StarExposure):
+            refusal = self.check_exposure(measurement, ins)
+        elif isinstance(measurement, InertialAttitude):
+            refusal = self.check_inertial(measurement, ins)
+        else:
+            assert isinstance(measurement, AttitudeMeasurement)
+            refusal = self.check_measurement(measurement, ins)
+        if refusal is None:
+            self._latest_ns[measurement.source] = measurement.time_ns
+            if isinstance(measurement, AttitudeMeasurement):
+                self.used(measurement)
+        return refusal
 
     def check_measurement(
         self, measurement: AttitudeMeasurement, ins: AttitudeSample | None

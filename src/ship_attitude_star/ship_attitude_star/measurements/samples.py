@@ -2,21 +2,11 @@
 
 import enum
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.outcome import Decision, Measurement, Outcome, Status
 from ship_geometry.rotations import FloatArray
-
-
-class Status(enum.IntEnum):
-    """Status of an attitude; the values are those of ship_msgs/ShipAttitude."""
-
-    VALID = 0
-    COASTING = 1
-    DEGRADED = 2
-    INVALID = 3
 
 
 class Horizon(enum.IntEnum):
@@ -55,67 +45,21 @@ class AttitudeMeasurement:
         return self.rotation_nv.tobytes() + self.noise_v.tobytes() + self.common_n.tobytes()
 
 
-class Measurement(Protocol):
-    """What every kind of measurement has: its source, its stamp, and bytes to tell it from another of its stamp."""
-
-    @property
-    def source(self) -> str:
-        """``star.<id>`` or ``reference.<name>``."""
-        ...
-
-    @property
-    def time_ns(self) -> int:
-        """Stamp of the device."""
-        ...
-
-    @property
-    def covariance_known(self) -> bool:
-        """False where the message gave none and the configured sigma stands in."""
-        ...
-
-    def content(self) -> bytes:
-        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
-        ...
-
-
 ATTITUDE_COMPONENTS = ("forward", "up", "right")
 """Of the residual of an attitude: rotation vector in the device frame."""
 
 
 @dataclass(frozen=True)
-class Decision:
-    """What became of a measurement.
+class AttitudeDecision(Decision[Measurement]):
+    """What became of a measurement that was to be compared with the INS.
+
+    ``components`` are ATTITUDE_COMPONENTS, or "HIP 92420 up" and "HIP 92420 right" for each star used.
 
     Attributes:
-        measurement: the measurement itself.
         ins_time_ns: the stamp of the INS to which it was compared.
-        residual: measured minus predicted, rad; empty where it was not compared at all.
-        sigma: predicted standard deviation of each component of the residual, rad.
-        components: names of them: ATTITUDE_COMPONENTS, or "HIP 92420 up" and "HIP 92420 right" for each star used.
-        nis: normalised innovation squared, chi² with as many degrees of freedom.
-        gate: the value that ``nis`` must not exceed.
-        reason: why it was not used; NONE where it was.
-        revised: True where a measurement that arrived late changed an earlier decision.
-        text: explanation for people.
-        stars_refused: of an exposure, the stars that had no part in it, by name.
     """
 
-    measurement: Measurement
-    reason: Reason
     ins_time_ns: int = 0
-    residual: FloatArray = field(default_factory=lambda: np.empty(0))
-    sigma: FloatArray = field(default_factory=lambda: np.empty(0))
-    components: tuple[str, ...] = ()
-    nis: float = float("nan")
-    gate: float = float("nan")
-    text: str = ""
-    revised: bool = False
-    stars_refused: tuple[tuple[str, Refusal], ...] = ()
-
-    @property
-    def accepted(self) -> bool:
-        """True where the measurement entered the estimate."""
-        return self.reason is Reason.NONE
 
 
 @dataclass(frozen=True)
@@ -150,19 +94,5 @@ class AttitudeEstimate:
         return total
 
 
-@dataclass
-class Outcome:
-    """What one input led to.
-
-    Attributes:
-        refusal: why this very input was not used; None where it was, or still waits.
-        decisions: measurements judged now, this one or others that had waited for it.
-        estimates: attitudes to publish; times increase strictly from claim to claim, see
-            :class:`ship_estimation.output_order.OutputOrder`.
-        failures: by stamp, attitudes that could not be computed: the software itself failed.
-    """
-
-    refusal: Refusal | None = None
-    decisions: list[Decision] = field(default_factory=list)
-    estimates: list[AttitudeEstimate] = field(default_factory=list)
-    failures: list[tuple[int, Refusal]] = field(default_factory=list)
+AttitudeOutcome = Outcome[AttitudeDecision, AttitudeEstimate]
+"""What one input led to."""

@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.measurements.device_config import JOINT
-from ship_attitude_star.measurements.samples import AttitudeEstimate, Decision, Status
+from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeEstimate
 from ship_attitude_star.ship_attitude.alignment import Alignment
 from ship_attitude_star.star_attitude.results import RefusedStar, Solved
 from ship_attitude_star.stars.solution import SOLUTION_TERMS
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
+from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
@@ -97,7 +98,7 @@ def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int) 
     )
 
 
-def innovation(factory: MessageFactory, decision: Decision) -> Any:
+def innovation(factory: MessageFactory, decision: AttitudeDecision) -> Any:
     """ship_msgs/Innovation of a measurement that was judged."""
     reason, text = decision.reason, decision.text
     if decision.accepted and not decision.measurement.covariance_known:

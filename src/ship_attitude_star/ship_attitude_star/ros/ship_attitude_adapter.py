@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, Decision, Outcome, Status
+from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeEstimate, AttitudeOutcome
 from ship_attitude_star.ros import alignment_file, messages_out
 from ship_attitude_star.ros.ship_diagnosis import attitude_status, conflict_statuses, rates_status, start_warnings
 from ship_attitude_star.ros.ship_inputs import ShipInputs
@@ -15,6 +15,7 @@ from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
+from ship_estimation.outcome import Status
 from ship_estimation.parameters import changed
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_node.documents.files import DISK, Files
@@ -82,7 +83,7 @@ class ShipAttitudeAdapter:
         self._alignment_messages: list[str] = []
         self._latest: AttitudeEstimate | None = None
         self._budget_due: AttitudeEstimate | None = None
-        self._conflicts: dict[str, Decision] = {}
+        self._conflicts: dict[str, AttitudeDecision] = {}
         self._slow_due_ns: int | None = None
         self._clock_jumps = 0
 
@@ -191,13 +192,13 @@ class ShipAttitudeAdapter:
     def _source(self, topic: str) -> str:
         return self._inputs.sources[topic]
 
-    def _published(self, outcome: Outcome, now_ns: int) -> list[Published]:
+    def _published(self, outcome: AttitudeOutcome, now_ns: int) -> list[Published]:
         published: list[Published] = []
         for decision in outcome.decisions:
             self._count(decision, now_ns)
             measurement = decision.measurement
             topic = self._topics[measurement.source]
-            published += self._stars_refused(topic, measurement.time_ns, decision.stars_refused)
+            published += self._stars_refused(topic, measurement.time_ns, decision.left_out)
             published.append(("ship/innovation", messages_out.innovation(self._factory, decision)))
         for time_ns, refusal in outcome.failures:
             published += self._failed(_ATTITUDE, time_ns, refusal)
@@ -214,7 +215,7 @@ class ShipAttitudeAdapter:
         self.health.failed(f"{what}: {refusal.text}")
         return [("ship/innovation", refusal_message(self._factory, what, time_ns, refusal.reason, refusal.text))]
 
-    def _count(self, decision: Decision, now_ns: int) -> None:
+    def _count(self, decision: AttitudeDecision, now_ns: int) -> None:
         source = decision.measurement.source
         topic, time_ns = self._topics[source], decision.measurement.time_ns
         if decision.revised:

@@ -3,8 +3,9 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, Decision, Status
+from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeEstimate
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_estimation.outcome import Status
 from ship_estimation.rate_guard import Rates
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
@@ -55,7 +56,7 @@ def attitude_status(
     return DiagnosticStatus("attitude", level, text, values)
 
 
-def conflict_statuses(conflicts: Mapping[str, Decision]) -> list[DiagnosticStatus]:
+def conflict_statuses(conflicts: Mapping[str, AttitudeDecision]) -> list[DiagnosticStatus]:
     """One status for each source that keeps disagreeing with the INS."""
     return [DiagnosticStatus(f"conflict {source}", Level.ERROR, d.text) for source, d in sorted(conflicts.items())]
 

@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 from typing import Any
 
-from ship_attitude_star.measurements.samples import Measurement, Outcome
+from ship_attitude_star.measurements.samples import AttitudeOutcome
 from ship_attitude_star.ros import messages_in, star_messages_in
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Refusal
 from ship_node.edge.messages_in import ins_sample
 from ship_node.edge.topics import InputTopic
@@ -35,7 +36,7 @@ class Taken:
     """
 
     time_ns: int
-    outcome: Outcome
+    outcome: AttitudeOutcome
     judged: bool = True
     covariance_known: bool = True
     stars_refused: tuple[tuple[str, Refusal], ...] = ()
@@ -116,7 +117,7 @@ class ShipInputs:
         )
         if not message.stars:
             # The sensor works and sees no star: nothing to compare, and nothing wrong.
-            return Taken(exposure.time_ns, Outcome(), judged=False)
+            return Taken(exposure.time_ns, AttitudeOutcome(), judged=False)
         return Taken(
             exposure.time_ns,
             self._core.add_measurement(exposure, waiting_ns),

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_attitude_star.measurements.inertial_attitude import InertialAttitude, in_horizon
-from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement, Measurement
+from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
 from ship_attitude_star.measurements.star_exposure import StarExposure
 from ship_attitude_star.ship_attitude.measurement_models import PredictedAttitude, attitude_measurement
 from ship_attitude_star.ship_attitude.star_update import attitude_by_stars, star_residuals
 from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Refusal
 from ship_estimation.state import StateModel
 from ship_geometry.rotations import FloatArray
@@ -26,7 +27,7 @@ class Compared:
         interpolation: the same of the INS's attitude between its samples.
         components: names of the residuals.
         rotation_nv: horizon from device as measured, shape (3, 3); as predicted where single stars agree with that.
-        stars_refused: stars that had no part in it, by name.
+        left_out: stars that had no part in it, by name.
     """
 
     residual: FloatArray
@@ -35,7 +36,7 @@ class Compared:
     interpolation: FloatArray
     components: tuple[str, ...]
     rotation_nv: FloatArray
-    stars_refused: tuple[tuple[str, Refusal], ...] = ()
+    left_out: tuple[tuple[str, Refusal], ...] = ()
 
     @property
     def attitude_noise_n(self) -> FloatArray:
@@ -85,7 +86,7 @@ def compare(
         interpolation=stars.by_turn @ predicted.interpolation_v @ stars.by_turn.T,
         components=stars.components,
         rotation_nv=rotation_ns,
-        stars_refused=stars.refused,
+        left_out=stars.refused,
     )
 
 

@@ -1,23 +1,20 @@
 """INS and star attitudes in, the ship's attitude out: the core that the node and the replay share.
 
-Knows no ROS, no files, no clock. Measurements enter in any order; within ``lag_s`` each is applied at its own time.
-Arrivals and ticks are given in the time of waiting (:mod:`ship_estimation.output_order`), stamps in that of the data.
+Knows no ROS, no files, no clock. The core is a model, the filter with the INS's samples and the sky that measurements
+are compared with, in the shell of every estimator (:mod:`ship_estimation.estimator_shell`): the shell decides when a
+measurement is applied and which output may follow. What belongs to the ship's attitude alone stands here: the guards
+of the INS and of the star sensors, and who carries the attitude when the INS is gone.
 """
-
-from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.guards.arrivals import Arrivals
+from ship_attitude_star.guards.stream_guards import StreamGuards
 from ship_attitude_star.measurements.samples import (
+    AttitudeDecision,
     AttitudeEstimate,
     AttitudeMeasurement,
-    Decision,
-    Measurement,
-    Outcome,
+    AttitudeOutcome,
 )
-from ship_attitude_star.measurements.star_exposure import StarExposure
 from ship_attitude_star.ship_attitude.alignment import (
     Alignment,
     AlignmentPrior,
@@ -27,20 +24,17 @@ from ship_attitude_star.ship_attitude.alignment import (
 )
 from ship_attitude_star.ship_attitude.comparison import attitude_alone
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
+from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter, reach_ns
 from ship_attitude_star.ship_attitude.output import CorrectedIns, estimate_from_star, no_estimate
 from ship_attitude_star.sky.sky_inputs import SkyInput
 from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_estimation.estimator_shell import SECOND_NS, EstimatorShell, Model
 from ship_estimation.ins_guard import InsJump
-from ship_estimation.output_order import OutputOrder
+from ship_estimation.outcome import Measurement
 from ship_estimation.rate_guard import Rates
-from ship_estimation.refusals import Reason, failure, same_stamp
-from ship_estimation.time_ordered_log import TimeOrderedLog
+from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
-from ship_geometry.rotations import FloatArray
-
-_SECOND_NS = 1_000_000_000
 
 
 class ShipAttitudeCore:
@@ -56,12 +50,23 @@ class ShipAttitudeCore:
         self._watch = watch
         self.filter = ShipFilter(config)
         self._start: tuple[AlignmentPrior, int] | None = None
-        self._max_gap_ns = round(config.ins.max_gap_s * _SECOND_NS)
-        self._longest_shift_ns = round(self.filter.longest_shift_s * _SECOND_NS)
-        self._silence_ns = round(config.ins.silence_s * _SECOND_NS)
+        self._silence_ns = round(config.ins.silence_s * SECOND_NS)
+        self._max_gap_ns = round(config.ins.max_gap_s * SECOND_NS)
         exposes = any(star.input == "observations" for star in config.star_sensors.values())
-        self._exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
-        self._order = OutputOrder()
+        exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
+        # The INS's stamps differ from a device's, and an INS sample changes what is compared within a gap of it.
+        self._stamp_reach_ns = round(self.filter.longest_shift_s * SECOND_NS) + exposure_reach_ns
+        model: Model[FilterState, Measurement, AttitudeDecision, InsJump] = Model(
+            step=self._step,
+            opened=self._opened,
+            failed=_failed,
+            until_ns=lambda decision: decision.ins_time_ns + reach_ns(decision.measurement),
+            forget_before=self._forget_before,
+        )
+        self._shell: EstimatorShell[FilterState, Measurement, AttitudeDecision, InsJump, AttitudeEstimate]
+        self._shell = EstimatorShell(
+            model, self.filter.initial_state(), config.lag_s, self._max_gap_ns + self._stamp_reach_ns
+        )
         self.reset()
 
     def start_from(self, prior: AlignmentPrior, now_ns: int) -> list[str]:
@@ -72,33 +77,26 @@ class ShipAttitudeCore:
 
     def reset(self, clock_jumped: bool = False) -> None:
         """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
-        self._forget_estimate()
+        initial = self.filter.initial_state()
+        if self._start is not None:
+            initial, _ = state_from_prior(self.filter, self.config, *self._start)
+        self._shell.reset(initial, clock_jumped)
+        self._corrected = CorrectedIns(self.filter, initial)
         self._track = AttitudeTrack(self._max_gap_ns)
-        self._arrivals = Arrivals(self.config)
+        self._guards = StreamGuards(self.config.ins)
         self._ins_arrival_ns: int | None = None
         self._newest_star: tuple[Measurement, int] | None = None
         if self._watch is not None:
             self._watch.reset()
-        if clock_jumped:
-            self._order.restart()
-
-    def _forget_estimate(self) -> None:
-        """Back to the configured errors, or to those of the saved alignment."""
-        initial = self.filter.initial_state()
-        if self._start is not None:
-            initial, _ = state_from_prior(self.filter, self.config, *self._start)
-        self._log: TimeOrderedLog[FilterState, Measurement, Decision] = TimeOrderedLog(initial)
-        self._jump: InsJump | None = None
-        self._corrected = CorrectedIns(self.filter, initial)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """Go on with other noise and gates; geometry and the set of devices stay."""
         self.config = config
         self.filter = ShipFilter(config)
         self._corrected = CorrectedIns(self.filter, self.state)
-        self._arrivals.reconfigure(config)
+        self._guards.reconfigure(config.ins)
 
-    def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> Outcome:
+    def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
         """An INS sample: stamp and attitude of the deck as the INS has it.
 
         Args:
@@ -106,48 +104,46 @@ class ShipAttitudeCore:
             arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
             estimate: False where only the filter's state matters, as in a Monte Carlo run.
         """
-        arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
-        judged = self._arrivals.judge_ins(sample, self._track)
-        sample, outcome = judged.sample, Outcome(judged.refusal)
-        if judged.rates_wrong_after_ns is not None:
-            self._forget_rates(judged.rates_wrong_after_ns, outcome)
-        if judged.refusal is not None:
+        outcome = AttitudeOutcome(self._shell.window.late(sample.time_ns))
+        if outcome.refusal is not None:
             return outcome
-        known = self._track.get(sample.time_ns)
-        if known is not None:
-            outcome.refusal = same_stamp(_ins_content(known), _ins_content(sample))
-            if _ins_content(known) <= _ins_content(sample):
-                return outcome
+        judged = self._guards.check_ins(sample, self._track)
+        if judged.rates_wrong_after_ns is not None:
+            # What was compared by rates that were none is compared anew without them.
+            self._shell.data_changed(self._track.forget_rates(judged.rates_wrong_after_ns))
+            self._shell.apply(outcome)
+        if judged.refusal is not None:
+            outcome.refusal = judged.refusal
+            return outcome
         if judged.jump is not None:
-            self._log.insert((judged.jump.time_ns, judged.jump.source), judged.jump)
+            self._shell.add_jump(judged.jump.time_ns, judged.jump.source, judged.jump)
             self._track.cut(judged.jump.time_ns)
-            self._jump = judged.jump
-        changed_after_ns = self._track.insert(sample)
-        if changed_after_ns is not None:
-            self._rewind(changed_after_ns)
-        self._advance(sample.time_ns, outcome)
+        if not self._shell.add_sample(self._track, judged.sample, outcome):
+            return outcome
         # An attitude that is moved by a clock offset needs its rate. Without it the sample leads to nothing.
         movable = self._track.newest_rate_known or self.state.time_ns is None
-        if self._track.newest is sample and movable:
-            self._ins_arrival_ns = arrival_ns
-            if estimate and self._order.follows(sample.time_ns):
-                self._put_out(outcome, sample.time_ns, self._estimate_from_ins, arrival_ns, self._silence_ns)
+        if self._track.newest is judged.sample and movable:
+            self._ins_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
+            if estimate:
+                self._shell.put_out(
+                    outcome, sample.time_ns, self._ins_arrival_ns, self._estimate_by_newest_ins, self._silence_ns
+                )
         return outcome
 
-    def add_sky_input(self, sky_input: SkyInput) -> Outcome:
+    def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
         """Where the ship is, or the air around it; what was compared with another sky is compared anew."""
         assert self._watch is not None
-        outcome = Outcome(sky_input.refusal(self._watch))
+        outcome = AttitudeOutcome(sky_input.refusal(self._watch))
         changed_after_ns = sky_input.insert(self._watch)
         if changed_after_ns is not None:
-            self._log.rewind_where(
+            self._shell.rewind_where(
                 lambda decision: decision.measurement.time_ns > changed_after_ns
                 and not isinstance(decision.measurement, AttitudeMeasurement)
             )
-            self._apply(outcome)
+            self._shell.apply(outcome)
         return outcome
 
-    def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> Outcome:
+    def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> AttitudeOutcome:
         """What a star sensor or another attitude system has measured.
 
         Args:
@@ -155,26 +151,18 @@ class ShipAttitudeCore:
             arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
         """
         arrival_ns = measurement.time_ns if arrival_ns is None else arrival_ns
-        refusal = self._arrivals.measurement_refusal(measurement, self._track)
-        if refusal is not None:
-            return Outcome(refusal)
-        key = (measurement.time_ns, measurement.source)
-        known = self._log.get(key)
-        if known is not None:
-            outcome = Outcome(same_stamp(known.content(), measurement.content()))
-            if known.content() <= measurement.content():
-                return outcome
-        else:
-            outcome = Outcome()
-        self._log.insert(key, measurement)
-        self._arrivals.used(measurement)
-        self._advance(measurement.time_ns, outcome)
-        if self._may_carry(measurement.source) and self._order.follows(measurement.time_ns):
+        refusal = self._shell.window.late(measurement.time_ns)
+        if refusal is None:
+            refusal = self._guards.check(measurement, self._track.last_before(measurement.time_ns))
+        outcome = AttitudeOutcome(refusal)
+        if refusal is not None or not self._shell.add(measurement, outcome):
+            return outcome
+        if self._may_carry(measurement.source) and self._shell.order.follows(measurement.time_ns):
             self._newest_star = measurement, arrival_ns
         self._carry(outcome, arrival_ns)
         return outcome
 
-    def tick(self, now_ns: int, waiting_ns: int | None = None) -> Outcome:
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> AttitudeOutcome:
         """Says INVALID, once a second, when no attitude was put out any more, whatever came in.
 
         Args:
@@ -182,10 +170,9 @@ class ShipAttitudeCore:
             waiting_ns: the same in the time of waiting; None where the two are one.
         """
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
-        outcome = Outcome()
+        outcome = AttitudeOutcome()
         self._carry(outcome, waiting_ns)
-        if self._order.invalid_due(waiting_ns):
-            outcome.estimates.append(no_estimate(self.filter, self.state, now_ns))
+        self._shell.say_invalid(outcome, waiting_ns, lambda: no_estimate(self.filter, self.state, now_ns))
         return outcome
 
     def alignment(self) -> Alignment:
@@ -201,101 +188,54 @@ class ShipAttitudeCore:
     @property
     def state(self) -> FilterState:
         """The filter's state after the last measurement applied."""
-        return self._log.state
+        return self._shell.state
 
     @property
     def rates(self) -> Rates:
         """What the INS's rates are worth: only where they are measured, or not judged yet, they are used."""
-        return self._arrivals.rates
+        return self._guards.rates
 
-    # -- time order -----------------------------------------------------------------------------------------
+    # -- the model in the shell -----------------------------------------------------------------------------
 
-    def _advance(self, time_ns: int, outcome: Outcome) -> None:
-        """Apply what can be applied now, then close the window behind ``lag_s``."""
-        self._arrivals.newest_ns = max(self._arrivals.newest_ns, time_ns)
-        self._apply(outcome)
-        # The INS's stamps differ from a device's, and an INS sample changes what is compared within a gap of it.
-        reach_ns = self._arrivals.oldest_ns - self._max_gap_ns - self._longest_shift_ns - self._exposure_reach_ns
-        self._log.forget_before(reach_ns)
-        self._track.drop_before(reach_ns - self._longest_shift_ns - self._exposure_reach_ns)
+    def _step(
+        self, state: FilterState, measurement: Measurement, may_wait: bool
+    ) -> tuple[FilterState, AttitudeDecision] | None:
+        return self.filter.step(state, measurement, self._track, self._watch, may_wait)
+
+    def _opened(self, state: FilterState, jump: InsJump) -> FilterState:
+        return self.filter.opened(state, jump)
+
+    def _forget_before(self, time_ns: int) -> None:
+        """Forget what no measurement at or after a stamp is compared with."""
+        self._track.drop_before(time_ns - self._stamp_reach_ns)
         if self._watch is not None:
-            self._watch.drop_before(reach_ns)
-
-    def _forget_rates(self, after_ns: int, outcome: Outcome) -> None:
-        """Rates of samples after a stamp were none: what was compared by them is compared anew without."""
-        changed_after_ns = self._track.forget_rates(after_ns)
-        if changed_after_ns is not None:
-            self._rewind(changed_after_ns)
-            self._apply(outcome)
-
-    def _rewind(self, changed_after_ns: int) -> None:
-        """The INS's attitudes after a stamp have changed: compare anew what was compared with them."""
-        self._log.rewind_where(
-            lambda decision: decision.ins_time_ns + _reach_ns(decision.measurement) > changed_after_ns
-        )
-
-    def _apply(self, outcome: Outcome) -> None:
-        for decision, previous in self._log.apply(self._step, _failed, self._arrivals.window_ns):
-            if isinstance(decision.measurement, InsJump):
-                continue
-            if previous is None:
-                outcome.decisions.append(decision)
-            elif previous.accepted != decision.accepted:
-                outcome.decisions.append(replace(decision, revised=True))
-
-    def _step(self, state: FilterState, measurement: Measurement) -> tuple[FilterState, Decision] | None:
-        if isinstance(measurement, InsJump):
-            return self.filter.opened(state, measurement), Decision(measurement, Reason.NONE, measurement.time_ns)
-        needed_ns = self.filter.ins_time_ns(state, measurement) + _reach_ns(measurement)
-        awaited = not self._track.covers(needed_ns)
-        if awaited and measurement.time_ns >= self._arrivals.oldest_ns:
-            return None
-        return self.filter.step(state, measurement, self._track, self._watch)
+            self._watch.drop_before(time_ns)
 
     # -- outputs --------------------------------------------------------------------------------------------
 
-    def _put_out(
-        self,
-        outcome: Outcome,
-        time_ns: int,
-        estimate: Callable[[int], AttitudeEstimate | None],
-        waiting_ns: int,
-        patience_ns: int,
-    ) -> None:
-        """Put out the attitude of a moment where there is one. Where that fails it is said, and the next is tried."""
-        try:
-            found = estimate(time_ns)
-        except Exception as error:
-            outcome.failures.append((time_ns, failure(error)))
-            return
-        if found is not None:
-            outcome.estimates.append(found)
-            self._order.claimed(time_ns, waiting_ns, patience_ns)
-
-    def _estimate_from_ins(self, time_ns: int) -> AttitudeEstimate:
-        # A jump counts at once, also where measurements of before it still wait.
-        state, jump = self.state, self._jump
-        if jump is not None and (state.time_ns is None or state.time_ns < jump.time_ns):
-            state = self.filter.opened(state, jump)
+    def _estimate_by_newest_ins(self) -> AttitudeEstimate:
+        """The attitude at the stamp of the newest INS sample."""
+        state, newest = self._shell.state_now(), self._track.newest
+        assert newest is not None
         if state is not self._corrected.state:
             self._corrected = CorrectedIns(self.filter, state)
         moved_s = -(self.config.ins.time_offset_s + self._corrected.time_offset_s)
-        return self._corrected.estimate(time_ns, self._track.newest_moved(moved_s), self.config)
+        return self._corrected.estimate(newest.time_ns, self._track.newest_moved(moved_s), self.config)
 
-    def _carry(self, outcome: Outcome, waiting_ns: int) -> None:
+    def _carry(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
         """With the INS gone, put out the attitude by the newest star measurement, once, while it is young."""
         if self._newest_star is None or not self._ins_silent(waiting_ns):
             return
         (measurement, arrival_ns), self._newest_star = self._newest_star, None
-        if waiting_ns - arrival_ns > _SECOND_NS or not self._order.follows(measurement.time_ns):
+        if waiting_ns - arrival_ns > SECOND_NS:
             return
 
-        def by_star(_time_ns: int) -> AttitudeEstimate | None:
+        def by_star() -> AttitudeEstimate | None:
             untold = np.deg2rad(self.config.ins.untold_acceleration_deg_per_s2)
             attitude = attitude_alone(measurement, self._watch, float(untold))
             return None if attitude is None else estimate_from_star(self.filter, self.state, attitude)
 
-        self._put_out(outcome, measurement.time_ns, by_star, waiting_ns, _SECOND_NS)
+        self._shell.put_out(outcome, measurement.time_ns, waiting_ns, by_star)
 
     def _ins_silent(self, waiting_ns: int) -> bool:
         """Whether the last INS sample that led on came too long ago; those refused or late lead nowhere."""
@@ -307,16 +247,5 @@ class ShipAttitudeCore:
         return self.filter.devices[source].is_star and not in_conflict
 
 
-def _failed(measurement: Measurement, error: Exception) -> Decision:
-    refusal = failure(error)
-    return Decision(measurement, refusal.reason, measurement.time_ns, text=refusal.text)
-
-
-def _reach_ns(measurement: Measurement) -> int:
-    """How far from its moment the INS must be known to compare a measurement with it."""
-    return measurement.reach_ns if isinstance(measurement, StarExposure) else 0
-
-
-def _ins_content(sample: AttitudeSample) -> bytes:
-    rate: FloatArray | None = sample.rate_d
-    return sample.rotation_nd.tobytes() + (b"" if rate is None else rate.tobytes())
+def _failed(measurement: Measurement, refusal: Refusal) -> AttitudeDecision:
+    return AttitudeDecision(measurement, refusal.reason, text=refusal.text, ins_time_ns=measurement.time_ns)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_attitude_star.guards.hints import Departure, who_is_wrong
 from ship_attitude_star.measurements.inertial_attitude import InertialAttitude, in_horizon
-from ship_attitude_star.measurements.samples import AttitudeMeasurement, Decision, Measurement
+from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
 from ship_attitude_star.measurements.star_exposure import StarExposure
 from ship_attitude_star.ship_attitude.comparison import Compared, compare
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
@@ -30,6 +30,7 @@ from ship_attitude_star.stars.streaks import at_middle
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.ins_guard import InsJump
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
+from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.state import slow_error_later
 from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
@@ -132,8 +133,13 @@ class ShipFilter:
         return replace(state, parts=parts, jumped=True)
 
     def step(
-        self, state: FilterState, measurement: Measurement, track: AttitudeTrack, watch: SkyWatch | None
-    ) -> tuple[FilterState, Decision]:
+        self,
+        state: FilterState,
+        measurement: Measurement,
+        track: AttitudeTrack,
+        watch: SkyWatch | None,
+        may_wait: bool = False,
+    ) -> tuple[FilterState, AttitudeDecision] | None:
         """Predict to the measurement, judge it, and use it where the gate lets it pass.
 
         The track must span the moment of the measurement; in a gap of it the measurement is refused.
@@ -143,28 +149,35 @@ class ShipFilter:
             measurement: to be used.
             track: attitudes of the INS.
             watch: the sky; None where no sensor needs it.
+            may_wait: whether samples of the INS may still come.
+
+        Returns:
+            The next state and the decision; None where samples that may still come belong to the measurement.
         """
         ins_time_ns = self.ins_time_ns(state, measurement)
+        if may_wait and not track.covers(ins_time_ns + reach_ns(measurement)):
+            return None
         ins = track.at(ins_time_ns)
         if ins is None:
             text = "no INS samples on both sides of it: it cannot be compared"
-            return state, Decision(measurement, Reason.GAP, ins_time_ns, text=text)
+            return state, AttitudeDecision(measurement, Reason.GAP, text=text, ins_time_ns=ins_time_ns)
         device = self.devices[measurement.source]
         looked = self._looked_at(measurement, device, track, ins, ins_time_ns, watch)
         if isinstance(looked, Refusal):
-            return state, Decision(measurement, looked.reason, ins_time_ns, text=looked.text)
+            return state, AttitudeDecision(measurement, looked.reason, text=looked.text, ins_time_ns=ins_time_ns)
         looked_at, ins = looked
         before, state = state, self._with_common(self.predicted(state, measurement.time_ns), looked_at)
         predicted = predict_attitude(device, self.model, state.mean, ins)
         compared = compare(looked_at, predicted, self.model, state.mean, state.covariance, watch)
         if isinstance(compared, Refusal):
-            return before, Decision(measurement, compared.reason, ins_time_ns, text=compared.text)
+            return before, AttitudeDecision(measurement, compared.reason, text=compared.text, ins_time_ns=ins_time_ns)
         linear = self._linear(compared, device, compared.residual)
         try:
             covariance, nis = innovation(state.parts, linear)
         except np.linalg.LinAlgError as error:
-            return before, Decision(measurement, Reason.BAD_COVARIANCE, ins_time_ns, text=str(error))
-        decision = Decision(
+            refused = AttitudeDecision(measurement, Reason.BAD_COVARIANCE, text=str(error), ins_time_ns=ins_time_ns)
+            return before, refused
+        decision = AttitudeDecision(
             measurement=measurement,
             reason=Reason.NONE,
             ins_time_ns=ins_time_ns,
@@ -173,7 +186,7 @@ class ShipFilter:
             components=compared.components,
             nis=nis,
             gate=chi_square_gate(self._gate.probability, len(linear.residual)),
-            stars_refused=compared.stars_refused,
+            left_out=compared.left_out,
         )
         # Written so that NaN fails.
         if not nis <= decision.gate:
@@ -278,11 +291,11 @@ class ShipFilter:
     def _refused(
         self,
         state: FilterState,
-        decision: Decision,
+        decision: AttitudeDecision,
         noise_n: FloatArray,
         ins_nd: FloatArray,
         measured_nd: FloatArray,
-    ) -> tuple[FilterState, Decision]:
+    ) -> tuple[FilterState, AttitudeDecision]:
         """Hold the estimate; after a run of refusals say so and, where configured, re-open the gate."""
         source, turn_n = decision.measurement.source, log_rotation(measured_nd @ ins_nd.T)
         departure = Departure(decision.measurement.time_ns, turn_n, noise_n)
@@ -301,6 +314,11 @@ class ShipFilter:
             state = replace(state, parts=state.parts * self._gate.reopen_factor)
             text += f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
         return state, replace(decision, reason=reason, text=text)
+
+
+def reach_ns(measurement: Measurement) -> int:
+    """How far from its moment the INS must be known to compare a measurement with it."""
+    return measurement.reach_ns if isinstance(measurement, StarExposure) else 0
 
 
 def _with(mapping: MappingProxyType[str, Value], key: str, value: Value) -> MappingProxyType[str, Value]:

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Horizon, Status
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Horizon
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
 from ship_attitude_star.ship_attitude.model import SOURCE_INS_NOISE, SOURCE_INTERPOLATION
+from ship_estimation.outcome import Status
 from ship_estimation.state import lasting
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian

@@ -2,7 +2,7 @@
 
 Knows no ROS, no files, no clock. Each exposure gives the attitude of its sensor, at its own time and in any order
 within ``lag_s``; exposures of different sensors near in time give the attitude of the deck, in order of time. How long
-something waits is measured in the time of waiting (:mod:`ship_estimation.output_order`).
+something waits is measured in the time of waiting (:mod:`ship_estimation.estimator_shell`).
 """
 
 from dataclasses import dataclass, replace

@@ -52,8 +52,8 @@ class InsMotion:
             self._jumps.append(judged.jump)
         sample = judged.sample
         known = self._track.get(sample.time_ns)
-        refusal = None if known is None else same_stamp(known.content(), sample.content())
-        if known is None or sample.content() < known.content():
+        taken, refusal = (True, None) if known is None else same_stamp(known, sample)
+        if taken:
             self._track.insert(sample)
         return refusal
 

@@ -202,7 +202,7 @@ class Outcome:
         refusal: why this very input was not used; None where it was, or still waits.
         decisions: exposures judged now.
         estimates: pointings to publish; times increase strictly from claim to claim, see
-            :class:`ship_estimation.output_order.OutputOrder`.
+            :class:`ship_estimation.estimator_shell.OutputOrder`.
         failures: by stamp, pointings that could not be computed: the software itself failed.
     """
 

@@ -91,10 +91,8 @@ def insert(track: SampleTrack[Any], sample: Any) -> Inserted:
     known = track.get(sample.time_ns)
     if known is None:
         return Inserted(True, None, track.insert(sample))
-    refusal = same_stamp(known.content(), sample.content())
-    if known.content() <= sample.content():
-        return Inserted(False, refusal)
-    return Inserted(True, refusal, track.insert(sample))
+    taken, refusal = same_stamp(known, sample)
+    return Inserted(True, refusal, track.insert(sample)) if taken else Inserted(False, refusal)
 
 
 class BaselineTrack(VectorTrack[BaselineSample]):

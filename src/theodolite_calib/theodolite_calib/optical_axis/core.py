@@ -2,7 +2,7 @@
 
 Knows no ROS, no files, no clock. Measurements enter in any order; within ``lag_s`` each is applied at its own time. A
 pointing is published at the stamp of each encoder reading, as soon as the ship's attitude of that moment is there.
-Arrivals and ticks are given in the time of waiting (:mod:`ship_estimation.output_order`), stamps in that of the data.
+Arrivals and ticks are given in the time of waiting, stamps in that of the data: :mod:`ship_estimation.estimator_shell`.
 """
 
 import functools
@@ -11,7 +11,7 @@ from collections import deque
 from dataclasses import replace
 from typing import Any
 
-from ship_estimation.output_order import OutputOrder
+from ship_estimation.estimator_shell import OutputOrder
 from ship_estimation.refusals import Reason, Refusal, failure, same_stamp
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.attitude_track import AttitudeSample
@@ -141,8 +141,8 @@ class OpticalAxisCore:
         key = (exposure.time_ns, "")
         known, outcome = self._log.get(key), Outcome()
         if known is not None:
-            outcome.refusal = same_stamp(known.content(), exposure.content())
-            if known.content() <= exposure.content():
+            taken, outcome.refusal = same_stamp(known, exposure)
+            if not taken:
                 return outcome
         self._log.insert(key, exposure)
         self._advance(exposure.time_ns, outcome)

@@ -1,0 +1,287 @@
+"""The shell of every estimator: which measurement is used when, which is refused, and in which order outputs go out.
+
+An estimator is a :class:`Model` (how a state and a measurement become the next state) in an :class:`EstimatorShell`.
+The shell knows nothing of what is measured. A measurement goes this way:
+
+1. Older than ``lag_s`` behind the newest data: refused as LATE (:class:`LagWindow`).
+2. Of the same source and stamp as another one: refused as DUPLICATE, or where the bytes differ told as CONFLICT; the
+   one whose bytes sort first is kept.
+3. It takes its place in the order of stamps (:mod:`ship_estimation.time_ordered_log`). What was applied after that
+   place is applied again, and a decision that turns out otherwise is told again as revised.
+4. It waits, and all after it, as long as the model misses data that may still come within ``lag_s``.
+5. The model uses it or refuses it. Where the model raises, the measurement is refused as FAILED and the state stays.
+6. ``lag_s`` later the window closes behind it: the decision is final.
+
+Any order of arrival within the window therefore ends in the same state, to the last bit.
+
+Two clocks are at work. Outputs are ordered by their stamps, the time of the data. Silence is measured in the time of
+waiting, a clock that nobody sets and that the shell of the node gives with each input and tick: old stamps, or a
+system clock that is put right, are no silence.
+"""
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
+
+from ship_estimation.outcome import Estimate, Judged, Measurement, Outcome
+from ship_estimation.refusals import Reason, Refusal, failure, same_stamp
+from ship_estimation.time_ordered_log import TimeOrderedLog
+from ship_geometry.sample_track import SampleTrack
+
+SECOND_NS = 1_000_000_000
+
+State = TypeVar("State")
+Measured = TypeVar("Measured", bound=Measurement)
+Jump = TypeVar("Jump")
+
+
+class LagWindow:
+    """The stamps that are still taken: from ``lag_s`` behind the newest data on.
+
+    Args:
+        lag_s: how late data may come.
+
+    Attributes:
+        newest_ns: latest stamp of all data.
+        oldest_ns: data older than this come too late.
+    """
+
+    def __init__(self, lag_s: float) -> None:
+        self._lag_s, self._lag_ns = lag_s, round(lag_s * SECOND_NS)
+        self.newest_ns, self.oldest_ns = 0, -self._lag_ns
+
+    def late(self, time_ns: int) -> Refusal | None:
+        """The refusal of data that come too late."""
+        if time_ns >= self.oldest_ns:
+            return None
+        late_s = (self.newest_ns - time_ns) / SECOND_NS
+        return Refusal(Reason.LATE, f"{late_s:.3f} s behind the newest data: more than lag_s = {self._lag_s:g}")
+
+    def move_to(self, time_ns: int) -> None:
+        """Data of this stamp were taken."""
+        self.newest_ns = max(self.newest_ns, time_ns)
+        self.oldest_ns = self.newest_ns - self._lag_ns
+
+
+class OutputOrder:
+    """In which order outputs go out, and when it is time to say that there are none.
+
+    Outputs that claim something strictly increase in time. One that says INVALID carries the time of a tick, stands
+    outside that order and holds none back.
+    """
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """The clock jumped: outputs may start again at earlier times."""
+        self._last_claim_ns: int | None = None
+        self._silent_after_ns: int | None = None
+        self._said_invalid_ns: int | None = None
+
+    def follows(self, time_ns: int) -> bool:
+        """Whether an output for a moment may still go out: it is later than all before."""
+        return self._last_claim_ns is None or time_ns > self._last_claim_ns
+
+    def claimed(self, time_ns: int, waiting_ns: int, patience_ns: int = SECOND_NS) -> None:
+        """An output that claims something went out.
+
+        Args:
+            time_ns: its stamp.
+            waiting_ns: the time of waiting.
+            patience_ns: how long the next one may take; never less than a second.
+        """
+        self._last_claim_ns = time_ns
+        self._silent_after_ns = waiting_ns + max(patience_ns, SECOND_NS)
+        self._said_invalid_ns = None
+
+    def invalid_due(self, waiting_ns: int) -> bool:
+        """Whether to say INVALID now: no output for too long, and not yet said in the last second.
+
+        The caller that hears "yes" says it.
+        """
+        if self._silent_after_ns is not None and waiting_ns <= self._silent_after_ns:
+            return False
+        if self._said_invalid_ns is not None and waiting_ns - self._said_invalid_ns < SECOND_NS:
+            return False
+        self._said_invalid_ns = waiting_ns
+        return True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model(Generic[State, Measured, Judged, Jump]):
+    """What an estimator is beside its shell; all functions leave the state that they are given as it is.
+
+    Attributes:
+        step: the state after a measurement, and the decision about it. The last argument says whether the measurement
+            may wait; where it may, None says that data still to come belong to it.
+        opened: the state after a jump of a source, which opens the state by as much.
+        failed: the decision about a measurement on which ``step`` raised.
+        until_ns: the stamp up to which samples matter to a decision: later ones cannot change it.
+        forget_before: drops the data that no measurement at or after a stamp needs.
+        decided: told of each decision, also of one that is made again.
+    """
+
+    step: Callable[[State, Measured, bool], tuple[State, Judged] | None]
+    opened: Callable[[State, Jump], State]
+    failed: Callable[[Measured, Refusal], Judged]
+    until_ns: Callable[[Judged], int]
+    forget_before: Callable[[int], None]
+    decided: Callable[[Judged], None] = lambda decision: None
+
+
+@dataclass(frozen=True)
+class _Opening(Generic[Jump]):
+    """A jump of a source at its place among the measurements."""
+
+    jump: Jump
+
+
+class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
+    """One estimator's measurements in time order, and its outputs.
+
+    Args:
+        model: the estimator itself.
+        state: before any measurement.
+        lag_s: measurements up to this late are applied at their own time.
+        reach_ns: so far before its own stamp data may matter to a measurement.
+
+    Attributes:
+        state: after the last measurement applied.
+        window: the stamps that are still taken.
+        order: of the outputs.
+    """
+
+    def __init__(self, model: Model[State, Measured, Judged, Jump], state: State, lag_s: float, reach_ns: int) -> None:
+        self._model = model
+        self._lag_s, self._reach_ns = lag_s, reach_ns
+        self.order = OutputOrder()
+        self.reset(state)
+
+    def reset(self, state: State, clock_jumped: bool = False) -> None:
+        """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
+        self.state = state
+        self.window = LagWindow(self._lag_s)
+        self._log: TimeOrderedLog[State, Measured | _Opening[Jump], Judged | _Opening[Jump]] = TimeOrderedLog(state)
+        if clock_jumped:
+            self.order.restart()
+
+    def state_now(self) -> State:
+        """The state for outputs: jumps count at once, also where measurements of before them still wait."""
+        if not self._log.waiting:
+            return self.state
+        openings = [item for item in self._log.not_applied() if isinstance(item, _Opening)]
+        return functools.reduce(lambda state, opening: self._model.opened(state, opening.jump), openings, self.state)
+
+    # -- inputs ---------------------------------------------------------------------------------------------
+
+    def add(self, measurement: Measured, outcome: Outcome[Judged, Estimate]) -> bool:
+        """Take a measurement that is not late; False where another one of its source and stamp is kept."""
+        key = measurement.time_ns, measurement.source
+        known, taken = self._log.get(key), True
+        if known is not None and not isinstance(known, _Opening):
+            taken, outcome.refusal = same_stamp(known, measurement)
+        if taken:
+            self._log.insert(key, measurement)
+            self._advance(measurement.time_ns, outcome)
+        return taken
+
+    def add_sample(self, track: SampleTrack[Any], sample: Any, outcome: Outcome[Judged, Estimate]) -> bool:
+        """Take a sample that is not late into a track that measurements are compared with; False as with :meth:`add`.
+
+        What was compared with values of the track that change now is compared anew.
+        """
+        known, taken = track.get(sample.time_ns), True
+        if known is not None:
+            taken, outcome.refusal = same_stamp(known, sample)
+        if taken:
+            self.data_changed(track.insert(sample))
+            self._advance(sample.time_ns, outcome)
+        return taken
+
+    def add_jump(self, time_ns: int, source: str, jump: Jump) -> None:
+        """A source has jumped at a moment: the state after it is open by as much."""
+        self._log.insert((time_ns, source), _Opening(jump))
+
+    def data_changed(self, after_ns: int | None) -> None:
+        """Samples after a stamp have changed, or none where it is None: compare anew, soon, what they matter to."""
+        if after_ns is not None:
+            self.rewind_where(lambda decision: self._model.until_ns(decision) > after_ns)
+
+    def rewind_where(self, affected: Callable[[Judged], bool]) -> None:
+        """Apply again, at the next advance, from the first measurement whose decision is affected."""
+        self._log.rewind_where(lambda verdict: not isinstance(verdict, _Opening) and affected(verdict))
+
+    def apply(self, outcome: Outcome[Judged, Estimate]) -> None:
+        """Apply what can be applied now, and tell the decisions that are new or turn out otherwise."""
+        if not self._log.waiting:
+            return
+        window = self.window
+        for decision, previous in self._log.apply(self._step, self._failed, (window.oldest_ns, window.newest_ns)):
+            if isinstance(decision, _Opening):
+                continue
+            self._model.decided(decision)
+            if previous is None:
+                outcome.decisions.append(decision)
+            elif not isinstance(previous, _Opening) and previous.accepted != decision.accepted:
+                outcome.decisions.append(replace(decision, revised=True))
+        self.state = self._log.state
+
+    def _advance(self, time_ns: int, outcome: Outcome[Judged, Estimate]) -> None:
+        """Apply what can be applied now, then close the window."""
+        self.window.move_to(time_ns)
+        self.apply(outcome)
+        closed_ns = self.window.oldest_ns - self._reach_ns
+        if self._log.oldest_ns is not None and self._log.oldest_ns < closed_ns:
+            self._log.forget_before(closed_ns)
+        self._model.forget_before(closed_ns)
+
+    def _step(
+        self, state: State, item: Measured | _Opening[Jump]
+    ) -> tuple[State, Judged | _Opening[Jump]] | None:
+        if isinstance(item, _Opening):
+            return self._model.opened(state, item.jump), item
+        return self._model.step(state, item, item.time_ns >= self.window.oldest_ns)
+
+    def _failed(self, item: Measured | _Opening[Jump], error: Exception) -> Judged | _Opening[Jump]:
+        return item if isinstance(item, _Opening) else self._model.failed(item, failure(error))
+
+    # -- outputs --------------------------------------------------------------------------------------------
+
+    def put_out(
+        self,
+        outcome: Outcome[Judged, Estimate],
+        time_ns: int,
+        waiting_ns: int,
+        estimate: Callable[[], Estimate | None],
+        patience_ns: int = SECOND_NS,
+    ) -> None:
+        """Put out the estimate of a moment that is later than all before, where there is one.
+
+        An estimate that cannot be computed is told as a failure; the next one is tried all the same.
+
+        Args:
+            outcome: takes the estimate.
+            time_ns: the moment.
+            waiting_ns: the time of waiting.
+            estimate: computes it.
+            patience_ns: how long the next one may take before INVALID is said.
+        """
+        if not self.order.follows(time_ns):
+            return
+        try:
+            found = estimate()
+        except Exception as error:
+            outcome.failures.append((time_ns, failure(error)))
+            return
+        if found is not None:
+            outcome.estimates.append(found)
+            self.order.claimed(time_ns, waiting_ns, patience_ns)
+
+    def say_invalid(
+        self, outcome: Outcome[Judged, Estimate], waiting_ns: int, nothing: Callable[[], Estimate]
+    ) -> None:
+        """Say, once a second, that there is no estimate, where none went out for too long whatever came in."""
+        if self.order.invalid_due(waiting_ns):
+            outcome.estimates.append(nothing())

@@ -1,0 +1,322 @@
+"""The estimator shell with a toy model whose step rounds and does not commute: any wrong order shows in the state."""
+
+import math
+from dataclasses import dataclass
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from ship_estimation.estimator_shell import SECOND_NS, EstimatorShell, LagWindow, Model, OutputOrder
+from ship_estimation.outcome import Decision, Outcome
+from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.vector_track import VectorSample, VectorTrack
+
+# Fixed examples, nothing kept between runs.
+repeatable = settings(derandomize=True, database=None, deadline=None, max_examples=100)
+
+MS = 1_000_000
+LAG_S = 2.0
+START = 0.1
+
+
+@dataclass(frozen=True)
+class Toy:
+    """A measurement; one of a negative value is refused, and the step raises on NaN."""
+
+    time_ns: int
+    value: float
+    source: str = "toy"
+    covariance_known: bool = True
+
+    def content(self) -> bytes:
+        return np.float64(self.value).tobytes()
+
+
+Shell = EstimatorShell[float, Toy, Decision[Toy], float, float]
+ToyOutcome = Outcome[Decision[Toy], float]
+
+
+class Estimator:
+    """A model in the shell: the state depends on each measurement and on the sample of the track before it."""
+
+    def __init__(self) -> None:
+        self.track: VectorTrack[VectorSample] = VectorTrack(SECOND_NS)
+        self.waits = False
+        self.decided: list[Decision[Toy]] = []
+        model: Model[float, Toy, Decision[Toy], float] = Model(
+            step=self.step,
+            opened=lambda state, jump: math.cos(state) + jump,
+            failed=lambda toy, refusal: Decision(toy, refusal.reason, text=refusal.text),
+            until_ns=lambda decision: decision.measurement.time_ns,
+            forget_before=self.track.drop_before,
+            decided=self.decided.append,
+        )
+        self.shell: Shell = EstimatorShell(model, START, LAG_S, SECOND_NS)
+
+    def step(self, state: float, toy: Toy, may_wait: bool) -> tuple[float, Decision[Toy]] | None:
+        if math.isnan(toy.value):
+            raise ArithmeticError("singular")
+        if may_wait and self.waits and not self.track.covers(toy.time_ns):
+            return None
+        if toy.value < 0.0:
+            return state, Decision(toy, Reason.GATE)
+        before = self.track.last_before(toy.time_ns)
+        added = 0.0 if before is None else float(before.vector[0])
+        return math.cos(1.7 * state) + toy.value / 3.0 + added, Decision(toy, Reason.NONE)
+
+    def add(self, toy: Toy) -> ToyOutcome:
+        outcome = ToyOutcome(self.shell.window.late(toy.time_ns))
+        if outcome.refusal is None:
+            self.shell.add(toy, outcome)
+        return outcome
+
+    def add_sample(self, time_ms: int, value: float) -> ToyOutcome:
+        outcome = ToyOutcome()
+        self.shell.add_sample(self.track, VectorSample(time_ms * MS, np.array([value])), outcome)
+        return outcome
+
+
+def toy(time_ms: int, value: float = 0.5, source: str = "toy") -> Toy:
+    return Toy(time_ms * MS, value, source)
+
+
+def test_what_is_older_than_the_lag_is_refused_and_says_by_how_much() -> None:
+    window = LagWindow(LAG_S)
+    window.move_to(5 * SECOND_NS)
+    window.move_to(4 * SECOND_NS)
+    assert window.late(3 * SECOND_NS) is None
+    late = window.late(3 * SECOND_NS - MS)
+    assert late == Refusal(Reason.LATE, "2.001 s behind the newest data: more than lag_s = 2")
+
+
+def test_the_same_again_is_refused_and_of_conflicting_ones_that_whose_bytes_sort_first_is_kept() -> None:
+    first, second = toy(10, 0.5), toy(10, 0.25)
+    states = []
+    for order in ((first, second), (second, first), (first, first, second), (second, first, second)):
+        estimator = Estimator()
+        reasons = [outcome.refusal and outcome.refusal.reason for outcome in map(estimator.add, order)]
+        assert reasons[0] is None
+        expected = [Reason.DUPLICATE if same == order[0] else Reason.CONFLICT for same in order[1:]]
+        assert reasons[1:2] == expected[:1]
+        states.append(estimator.shell.state)
+    assert len(set(states)) == 1
+    kept = min(first, second, key=Toy.content)
+    alone = Estimator()
+    alone.add(kept)
+    assert states[0] == alone.shell.state
+
+
+def test_a_late_measurement_takes_its_place_and_what_follows_is_decided_anew() -> None:
+    in_order, late = Estimator(), Estimator()
+    for time_ms in (10, 20, 30):
+        in_order.add(toy(time_ms, 0.01 * time_ms))
+    for time_ms in (20, 30, 10):
+        outcome = late.add(toy(time_ms, 0.01 * time_ms))
+    assert late.shell.state == in_order.shell.state
+    # Only the new decision is told: the others did not turn out otherwise. The model hears of all.
+    assert [decision.measurement.time_ns for decision in outcome.decisions] == [10 * MS]
+    assert [decision.measurement.time_ns // MS for decision in late.decided] == [20, 30, 10, 20, 30]
+
+
+def test_a_decision_that_turns_out_otherwise_is_told_as_revised() -> None:
+    gate = {"open": True}
+
+    def step(state: float, measurement: Toy, may_wait: bool) -> tuple[float, Decision[Toy]]:
+        return state, Decision(measurement, Reason.NONE if gate["open"] else Reason.GATE)
+
+    shell: Shell = EstimatorShell(
+        Model(
+            step=step,
+            opened=lambda state, jump: state,
+            failed=lambda toy, refusal: Decision(toy, refusal.reason),
+            until_ns=lambda decision: decision.measurement.time_ns,
+            forget_before=lambda time_ns: None,
+        ),
+        START,
+        LAG_S,
+        0,
+    )
+    shell.add(toy(20), ToyOutcome())
+    gate["open"] = False
+    outcome = ToyOutcome()
+    shell.data_changed(15 * MS)
+    shell.apply(outcome)
+    assert [(decision.revised, decision.accepted) for decision in outcome.decisions] == [(True, False)]
+    outcome = ToyOutcome()
+    shell.data_changed(None)
+    shell.data_changed(20 * MS)
+    shell.apply(outcome)
+    assert outcome.decisions == []
+
+
+def test_a_sample_that_changes_what_was_compared_makes_it_compared_anew() -> None:
+    late, prompt = Estimator(), Estimator()
+    for estimator, order in ((prompt, "stm"), (late, "mst")):
+        for what in order:
+            if what == "m":
+                estimator.add(toy(30))
+            else:
+                estimator.add_sample(10 if what == "s" else 20, 0.3 if what == "s" else 0.4)
+    assert late.shell.state != START
+    assert [decision.measurement.time_ns // MS for decision in prompt.decided] == [30]
+    # A newest sample changes nothing that was covered; one within the track does.
+    late.add_sample(15, 0.9)
+    prompt.add_sample(15, 0.9)
+    late.add_sample(40, 0.9)
+    late.shell.data_changed(0)
+    late.shell.apply(ToyOutcome())
+    assert late.shell.state == prompt.shell.state
+
+
+def test_a_measurement_waits_for_its_data_and_those_after_it_with_it_but_not_beyond_the_lag() -> None:
+    estimator = Estimator()
+    estimator.waits = True
+    estimator.add_sample(0, 0.1)
+    assert estimator.add(toy(10)).decisions == []
+    assert estimator.add(toy(20)).decisions == []
+    told = estimator.add_sample(15, 0.1).decisions
+    assert told == []  # a differenced rate needs one more
+    told = estimator.add_sample(18, 0.1).decisions
+    assert [decision.measurement.time_ns // MS for decision in told] == [10]
+    outcome = estimator.add(toy(2021))
+    assert [decision.measurement.time_ns // MS for decision in outcome.decisions] == [20]
+
+
+def test_a_step_that_raises_is_told_leaves_the_state_and_holds_up_nothing() -> None:
+    estimator, without = Estimator(), Estimator()
+    for time_ms, value in ((10, 0.5), (20, math.nan), (30, 0.25)):
+        outcome = estimator.add(toy(time_ms, value))
+        (decision,) = outcome.decisions
+        assert decision.reason is (Reason.FAILED if time_ms == 20 else Reason.NONE)
+        if not math.isnan(value):
+            without.add(toy(time_ms, value))
+    assert estimator.shell.state == without.shell.state
+    assert "singular" in estimator.decided[1].text
+    assert "test_estimator_shell.py" in estimator.decided[1].text
+
+
+def test_a_jump_counts_for_outputs_at_once_and_for_the_state_at_its_place() -> None:
+    estimator = Estimator()
+    estimator.add(toy(10))
+    before = estimator.shell.state
+    estimator.waits = True
+    estimator.add(toy(20))
+    estimator.shell.add_jump(25 * MS, "ins", 0.5)
+    assert estimator.shell.state == before
+    assert estimator.shell.state_now() == math.cos(before) + 0.5
+    estimator.waits = False
+    outcome = ToyOutcome()
+    estimator.shell.apply(outcome)
+    assert [decision.measurement.time_ns // MS for decision in outcome.decisions] == [20]
+    assert estimator.shell.state == estimator.shell.state_now()
+    in_order = Estimator()
+    in_order.add(toy(10))
+    in_order.add(toy(20))
+    in_order.shell.add_jump(25 * MS, "ins", 0.5)
+    in_order.shell.apply(ToyOutcome())
+    assert in_order.shell.state == estimator.shell.state
+
+
+@repeatable
+@given(data=st.data())
+def test_any_order_of_arrival_ends_in_the_same_state_with_all_that_can_go_wrong_together(data: st.DataObject) -> None:
+    """Refused and failing measurements, duplicates, conflicts, jumps and late samples, shuffled within the lag."""
+    toys = [
+        toy(time_ms, value, source)
+        for time_ms, value, source in data.draw(
+            st.lists(
+                st.tuples(
+                    st.integers(1, 40),
+                    st.sampled_from([0.1, 0.7, -0.2, math.nan]),
+                    st.sampled_from(["star.abeam", "star.fore"]),
+                ),
+                min_size=1,
+                max_size=12,
+            )
+        )
+    ]
+    samples = data.draw(st.dictionaries(st.integers(1, 40), st.floats(0.0, 1.0), max_size=6))
+    jumps = data.draw(st.dictionaries(st.integers(1, 40), st.floats(0.0, 1.0), max_size=2))
+    events = [("toy", one) for one in toys]
+    events += [("sample", one) for one in samples.items()]
+    events += [("jump", one) for one in jumps.items()]
+    states = []
+    for arrivals in (events, data.draw(st.permutations(events)), data.draw(st.permutations(events))):
+        estimator = Estimator()
+        for kind, what in arrivals:
+            if kind == "toy":
+                estimator.add(what)
+            elif kind == "sample":
+                estimator.add_sample(*what)
+            else:
+                estimator.shell.add_jump(what[0] * MS, "ins", what[1])
+        # A newest sample does not reopen what the toy model, unlike a real one, did not wait for.
+        estimator.shell.data_changed(0)
+        estimator.shell.apply(ToyOutcome())
+        states.append(estimator.shell.state)
+    assert states[0] == states[1] == states[2]
+
+
+def test_outputs_that_claim_something_strictly_increase_and_one_that_fails_is_told() -> None:
+    estimator, outcome = Estimator(), ToyOutcome()
+    for time_ms in (10, 10, 5, 20):
+        estimator.shell.put_out(outcome, time_ms * MS, 0, lambda time_ms=time_ms: float(time_ms))
+    assert outcome.estimates == [10.0, 20.0]
+
+    def fails() -> float:
+        raise ArithmeticError("no root")
+
+    estimator.shell.put_out(outcome, 30 * MS, 0, fails)
+    estimator.shell.put_out(outcome, 31 * MS, 0, lambda: None)
+    estimator.shell.put_out(outcome, 30 * MS, 0, lambda: 30.0)
+    assert outcome.estimates == [10.0, 20.0, 30.0]
+    ((time_ns, refusal),) = outcome.failures
+    assert (time_ns, refusal.reason) == (30 * MS, Reason.FAILED)
+
+
+@pytest.mark.parametrize("patience_s", [0.05, 1.0, 3.0])
+def test_invalid_is_said_once_a_second_after_the_patience_whatever_the_stamps_say(patience_s: float) -> None:
+    estimator = Estimator()
+    patience_ns = round(patience_s * SECOND_NS)
+    outcome = ToyOutcome()
+    estimator.shell.put_out(outcome, 10**18, 0, lambda: 1.0, patience_ns)
+    said = []
+    for waiting_ns in range(0, 8 * SECOND_NS, 100 * MS):
+        outcome = ToyOutcome()
+        estimator.shell.say_invalid(outcome, waiting_ns, lambda: math.nan)
+        if outcome.estimates:
+            said.append(waiting_ns)
+    first_ns = max(patience_ns, SECOND_NS) + 100 * MS
+    assert said == list(range(first_ns, 8 * SECOND_NS, SECOND_NS))
+
+
+def test_a_clock_that_jumps_back_lets_earlier_outputs_follow_and_a_reset_alone_does_not() -> None:
+    estimator, outcome = Estimator(), ToyOutcome()
+    estimator.add(toy(10))
+    estimator.shell.put_out(outcome, 10 * MS, 0, lambda: 1.0)
+    estimator.shell.reset(START)
+    assert estimator.shell.state == START
+    assert not estimator.shell.order.follows(5 * MS)
+    estimator.shell.reset(START, clock_jumped=True)
+    assert estimator.shell.order.follows(5 * MS)
+    assert estimator.add(toy(10)).refusal is None
+
+
+def test_before_the_first_output_invalid_is_due_at_once() -> None:
+    order = OutputOrder()
+    assert order.invalid_due(0)
+    assert not order.invalid_due(SECOND_NS - 1)
+    assert order.invalid_due(SECOND_NS)
+
+
+def test_the_window_closes_behind_the_lag_and_the_reach() -> None:
+    estimator = Estimator()
+    for time_ms in range(0, 8000, 100):
+        estimator.add_sample(time_ms, 0.1)
+    # 8 samples, and those of the last second, always stay.
+    assert len(estimator.track) <= 35
+    late = estimator.add(toy(5000))
+    assert late.refusal is not None
+    assert late.refusal.reason is Reason.LATE
