@@ -12,13 +12,10 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from ship_bags.errors import one_line
 from ship_geometry.input_error import InputError
-
-if TYPE_CHECKING:
-    from ship_bags.mcap.bag_reader import Bag, BagRecord
 
 EXIT_DONE = 0
 EXIT_BOUND_NOT_MET = 1
@@ -75,13 +72,6 @@ def run_command(
             reason, code = "interrupted", EXIT_INTERRUPTED
         sys.stderr.write(f"{parser.prog}: {one_line(reason)}\n")
     return code
-
-
-def watched(records: "Iterator[BagRecord]", bag: "Bag") -> "Iterator[BagRecord]":
-    """The records themselves, with a bar on stderr that shows how far into the bag they are."""
-    if bag.start_ns is None or bag.end_ns is None:
-        return records
-    return with_bar(records, bag.path.name, bag.start_ns, bag.end_ns, lambda record: record.log_time_ns)
 
 
 def with_bar(

@@ -64,6 +64,23 @@ def serialize(message: Any) -> bytes:
     return bytes(message_store().serialize_cdr(message, message.__msgtype__, little_endian=True))
 
 
+def use_installed_definition(type_name: str) -> None:
+    """Make the store know a type that only this ROS installation has, and all that it refers to.
+
+    The definitions are the .msg files that the type's package installed.
+
+    Raises:
+        BadInput: a definition is not installed or cannot be parsed.
+    """
+    store = message_store()
+    if type_name in store.fielddefs:
+        return
+    found = get_types_from_msg(_definition_text(type_name), type_name)
+    for name in _referred(found[type_name][1]):
+        use_installed_definition(name)
+    store.register(found)
+
+
 def store_with_definitions(definitions: Mapping[str, str], bag_name: str) -> tuple[Typestore, dict[str, list[str]]]:
     """Types for reading one bag, and how its definitions differ from ours.
 
@@ -166,6 +183,24 @@ class RosbagsFactory:
 
 def _integer_from_byte(value: int | bytes) -> int:
     return value[0] if isinstance(value, bytes) else int(value)
+
+
+def _referred(fields: object) -> set[str]:
+    """Names of the message types in a parsed definition: the strings package/msg/Name in its description."""
+    if isinstance(fields, str):
+        return {fields} if fields.count("/") == 2 else set()
+    if isinstance(fields, tuple | list):
+        return {name for part in fields for name in _referred(part)}
+    return set()
+
+
+def _definition_text(type_name: str) -> str:
+    package, _, name = type_name.split("/")
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
+        if prefix and path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise BadInput(f"the definition of {type_name} is not installed (share/{package}/msg/{name}.msg)")
 
 
 def _parse(text: str, type_name: str, source: str) -> Any:

@@ -13,12 +13,12 @@ import pytest
 from mcap.writer import Writer
 from rosbags.typesys import get_types_from_msg
 
-from ship_bags.live.message_class import message_class
 from ship_bags.live.play import CLOCK_PERIOD_NS, with_ticks
-from ship_bags.live.record_topics import is_activity
-from ship_bags.live.security import dds_has_security, loaded_libraries
+from ship_bags.live.recorded_graph import is_activity
+from ship_bags.live.ros_process import dds_has_security, loaded_libraries
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.message_factory import message_class
 from ship_bags.message_store import RosbagsFactory, message_store
 from ship_replay.trials.live_graph import GraphObserver
 from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment

@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser
-from ship_bags.live.dds_profile import use_quick_repeats
 from ship_bags.live.play import Player, PlayOptions
-from ship_bags.live.play_controls import add_services, keyboard, served
-from ship_bags.live.playback_clock import PlaybackClock
-from ship_bags.live.ros_command import command_node, on_end_signals, positive, run_ros_command
+from ship_bags.live.playback_clock import PlaybackClock, add_services, keyboard, served
+from ship_bags.live.ros_process import command_node, on_end_signals, positive, run_ros_command, use_quick_repeats
 
 _DESCRIPTION = """\
 Publishes the messages of a bag live, byte for byte, at the times of its log, and that time every 10 ms on /clock.

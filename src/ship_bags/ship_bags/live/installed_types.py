@@ -1,42 +1,72 @@
-"""Definitions of message types that only this ROS installation knows, taken into the message store."""
+"""Message types of this ROS installation: their classes, and their definitions for the bags that live nodes write."""
 
-import os
+import json
+import re
 from pathlib import Path
+from typing import Any
 
-from rosbags.typesys import get_types_from_msg
+from ament_index_python.packages import get_package_share_directory
 
 from ship_bags.errors import BadInput
-from ship_bags.message_store import message_store
+from ship_bags.mcap.bag_writer import TypeDefinition
+from ship_bags.message_factory import message_class
+
+_SEPARATOR = "=" * 80
+_NESTED = re.compile(r"(\w+)/(\w+)")
 
 
-def use_installed_definition(type_name: str) -> None:
-    """Make the store know a type and all that it refers to, from the .msg files installed beside it.
+def installed_class(type_name: str) -> Any:
+    """The class of a message type such as ``sensor_msgs/msg/Imu``.
 
     Raises:
-        BadInput: a definition is not installed or cannot be parsed.
+        BadInput: the name is not one of a message type, or the type is not installed.
     """
-    store = message_store()
-    if type_name in store.fielddefs:
-        return
-    found = get_types_from_msg(_definition_text(type_name), type_name)
-    for name in _referred(found[type_name][1]):
-        use_installed_definition(name)
-    store.register(found)
+    parts = type_name.split("/")
+    if len(parts) != 3 or parts[1] != "msg":
+        raise BadInput(f"'{type_name}' is not the name of a message type (expected package/msg/Name)")
+    try:
+        return message_class(type_name)
+    except ImportError as problem:
+        raise BadInput(f"message type {type_name} is not installed") from problem
 
 
-def _referred(fields: object) -> set[str]:
-    """Names of the message types in a parsed definition: the strings package/msg/Name in its description."""
-    if isinstance(fields, str):
-        return {fields} if fields.count("/") == 2 else set()
-    if isinstance(fields, tuple | list):
-        return {name for part in fields for name in _referred(part)}
-    return set()
+def installed_definition(type_name: str) -> TypeDefinition:
+    """The definition of a message type with all that it refers to, as rosbag2 embeds it.
+
+    Raises:
+        LookupError: the type's package is not installed.
+        OSError: its files are not.
+    """
+    own, *others = _with_all_nested(type_name)
+    parts = [_text(own)]
+    for name in others:
+        package, _, kind = name.split("/")
+        parts.append(f"{_SEPARATOR}\nMSG: {package}/{kind}\n{_text(name)}")
+    return TypeDefinition("\n".join(parts), type_hash(type_name))
 
 
-def _definition_text(type_name: str) -> str:
-    package, _, name = type_name.split("/")
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
-        if prefix and path.is_file():
-            return path.read_text(encoding="utf-8")
-    raise BadInput(f"the definition of {type_name} is not installed (share/{package}/msg/{name}.msg)")
+def type_hash(type_name: str) -> str:
+    """Hash of a type (RIHS01)."""
+    description = json.loads(_file(type_name, "json").read_text(encoding="utf-8"))
+    hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
+    return str(hashes[type_name])
+
+
+def _with_all_nested(type_name: str) -> list[str]:
+    """The type and the types of its fields, of their fields and so on, each once."""
+    names = [type_name]
+    for name in names:
+        for field_type in message_class(name).get_fields_and_field_types().values():
+            nested = _NESTED.search(field_type)
+            if nested is not None and (full := f"{nested[1]}/msg/{nested[2]}") not in names:
+                names.append(full)
+    return names
+
+
+def _text(type_name: str) -> str:
+    return _file(type_name, "msg").read_text(encoding="utf-8")
+
+
+def _file(type_name: str, suffix: str) -> Path:
+    package, _, kind = type_name.split("/")
+    return Path(get_package_share_directory(package)) / "msg" / f"{kind}.{suffix}"

@@ -11,11 +11,10 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
-from ship_bags.command_line import watched
 from ship_bags.errors import BadInput
-from ship_bags.live.message_class import message_class
+from ship_bags.live.installed_types import installed_class
 from ship_bags.live.playback_clock import PlaybackClock
-from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
 from ship_bags.stamps import NS_PER_S
 
 CLOCK_PERIOD_NS = 10_000_000
@@ -186,7 +185,7 @@ class Player:
             if topic not in self._options.topics and (self._options.topics or topic in _OWN_TOPICS):
                 continue
             try:
-                kind = message_class(type_name)
+                kind = installed_class(type_name)
             except BadInput as problem:
                 self._say(f"topic '{topic}' is not played: {problem}")
                 continue

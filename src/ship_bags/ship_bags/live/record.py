@@ -10,13 +10,11 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ship_bags.errors import BadInput
-from ship_bags.live.clock_watch import ClockWatch
-from ship_bags.live.installed_types import use_installed_definition
-from ship_bags.live.message_class import message_class
-from ship_bags.live.record_parameters import HeardParameters
-from ship_bags.live.record_topics import DEPTH, REPORTS, adapted_qos, is_activity, offers, qos_texts
+from ship_bags.live.installed_types import installed_class
+from ship_bags.live.recorded_graph import DEPTH, REPORTS, HeardParameters, adapted_qos, is_activity, offers, qos_texts
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.mcap.folder import FolderWriter
+from ship_bags.message_store import use_installed_definition
 from ship_bags.stamps import NS_PER_S, utc_text
 
 _DISCOVERY_PERIOD_S = 0.1
@@ -27,6 +25,10 @@ _HEAR_OUT_S = 1.0
 _FLUSH_SHARE = 0.7
 # Messages held for a /clock that does not come; of more, the newest.
 _MOST_BEFORE_CLOCK = 50_000
+# A clock that is slewed (500 ppm at most) changes by less between two looks; a step below it disturbs no filter.
+STEP_NS = 50_000_000
+# Longer between the readings of the two clocks, and the comparison says nothing.
+_LONGEST_READING_NS = 5_000_000
 
 
 @dataclass(frozen=True)
@@ -162,7 +164,7 @@ class Recorder:
     def _subscribe(self, topic: str, type_name: str, qos: QoSProfile, qos_profiles: str) -> None:
         latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         try:
-            kind = message_class(type_name)
+            kind = installed_class(type_name)
             use_installed_definition(type_name)
         except BadInput as problem:
             self._say(f"topic '{topic}' is not recorded: {problem}")
@@ -234,3 +236,28 @@ class Recorder:
 
     def _say(self, line: str) -> None:
         self._node.get_logger().warning(line)
+
+
+class ClockWatch:
+    """Tells steps of the system clock from its running, by the steady clock, which never steps.
+
+    A clock steps when it is set by hand, by NTP after a long outage, or back with a bag.
+    """
+
+    def __init__(self) -> None:
+        self._offset_ns: int | None = None
+
+    def look(self, steady_before_ns: int, clock_ns: int, steady_after_ns: int) -> int | None:
+        """Step of the clock since the last look, in nanoseconds; None where there was none.
+
+        Args:
+            steady_before_ns: steady clock read before the clock, ...
+            clock_ns: the clock, ...
+            steady_after_ns: ... and after it: a process that was put to sleep in between has not seen a step.
+        """
+        if steady_after_ns - steady_before_ns > _LONGEST_READING_NS:
+            return None
+        offset_ns = clock_ns - steady_before_ns
+        step_ns = 0 if self._offset_ns is None else offset_ns - self._offset_ns
+        self._offset_ns = offset_ns
+        return step_ns if abs(step_ns) > STEP_NS else None

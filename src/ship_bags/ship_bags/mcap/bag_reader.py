@@ -15,6 +15,7 @@ from typing import Any
 from mcap.records import Message
 from rosbags.typesys.store import Typestore
 
+from ship_bags.command_line import with_bar
 from ship_bags.errors import BadInput, one_line
 from ship_bags.mcap.bag_file import McapFile, open_mcap
 from ship_bags.mcap.folder import INFORMATION_FILE, file_names
@@ -242,6 +243,13 @@ def read_bag(path: Path | str) -> Bag:
         for file in files:
             file.data.stream.close()
         raise
+
+
+def watched(records: Iterator[BagRecord], bag: Bag) -> Iterator[BagRecord]:
+    """The records themselves, with a bar on stderr that shows how far into the bag they are."""
+    if bag.start_ns is None or bag.end_ns is None:
+        return records
+    return with_bar(records, bag.path.name, bag.start_ns, bag.end_ns, lambda record: record.log_time_ns)
 
 
 def _parts(path: Path) -> list[Path]:

@@ -16,7 +16,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from ship_bags.errors import BadInput
-from ship_bags.live.installed_definitions import installed_definition, type_hash
+from ship_bags.live.installed_types import installed_definition, type_hash
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
 from ship_node.black_box.black_box_format import (

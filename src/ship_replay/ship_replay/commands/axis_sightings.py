@@ -5,8 +5,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ship_bags.command_line import EXIT_DONE, CommandParser, run_command, watched
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import watched
 from ship_bags.output_files import add_force, check_file
 from ship_replay.calibration.axis_sightings import axis_sightings
 

@@ -8,8 +8,9 @@ from pathlib import Path
 from rich.console import Console
 
 from ship_attitude_star.ros import alignment_file
-from ship_bags.command_line import EXIT_DONE, CommandParser, run_command, watched
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import watched
 from ship_bags.output_files import add_force, check_file, check_folder, write_whole
 from ship_replay.calibration.result import Calibration, calibration_of
 from ship_replay.calibration.session import run_session

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
-from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command, watched
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_reader import read_bag, watched
 from ship_bags.output_files import add_force, check_file, check_folder, write_whole
 from ship_replay.offline.black_box_identity import is_black_box
 from ship_replay.offline.black_box_replay import replay_black_box

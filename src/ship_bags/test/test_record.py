@@ -15,8 +15,7 @@ from rosbags.rosbag2 import Reader
 
 from ship_bags.commands.record import main
 from ship_bags.errors import BadInput
-from ship_bags.live.clock_watch import STEP_NS, ClockWatch
-from ship_bags.live.record import Recorder, RecordOptions
+from ship_bags.live.record import STEP_NS, ClockWatch, Recorder, RecordOptions
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_bags.live.security import ENABLE, STRATEGY, dds_has_security, is_demanded, loaded_libraries, spelled_demand
+from ship_bags.live.ros_process import ENABLE, STRATEGY, dds_has_security, is_demanded, loaded_libraries, spelled_demand
 from ship_testing.places import RELAY_PROGRAM
 
 RELAY = [sys.executable, RELAY_PROGRAM]

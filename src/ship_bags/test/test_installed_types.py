@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_bags.live.installed_definitions import installed_definition
+from ship_bags.live.installed_types import installed_definition
 from ship_bags.message_store import message_store, ship_message_folder, store_with_definitions, type_hash
 
 TYPES = [f"ship_msgs/msg/{path.stem}" for path in sorted(ship_message_folder().glob("*.msg"))]

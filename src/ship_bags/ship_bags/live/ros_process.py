@@ -1,0 +1,169 @@
+"""How a process that is a ROS node begins: arguments, DDS profile, DDS security, node, signals.
+
+DDS security fails closed: a process that is told to use it must not run without it. ROS takes ``ROS_SECURITY_ENABLE``
+for set where it is exactly ``true``, and runs unprotected, without a word, where it is ``TRUE`` or ``1``; with the
+strategy ``Permissive`` also where DDS was built without security.
+"""
+
+import argparse
+import contextlib
+import math
+import mmap
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from ship_bags.command_line import CommandParser, run_command
+from ship_bags.errors import BadInput
+
+ENABLE, STRATEGY = "ROS_SECURITY_ENABLE", "ROS_SECURITY_STRATEGY"
+
+_NOT_DEMANDED = ("", "0", "false", "no", "off")
+_LIBRARY = "libfastrtps."
+_WITH, _WITHOUT = b"process_data_message_with_security", b"process_data_message_without_security"
+"""Parts of names that the library exports: the second always, the first where it was built with security."""
+
+_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+
+
+def run_ros_command(
+    parser: CommandParser,
+    command: Callable[[argparse.Namespace, list[str]], int],
+    arguments: Sequence[str] | None,
+) -> int:
+    """Exit code of a command that takes arguments for ROS, too.
+
+    Args:
+        parser: parser of the command's own arguments.
+        command: does the work with those, parsed, and with the arguments for ROS.
+        arguments: the command line without the program's name; None takes the process's own.
+    """
+    own, ros = split_ros_arguments(sys.argv[1:] if arguments is None else arguments)
+    return run_command(parser, lambda parsed: command(parsed, ros), own)
+
+
+def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The command's own arguments, and those between ``--ros-args`` and ``--`` (or the end), as rclpy.init takes them.
+
+    rclpy's own function would also take away whatever looks like a remap rule, as ``--remap OLD:=NEW`` of `play`.
+    """
+    own: list[str] = []
+    ros: list[str] = []
+    taken = own
+    for argument in arguments:
+        if argument == "--ros-args":
+            taken = ros
+        if argument == "--" and taken is ros:
+            taken = own
+            continue
+        taken.append(argument)
+    return own, ros
+
+
+@contextlib.contextmanager
+def command_node(name: str, ros_arguments: list[str], use_sim_time: bool = False) -> Iterator[Node]:
+    """The node of a command; ROS leaves the signals alone and ends with it.
+
+    Raises:
+        BadInput: DDS security is demanded and not there.
+    """
+    require_demanded_security()
+    rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        overrides = [Parameter("use_sim_time", value=True)] if use_sim_time else []
+        yield rclpy.create_node(name, parameter_overrides=overrides)
+    finally:
+        rclpy.try_shutdown()
+
+
+def on_end_signals(stop: Callable[[], None]) -> None:
+    """Call `stop` on Ctrl-C and SIGTERM."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop())
+
+
+def positive(text: str) -> float:
+    """A positive number, as an argument's type."""
+    value = float(text)
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    return value
+
+
+def use_quick_repeats() -> None:
+    """Let reliable publishers of this process, and of those that it starts, repeat quickly what was lost on the way.
+
+    It sets the Fast DDS profile, before ROS starts; a profile that is set already rules.
+    """
+    if _PROFILE_VARIABLE not in os.environ:
+        os.environ[_PROFILE_VARIABLE] = str(Path(__file__).with_name("play_profile.xml"))
+        os.environ["RMW_FASTRTPS_USE_QOS_FROM_XML"] = "1"
+
+
+def require_demanded_security() -> None:
+    """Refuse to start where the environment demands DDS security and this installation cannot give it.
+
+    Where it can, the process's environment gets the demand in the spelling that ROS understands.
+
+    Raises:
+        BadInput: see :func:`spelled_demand`.
+    """
+    if is_demanded(os.environ):
+        os.environ.update(spelled_demand(os.environ, dds_has_security(loaded_libraries())))
+
+
+def is_demanded(environment: Mapping[str, str]) -> bool:
+    """Whether an environment asks for DDS security: anything that is not clearly a no."""
+    return environment.get(ENABLE, "").strip().lower() not in _NOT_DEMANDED
+
+
+def spelled_demand(environment: Mapping[str, str], has_security: bool | None) -> dict[str, str]:
+    """A demand for DDS security as ROS understands it.
+
+    Args:
+        environment: makes the demand.
+        has_security: whether DDS was built with security; None where that cannot be told.
+
+    Raises:
+        BadInput: it was not; or it cannot be told, and the middleware would not refuse by itself.
+    """
+    demand, enforced = environment[ENABLE], environment.get(STRATEGY, "").strip().lower() == "enforce"
+    if has_security is False:
+        raise BadInput(
+            f"{ENABLE}={demand} demands DDS security, and the DDS of this installation was built without it: "
+            "not started, as it would run unprotected"
+        )
+    if has_security is None and not enforced:
+        raise BadInput(
+            f"{ENABLE}={demand} demands DDS security, and whether this DDS has it cannot be told: "
+            f"set {STRATEGY}=Enforce, with which the middleware itself refuses"
+        )
+    return {ENABLE: "true"} | ({STRATEGY: "Enforce"} if enforced else {})
+
+
+def dds_has_security(libraries: Iterable[Path]) -> bool | None:
+    """Whether the Fast DDS among some libraries was built with security; None where that cannot be told."""
+    for path in libraries:
+        if not path.name.startswith(_LIBRARY):
+            continue
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            if content.find(_WITH) >= 0:
+                return True
+            if content.find(_WITHOUT) >= 0:
+                return False
+    return None
+
+
+def loaded_libraries() -> list[Path]:
+    """Where this process has its Fast DDS from, if it has one."""
+    get_rmw_implementation_identifier()  # which loads it
+    lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="surrogateescape").splitlines()
+    return sorted({Path(line[line.index("/") :]) for line in lines if f"/{_LIBRARY}" in line})
