@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from ship_estimation.jump_guard import JUMP_SAMPLES
 from ship_estimation.parameters import arcsec, degrees, parameter
+from ship_estimation.value_guards import JUMP_SAMPLES
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,70 +1,51 @@
-"""The guard of an INS's samples: frozen, contradicted by its own rates, or with rates that are none.
+"""The guard of an INS's samples. It tells a frozen INS, an attitude that jumps, and rates that are none.
 
-It watches the samples in the order of their stamps. Its verdict on the rates decides what they are used for: rates that
-are not measured are left out of the samples, and what was taken with them before is named, so that it can be mended.
+The guard watches the samples in the order of their stamps. Each attitude is compared with the place where those before
+lead: by the rates where these are proven, otherwise by the motion before, otherwise by what a hull can turn in the
+time. Rates that are not measured are left out of the samples; what was taken with them before is named, so that it can
+be mended.
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-
-from ship_estimation.ins_continuation import InsContinuation, Known, Way, moved_back
-from ship_estimation.jump_guard import JumpGuard, JumpVerdict, within
-from ship_estimation.rate_guard import RateGuard, Rates
+from ship_estimation.ins_config import GuardedInsConfig
+from ship_estimation.ins_jump import InsJump
+from ship_estimation.rate_guard import Integrated, RateGuard, Rates, missed_by_mean_rad
 from ship_estimation.refusals import Reason, Refusal
-from ship_estimation.stuck_guard import StuckGuard, Witness
-from ship_geometry.attitude_track import AttitudeSample
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_estimation.value_guards import (
+    Continuation,
+    JumpGuard,
+    JumpVerdict,
+    Match,
+    Step,
+    StuckGuard,
+    size,
+    step_by_motion,
+)
+from ship_estimation.witnesses import Witness
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 
 _DRIFT_RAD_PER_S = 60.0 * ARCSEC
 """Integrated rates run away from the attitude by the Earth's turn and their bias."""
 _STUCK = Refusal(Reason.STUCK, "orientation stands still while other sources move")
-_BOUND_SIGMAS = 3.0
-"""A bound on how far a sample may be from where the ones before lead is that many sigmas, at least."""
-
-
-@dataclass(frozen=True)
-class InsJump:
-    """An attitude of the INS that has jumped for good.
-
-    Attributes:
-        time_ns: just before the first sample after it.
-        jump_n: the jump, rotation vector in the horizon frame, rad, shape (3,).
-        sigma_rad: how far it may be off itself, about each axis.
-        source: ``ins``; with what follows, what every measurement in the log of a filter has.
-        covariance_known: of a jump it is.
-    """
-
-    time_ns: int
-    jump_n: FloatArray
-    sigma_rad: float
-    source: str = "ins"
-    covariance_known: bool = True
-
-    @property
-    def covariance_n(self) -> FloatArray:
-        """Covariance of what the INS's slow error may have become by it, rad², shape (3, 3).
-
-        Along the jump; about every axis what is not known of it and, as two large turns do not commute, its square.
-        """
-        across_rad = math.hypot(self.sigma_rad, 0.5 * float(self.jump_n @ self.jump_n))
-        covariance_n: FloatArray = np.outer(self.jump_n, self.jump_n) + across_rad**2 * np.eye(3)
-        return covariance_n
-
-    def content(self) -> bytes:
-        """All values as bytes."""
-        return self.jump_n.tobytes()
+_LARGEST_ACCELERATION = math.radians(60.0)
+"""Of a hull, rad/s²: a small craft that rolls by 30 degrees in five seconds comes to 47 degrees per second squared."""
+_FASTEST_RAD_PER_S = math.radians(60.0)
+"""Nothing that floats turns faster: a bound where nothing leads from one attitude to another."""
+_LONGEST_STEP_S = 1.0
 
 
 class JudgedIns(NamedTuple):
     """What is to be done with a sample.
 
     Attributes:
-        sample: as it may be used: without rates where these are not measured.
-        refusal: why it is not used; None where it is.
-        jump: where its attitude has jumped and is believed.
+        sample: the sample as it may be used: without its rate where the rates are not measured.
+        refusal: why the sample is not used; None where it is.
+        jump: the jump of the attitude that is believed with this sample; None where there is none.
         rates_wrong_after_ns: stamp after which the rates of samples taken before are no rates; None where nothing new
             is known of them.
     """
@@ -75,147 +56,260 @@ class JudgedIns(NamedTuple):
     rates_wrong_after_ns: int | None = None
 
 
+class _Seen(NamedTuple):
+    """A sample as the guard has seen it.
+
+    Attributes:
+        sample: the sample itself.
+        number: its number among all samples.
+        before: the sample that tells how the deck moves at this one; None where there is none.
+        integrated: attitude by the rates alone at its stamp; None where it has no rate.
+    """
+
+    sample: AttitudeSample
+    number: int
+    before: AttitudeSample | None
+    integrated: Integrated | None
+
+
 class InsGuard:
     """Judges the samples of one INS.
 
     Args:
-        sigma_rad: noise of an attitude about its worst axis; an arcsecond where it is less.
-        jump_samples: so many refused ones that agree among themselves, and the next is believed.
+        config: noise of the INS, and after how many refused samples a jump is believed.
+
+    >>> guard, used = InsGuard(GuardedInsConfig()), AttitudeTrack(max_gap_ns=500_000_000)
+    >>> for ms, heading_deg in ((0, 10.0), (10, 10.01), (20, 10.02), (30, 55.0)):
+    ...     attitude = exp_rotation([0.0, math.radians(heading_deg), 0.0])
+    ...     judged = guard.judge(AttitudeSample(ms * 1_000_000, attitude), used, {})
+    >>> judged.refusal.reason.name
+    'GATE'
     """
 
-    def __init__(self, sigma_rad: float, jump_samples: int) -> None:
-        self._stuck = StuckGuard(sigma_rad)
-        self._rates = RateGuard(sigma_rad)
-        self._leads = InsContinuation(sigma_rad, self._stuck, self._rates)
-        self._jumps = JumpGuard(jump_samples)
-        self._previous: Known | None = None
-        self._taken: Known | None = None
+    def __init__(self, config: GuardedInsConfig) -> None:
+        self._stuck, self._rates, self._jumps = StuckGuard(), RateGuard(), JumpGuard()
+        self._by_rates, self._by_motion = Continuation(0.0), Continuation(0.0)
+        self._previous: _Seen | None = None
+        self._taken: _Seen | None = None
         self._smooth_since_taken = True
-        self._jumped_ns = 0
-        self.reconfigure(sigma_rad, jump_samples)
+        self.reconfigure(config)
 
-    def reconfigure(self, sigma_rad: float, jump_samples: int) -> None:
-        """Go on with another noise."""
-        self._sigma_rad = max(sigma_rad, ARCSEC)
-        self._stuck.sigma_rad = self._sigma_rad
-        self._leads.reconfigure(self._sigma_rad)
-        self._jumps.samples = jump_samples
-
-    @property
-    def sigma_rad(self) -> float:
-        """Noise of an attitude about its worst axis, rounding included."""
-        return math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
+    def reconfigure(self, config: GuardedInsConfig) -> None:
+        """Go on with another noise, an arcsecond at least."""
+        self._sigma_rad = max(config.white_sigma_arcsec * ARCSEC, ARCSEC)
+        self._by_rates.sigma_rad = self._by_motion.sigma_rad = self._sigma_rad
+        self._jumps.samples = config.jump_samples
 
     @property
     def rates(self) -> Rates:
         """What the rates are worth."""
         return self._rates.rates
 
-    def witness(self) -> Witness | None:
-        """How the ship moves by the rates alone."""
-        if self._previous is None or self._previous.integrated is None or not self._rates.usable:
-            return None
-        return Witness(self._previous.sample.time_ns, self._previous.integrated, 0.0, _DRIFT_RAD_PER_S)
+    def witnesses(self, before: AttitudeSample | None, time_ns: int) -> dict[str, Witness]:
+        """What the INS says of the ship's motion up to a moment, for the guards of other sources.
 
-    def watched(self, time_ns: int) -> bool:
-        """Whether a sample of this stamp or a later one was judged already."""
-        return self._previous is not None and time_ns <= self._previous.sample.time_ns
+        Args:
+            before: the last sample used before that moment; None where there is none.
+            time_ns: the moment.
+        """
+        found, last = {}, self._previous
+        if before is not None:
+            found["ins"] = Witness(before.time_ns, before.rotation_nd, self._noise_rad())
+        if last is not None and last.sample.time_ns <= time_ns and last.integrated is not None and self._rates.usable:
+            found["rate"] = Witness(last.sample.time_ns, last.integrated.rotation, 0.0, _DRIFT_RAD_PER_S)
+        return found
 
-    def check(self, sample: AttitudeSample, witnesses: dict[str, Witness]) -> JudgedIns:
+    def judge(self, sample: AttitudeSample, used: AttitudeTrack, witnesses: Mapping[str, Witness]) -> JudgedIns:
+        """Judge a sample. The guards watch the stream in order; a sample that comes late is judged by its neighbour.
+
+        Args:
+            sample: the sample.
+            used: the samples used so far.
+            witnesses: by name, the attitude as other sources have it at about this time.
+        """
+        previous = self._previous
+        if previous is not None and sample.time_ns <= previous.sample.time_ns:
+            judged = JudgedIns(sample, self._late_refusal(sample, used.last_before(sample.time_ns - 1)))
+        else:
+            judged = self._judge_next(sample, previous, witnesses)
+        if self._rates.usable or sample.rate_d is None:
+            return judged
+        return judged._replace(sample=replace(sample, rate_d=None))
+
+    def _judge_next(
+        self, sample: AttitudeSample, previous: _Seen | None, witnesses: Mapping[str, Witness]
+    ) -> JudgedIns:
         """Judge a sample later than all before."""
-        previous, known = self._previous, self._leads.known(self._previous, sample)
-        self._previous = known
-        if previous is None or known.leg != previous.leg:
-            self._rates.restart()
-        by_rates = self.witness()
-        if by_rates is not None:
-            witnesses = {**witnesses, "rate": by_rates}
-        if self._stuck.observe(sample.time_ns, sample.rotation_nd, witnesses):
+        integrated = self._rates.integrate(sample.time_ns, sample.rate_d)
+        number, before = (0, None) if previous is None else (previous.number + 1, previous.sample)
+        self._previous = seen = _Seen(sample, number, before, integrated)
+        if integrated is not None and self._rates.usable:
+            witnesses = {**witnesses, "rate": Witness(sample.time_ns, integrated.rotation, 0.0, _DRIFT_RAD_PER_S)}
+        if self._stuck.observe(sample.time_ns, sample.rotation_nd, self._sigma_rad, witnesses):
             self._rates.restart()
             self._smooth_since_taken = False
-            return JudgedIns(self.usable(sample), _STUCK)
+            return JudgedIns(sample, _STUCK)
         if self._taken is None or previous is None:
-            self._take(known, None)
-            return JudgedIns(self.usable(sample))
-        return self._compare(self._taken, previous, known)
+            self._take(seen, None)
+            return JudgedIns(sample)
+        return self._compare(self._taken, previous, seen)
 
-    def check_late(self, sample: AttitudeSample, before: AttitudeSample | None) -> JudgedIns:
-        """Judge a sample that comes after later ones, by the one before it in time."""
-        refusal = None
-        if self._stuck.is_frozen(sample.rotation_nd):
-            refusal = _STUCK
-        elif self._rates.rates is Rates.WRONG_UNITS:
-            refusal = self._units_refusal()
-        elif before is not None:
-            way = self._leads.between(before, sample)
-            refusal = None if way.kept else way.refusal()
-        return JudgedIns(self.usable(sample), refusal)
-
-    def usable(self, sample: AttitudeSample) -> AttitudeSample:
-        """A sample without rates where these are not measured."""
-        return sample if self._rates.usable or sample.rate_d is None else replace(sample, rate_d=None)
-
-    def _compare(self, taken: Known, previous: Known, known: Known) -> JudgedIns:
+    def _compare(self, taken: _Seen, previous: _Seen, seen: _Seen) -> JudgedIns:
         """Judge a sample by the last one taken and the one before it."""
-        way = self._leads.way(taken, known)
-        step = way if previous is taken else self._leads.way(previous, known)
-        kept = way.kept if step is way else self._returns(taken, known, way, step)
-        if not kept:
-            smooth = self._smooth_since_taken and self._leads.moved(previous, known).kept
+        match = self._match(taken, seen)
+        step = match if previous is taken else self._match(previous, seen)
+        fits = match.fits
+        if step is not match:
+            # The rates of refused samples between may be as wrong as their attitudes.
+            direct = self._match_by_two_rates(taken.sample, seen.sample)
+            fits = match.fits_again(step) or (direct.led and direct.fits_again(step))
+        if not fits:
+            smooth = self._smooth_since_taken and self._match_by_motion(previous, seen).fits
             self._smooth_since_taken = smooth
             # Rates that lose their trust have had the attitudes refused that they contradict.
-            kept = smooth and not self._leads.rates_trusted
-        judged = self._jumps.judge(kept, step.kept)
-        wrong_after_ns = self._judge_rates(previous, known)
-        if judged is JumpVerdict.REFUSED:
+            fits = smooth and self._rates.rates is not Rates.MEASURED
+        verdict = self._jumps.judge(seen.sample.time_ns, fits, step.fits)
+        wrong_after_ns = self._judge_rates(previous, seen)
+        if verdict is JumpVerdict.REFUSED:
             if self._jumps.refused == 1:
-                self._jumped_ns = known.sample.time_ns
-                self._previous = known.moved_by(moved_back(known.sample, taken))
-            return JudgedIns(self.usable(known.sample), way.refusal(), None, wrong_after_ns)
+                self._previous = seen._replace(before=_moved_back(seen.sample, taken))
+            return JudgedIns(seen.sample, _gate_refusal(match), None, wrong_after_ns)
         jump = None
-        if judged is JumpVerdict.JUMPED:
-            jump = InsJump(self._jumped_ns - 1, way.difference_n, way.bound_rad / _BOUND_SIGMAS)
-        elif step is way:
-            self._leads.learn(taken, known, way)
-        self._take(known, taken if jump is None else None)
+        if verdict is JumpVerdict.JUMPED:
+            jump = InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad)
+        self._take(seen, taken if jump is None else None)
+        if jump is None and step is match:
+            self._learn(taken, seen, match)
         refusal = self._units_refusal() if self._rates.rates is Rates.WRONG_UNITS else None
-        return JudgedIns(self.usable(known.sample), refusal, jump, wrong_after_ns)
+        return JudgedIns(seen.sample, refusal, jump, wrong_after_ns)
 
-    def _returns(self, taken: Known, known: Known, way: Way, step: Way) -> bool:
-        """Whether a sample after refused ones is where the last one taken leads.
-
-        With the time the bound widens. One that agrees with the refused one before it must not profit by that.
-        """
-        limit_rad = step.bound_rad if step.kept else math.inf
-        # The rates of refused samples between may be as wrong as their attitudes.
-        direct = self._leads.between(taken.sample, known.sample)
-        ways = [way, direct] if direct.led else [way]
-        return any(within(one.difference_n, min(one.bound_rad, limit_rad)) for one in ways)
-
-    def _judge_rates(self, previous: Known, known: Known) -> int | None:
-        """Let the rates be judged where the attitude can be true; the stamp after which they are wrong."""
-        if known.leg != previous.leg or known.integrated is None or self._stuck.stands:
+    def _late_refusal(self, sample: AttitudeSample, before: AttitudeSample | None) -> Refusal | None:
+        """Why a sample that comes after later ones is not used, by the one used before it in time."""
+        if self._stuck.is_frozen(sample.rotation_nd):
+            return _STUCK
+        if self._rates.rates is Rates.WRONG_UNITS:
+            return self._units_refusal()
+        if before is None:
             return None
-        if not self._leads.within_reach(previous.sample, known.sample):
+        match = self._match_by_two_rates(before, sample)
+        return None if match.fits else _gate_refusal(match)
+
+    def _judge_rates(self, previous: _Seen, seen: _Seen) -> int | None:
+        """Let the rates be judged where the attitude can be true; returns the stamp after which they are wrong."""
+        sample, integrated, noise_rad = seen.sample, seen.integrated, self._noise_rad()
+        if integrated is None or not _one_run(previous.integrated, integrated) or self._stuck.repeated:
+            return None
+        reach_rad = _FASTEST_RAD_PER_S * _seconds(previous.sample, sample)
+        # 0.75 of the chord between two matrices is more than the turn: good samples need no logarithm.
+        chord = size((sample.rotation_nd - previous.sample.rotation_nd).ravel())
+        if not (0.75 * chord <= reach_rad <= 1.0 or self._match_by_time(previous.sample, sample).fits):
             self._rates.restart()
             return None
-        usable = self._rates.usable
-        self._rates.sigma_rad, self._rates.step_sigma_rad = self.sigma_rad, self._leads.rate_noise_rad
-        self._rates.observe(known.sample.time_ns, known.sample.rotation_nd, known.integrated)
-        if not usable or self._rates.usable:
-            return None
-        self._leads.forget_rates()
-        return -1 if self._rates.right_until_ns is None else self._rates.right_until_ns
+        # The noise of a rate, as it adds to an attitude integrated from sample to sample, each axis.
+        rate_noise_rad = self._by_rates.typical_rad / math.sqrt(6.0)
+        turned = sample.rotation_nd, integrated.rotation
+        wrong_after_ns = self._rates.observe(sample.time_ns, *turned, noise_rad, rate_noise_rad)
+        if wrong_after_ns is not None:
+            self._by_rates.forget()
+        return wrong_after_ns
 
-    def _take(self, known: Known, before: Known | None) -> None:
-        self._taken = known.moved_by(None if before is None else before.sample)
-        if self._previous is known:
+    def _take(self, seen: _Seen, before: _Seen | None) -> None:
+        self._taken = seen._replace(before=None if before is None else before.sample)
+        if self._previous is seen:
             self._previous = self._taken
         self._smooth_since_taken = True
 
+    def _learn(self, taken: _Seen, seen: _Seen, match: Match) -> None:
+        """Learn how far good samples are from the place where those before lead."""
+        one_run = _one_run(taken.integrated, seen.integrated)
+        if self._rates.rates is Rates.MEASURED:
+            if one_run:
+                self._by_rates.learn(match.difference)
+            return
+        if match.led:
+            self._by_motion.learn(match.difference)
+        if self._rates.usable and one_run:
+            self._by_rates.learn(self._match_by_rates(taken, seen).difference)
+
+    def _noise_rad(self) -> float:
+        """Noise of an attitude about its worst axis, rounding included."""
+        return math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
+
     def _units_refusal(self) -> Refusal:
-        text = (
-            f"angular velocity turns {self._rates.slope:.3g} times as fast as the orientation: "
-            "degrees for radians? ins/imu must be in rad/s"
-        )
-        return Refusal(Reason.UNITS, text)
+        text = f"angular velocity turns {self._rates.slope:.3g} times as fast as the orientation: degrees for radians?"
+        return Refusal(Reason.UNITS, f"{text} ins/imu must be in rad/s")
+
+    # -- where a sample leads -------------------------------------------------------------------------------
+
+    def _match(self, start: _Seen, end: _Seen) -> Match:
+        """By the rates of all samples between or, where these do not lead there, by the motion before."""
+        if self._rates.rates is Rates.MEASURED and _one_run(start.integrated, end.integrated):
+            return self._match_by_rates(start, end)
+        return self._match_by_motion(start, end)
+
+    def _match_by_rates(self, start: _Seen, end: _Seen) -> Match:
+        """By the integrated rates of all samples between; both samples belong to one run of rates."""
+        assert start.integrated is not None
+        assert end.integrated is not None
+        # At the INS's rate; the method takes half the time of the operator.
+        predicted_nd = start.sample.rotation_nd.dot(start.integrated.rotation.T).dot(end.integrated.rotation)
+        missed_rad = end.integrated.missed_rad - start.integrated.missed_rad
+        step = self._step(_seconds(start.sample, end.sample), missed_rad, end.number - start.number)
+        return self._by_rates.match(log_rotation(end.sample.rotation_nd.dot(predicted_nd.T)), step)
+
+    def _match_by_motion(self, start: _Seen, end: _Seen) -> Match:
+        """By the motion going on as before; where the way is too long for that, by the time."""
+        seconds, before = _seconds(start.sample, end.sample), start.before
+        turned_s = 0.0 if before is None else _seconds(before, start.sample)
+        if before is None or max(seconds, turned_s) > _LONGEST_STEP_S:
+            return self._match_by_time(start.sample, end.sample)
+        turn_d = seconds / turned_s * log_rotation(before.rotation_nd.T @ start.sample.rotation_nd)
+        difference_n = log_rotation(end.sample.rotation_nd @ (start.sample.rotation_nd @ exp_rotation(turn_d)).T)
+        step = step_by_motion(turned_s, seconds, _LARGEST_ACCELERATION, self._stuck.coarseness_rad)
+        return self._by_motion.match(difference_n, step)
+
+    def _match_by_two_rates(self, start: AttitudeSample, end: AttitudeSample) -> Match:
+        """By the rates of the two samples alone; where these do not lead there, by the time."""
+        seconds, proven = _seconds(start, end), self._rates.rates is Rates.MEASURED
+        if not proven or start.rate_d is None or end.rate_d is None or seconds > _LONGEST_STEP_S:
+            return self._match_by_time(start, end)
+        predicted_nd = start.rotation_nd @ exp_rotation((0.5 * seconds) * (start.rate_d + end.rate_d))
+        step = self._step(seconds, missed_by_mean_rad(start.rate_d, end.rate_d, seconds))
+        return self._by_rates.match(log_rotation(end.rotation_nd @ predicted_nd.T), step)
+
+    def _match_by_time(self, start: AttitudeSample, end: AttitudeSample) -> Match:
+        """By nothing but what a hull can turn in the time."""
+        seconds = _seconds(start, end)
+        step = self._step(seconds, _FASTEST_RAD_PER_S * seconds)
+        return self._by_motion.match(log_rotation(end.rotation_nd @ start.rotation_nd.T), step, led=False)
+
+    def _step(self, seconds: float, uncertain_rad: float, samples: int = 1) -> Step:
+        return Step(seconds, samples, uncertain_rad, 2.0, self._stuck.coarseness_rad)
+
+
+def _gate_refusal(match: Match) -> Refusal:
+    """The refusal of a sample that is not where those before lead."""
+    off, bound = math.degrees(size(match.difference)), math.degrees(match.bound_rad)
+    text = f"orientation is {off:.3g}° from where the samples before lead: more than {bound:.3g}°"
+    return Refusal(Reason.GATE, text)
+
+
+def _moved_back(sample: AttitudeSample, taken: _Seen) -> AttitudeSample | None:
+    """Where the deck would have been before a sample, had it moved as it did before the last sample that was taken.
+
+    After a jump this leads to the next sample.
+    """
+    if taken.before is None:
+        return None
+    ratio = _seconds(taken.sample, sample) / _seconds(taken.before, taken.sample)
+    turn_d = ratio * log_rotation(taken.before.rotation_nd.T @ taken.sample.rotation_nd)
+    return replace(taken.sample, rotation_nd=sample.rotation_nd @ exp_rotation(-turn_d))
+
+
+def _one_run(first: Integrated | None, second: Integrated | None) -> bool:
+    """Whether unbroken rates lead from one sample to the other."""
+    return first is not None and second is not None and first.run == second.run
+
+
+def _seconds(first: AttitudeSample, second: AttitudeSample) -> float:
+    return (second.time_ns - first.time_ns) * 1e-9

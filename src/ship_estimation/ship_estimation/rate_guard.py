@@ -1,18 +1,27 @@
 """A guard against angular rates that are well formed but cannot be true: zero, noise, in degrees, about other axes.
 
-The rates integrated over a short piece of motion must give the turn of the attitude. How they differ tells what they
-are, and only motion can tell it: at rest the last verdict stands.
+The rates integrated over a short piece of motion must give the turn of the attitude. How the two differ tells what the
+rates are. Only motion can tell it: at rest the last verdict stands.
 """
 
 import enum
+import math
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from ship_estimation.value_guards import size
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 
 _SECOND_NS = 1_000_000_000
+_LONGEST_STEP_NS = _SECOND_NS
+"""Rates that are further apart are not joined by integration."""
+_CHANGE_SHARE = 0.25
+"""The mean of two rates may miss this share of their change, times the time between them."""
+_SHORTEST_PERIOD_S = 4.0
+"""Of a hull's motion: the mean of two rates then gives the turn but for (2 pi h / period)² / 12 of it."""
 
 
 class Rates(enum.Enum):
@@ -24,30 +33,18 @@ class Rates(enum.Enum):
     WRONG_UNITS = "wrong units"
 
 
-class RateIntegrator:
-    """The attitude by the rates alone, from an arbitrary start: a witness of motion.
+class Integrated(NamedTuple):
+    """The attitude by the rates alone.
 
-    The mean of two successive rates turns it: for motion of one period the error is a constant small share of the turn.
+    Attributes:
+        rotation: the attitude, from an arbitrary start, shape (3, 3).
+        run: number of the unbroken run of rates to which it belongs; attitudes of two runs must not be compared.
+        missed_rad: what the integration may have missed since that run began.
     """
 
-    _LONGEST_STEP_NS = _SECOND_NS
-
-    def __init__(self) -> None:
-        self.rotation = np.eye(3)
-        self._last: tuple[int, FloatArray] | None = None
-
-    def advance(self, time_ns: int, rate_d: FloatArray) -> bool:
-        """Integrate up to ``time_ns``; False where the step was too long, or backwards, to integrate."""
-        last, self._last = self._last, (time_ns, rate_d)
-        if last is None or not 0 < time_ns - last[0] <= self._LONGEST_STEP_NS:
-            return False
-        self.rotation = self.rotation.dot(exp_rotation((last[1] + rate_d) * ((time_ns - last[0]) * 0.5e-9)))
-        return True
-
-
-    def interrupt(self) -> None:
-        """The next rate is not joined to the last one."""
-        self._last = None
+    rotation: FloatArray
+    run: int
+    missed_rad: float
 
 
 @dataclass(frozen=True)
@@ -60,22 +57,26 @@ class _Start:
 
 
 class RateGuard:
-    """Judges the rates of an INS piece by piece.
+    """Integrates the rates of an INS, and judges them piece by piece.
 
-    A piece is as long as it takes to turn clearly, a quarter of a second at least and two at most; where nothing turns
-    it says nothing. Its rates are right where they give the turn of the attitude but for three tenths. While no piece
-    was right yet, one that is not is enough to doubt the rates; later it takes two in a row. Twenty right ones in a row
-    prove rates that were doubted. Twenty whose rates are 57.3 or 1/57.3 times the turn are in a wrong unit, and four of
-    another kind end that.
-
-    Args:
-        sigma_rad: noise of an attitude about its worst axis.
+    A piece of motion is as long as it takes to turn clearly: a quarter of a second at least and two seconds at most. A
+    piece in which nothing turns says nothing. The rates of a piece are right where they give the turn of the attitude
+    but for three tenths. As long as no piece was right, a single wrong one is enough to doubt the rates; later it takes
+    two in a row. Twenty right pieces in a row prove rates that were doubted. Twenty pieces whose rates are 57.3 or
+    1/57.3 times the turn tell that the unit is wrong, and four pieces of another kind end that verdict.
 
     Attributes:
-        step_sigma_rad: what each further sample of a piece adds to that, by the noise of its rate.
         rates: the verdict.
+        usable: whether nothing is known against the rates.
         slope: turn by the rates over the turn by the attitude, once the unit is wrong.
-        right_until_ns: end of the last piece whose rates were right.
+
+    >>> guard = RateGuard()
+    >>> for n in range(10):
+    ...     attitude = exp_rotation(np.array([0.0, 0.0, 0.01 * n]))
+    ...     integrated = guard.integrate(n * 100_000_000, np.array([0.0, 0.0, 0.1]))
+    ...     _ = guard.observe(n * 100_000_000, attitude, integrated.rotation, sigma_rad=1e-5)
+    >>> guard.rates
+    <Rates.MEASURED: 'measured'>
     """
 
     _SHORTEST_NS = 250_000_000
@@ -94,95 +95,133 @@ class RateGuard:
     _SLOPE_TOLERANCE = 1.25
     _LEAST_CORRELATION = 0.9
 
-    def __init__(self, sigma_rad: float) -> None:
-        self.sigma_rad = sigma_rad
-        self.step_sigma_rad = 0.0
+    def __init__(self) -> None:
         self.rates = Rates.UNPROVEN
+        self.usable = True
         self.slope = 1.0
-        self.right_until_ns: int | None = None
+        self._integrated = Integrated(np.eye(3), 0, 0.0)
+        self._last: tuple[int, FloatArray] | None = None
         self._start: _Start | None = None
         self._samples = 0
         self._right = 0
         self._wrong = 0
         self._other_units = 0
+        self._right_until_ns: int | None = None
         self._turns: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=self._PIECES)
 
-    @property
-    def usable(self) -> bool:
-        """Whether nothing is known against the rates."""
-        return self.rates in (Rates.UNPROVEN, Rates.MEASURED)
+    def integrate(self, time_ns: int, rate_d: FloatArray | None) -> Integrated | None:
+        """Integrate the rates up to the next sample: the mean of two successive rates turns the attitude.
+
+        For motion of one period the error is a constant small share of the turn. Where the step from the sample before
+        is too long to integrate, a new run begins.
+
+        Args:
+            time_ns: stamp of the sample, later than all before.
+            rate_d: its angular velocity in the deck frame, rad/s, shape (3,); None where it has none.
+
+        Returns:
+            The attitude by the rates alone; None where the sample has no rate.
+        """
+        if rate_d is None:
+            self._last = self._start = None
+            return None
+        last, self._last = self._last, (time_ns, rate_d)
+        rotation, run, missed_rad = self._integrated
+        if last is None or not 0 < time_ns - last[0] <= _LONGEST_STEP_NS:
+            self._start = None
+            self._integrated = Integrated(rotation, run + 1, 0.0)
+        else:
+            rotation = rotation.dot(exp_rotation((last[1] + rate_d) * ((time_ns - last[0]) * 0.5e-9)))
+            missed_rad += missed_by_mean_rad(last[1], rate_d, (time_ns - last[0]) * 1e-9)
+            self._integrated = Integrated(rotation, run, missed_rad)
+        return self._integrated
 
     def restart(self) -> None:
-        """What comes next is not joined to what came before."""
+        """End the piece of motion: the attitude of the next sample is not joined to those before."""
         self._start = None
 
-    def observe(self, time_ns: int, rotation_nd: FloatArray, integrated: FloatArray) -> None:
-        """Take an attitude, and what the rates alone make of it.
+    def observe(
+        self,
+        time_ns: int,
+        rotation_nd: FloatArray,
+        integrated: FloatArray,
+        sigma_rad: float,
+        step_sigma_rad: float = 0.0,
+    ) -> int | None:
+        """Compare a measured attitude with what the rates alone make of it, and judge the rates.
 
         Args:
             time_ns: stamp of both.
             rotation_nd: measured attitude, shape (3, 3).
             integrated: attitude by the rates alone, shape (3, 3).
+            sigma_rad: noise of a measured attitude about its worst axis.
+            step_sigma_rad: what each further sample of a piece adds to that, by the noise of its rate.
+
+        Returns:
+            The stamp after which the rates were wrong, -1 for all of them, where this attitude has taken the trust from
+            the rates; None otherwise.
         """
         start = self._start
         self._samples += 1
         if start is None:
             self._begin(_Start(time_ns, rotation_nd, integrated))
-            return
+            return None
         lasted_ns = time_ns - start.time_ns
         if lasted_ns < self._SHORTEST_NS and self.rates is not Rates.UNPROVEN:
-            return
+            return None
         attitude = log_rotation(start.rotation_nd.T @ rotation_nd)
         rate = log_rotation(start.integrated.T @ integrated)
-        turn, difference = max(_size(attitude), _size(rate)), _size(attitude - rate)
-        sigma_rad = float(np.hypot(self.sigma_rad, self.step_sigma_rad * np.sqrt(self._samples)))
+        turn, difference = max(size(attitude), size(rate)), size(attitude - rate)
+        piece_sigma_rad = float(np.hypot(sigma_rad, step_sigma_rad * np.sqrt(self._samples)))
         if self.rates is Rates.UNPROVEN:
-            sigma_rad = max(sigma_rad, self._FIRST_SIGMA_RAD)
-        clear = turn > self._CLEAR_SIGMAS * sigma_rad + self._SLOWEST_RAD_PER_S * lasted_ns * 1e-9
+            piece_sigma_rad = max(piece_sigma_rad, self._FIRST_SIGMA_RAD)
+        clear = turn > self._CLEAR_SIGMAS * piece_sigma_rad + self._SLOWEST_RAD_PER_S * lasted_ns * 1e-9
         right = difference <= self._TOLERANCE * turn
+        were_usable = self.usable
         # Rates that nothing speaks for yet are doubted after one interval; all else takes its time.
         if clear and (lasted_ns >= self._SHORTEST_NS or not right):
-            self._judge(time_ns, right, attitude, rate)
+            size_known = size(attitude) > 0.4 * self._CLEAR_SIGMAS * sigma_rad
+            self._judge(time_ns, right, attitude, rate, size_known)
         elif lasted_ns < self._LONGEST_NS:
-            return
+            return None
         self._begin(_Start(time_ns, rotation_nd, integrated))
+        if self.usable or not were_usable:
+            return None
+        return -1 if self._right_until_ns is None else self._right_until_ns
 
     def _begin(self, start: _Start) -> None:
         self._start, self._samples = start, 0
 
-    def _judge(self, time_ns: int, right: bool, attitude: FloatArray, rate: FloatArray) -> None:
-        """Take a piece that turned clearly into account."""
+    def _judge(self, time_ns: int, right: bool, attitude: FloatArray, rate: FloatArray, size_known: bool) -> None:
+        """Take a piece that turned clearly into account; ``size_known`` where the attitude's turn exceeds its noise."""
         self._right, self._wrong = (self._right + 1, 0) if right else (0, self._wrong + 1)
-        if self._size_known(attitude):
+        if size_known:
             self._turns.append((attitude, rate))
         if self.usable:
             if right:
-                self.rates, self.right_until_ns = Rates.MEASURED, time_ns
+                self.rates, self._right_until_ns = Rates.MEASURED, time_ns
             elif self.rates is Rates.UNPROVEN or self._wrong >= self._DOUBTS:
                 self.rates = Rates.NOT_MEASURED
                 self._turns.clear()
         elif self._right >= self._PIECES:
-            self.rates, self.right_until_ns = Rates.MEASURED, time_ns
+            self.rates, self._right_until_ns = Rates.MEASURED, time_ns
         elif self.rates is Rates.NOT_MEASURED and self._in_other_units(list(self._turns), self._PIECES):
             self.rates, self._other_units = Rates.WRONG_UNITS, 0
-        elif self.rates is Rates.WRONG_UNITS and self._size_known(attitude):
+        elif self.rates is Rates.WRONG_UNITS and size_known:
             same = self._in_other_units([(attitude, rate)], 1)
             self._other_units = 0 if same else self._other_units + 1
             if self._other_units >= self._OTHER_UNITS:
                 self.rates = Rates.NOT_MEASURED
                 self._turns.clear()
-
-    def _size_known(self, attitude: FloatArray) -> bool:
-        """Whether the attitude's turn is more than its noise."""
-        return _size(attitude) > 0.4 * self._CLEAR_SIGMAS * self.sigma_rad
+        self.usable = self.rates in (Rates.UNPROVEN, Rates.MEASURED)
 
     def _in_other_units(self, turns: list[tuple[FloatArray, FloatArray]], least: int) -> bool:
         """Whether the rates give the turns of the attitude, but for a factor of about 57.3."""
         if len(turns) < least:
             return False
         attitude, rate = (np.array(values) for values in zip(*turns, strict=True))
-        product, size = np.sum(attitude * rate), np.sqrt(np.sum(attitude * attitude) * np.sum(rate * rate))
-        if not product > self._LEAST_CORRELATION * size:
+        product, norms = np.sum(attitude * rate), np.sqrt(np.sum(attitude * attitude) * np.sum(rate * rate))
+        if not product > self._LEAST_CORRELATION * norms:
             return False
         slope = float(product / np.sum(attitude * attitude))
         factor = max(slope, 1.0 / slope)
@@ -192,5 +231,12 @@ class RateGuard:
         return True
 
 
-def _size(vector: FloatArray) -> float:
-    return float(np.linalg.norm(vector))
+def missed_by_mean_rad(first_rate_d: FloatArray, second_rate_d: FloatArray, seconds: float) -> float:
+    """What the mean of two rates (rad/s, shape (3,)) may miss of the turn between them, rad.
+
+    >>> missed_by_mean_rad(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 0.1]), seconds=0.0)
+    0.0
+    """
+    change, mean = size(second_rate_d - first_rate_d), 0.5 * size(second_rate_d + first_rate_d)
+    share = (2.0 * math.pi * seconds / _SHORTEST_PERIOD_S) ** 2 / 12.0
+    return seconds * (_CHANGE_SHARE * change + share * mean)

@@ -7,14 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_estimation.ins_config import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard
 from ship_estimation.rate_guard import Rates
-from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 
 CALM, SWELL, STORM = (0.05, 0.1, 0.2), (0.5, 2.0, 4.0), (5.0, 8.0, 25.0)
 PERIODS_S = (30.0, 8.0, 11.0)
+NOTHING_LATE = AttitudeTrack(500_000_000)
+"""Samples used so far matter only where one comes late."""
 
 
 def attitudes(t_s: FloatArray, amplitude_deg: tuple[float, ...]) -> FloatArray:
@@ -51,9 +54,9 @@ def stream(
 
 def judged(samples: list[AttitudeSample]) -> tuple[list[str], InsGuard, int]:
     """What became of each sample, the guard after them, and how many jumps it saw."""
-    guard, results, jumps = InsGuard(ARCSEC, 5), [], 0
+    guard, results, jumps = InsGuard(GuardedInsConfig()), [], 0
     for sample in samples:
-        result = guard.check(sample, {})
+        result = guard.judge(sample, NOTHING_LATE, {})
         results.append("" if result.refusal is None else result.refusal.reason.name)
         jumps += result.jump is not None
     return results, guard, jumps
@@ -104,8 +107,8 @@ def test_mend_03_a_freeze_in_calm_swell_is_told_within_two_seconds_and_ends_with
 @pytest.mark.parametrize("rate_hz", [100.0, 50.0, 20.0, 10.0, 2.0])
 @pytest.mark.parametrize("factor", [0.0, -1.0])
 def test_mend_06_rates_that_are_none_are_known_before_they_do_harm(rate_hz: float, factor: float) -> None:
-    guard, samples = InsGuard(ARCSEC, 5), stream(10.0, rate_hz, rate_factor=factor)
-    results = [guard.check(sample, {}) for sample in samples]
+    guard, samples = InsGuard(GuardedInsConfig()), stream(10.0, rate_hz, rate_factor=factor)
+    results = [guard.judge(sample, NOTHING_LATE, {}) for sample in samples]
     assert all(result.refusal is None for result in results)
     dropped = [n for n, result in enumerate(results) if result.rates_wrong_after_ns is not None]
     assert len(dropped) == 1
@@ -126,7 +129,7 @@ def test_mend_06_a_wrong_unit_is_named_and_right_rates_are_proven_again(factor: 
     results, guard, _ = judged(wrong)
     assert 5.0 <= results.index("UNITS") / 50.0 <= 6.5
     assert set(results[results.index("UNITS") :]) == {"UNITS"}
-    back = [guard.check(sample, {}) for sample in right[1000:]]
+    back = [guard.judge(sample, NOTHING_LATE, {}) for sample in right[1000:]]
     refused = [n for n, result in enumerate(back) if result.refusal is not None]
     assert max(refused) < 2.5 * 50.0
     assert guard.rates is Rates.MEASURED
@@ -139,7 +142,7 @@ def test_mend_06_rates_at_rest_say_nothing() -> None:
     _, guard, _ = judged(still)
     assert guard.rates is Rates.UNPROVEN
     # Where the swell begins, attitude and motion jump.
-    assert [guard.check(sample, {}).refusal for sample in moving][8:] == [None] * (len(moving) - 8)
+    assert [guard.judge(sample, NOTHING_LATE, {}).refusal for sample in moving][8:] == [None] * (len(moving) - 8)
     assert guard.rates is Rates.NOT_MEASURED
 
 
@@ -174,10 +177,10 @@ def test_mend_07_another_noise_holds_at_once() -> None:
     samples = stream(20.0, 50.0)
     samples[700] = replace(samples[700], rotation_nd=exp_rotation(np.full(3, 40.0 * ARCSEC)) @ samples[700].rotation_nd)
     for sigma_arcsec, refused in ((1.0, {"", "GATE"}), (20.0, {""})):
-        guard = InsGuard(ARCSEC, 5)
+        guard = InsGuard(GuardedInsConfig())
         for sample in samples[:500]:
-            guard.check(sample, {})
-        guard.reconfigure(sigma_arcsec * ARCSEC, 5)
-        later = [guard.check(sample, {}).refusal for sample in samples[500:]]
+            guard.judge(sample, NOTHING_LATE, {})
+        guard.reconfigure(GuardedInsConfig(white_sigma_arcsec=sigma_arcsec))
+        later = [guard.judge(sample, NOTHING_LATE, {}).refusal for sample in samples[500:]]
         assert {"" if refusal is None else refusal.reason.name for refusal in later} == refused
         assert Counter(refusal is None for refusal in later)[False] <= 1

@@ -19,7 +19,7 @@ def reading(number: int, azimuth: float, elevation: float = 0.5) -> EncoderSampl
 
 
 def check(watch: EncoderWatch, sample: EncoderSample) -> Refusal | None:
-    return watch.check(sample, VectorTrack(PERIOD_NS))
+    return watch.judge(sample, VectorTrack(PERIOD_NS)).refusal
 
 
 def lights(watch: EncoderWatch, number: int, azimuth: float) -> None:
@@ -91,13 +91,13 @@ def test_mend_03_stuck_when_the_lights_turn_and_back_with_the_first_other_readin
 
 def test_one_reading_beyond_a_turn_is_refused_alone_a_run_of_them_for_good() -> None:
     watch = EncoderWatch(ARCSEC, FREE)
-    assert watch.check_units(reading(0, 6.2)) is None
-    assert watch.check_units(reading(1, 355.0)).reason is Reason.UNITS
-    assert watch.check_units(reading(2, 6.2)) is None
-    for number in range(20):
-        assert watch.check_units(reading(number, 355.0)).reason is Reason.UNITS
-    refusal = watch.check_units(reading(30, 4.0, 1.0))
+    assert check(watch, reading(0, 6.2)) is None
+    assert check(watch, reading(1, 355.0)).reason is Reason.UNITS
+    assert check(watch, reading(2, 6.2)) is None
+    for number in range(3, 23):
+        assert check(watch, reading(number, 355.0)).reason is Reason.UNITS
+    refusal = check(watch, reading(30, 4.0, 1.0))
     assert refusal.reason is Reason.UNITS
     assert refusal.text.endswith("refused until a reset")
     # Plunged, the elevation goes up to three quarters of a turn.
-    assert EncoderWatch(ARCSEC, FREE).check_units(reading(0, 1.0, 4.7)) is None
+    assert check(EncoderWatch(ARCSEC, FREE), reading(0, 1.0, 4.7)) is None

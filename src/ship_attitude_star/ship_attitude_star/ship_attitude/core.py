@@ -29,7 +29,7 @@ from ship_attitude_star.ship_attitude.output import CorrectedIns, estimate_from_
 from ship_attitude_star.sky.sky_inputs import SkyInput
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.estimator_shell import SECOND_NS, EstimatorShell, Model
-from ship_estimation.ins_guard import InsJump
+from ship_estimation.ins_jump import InsJump
 from ship_estimation.outcome import Measurement
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Refusal
@@ -94,7 +94,7 @@ class ShipAttitudeCore:
         self.config = config
         self.filter = ShipFilter(config)
         self._corrected = CorrectedIns(self.filter, self.state)
-        self._guards.reconfigure(config.ins)
+        self._guards.ins.reconfigure(config.ins)
 
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
         """An INS sample: stamp and attitude of the deck as the INS has it.
@@ -107,7 +107,7 @@ class ShipAttitudeCore:
         outcome = AttitudeOutcome(self._shell.window.late(sample.time_ns))
         if outcome.refusal is not None:
             return outcome
-        judged = self._guards.check_ins(sample, self._track)
+        judged = self._guards.ins.judge(sample, self._track, self._guards.witnesses)
         if judged.rates_wrong_after_ns is not None:
             # What was compared by rates that were none is compared anew without them.
             self._shell.data_changed(self._track.forget_rates(judged.rates_wrong_after_ns))
@@ -153,7 +153,7 @@ class ShipAttitudeCore:
         arrival_ns = measurement.time_ns if arrival_ns is None else arrival_ns
         refusal = self._shell.window.late(measurement.time_ns)
         if refusal is None:
-            refusal = self._guards.check(measurement, self._track.last_before(measurement.time_ns))
+            refusal = self._guards.check(measurement, self._track)
         outcome = AttitudeOutcome(refusal)
         if refusal is not None or not self._shell.add(measurement, outcome):
             return outcome
@@ -193,7 +193,7 @@ class ShipAttitudeCore:
     @property
     def rates(self) -> Rates:
         """What the INS's rates are worth: only where they are measured, or not judged yet, they are used."""
-        return self._guards.rates
+        return self._guards.ins.rates
 
     # -- the model in the shell -----------------------------------------------------------------------------
 

@@ -28,7 +28,7 @@ from ship_attitude_star.ship_attitude.model import (
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.streaks import at_middle
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.ins_guard import InsJump
+from ship_estimation.ins_jump import InsJump
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal

@@ -128,13 +128,10 @@ class StarCore:
     def _refusal(self, exposure: StarExposure) -> Refusal | None:
         if self._too_late(exposure.time_ns):
             return self._late(exposure.time_ns)
-        taken = self._taken[exposure.source]
-        refusal = taken.refusal(exposure.time_ns, exposure)
+        refusal = self._taken[exposure.source].refusal(exposure.time_ns, exposure)
         if refusal is not None and refusal.reason is Reason.CONFLICT:
             return replace(refusal, text=f"{refusal.text}; do two sensors publish on one topic?")
-        if refusal is None and (not taken.times or exposure.time_ns > taken.times[-1]):
-            return self._guards.check_exposure(exposure, self._ins.track.last_before(exposure.time_ns))
-        return refusal
+        return refusal or self._guards.check(exposure, self._ins.track)
 
     def _wait(self, new: _Waiting) -> None:
         """Put an exposure among those to be solved, in the place of a refused one of its stamp where that waits too."""

@@ -5,7 +5,7 @@ import numpy as np
 from ship_attitude_star.guards.stream_guards import StreamGuards
 from ship_attitude_star.stars.selection import AttitudePrior
 from ship_estimation.ins_config import GuardedInsConfig
-from ship_estimation.ins_guard import InsJump
+from ship_estimation.ins_jump import InsJump
 from ship_estimation.refusals import Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import Nodes, Turning, turning_over
@@ -38,11 +38,11 @@ class InsMotion:
     def reconfigure(self, config: GuardedInsConfig) -> None:
         """Go on with other sigmas."""
         self._config = config
-        self._guards.reconfigure(config)
+        self._guards.ins.reconfigure(config)
 
     def add(self, sample: AttitudeSample) -> Refusal | None:
         """Take a sample, or say why not."""
-        judged = self._guards.check_ins(sample, self._track)
+        judged = self._guards.ins.judge(sample, self._track, self._guards.witnesses)
         if judged.rates_wrong_after_ns is not None:
             self._track.forget_rates(judged.rates_wrong_after_ns)
         if judged.refusal is not None:

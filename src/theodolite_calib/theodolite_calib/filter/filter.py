@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.ins_guard import InsJump
+from ship_estimation.ins_jump import InsJump
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
@@ -16,7 +16,7 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import SOURCE_AXES, ShipErrorProcess, state_model
 from theodolite_calib.filter.observability import Observability, Unaided
 from theodolite_calib.filter.prediction import Prediction, SightingModel
-from theodolite_calib.measured.encoder_jumps import EncoderJump
+from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 
 Jump = EncoderJump | InsJump

@@ -1,26 +1,69 @@
-"""Is the encoder alive? Readings that stand still are watched against their own motion before, and the lights.
+"""The watch over the encoders: are they alive, do they read radians, and do they move as a mount can?
 
-A theodolite at rest reads the same for hours, and one that is stuck does so too. What tells them apart are the lights:
-when they say that the telescope has turned in the deck, the encoder is stuck. Until lights have confirmed it, readings
-that stopped dead in the midst of a motion are in doubt.
+A theodolite at rest reads the same for hours, and so does one that is stuck. The lights tell the two apart: when they
+say that the telescope has turned in the deck, the encoders are stuck. Readings that stopped dead in the midst of a
+motion are in doubt until lights have confirmed them. A reading that the mount could reach only with a larger
+acceleration than it has is wrong; a few such readings that agree among themselves are a slip of the encoders.
 """
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.jump_guard import JumpVerdict
 from ship_estimation.refusals import Reason, Refusal
-from ship_estimation.stuck_guard import StuckGuard, Witness
+from ship_estimation.value_guards import (
+    Continuation,
+    JumpGuard,
+    JumpVerdict,
+    Match,
+    StuckGuard,
+    size,
+    step_by_motion,
+)
+from ship_estimation.witnesses import Witness
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.vector_track import VectorTrack
-from theodolite_calib.measured.encoder_jumps import EncoderJump, EncoderJumps
 from theodolite_calib.measured.samples import EncoderSample
 
 _LIGHTS = "lights"
 _SIGMAS = 5.0
-
+_LONGEST_STEP_S = 1.0
+"""Readings that are further apart are not compared."""
 _LARGEST_ANGLE = 2.0 * np.pi + 1e-6
 _SURE_AFTER = 20
 """Readings beyond a turn, in a row, after which a reading within it is not believed either."""
+
+
+@dataclass(frozen=True)
+class EncoderJump:
+    """Encoders that have slipped for good: since then they read differently where the axis points.
+
+    Attributes:
+        time_ns: just before the first reading after the slip.
+        jump: of azimuth and elevation, rad, shape (2,).
+        sigma_rad: standard deviation of each of the two.
+    """
+
+    time_ns: int
+    jump: FloatArray
+    sigma_rad: float
+
+    def content(self) -> bytes:
+        """All values as bytes."""
+        return self.jump.tobytes()
+
+
+class JudgedReading(NamedTuple):
+    """What is to be done with a reading.
+
+    Attributes:
+        refusal: why the reading is not used; None where it is.
+        jump: the slip that is believed with this reading; None where there is none.
+    """
+
+    refusal: Refusal | None = None
+    jump: EncoderJump | None = None
 
 
 class EncoderWatch:
@@ -29,28 +72,26 @@ class EncoderWatch:
     Args:
         sigma_rad: noise of a reading; an arcsecond where it is less.
         max_acceleration: that the mount can reach, rad/s².
-
-    Attributes:
-        jump: of the last reading checked, where the encoders have slipped and it is believed.
     """
 
     def __init__(self, sigma_rad: float, max_acceleration: float) -> None:
-        self._guard = StuckGuard(sigma_rad)
-        self._jumps = EncoderJumps(sigma_rad, max_acceleration)
-        self.jump: EncoderJump | None = None
-        self._unconfirmed: tuple[int, str] | None = None
-        self._witnesses: dict[str, Witness] = {}
+        self._stuck, self._jumps, self._continuation = StuckGuard(), JumpGuard(), Continuation(sigma_rad)
+        # Two readings that lead to the next: the last two taken, and the last two whether taken or not. In a healthy
+        # run these are the same.
+        self._taken: tuple[EncoderSample, ...] = ()
+        self._all: tuple[EncoderSample, ...] = ()
         self._last: tuple[EncoderSample, FloatArray] | None = None
         self._beyond_a_turn = 0
         self._still_since_ns: int | None = None
         self._in_doubt_since_ns: int | None = None
+        self._unconfirmed: tuple[int, str] | None = None
+        self._witnesses: dict[str, Witness] = {}
         self.reconfigure(sigma_rad, max_acceleration)
 
     def reconfigure(self, sigma_rad: float, max_acceleration: float) -> None:
         """Go on with another noise and another mount."""
-        self._sigma_rad = max(sigma_rad, ARCSEC)
-        self._guard.sigma_rad = self._sigma_rad
-        self._jumps.reconfigure(self._sigma_rad, max_acceleration)
+        self._continuation.sigma_rad = self._sigma_rad = max(sigma_rad, ARCSEC)
+        self._max_acceleration = max_acceleration
 
     @property
     def doubt(self) -> str:
@@ -61,42 +102,35 @@ class EncoderWatch:
             return "the encoders stopped dead in a motion: at rest, or stuck"
         return ""
 
-    def check_units(self, sample: EncoderSample) -> Refusal | None:
-        """The refusal of a reading that cannot be in radians; after a run of such, of all until a reset."""
-        azimuth, elevation = sample.vector.tolist()
-        beyond = max(abs(azimuth), abs(elevation)) > _LARGEST_ANGLE
-        sure = self._beyond_a_turn >= _SURE_AFTER
-        if not beyond and not sure:
-            self._beyond_a_turn = 0
-            return None
-        self._beyond_a_turn += beyond
-        text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians within a turn; degrees?"
-        return Refusal(Reason.UNITS, text + " All readings are refused until a reset" * sure)
-
-    def check(self, sample: EncoderSample, track: VectorTrack[EncoderSample]) -> Refusal | None:
-        """The refusal of a reading; None where nothing is known against it.
+    def judge(
+        self, sample: EncoderSample, track: VectorTrack[EncoderSample], late: Refusal | None = None
+    ) -> JudgedReading:
+        """Judge a reading.
 
         Args:
             sample: the reading.
             track: those taken so far; by these a reading is judged that comes after later ones.
+            late: the refusal of a reading that comes too late; None where it does not. Its unit is judged all the same.
         """
-        if self._jumps.watched(sample.time_ns):
-            self.jump = None
-            text = self._jumps.refusal(sample, _before(track, sample.time_ns), self._guard.coarseness_rad)
-            return Refusal(Reason.GATE, text) if text else None
-        judged, self.jump, text = self._jumps.judge(sample, self._guard.coarseness_rad)
-        if judged is JumpVerdict.REFUSED:
-            return Refusal(Reason.GATE, text)
-        if self.jump is not None:
-            self._unconfirmed = self.jump.time_ns, "the encoders have jumped"
+        refusal = self._units_refusal(sample) or late
+        if refusal is not None:
+            return JudgedReading(refusal)
+        if self._all and sample.time_ns <= self._all[-1].time_ns:
+            match = self._match(_before(track, sample.time_ns), sample)
+            return JudgedReading(None if match is None or match.fits else _gate_refusal(match))
+        judged = self._judge_jump(sample)
+        if judged.refusal is not None:
+            return judged
+        if judged.jump is not None:
+            self._unconfirmed = judged.jump.time_ns, "the encoders have jumped"
         self._watch_motion(sample)
-        if self._guard.observe(sample.time_ns, sample.vector, self._witnesses):
-            # Where they go on, nothing leads there.
-            self._jumps.forget()
+        if self._stuck.observe(sample.time_ns, sample.vector, self._sigma_rad, self._witnesses):
+            # Nothing leads to the place where stuck encoders go on.
+            self._taken = self._all = ()
             self._unconfirmed = sample.time_ns, "the encoders were stuck"
             text = "both encoders stand still while the lights say that the telescope turns in the deck"
-            return Refusal(Reason.STUCK, text)
-        return None
+            return JudgedReading(Refusal(Reason.STUCK, text))
+        return judged
 
     def see_lights(self, time_ns: int, telescope_dt: FloatArray, sigma_rad: float) -> None:
         """The telescope in the deck as lights had it at a moment, shape (3, 3), with the error about its worst axis."""
@@ -111,14 +145,61 @@ class EncoderWatch:
         if self._unconfirmed is not None and time_ns > self._unconfirmed[0]:
             self._unconfirmed = None
 
+    def _units_refusal(self, sample: EncoderSample) -> Refusal | None:
+        """The refusal of a reading that cannot be in radians; after a run of such, of all until a reset."""
+        azimuth, elevation = sample.vector.tolist()
+        beyond = max(abs(azimuth), abs(elevation)) > _LARGEST_ANGLE
+        sure = self._beyond_a_turn >= _SURE_AFTER
+        if not beyond and not sure:
+            self._beyond_a_turn = 0
+            return None
+        self._beyond_a_turn += beyond
+        text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians within a turn; degrees?"
+        return Refusal(Reason.UNITS, text + " All readings are refused until a reset" * sure)
+
+    def _judge_jump(self, sample: EncoderSample) -> JudgedReading:
+        """Judge a reading later than all before by where the two readings before lead."""
+        match = self._match(self._taken, sample)
+        step = match if self._all is self._taken else self._match(self._all, sample)
+        fits = match is None or (match.fits if step is None else match.fits_again(step))
+        after_refused = self._jumps.refused > 0
+        verdict = self._jumps.judge(sample.time_ns, fits, step is None or step.fits)
+        if verdict is JumpVerdict.REFUSED:
+            assert match is not None
+            first_refused = self._jumps.refused == 1
+            self._all = (_moved_back(sample, *self._taken) if first_refused else self._all[-1], sample)
+            return JudgedReading(_gate_refusal(match))
+        healthy = self._all is self._taken
+        self._all = (*self._all[-1:], sample)
+        if verdict is JumpVerdict.JUMPED:
+            assert match is not None
+            self._taken = self._all
+            return JudgedReading(jump=EncoderJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad))
+        self._taken = self._all if healthy else (*self._taken[-1:], sample)
+        if match is not None and not after_refused:
+            self._continuation.learn(match.difference)
+        return JudgedReading()
+
+    def _match(self, before: tuple[EncoderSample, ...], sample: EncoderSample) -> Match | None:
+        """A reading against the place where two before it lead; None where there are not two, or too long ago."""
+        if len(before) < 2:
+            return None
+        first, second = before
+        turned_s, seconds = (second.time_ns - first.time_ns) * 1e-9, (sample.time_ns - second.time_ns) * 1e-9
+        if max(turned_s, seconds) > _LONGEST_STEP_S:
+            return None
+        going_on = seconds / turned_s * _short(second.vector - first.vector)
+        difference = _short(sample.vector - second.vector - going_on)
+        step = step_by_motion(turned_s, seconds, self._max_acceleration, self._stuck.coarseness_rad)
+        return self._continuation.match(difference, step)
+
     def _watch_motion(self, sample: EncoderSample) -> None:
         """Doubt begins with a reading equal to the last one although that one had moved."""
         if self._last is None:
             self._last, self._still_since_ns = (sample, np.zeros(2)), sample.time_ns
             return
         last, rate = self._last
-        step = sample.vector - last.vector
-        step -= 2.0 * np.pi * np.round(step / (2.0 * np.pi))
+        step = _short(sample.vector - last.vector)
         interval_s = (sample.time_ns - last.time_ns) * 1e-9
         if np.any(step):
             self._witnesses, self._still_since_ns, self._in_doubt_since_ns = {}, sample.time_ns, None
@@ -127,13 +208,34 @@ class EncoderWatch:
         self._last = sample, step / interval_s
 
 
-def _before(track: VectorTrack[EncoderSample], time_ns: int) -> list[EncoderSample]:
+def _before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSample, ...]:
     """The two readings before a moment, as far as there are."""
-    found: list[EncoderSample] = []
+    found: tuple[EncoderSample, ...] = ()
     while len(found) < 2:
         sample = track.last_before(time_ns - 1)
         if sample is None:
             break
-        found.insert(0, sample)
+        found = (sample, *found)
         time_ns = sample.time_ns
     return found
+
+
+def _moved_back(sample: EncoderSample, first: EncoderSample, second: EncoderSample) -> EncoderSample:
+    """Where the axis would have read before a reading, had it moved as it did from ``first`` to ``second``.
+
+    After a slip this leads to the next reading.
+    """
+    ratio = (sample.time_ns - second.time_ns) / (second.time_ns - first.time_ns)
+    return replace(second, vector=sample.vector - ratio * _short(second.vector - first.vector))
+
+
+def _gate_refusal(match: Match) -> Refusal:
+    off, bound = size(match.difference) / ARCSEC, match.bound_rad / ARCSEC
+    text = f"{off:.0f}″ from where the readings before lead: more than {bound:.0f}″, which the mount can reach"
+    return Refusal(Reason.GATE, text)
+
+
+def _short(angles: FloatArray) -> FloatArray:
+    """Angles the short way round."""
+    wrapped: FloatArray = angles - 2.0 * np.pi * np.round(angles / (2.0 * np.pi))
+    return wrapped

@@ -7,7 +7,6 @@ not, can spoil it. After a jump that was believed, pointings are in doubt until 
 from ship_estimation.ins_config import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard, JudgedIns
 from ship_geometry.attitude_track import AttitudeTrack
-from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SECOND_NS
 from theodolite_calib.measured.samples import ShipSample
 from theodolite_calib.measured.tracks import insert
@@ -21,21 +20,18 @@ class ShipWatch:
     """
 
     def __init__(self, config: GuardedInsConfig) -> None:
-        self._guard = InsGuard(config.white_sigma_arcsec * ARCSEC, config.jump_samples)
+        self._guard = InsGuard(config)
         # With their rates: by these one is judged that comes after later ones.
         self._taken = AttitudeTrack(round(config.max_gap_s * SECOND_NS))
         self._unconfirmed_ns: int | None = None
 
     def reconfigure(self, config: GuardedInsConfig) -> None:
         """Go on with another noise."""
-        self._guard.reconfigure(config.white_sigma_arcsec * ARCSEC, config.jump_samples)
+        self._guard.reconfigure(config)
 
     def judge(self, sample: ShipSample) -> JudgedIns:
         """What is to be done with a sample."""
-        if self._guard.watched(sample.time_ns):
-            judged = self._guard.check_late(sample, self._taken.last_before(sample.time_ns - 1))
-        else:
-            judged = self._guard.check(sample, {})
+        judged = self._guard.judge(sample, self._taken, {})
         if judged.rates_wrong_after_ns is not None:
             self._taken.forget_rates(judged.rates_wrong_after_ns)
         if judged.refusal is None:

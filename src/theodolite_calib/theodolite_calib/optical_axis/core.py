@@ -95,14 +95,12 @@ class OpticalAxisCore:
         arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         newest = self._tracks.encoder.newest
         latest = newest is None or sample.time_ns > newest.time_ns
-        refusal = self._watch.check_units(sample) or self._late(sample.time_ns)
-        if refusal is None:
-            refusal = self._watch.check(sample, self._tracks.encoder)
-        if refusal is not None:
-            return Outcome(refusal)
-        if latest and self._watch.jump is not None:
-            self._tracks.encoder.cut(self._watch.jump.time_ns)
-            self._take_jump("encoder", self._watch.jump)
+        judged = self._watch.judge(sample, self._tracks.encoder, self._late(sample.time_ns))
+        if judged.refusal is not None:
+            return Outcome(judged.refusal)
+        if latest and judged.jump is not None:
+            self._tracks.encoder.cut(judged.jump.time_ns)
+            self._take_jump("encoder", judged.jump)
         outcome = self._insert(self._tracks.encoder, sample)
         if latest and outcome.refusal is None:
             self._encoder_arrival_ns = arrival_ns

@@ -1,0 +1,154 @@
+"""A value that stands still is stuck only where others say that the ship has turned by more than it can resolve.
+
+A value that jumps is refused; after a few refused values that agree among themselves the jump is believed.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_estimation.value_guards import Continuation, JumpGuard, JumpVerdict, Step, StuckGuard, size
+from ship_estimation.witnesses import Witness
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+
+MS = 1_000_000
+
+
+def rolled(degrees: float) -> FloatArray:
+    return exp_rotation(np.array([np.deg2rad(degrees), 0.0, 0.0]))
+
+
+def told(time_ms: int, degrees: float, sigma_rad: float = ARCSEC, drift: float = 0.0) -> dict[str, Witness]:
+    return {"other": Witness(time_ms * MS, rolled(degrees), sigma_rad, drift)}
+
+
+def after(values_deg: list[float], step_ms: int = 50) -> tuple[StuckGuard, int]:
+    """A guard that has seen values which others confirmed, and the time of the next."""
+    guard = StuckGuard()
+    for n, degrees in enumerate(values_deg):
+        assert not guard.observe(n * step_ms * MS, rolled(degrees), ARCSEC, told(n * step_ms, degrees))
+    return guard, len(values_deg) * step_ms
+
+
+MOVING = [0.05 * n for n in range(20)]
+
+
+def test_mend_03_a_value_that_stands_while_another_source_turns_is_told_after_half_a_second() -> None:
+    guard, start_ms = after(MOVING)
+    held = MOVING[-1]
+    times_ms = range(start_ms, start_ms + 1000, 50)
+    stuck = [guard.observe(t * MS, rolled(held), ARCSEC, told(t, held + 0.001 * (t - start_ms))) for t in times_ms]
+    first = times_ms[stuck.index(True)]
+    assert 450 <= first - start_ms <= 600
+    assert all(stuck[stuck.index(True) :])
+    assert guard.is_frozen(rolled(held))
+    assert not guard.observe(start_ms * MS + 1000 * MS, rolled(held + 1.0), ARCSEC, told(start_ms + 1000, held + 1.0))
+    assert not guard.repeated
+
+
+def test_mend_03_at_rest_a_value_may_stand_for_ever() -> None:
+    guard, start_ms = after(MOVING)
+    assert not any(
+        guard.observe(t * MS, rolled(MOVING[-1]), ARCSEC, told(t, MOVING[-1] + 0.2 * ARCSEC * (t % 2)))
+        for t in range(start_ms, start_ms + 60_000, 50)
+    )
+
+
+def test_mend_03_the_resolution_is_learnt_from_the_steps_of_the_value() -> None:
+    """Printed to a tenth of a degree: a turn of less than that says nothing."""
+    guard, start_ms = after([0.1 * (n // 4) for n in range(40)])
+    # About one axis two rows of the matrix turn, by the step each.
+    assert guard.coarseness_rad == pytest.approx(np.deg2rad(0.1), rel=1e-3)
+    held = 0.9
+    times_ms = range(start_ms, start_ms + 3000, 50)
+    assert not any(
+        guard.observe(t * MS, rolled(held), ARCSEC, told(t, held + 0.00003 * (t - start_ms))) for t in times_ms
+    )
+
+
+def test_mend_03_every_value_new_is_no_coarseness() -> None:
+    assert after(MOVING)[0].coarseness_rad == 0.0
+
+
+@pytest.mark.parametrize(("sigma_rad", "drift"), [(np.deg2rad(0.2), 0.0), (ARCSEC, np.deg2rad(1.0))])
+def test_mend_03_a_witness_as_uncertain_as_its_turn_says_nothing(sigma_rad: float, drift: float) -> None:
+    guard, start_ms = after(MOVING)
+    times_ms = range(start_ms, start_ms + 1000, 50)
+    for t in times_ms:
+        witnesses = told(t, MOVING[-1] + 0.0005 * (t - start_ms), sigma_rad, drift)
+        assert not guard.observe(t * MS, rolled(MOVING[-1]), ARCSEC, witnesses)
+
+
+def test_mend_03_what_a_witness_said_before_the_value_stood_says_nothing() -> None:
+    guard, start_ms = after(MOVING)
+    times_ms = range(start_ms, start_ms + 2000, 50)
+    assert not any(guard.observe(t * MS, rolled(MOVING[-1]), ARCSEC, told(t % 700, 0.01 * t)) for t in times_ms)
+
+
+def test_mend_03_a_frozen_value_that_returns_to_the_bit_never_was_gone() -> None:
+    guard, start_ms = after(MOVING)
+    for t in range(start_ms, start_ms + 1000, 50):
+        stuck = guard.observe(t * MS, rolled(MOVING[-1]), ARCSEC, told(t, MOVING[-1] + 0.001 * (t - start_ms)))
+    assert stuck
+    assert not guard.observe((start_ms + 1000) * MS, rolled(-30.0), ARCSEC, told(start_ms + 1000, 3.0))
+    assert guard.observe((start_ms + 1050) * MS, rolled(MOVING[-1]), ARCSEC, told(start_ms + 1050, 3.0))
+
+
+TAKEN, REFUSED, JUMPED = JumpVerdict.TAKEN, JumpVerdict.REFUSED, JumpVerdict.JUMPED
+NEXT = Step(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
+
+
+def test_mend_10_refused_ones_that_agree_are_believed_after_so_many() -> None:
+    guard = JumpGuard(3)
+    assert [guard.judge(n, False, n > 0) for n in range(4)] == [REFUSED, REFUSED, REFUSED, JUMPED]
+    assert guard.judge(4, True, True) is TAKEN
+
+
+def test_mend_10_refused_ones_that_differ_among_themselves_are_never_believed() -> None:
+    guard = JumpGuard(3)
+    assert {guard.judge(n, False, False) for n in range(50)} == {REFUSED}
+
+
+def test_mend_10_one_that_continues_the_last_taken_ends_the_count() -> None:
+    guard = JumpGuard(2)
+    cases = ((False, False), (False, True), (True, False), (False, False))
+    judged = [guard.judge(n, *case) for n, case in enumerate(cases)]
+    assert judged == [REFUSED, REFUSED, TAKEN, REFUSED]
+    assert (guard.refused, guard.since_ns) == (1, 3)
+
+
+def bound_rad(continuation: Continuation, step: Step) -> float:
+    return continuation.match(np.zeros(3), step).bound_rad
+
+
+def learnt(sigma_rad: float, noise_rad: float) -> Continuation:
+    continuation, rng = Continuation(sigma_rad), np.random.default_rng(3)
+    for _ in range(200):
+        continuation.learn(noise_rad * rng.standard_normal(3))
+    return continuation
+
+
+def test_mend_10_the_bound_is_the_configured_noise_or_what_was_met() -> None:
+    assert bound_rad(learnt(ARCSEC, 0.1 * ARCSEC), NEXT) == pytest.approx((7.0 * math.sqrt(2.0) + 0.6) * ARCSEC)
+    assert bound_rad(learnt(ARCSEC, 10.0 * ARCSEC), NEXT) == pytest.approx(6.0 * math.sqrt(300.0) * ARCSEC, rel=0.1)
+
+
+def test_mend_10_before_enough_was_met_the_bound_is_wide() -> None:
+    assert bound_rad(Continuation(ARCSEC), NEXT) > math.radians(0.1)
+
+
+@pytest.mark.parametrize("change", [{"samples": 10}, {"uncertain_rad": ARCSEC}, {"coarseness_rad": ARCSEC}])
+def test_mend_10_what_is_known_less_of_the_way_widens_the_bound(change: dict[str, Any]) -> None:
+    continuation = learnt(ARCSEC, ARCSEC)
+    assert bound_rad(continuation, NEXT._replace(**change)) > bound_rad(continuation, NEXT)
+
+
+def test_mend_08_nan_is_within_no_bound() -> None:
+    far = Step(seconds=10.0, samples=1, uncertain_rad=math.radians(600.0), noise_gain=2.0, coarseness_rad=0.0)
+    assert not Continuation(ARCSEC).match(np.array([0.0, np.nan, 0.0]), far).fits
+    assert Continuation(ARCSEC).match(np.array([3.0, 0.0, 4.0]), far).fits
+    at_the_bound = np.array([0.0, bound_rad(Continuation(ARCSEC), far), 0.0])
+    assert Continuation(ARCSEC).match(at_the_bound, far).fits
+    assert size(np.array([3.0, 0.0, 4.0])) == 5.0
