@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.inertial_attitude import InertialAttitude, in_horizon
-from ship_attitude_star.measurements.star_exposure import StarExposure
+from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.sky.tracker_attitude import in_horizon
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
@@ -42,7 +43,7 @@ def told_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyWatch:
     watch = installed_sky(configuration.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
-            sky_input(run, source, index).insert(watch)
+            watch.insert(sky_input(run, source, index))
     return watch
 
 
@@ -58,7 +59,7 @@ def sighted(exposures: dict[str, StarExposure], watch: SkyWatch, configuration: 
             sensor.installation_sigma_right_arcsec,
         ]
         mounting_b.append(rotation_ds * np.array(sigma_s) * ARCSEC)
-        apparent = watch.apparent(exposure.positions, exposure.time_ns)
+        apparent = watch.at(exposure.time_ns).apparent(exposure.positions)
         measured_b = exposure.directions_s @ rotation_ds.T
         of_sensor = np.full(len(exposure), index)
         parts.append(

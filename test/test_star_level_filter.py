@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.measurements.samples import AttitudeEstimate
-from ship_attitude_star.sky.apparent_sky import ApparentStars, Sky
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.sky.catalogue import hipparcos
+from ship_attitude_star.sky.sky_watch import ApparentStars, SkyMoment, SkyWatch
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
+from ship_estimation.refusals import Refusal
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
 from ship_geometry.refraction import elevation_of, lifted
 from ship_geometry.rotations import FloatArray, log_rotation
@@ -41,10 +44,12 @@ def runs() -> list[SimulatedRun]:
     return [simulate(scenario, seed) for seed in range(SEEDS)]
 
 
-def final_nees(run: SimulatedRun, sky: type[Sky] = Sky, table: EarthOrientationTable | None = None) -> float:
+def final_nees(
+    run: SimulatedRun, watch: type[SkyWatch] = SkyWatch, table: EarthOrientationTable | None = None
+) -> float:
     """Of the fused attitude at the end, by an estimator with another sky where one is given."""
-    core = core_for(run.scenario)
-    core._watch.sky = sky(core.config.sky, table or earth_orientation_table())
+    config = core_for(run.scenario).config
+    core = ShipAttitudeCore(config, watch(config.sky, table or earth_orientation_table(), hipparcos()))
     estimate, _ = feed(core, run)
     return normalised(run, estimate)
 
@@ -81,13 +86,21 @@ def test_mend_09_with_streaks_the_fused_attitude_is_as_good_as_it_says(exposure_
     assert np.mean(few) > mean_nees_band(len(few), 3)[1]
 
 
-class SkyWithoutRefraction(Sky):
+class _Airless(SkyMoment):
     """Stars where they would be seen without air."""
 
-    def apparent(self, stars, time_ns, place, air) -> ApparentStars:
-        seen = super().apparent(stars, time_ns, place, air)
+    def apparent(self, stars) -> ApparentStars:
+        seen = super().apparent(stars)
         angle = elevation_of(seen.direction_n) - seen.elevation
         return replace(seen, direction_n=lifted(seen.direction_n, -angle))
+
+
+class SkyWithoutRefraction(SkyWatch):
+    """A sky that knows of no refraction."""
+
+    def at(self, time_ns: int) -> SkyMoment | Refusal:
+        moment = super().at(time_ns)
+        return moment if isinstance(moment, Refusal) else _Airless(**vars(moment))
 
 
 class _Still(RefreshedSky):
@@ -105,11 +118,11 @@ class _Still(RefreshedSky):
         return celestial @ self.rotation_horizon_from_icrs(time_ns, observer.position).T
 
 
-class SkyWithoutAberration(Sky):
+class SkyWithoutAberration(SkyWatch):
     """Stars as an observer at rest sees them; without proper motion, 0.3″ since 2000 for most."""
 
-    def __init__(self, config, table) -> None:
-        super().__init__(config, table)
+    def __init__(self, config, table, catalogue) -> None:
+        super().__init__(config, table, catalogue)
         self._refreshed = _Still(table)
 
 

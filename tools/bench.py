@@ -92,7 +92,7 @@ def star_solution() -> list[Row]:
     watch = installed_sky(config.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
-            sky_input(run, source, index).insert(watch)
+            watch.insert(sky_input(run, source, index))
     exposures = [sightings.exposure(0) for sightings in run.stars.values()]
     time_ns = exposures[0].time_ns
     mounted = [
@@ -101,11 +101,11 @@ def star_solution() -> list[Row]:
     ]
     solved = solve_deck(time_ns, mounted, config.star_sensors, None).solution
     assert solved.status is SolutionStatus.VALID
-    stars = [mounted_.sighting.stars for mounted_ in mounted]
+    stars = [mounted_.placed.stars for mounted_ in mounted]
     reference = np.concatenate([star.reference_n for star in stars])
     measured = reference @ solved.rotation_nb
     deck_us = _median_us(lambda: solve_deck(time_ns, mounted, config.star_sensors, None))
-    place_us = _median_us(lambda: [watch.apparent(exposure.positions, time_ns) for exposure in exposures])
+    place_us = _median_us(lambda: [watch.at(time_ns).apparent(exposure.positions) for exposure in exposures])
     scipy_us = _median_us(lambda: Rotation.align_vectors(reference, measured, return_sensitivity=True))
     return [
         Row("star solution, 2 x 8 stars, covariance and residuals: median", deck_us, "us"),

@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.measurements.star_exposure import StarExposure
+from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.sky.catalogue import julian_year
 from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles
@@ -36,7 +38,7 @@ def told_sky(config: ShipAttitudeConfig, sigma_m: float = 5.0) -> SkyWatch:
     """The sky with a ship at anchor, fixes all along."""
     watch = installed_sky(config.sky)
     for second in range(-2, 60):
-        watch.place.insert(TIME_NS + second * 1_000_000_000, POSITION, np.eye(3) * sigma_m**2)
+        watch.insert(PositionFix(TIME_NS + second * 1_000_000_000, POSITION, np.eye(3) * sigma_m**2))
     return watch
 
 
@@ -60,7 +62,7 @@ def exposure_of(
     """The brightest stars in a sensor's field, with noise where ``rng`` is given."""
     catalogue = watch.catalogue
     rows = catalogue.brighter_than(MAGNITUDE_LIMIT)
-    apparent = watch.apparent(catalogue.at_j2000[rows], time_ns)
+    apparent = watch.at(time_ns).apparent(catalogue.at_j2000[rows])
     angles = SENSORS[id_]
     rotation_ns = ROTATION_ND @ rotation_from_angles(*np.deg2rad([angles["azimuth_deg"], angles["elevation_deg"], 0.0]))
     if installation_s is not None:
@@ -80,7 +82,7 @@ def exposure_of(
         directions_s=seen,
         sigma=np.full(len(kept), SIGMA),
         positions=catalogue.at_j2000[kept],
-        position_sigma=catalogue.sigma(kept, watch.year(time_ns)),
+        position_sigma=catalogue.sigma(kept, julian_year(time_ns)),
         magnitude=catalogue.magnitude[kept],
     )
 

@@ -9,8 +9,9 @@ import pytest
 from ship_attitude_star.ros.messages_in import humidity, position_fix, pressure, temperature
 from ship_attitude_star.ros.star_messages_in import MOST_STARS, sigmas_given, star_exposure
 from ship_attitude_star.sky.catalogue import hipparcos
+from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.stars.camera import StarCamera
-from ship_attitude_star.stars.star_config import CameraConfig, SkyConfig
+from ship_attitude_star.stars.config import CameraConfig
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import make_header
 from ship_estimation.refusals import Reason

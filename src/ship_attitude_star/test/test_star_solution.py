@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import poisson
 
-from ship_attitude_star.stars.fit import Judgement, SightedStars, linearized, square_roots
+from ship_attitude_star.stars.fit import SightedStars, StarJudgement, linearized, square_roots
 from ship_attitude_star.stars.selection import AttitudePrior, select
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
@@ -31,8 +31,8 @@ def test_mend_08_a_star_that_is_no_number_is_in_no_choice():
     stars = draw_scene(np.random.default_rng(8), (6, 6)).stars
     measured_b = stars.measured_b.copy()
     measured_b[2, 1] = np.nan
-    assert np.isnan(Judgement(np.eye(3), np.eye(3), np.zeros(3), np.nan, -1).probability)
-    assert np.isnan(Judgement(np.eye(3), np.eye(3), np.zeros(3), np.nan, 3).probability)
+    assert np.isnan(StarJudgement(np.eye(3), np.eye(3), np.zeros(3), np.nan, -1).probability)
+    assert np.isnan(StarJudgement(np.eye(3), np.eye(3), np.zeros(3), np.nan, 3).probability)
     prior = AttitudePrior(np.eye(3), np.eye(3) * ARCSEC**2)
     for given in (None, prior):
         try:

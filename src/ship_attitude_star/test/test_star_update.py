@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.inertial_attitude import InertialAttitude
+from ship_attitude_star.measurements.readings import InertialAttitude, PositionFix
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.measurement_models import predict_attitude
 from ship_attitude_star.ship_attitude.star_update import star_residuals
-from ship_attitude_star.sky.sky_inputs import PositionFix
 from ship_attitude_star.stars.identification import identified
 from ship_attitude_star.stars.selection import AttitudePrior
 from ship_estimation.refusals import Reason
@@ -72,7 +71,7 @@ def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third
     before = ship_filter.predicted(ship_filter.initial_state(), TIME_NS)
     after, decision = ship_filter.step(before, exposure, ins_track(), watch)
     assert decision.accepted
-    star_n = watch.apparent(exposure.positions, TIME_NS).direction_n[0]
+    star_n = watch.at(TIME_NS).apparent(exposure.positions).direction_n[0]
     # Bound: information of the star beside the prior, mounting and shared errors as further noise across the star.
     rows = ship_filter.model.rows("ins.attitude")
     prior = before.covariance[np.ix_(rows, rows)]
@@ -208,7 +207,7 @@ def test_identification_leaves_out_what_is_ambiguous_or_nowhere(watch):
     unknown = without_identity(replace(twice, directions_s=nowhere))
     device = ShipFilter(CONFIG).devices["star.fore"]
     prior = AttitudePrior(ROTATION_ND @ device.rotation_dv0, np.diag((np.array([10.0, 72.0, 10.0]) * ARCSEC) ** 2))
-    result, reasons = identified(unknown, prior, watch)
+    result, reasons = identified(unknown, prior, watch.at(TIME_NS))
     assert result.hip.tolist() == [0, 0, exposure.hip[2], 0]
     assert set(reasons) == {0, 1, 3}
     assert "claimed twice" in reasons[0].text
@@ -225,11 +224,11 @@ def test_an_attitude_against_the_icrs_gives_the_horizon_attitude(watch):
     ship_filter = ShipFilter(config)
     device = ship_filter.devices["star.fore"]
     rotation_ns = ROTATION_ND @ device.rotation_dv0
-    place, air = watch.surroundings(TIME_NS)
+    moment = watch.at(TIME_NS)
     elevation = np.arcsin(rotation_ns[1, 0])
-    angle, _ = watch.sky.refraction_at(elevation, air)
+    angle, _ = moment.refraction_at(elevation)
     level = np.array([-rotation_ns[2, 0], 0.0, rotation_ns[0, 0]]) / np.hypot(rotation_ns[0, 0], rotation_ns[2, 0])
-    seen = watch.sky.rotation_horizon_from_icrs(TIME_NS, place).T @ exp_rotation(-angle * level) @ rotation_ns
+    seen = moment.rotation_horizon_from_icrs().T @ exp_rotation(-angle * level) @ rotation_ns
     inertial = InertialAttitude("star.fore", TIME_NS, seen, np.diag((np.array([20.0, 3.0, 3.0]) * ARCSEC) ** 2))
     _, decision = ship_filter.step(ship_filter.initial_state(), inertial, ins_track(), watch)
     assert decision.accepted

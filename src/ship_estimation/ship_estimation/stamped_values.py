@@ -42,8 +42,9 @@ class StampedValues(Generic[Value]):
         """Index of the last value at or before a moment; -1 where there is none."""
         return bisect.bisect_right(self.times, time_ns) - 1
 
-    def forget(self, count: int) -> None:
-        """Drop the oldest values."""
+    def drop_before(self, time_ns: int, keep: int = 1) -> None:
+        """Forget old values, but keep the last ``keep`` at or before a moment and all after it."""
+        count = bisect.bisect_right(self.times, time_ns) - keep
         if count > 0:
             del self.times[:count]
             del self.values[:count]

@@ -8,7 +8,7 @@ import pytest
 from ship_attitude_star.ros.messages_in import humidity, position_fix, pressure, temperature
 from ship_attitude_star.ros.star_messages_in import star_exposure as read_exposure
 from ship_attitude_star.sky.catalogue import hipparcos
-from ship_attitude_star.stars.star_config import SkyConfig
+from ship_attitude_star.sky.config import SkyConfig
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_replay.trials.attitude_monte_carlo import sky_input, star_exposure
 from ship_simulation.messages.to_messages import messages

@@ -28,7 +28,7 @@ class AttitudeMeasurement:
         common_n: covariance of what epochs share, rotation vector in the horizon frame, rad², shape (3, 3).
         covariance_known: False where the message gave none and the configured sigma stands in.
         shared_n: turn of the sky, as the horizon has it, by one sigma of each error that all star sensors share
-            (:data:`ship_attitude_star.sky.apparent_sky.SHARED_TERMS`), rad, shape (3, 4); None where the message knows
+            (:data:`ship_attitude_star.sky.sky_watch.SHARED_TERMS`), rad, shape (3, 4); None where the message knows
             of none.
     """
 

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.measurements.inertial_attitude import InertialAttitude
+from ship_attitude_star.measurements.readings import AirReading, InertialAttitude, PositionFix, SkyInput
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, StarSensorConfig
-from ship_attitude_star.sky.sky_inputs import AirReading, PositionFix, SkyInput
-from ship_attitude_star.stars.star_config import SkyConfig
+from ship_attitude_star.sky.config import SkyConfig
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.geodetic import GeodeticPosition

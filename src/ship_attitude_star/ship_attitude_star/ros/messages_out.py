@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.measurements.device_config import JOINT
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeEstimate
 from ship_attitude_star.ship_attitude.alignment import Alignment
-from ship_attitude_star.star_attitude.results import RefusedStar, Solved
+from ship_attitude_star.star_attitude.exposure_solver import RefusedStar, Solved
+from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.solution import SOLUTION_TERMS
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header

@@ -3,13 +3,13 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from ship_attitude_star.measurements.device_config import JOINT
 from ship_attitude_star.ros import messages_in, messages_out, star_messages_in
 from ship_attitude_star.ros.star_diagnosis import sky_status, solution_statuses
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
-from ship_attitude_star.star_attitude.results import RefusedStar, Solved, StarOutcome
+from ship_attitude_star.star_attitude.exposure_solver import RefusedStar, Solved, StarOutcome
+from ship_attitude_star.stars.config import JOINT
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.parameters import changed

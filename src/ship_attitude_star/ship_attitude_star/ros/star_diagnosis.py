@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
-from ship_attitude_star.measurements.device_config import JOINT
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_attitude_star.star_attitude.results import Solved
+from ship_attitude_star.star_attitude.exposure_solver import Solved
+from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.solution import SolutionStatus
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.messages_out import DiagnosticStatus, Level

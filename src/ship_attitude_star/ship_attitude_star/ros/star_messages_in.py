@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.measurements.star_exposure import ExposureLength, StarExposure
 from ship_attitude_star.sky.catalogue import UNKNOWN, StarCatalogue
 from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
-from ship_attitude_star.stars.star_config import CameraConfig
+from ship_attitude_star.stars.config import CameraConfig
+from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import ARCSEC, FloatArray

@@ -4,12 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_attitude_star.measurements.inertial_attitude import InertialAttitude, in_horizon
+from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
-from ship_attitude_star.measurements.star_exposure import StarExposure
 from ship_attitude_star.ship_attitude.measurement_models import PredictedAttitude, attitude_measurement
 from ship_attitude_star.ship_attitude.star_update import attitude_by_stars, star_residuals
 from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.tracker_attitude import in_horizon
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Refusal
 from ship_estimation.state import StateModel
@@ -72,9 +73,6 @@ def compare(
         return _compare_attitude(measurement, predicted, model, mean)
     assert watch is not None
     assert isinstance(measurement, StarExposure)
-    refusal = watch.reason_against(measurement.time_ns)
-    if refusal is not None:
-        return refusal
     stars = star_residuals(measurement, predicted, covariance, watch, model, mean)
     if isinstance(stars, Refusal):
         return stars
@@ -125,7 +123,5 @@ def attitude_alone(
         common_n = attitude.common_n + attitude.shared_n @ attitude.shared_n.T
         return replace(attitude, common_n=common_n, shared_n=None)
     assert isinstance(measurement, StarExposure)
-    if watch.reason_against(measurement.time_ns) is not None:
-        return None
     by_stars = attitude_by_stars(measurement, watch, untold_acceleration)
     return None if isinstance(by_stars, Refusal) else by_stars

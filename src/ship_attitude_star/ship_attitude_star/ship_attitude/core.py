@@ -9,6 +9,7 @@ of the INS and of the star sensors, and who carries the attitude when the INS is
 import numpy as np
 
 from ship_attitude_star.guards.stream_guards import StreamGuards
+from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.measurements.samples import (
     AttitudeDecision,
     AttitudeEstimate,
@@ -26,7 +27,6 @@ from ship_attitude_star.ship_attitude.comparison import attitude_alone
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter, reach_ns
 from ship_attitude_star.ship_attitude.output import CorrectedIns, estimate_from_star, no_estimate
-from ship_attitude_star.sky.sky_inputs import SkyInput
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.estimator_shell import SECOND_NS, EstimatorShell, Model
 from ship_estimation.ins_jump import InsJump
@@ -133,8 +133,8 @@ class ShipAttitudeCore:
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
         """Where the ship is, or the air around it; what was compared with another sky is compared anew."""
         assert self._watch is not None
-        outcome = AttitudeOutcome(sky_input.refusal(self._watch))
-        changed_after_ns = sky_input.insert(self._watch)
+        outcome = AttitudeOutcome(self._watch.refusal(sky_input))
+        changed_after_ns = self._watch.insert(sky_input)
         if changed_after_ns is not None:
             self._shell.rewind_where(
                 lambda decision: decision.measurement.time_ns > changed_after_ns

@@ -11,9 +11,8 @@ from typing import TypeVar
 import numpy as np
 
 from ship_attitude_star.guards.hints import Departure, who_is_wrong
-from ship_attitude_star.measurements.inertial_attitude import InertialAttitude, in_horizon
+from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
-from ship_attitude_star.measurements.star_exposure import StarExposure
 from ship_attitude_star.ship_attitude.comparison import Compared, compare
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.measurement_models import ins_time_of, predict_attitude
@@ -26,7 +25,8 @@ from ship_attitude_star.ship_attitude.model import (
     state_model,
 )
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_attitude_star.stars.streaks import at_middle
+from ship_attitude_star.sky.tracker_attitude import in_horizon
+from ship_attitude_star.stars.exposure import StarExposure, at_middle
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.ins_jump import InsJump
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update

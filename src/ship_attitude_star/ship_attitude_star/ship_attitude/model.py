@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
-from ship_attitude_star.stars.star_config import SkyConfig
+from ship_attitude_star.sky.config import SkyConfig
 from ship_estimation.state import StateBlock, StateModel, block
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray

@@ -1,8 +1,10 @@
-"""Single stars against the predicted attitude of their sensor: two components each, errors they share as states.
+"""Single stars against the predicted attitude of their sensor.
 
-With R the predicted attitude (horizon from sensor), v a star's place in the sky and u its measured direction, the
-residual is u - Rᵀ v across the line of sight, up and right in the sensor. A rotation ε of the sensor (its own frame)
-moves the prediction by p × ε with p = Rᵀ v; one sigma of refraction, Earth rotation or position by Rᵀ g.
+Each star has a residual of two components, up and right in the sensor. With R the predicted attitude (horizon from
+sensor), v the star's place in the sky and u its measured direction, the residual is the part of u - Rᵀ v across the
+line of sight. A rotation ε of the sensor (rotation vector in its own frame) moves the predicted direction p = Rᵀ v by
+p × ε. The errors that all stars share (refraction, Earth rotation, position) are states of the filter: one sigma of
+such an error displaces v by g, and the predicted direction by Rᵀ g.
 """
 
 from dataclasses import dataclass, replace
@@ -11,35 +13,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
-from ship_attitude_star.measurements.star_exposure import StarExposure
 from ship_attitude_star.ship_attitude.measurement_models import PredictedAttitude
 from ship_attitude_star.ship_attitude.model import sky_rows
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.camera import tangent_basis
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.fit import SightedStars
-from ship_attitude_star.stars.identification import identified
+from ship_attitude_star.stars.identification import visible_stars
 from ship_attitude_star.stars.selection import AttitudePrior, select
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.state import StateModel
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, skew
 
-_ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
-"""Mounting errors of stars that are compared in their sensor's own frame."""
-
 
 @dataclass(frozen=True)
 class StarResiduals:
-    """The stars of an exposure that can be used, linearised at the prediction.
+    """The stars of an exposure that are used, linearised at the prediction.
 
     Attributes:
-        residual: rad, shape (2 k,).
-        jacobian: per state, shape (2 k, n).
-        by_turn: per turn of the predicted sensor, rotation vector in its own frame, shape (2 k, 3).
+        residual: measured minus predicted direction, up and right of each of k stars, rad, shape (2 k,).
+        jacobian: derivative of the residual by the n states, shape (2 k, n).
+        by_turn: its derivative by a turn of the predicted sensor, rotation vector in its own frame, shape (2 k, 3).
         noise: covariance, rad², shape (2 k, 2 k).
         components: name of each residual.
-        refused: the other stars, by name.
-        rotation_ns: the sensor's attitude by these stars alone, where they contradict the prediction; None otherwise.
+        refused: the other stars by name, each with its refusal.
+        rotation_ns: the sensor's attitude (horizon from sensor) by these stars alone, where they contradict the
+            prediction, shape (3, 3); None where they agree with it.
     """
 
     residual: FloatArray
@@ -62,7 +62,7 @@ def star_residuals(
     """Choose the stars that are what they are taken for, and compare them with the prediction.
 
     Args:
-        exposure: at a moment that the watch's ``reason_against`` has nothing against.
+        exposure: the stars where they stood at its middle.
         predicted: attitude of the sensor.
         covariance: of the state, shape (n, n).
         watch: the sky.
@@ -70,54 +70,89 @@ def star_residuals(
         mean: of the state, shape (n,).
 
     Returns:
-        The refusal of the whole exposure where no star can be used.
+        The refusal of the whole exposure where no star can be placed in the sky at its moment, or none can be used.
     """
+    moment = watch.at(exposure.time_ns)
+    if isinstance(moment, Refusal):
+        return moment
     rotation_ns, to_sensor = predicted.rotation_nv, predicted.jacobian_v
     prior_s = to_sensor @ covariance @ to_sensor.T + predicted.interpolation_v
-    prior_n = rotation_ns @ prior_s @ rotation_ns.T
-    prior = AttitudePrior(rotation_ns, prior_n)
-    seen, stars, refused = visible_stars(exposure, watch, prior)
-    if len(stars) == 0:
+    prior = AttitudePrior(rotation_ns, rotation_ns @ prior_s @ rotation_ns.T)
+    seen, stars, refused = visible_stars(exposure, moment, prior)
+    if len(stars.sigma) == 0:
         return Refusal(Reason.TOO_FEW_STARS, _listed(f"none of {len(exposure)} stars can be used", refused))
     rows = sky_rows(model)
-    # Where the estimate of the shared errors puts them.
+    # The estimate of the shared errors moves the stars to where they are expected.
     expected_n = stars.reference_n + stars.shared_n @ mean[rows]
     expected_n /= np.linalg.norm(expected_n, axis=-1, keepdims=True)
-    members, alone_ns = select(replace(stars, reference_n=expected_n), prior).members, None
-    if not members.any():
-        # Do the stars contradict the prediction, or one another?
-        alone = solve_stars(stars)
-        if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
-            refused += [(seen.name(row), _misfit(stars, row, rotation_ns)) for row in range(len(stars))]
-            text = (
-                f"none of {len(stars)} stars is where it is expected, and they do not agree on another attitude: "
-                "where this lasts, look at the camera's parameters, gnss/fix and the clock"
-            )
-            return Refusal(Reason.MISIDENTIFIED, _listed(text, refused))
-        members, alone_ns = alone.members, alone.rotation_nb
-    turned_ns = rotation_ns if alone_ns is None else alone_ns
-    refused += [(seen.name(row), _misfit(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()]
-    chosen = expected_n[members]
-    predicted_s = chosen @ rotation_ns
-    basis = tangent_basis(predicted_s)
-    residual = np.einsum("kij,kj->ki", basis, stars.measured_b[members] - predicted_s)
-    by_turn = basis @ skew(predicted_s)
+    expected = replace(stars, reference_n=expected_n)
+    chosen = _chosen(stars, expected, prior)
+    turned_ns = rotation_ns if chosen.rotation_ns is None else chosen.rotation_ns
+    left_out = np.flatnonzero(~chosen.members).tolist()
+    refused += [(seen.name(row), _misfit(stars, row, turned_ns)) for row in left_out]
+    if chosen.contradictory:
+        return Refusal(Reason.MISIDENTIFIED, _listed(_contradiction(len(left_out)), refused))
+    names = [seen.name(row) for row in np.flatnonzero(chosen.members).tolist()]
+    predicted_s = expected_n[chosen.members] @ rotation_ns
+    basis, about_star = tangent_basis(predicted_s), skew(predicted_s)
+    residual = np.einsum("kij,kj->ki", basis, stars.measured_b[chosen.members] - predicted_s)
+    by_turn = basis @ about_star
     jacobian = by_turn @ to_sensor
-    jacobian[:, :, rows] = basis @ rotation_ns.T @ stars.shared_n[members]
-    names = [seen.name(row) for row in np.flatnonzero(members).tolist()]
+    jacobian[:, :, rows] = basis @ rotation_ns.T @ stars.shared_n[chosen.members]
     return StarResiduals(
         residual=residual.ravel(),
         jacobian=jacobian.reshape(-1, jacobian.shape[-1]),
         by_turn=by_turn.reshape(-1, 3),
-        noise=_noise(stars, basis, members),
+        noise=_noise(expected, basis, chosen.members),
         components=tuple(f"{name} {axis}" for name in names for axis in ("up", "right")),
         refused=tuple(refused),
-        rotation_ns=alone_ns,
+        rotation_ns=chosen.rotation_ns,
+    )
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """The stars that belong together.
+
+    Attributes:
+        members: shape (k,); none where the stars contradict the prediction as well as one another.
+        rotation_ns: attitude of the sensor by the members alone, where they contradict the prediction; else None.
+    """
+
+    members: NDArray[np.bool_]
+    rotation_ns: FloatArray | None
+
+    @property
+    def contradictory(self) -> bool:
+        return not self.members.any()
+
+
+def _chosen(stars: SightedStars, expected: SightedStars, prior: AttitudePrior) -> _Chosen:
+    """The stars that agree with the prediction; where none does, those that agree on another attitude.
+
+    Args:
+        stars: with their places by the sky.
+        expected: the same where the estimate of the shared errors expects them.
+        prior: the prediction.
+    """
+    members = select(expected, prior).members
+    if members.any():
+        return _Chosen(members, None)
+    alone = solve_stars(stars)
+    if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
+        return _Chosen(members, None)
+    return _Chosen(alone.members, alone.rotation_nb)
+
+
+def _contradiction(count: int) -> str:
+    return (
+        f"none of {count} stars is where it is expected, and they do not agree on another attitude: "
+        "where this lasts, look at the camera's parameters, gnss/fix and the clock"
     )
 
 
 def _noise(stars: SightedStars, basis: FloatArray, members: NDArray[np.bool_]) -> FloatArray:
-    """Covariance of the residuals of the members, along their basis (k, 2, 3), rad², shape (2 k, 2 k)."""
+    """Covariance of the residuals of the k members, along their basis (k, 2, 3), rad², shape (2 k, 2 k)."""
     noise = np.diag(np.repeat(stars.white_sigma[members] ** 2, 2))
     if stars.smear_b is not None:
         smear = basis @ stars.smear_b[members] @ np.swapaxes(basis, -1, -2)
@@ -129,14 +164,20 @@ def _noise(stars: SightedStars, basis: FloatArray, members: NDArray[np.bool_]) -
 def attitude_by_stars(
     exposure: StarExposure, watch: SkyWatch, untold_acceleration: float
 ) -> AttitudeMeasurement | Refusal:
-    """The sensor's attitude by one exposure alone: what is left to go by when the INS is gone.
+    """The sensor's attitude by one exposure alone: it carries the ship's attitude when the INS is gone.
 
     Args:
         exposure: its stars.
         watch: the sky.
-        untold_acceleration: angular acceleration of the sensor that nothing tells, sigma of each axis, rad/s².
+        untold_acceleration: angular acceleration that the sensor may have, standard deviation of each axis, rad/s².
+
+    Returns:
+        The refusal where the stars do not give an attitude that others of them verify.
     """
-    _, stars, refused = visible_stars(exposure, watch, None)
+    moment = watch.at(exposure.time_ns)
+    if isinstance(moment, Refusal):
+        return moment
+    _, stars, refused = visible_stars(exposure, moment, None)
     solution = solve_stars(stars)
     if solution.status is SolutionStatus.INVALID:
         assert solution.refusal is not None
@@ -150,44 +191,6 @@ def attitude_by_stars(
     return AttitudeMeasurement(
         exposure.source, exposure.time_ns, rotation_ns, noise_s, solution.covariance_n - solution.noise_n
     )
-
-
-def visible_stars(
-    exposure: StarExposure, watch: SkyWatch, prior: AttitudePrior | None
-) -> tuple[StarExposure, SightedStars, list[tuple[str, Refusal]]]:
-    """The stars of an exposure with their places in the sky, and the others by name.
-
-    Args:
-        exposure: at a moment that the watch's ``reason_against`` has nothing against.
-        watch: the sky.
-        prior: attitude of the sensor, by which stars without an identity are identified; None leaves them out.
-    """
-    refused: list[tuple[str, Refusal]] = []
-    unidentified = ~exposure.identified
-    if unidentified.any():
-        reasons: dict[int, Refusal] = {}
-        if prior is not None:
-            exposure, reasons = identified(exposure, prior, watch)
-        nobody = Refusal(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it by")
-        unknown = np.flatnonzero(~exposure.identified)
-        refused += [(exposure.name(row), reasons.get(row, nobody)) for row in unknown.tolist()]
-        exposure = exposure[exposure.identified]
-    apparent = watch.apparent(exposure.positions, exposure.time_ns)
-    for row in np.flatnonzero(~apparent.visible).tolist():
-        refused.append((exposure.name(row), watch.sky.too_low(float(apparent.elevation[row]))))
-    keep = apparent.visible
-    exposure = exposure[keep]
-    stars = SightedStars(
-        measured_b=exposure.directions_s,
-        reference_n=apparent.direction_n[keep],
-        sigma=exposure.sigma,
-        position_sigma=exposure.position_sigma,
-        shared_n=apparent.shared_n[keep],
-        sensor=np.zeros(len(exposure), dtype=np.intp),
-        mounting_b=_ONE_SENSOR,
-        smear_b=exposure.smear_s,
-    )
-    return exposure, stars, refused
 
 
 def _misfit(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Refusal:

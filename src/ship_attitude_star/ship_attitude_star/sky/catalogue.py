@@ -15,12 +15,14 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, stars_from_epoch
 
 EPOCH_YEAR = 1991.25
-"""Of the positions in the catalogue."""
+"""Julian year of the positions in the catalogue."""
 
 UNKNOWN = -1
 """Row of a star that is not in the catalogue."""
 
 _MAS = 1e-3 * ARCSEC
+_JULIAN_YEAR_NS = 31_557_600 * 1_000_000_000
+_J2000_NS = 946_728_000 * 1_000_000_000
 
 # Columns (first, last; counted from 1) of hip2.dat, as the catalogue's ReadMe gives them. The proper motion in right
 # ascension is multiplied by cos δ there.
@@ -33,15 +35,15 @@ _MAGNITUDE = 130, 136
 
 @dataclass(frozen=True)
 class StarCatalogue:
-    """All stars, one row each; every array has shape (n,).
+    """All stars of the catalogue, one row a star; every array has shape (n,).
 
     Attributes:
         hip: HIP numbers, increasing.
         at_epoch: positions and motions at 1991.25, ICRS.
         at_j2000: the same at J2000.0, which :mod:`ship_geometry.star_directions` takes.
-        magnitude: Hp.
+        magnitude: in the band Hp of Hipparcos.
         position_sigma: standard deviation of a position at 1991.25, the larger of its two components, rad.
-        pm_sigma: the same of the proper motion, rad/year.
+        pm_sigma: standard deviation of the proper motion, the larger of its two components, rad/year.
     """
 
     hip: NDArray[np.int64]
@@ -58,7 +60,7 @@ class StarCatalogue:
         return np.where(self.hip[row] == numbers, row, UNKNOWN)
 
     def reason_against(self, hip: int) -> str | None:
-        """Why a star cannot be used: None where it can."""
+        """Why a star cannot be used; None where the catalogue has it."""
         if self.rows(hip) != UNKNOWN:
             return None
         return f"HIP {hip} is not in Hipparcos-2 ({len(self.hip)} stars, HIP {self.hip[0]} to {self.hip[-1]})"
@@ -68,8 +70,42 @@ class StarCatalogue:
         return np.flatnonzero(self.magnitude <= magnitude)
 
     def sigma(self, rows: NDArray[np.int64], year: float) -> FloatArray:
-        """Standard deviation of positions in a year (2014.5), rad per axis: proper motion adds up since 1991.25."""
+        """Standard deviation of positions in a Julian year (2014.5), rad per axis.
+
+        It grows with the time since 1991.25, for the errors of the proper motions add up.
+        """
         return np.hypot(self.position_sigma[rows], self.pm_sigma[rows] * (year - EPOCH_YEAR))
+
+    def entries(self, hip: NDArray[np.int64], time_ns: int) -> "CatalogueEntries":
+        """All that the catalogue knows of some stars at a moment.
+
+        Args:
+            hip: HIP numbers, shape (k,).
+            time_ns: the moment to which the errors of the positions have grown.
+        """
+        rows = self.rows(hip)
+        listed = np.maximum(rows, 0)
+        return CatalogueEntries(rows, self.sigma(listed, julian_year(time_ns)), self.at_j2000[listed])
+
+
+@dataclass(frozen=True)
+class CatalogueEntries:
+    """What the catalogue says of the stars of one exposure.
+
+    Attributes:
+        rows: of the catalogue, shape (k,); UNKNOWN for a star that is not in it.
+        sigma: standard deviation of the position, rad per axis, shape (k,); of some other star where UNKNOWN.
+        positions: at J2000.0, shape (k,); of some other star where UNKNOWN.
+    """
+
+    rows: NDArray[np.int64]
+    sigma: FloatArray
+    positions: StarPositions
+
+
+def julian_year(time_ns: int) -> float:
+    """The Julian year of a moment: 2000.0 is 2000-01-01 12:00 (UTC stands in for TT here)."""
+    return 2000.0 + (time_ns - _J2000_NS) / _JULIAN_YEAR_NS
 
 
 @lru_cache(maxsize=1)

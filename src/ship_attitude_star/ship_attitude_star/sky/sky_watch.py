@@ -1,78 +1,255 @@
-"""The sky over the ship as the inputs tell it: catalogue and Earth orientation, and place and air at any moment."""
+"""The sky over the ship at any moment: where stars are seen from her, and what is wrong with all of them together.
+
+:class:`SkyWatch` takes position fixes and readings of the air, and is asked for the sky at a moment: :class:`SkyMoment`
+places stars in the horizon frame (North, Up, East), with air. The errors that stars share do not average: refraction,
+Earth rotation (UT1) and the ship's position. Each direction therefore comes with its displacement by one standard
+deviation of each of them (models.md §2).
+"""
+
+from dataclasses import dataclass
 
 import erfa
+import numpy as np
+from numpy.typing import NDArray
 
-from ship_attitude_star.sky.apparent_sky import ApparentStars, Sky
+from ship_attitude_star.measurements.readings import PositionFix, SkyInput
 from ship_attitude_star.sky.catalogue import StarCatalogue, hipparcos
-from ship_attitude_star.sky.place_track import PlaceTrack
-from ship_attitude_star.sky.surroundings import Air, Place
-from ship_attitude_star.sky.weather_track import WeatherTrack
-from ship_attitude_star.stars.star_config import SkyConfig
-from ship_estimation.refusals import Refusal
+from ship_attitude_star.sky.config import SkyConfig
+from ship_attitude_star.sky.surroundings import Air, Place, PlaceTrack, WeatherTrack
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.earth_orientation import EarthOrientationTable, earth_orientation_table
-from ship_geometry.rotations import FloatArray
-from ship_geometry.star_directions import StarPositions
+from ship_geometry.geodetic import horizon_radii_m
+from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, elevation_of, lifted, refraction, refraction_slopes
+from ship_geometry.rotations import ARCSEC, FloatArray, skew
+from ship_geometry.star_directions import RefreshedSky, StarPositions, fixed_stars
 
-_JULIAN_YEAR_NS = 31_557_600_000_000_000
+SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position")
+"""Error source of each column of :attr:`ApparentStars.shared_n`.
+
+The ship's position has two columns, one for each of the independent errors of :func:`_position_turns`.
+"""
+
+EARTH_ROTATION_RATE = 15.041 * ARCSEC
+"""Angle by which the sky turns in a second of UT1, rad."""
+
+_TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class ApparentStars:
+    """Stars as they are seen from the ship at one moment.
+
+    Attributes:
+        direction_n: unit vectors with refraction, shape (k, 3); NaN below the lowest elevation.
+        shared_n: displacement of each direction by one sigma of each of SHARED_TERMS, rad, shape (k, 3, 4).
+        elevation: without air, rad, shape (k,).
+        visible: False where a star is lower than the refraction model holds, shape (k,).
+    """
+
+    direction_n: FloatArray
+    shared_n: FloatArray
+    elevation: FloatArray
+    visible: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class BrightStars:
+    """The stars that a detection without an identity may be, by their magnitude.
+
+    Attributes:
+        catalogue: all stars.
+        rows: of the catalogue, shape (m,).
+        directions_c: ICRS unit vectors of the stars of these rows, shape (m, 3).
+    """
+
+    catalogue: StarCatalogue
+    rows: NDArray[np.int64]
+    directions_c: FloatArray
+
+
+@dataclass(frozen=True)
+class SkyMoment:
+    """The sky over the ship at one moment. :meth:`SkyWatch.at` makes it.
+
+    Attributes:
+        time_ns: the moment.
+        place: the ship's place then.
+        air: the air around her then.
+        refreshed: directions of stars without air.
+        model: refraction model.
+        wavelength_um: effective wavelength of the sensors' light.
+        bright: stars that a detection may be.
+    """
+
+    time_ns: int
+    place: Place
+    air: Air
+    refreshed: RefreshedSky
+    model: ModelName
+    wavelength_um: float
+    bright: BrightStars
+
+    def apparent(self, stars: StarPositions) -> ApparentStars:
+        """Directions of stars, with refraction; ``stars`` has shape (k,)."""
+        without_air = self.refreshed.directions(stars, self.time_ns, self.place.observer)
+        ut1_sigma_s = self.refreshed.orientation(self.time_ns).ut1_sigma_s
+        elevation = elevation_of(without_air)
+        bent = refraction(self.model, elevation, self.air.weather, self.wavelength_um)
+        direction_n = lifted(without_air, bent.angle)
+        bent_sigma = bent.sigma(self.air.pressure_sigma_hpa, self.air.temperature_sigma_k)
+        # turn × direction for all three turns in one product.
+        across = skew(_turns(self.place, ut1_sigma_s)).transpose(2, 1, 0).reshape(3, 9)
+        shared_n = np.empty((*direction_n.shape, len(SHARED_TERMS)))
+        shared_n[..., 0] = _upward(direction_n) * bent_sigma[..., None]
+        shared_n[..., 1:] = (direction_n @ across).reshape(*direction_n.shape, 3)
+        return ApparentStars(direction_n, shared_n, elevation, np.isfinite(bent_sigma))
+
+    def too_low(self, elevation: float) -> Refusal:
+        """The refusal of a star at an elevation (rad, without air) where the refraction model does not hold."""
+        text = f"elevation {np.rad2deg(elevation):.1f}°"
+        if elevation < 0.0:
+            text += ", below the horizon: look at gnss/fix, the clock and the identity"
+        else:
+            lowest_deg = np.rad2deg(LOWEST_ELEVATION[self.model])
+            text += f": refraction model '{self.model}' holds from {lowest_deg:.0f}°"
+        return Refusal(Reason.BELOW_HORIZON, text)
+
+    def rotation_horizon_from_icrs(self) -> FloatArray:
+        """The horizon's axes from those of the ICRS, shape (3, 3): how bodies turn, without aberration and air."""
+        return self.refreshed.rotation_horizon_from_icrs(self.time_ns, self.place.observer.position)
+
+    def bright_rows_around(self, centre_n: FloatArray, radius: float) -> NDArray[np.int64]:
+        """Rows of the catalogue with the bright stars within a radius (rad) of a direction (N, U, E), shape (3,)."""
+        centre_c = self.rotation_horizon_from_icrs().T @ centre_n
+        return self.bright.rows[self.bright.directions_c @ centre_c > np.cos(radius)]
+
+    def refraction_at(self, elevation: float) -> tuple[float, float]:
+        """Refraction at an elevation without air and its standard deviation, rad; NaN where the model does not hold."""
+        bent = refraction(self.model, elevation, self.air.weather, self.wavelength_um)
+        return float(bent.angle), float(bent.sigma(self.air.pressure_sigma_hpa, self.air.temperature_sigma_k))
+
+    def refraction_slopes_at(self, elevation: float) -> tuple[float, float]:
+        """First and second derivative of refraction by elevation, rad/rad and rad/rad²."""
+        return refraction_slopes(self.model, elevation, self.air.weather, self.wavelength_um)
+
+    def aberration_at(self, direction_n: FloatArray) -> FloatArray:
+        """Displacement by aberration of a star in a direction (N, U, E), without air, rad, shape (3,)."""
+        rotation_nc = self.rotation_horizon_from_icrs()
+        star = fixed_stars(*erfa.c2s(rotation_nc.T @ direction_n))
+        seen_n = self.refreshed.directions(star, self.time_ns, self.place.observer)
+        displacement: FloatArray = seen_n - direction_n
+        return displacement
+
+    def turns(self) -> FloatArray:
+        """Turn of the whole sky by one sigma of each of SHARED_TERMS but refraction: rotation vectors, rad, (3, 3)."""
+        return _turns(self.place, self.refreshed.orientation(self.time_ns).ut1_sigma_s)
 
 
 class SkyWatch:
-    """What is above the ship, moment by moment.
+    """Keeps what tells the sky over the ship, and gives it for any moment.
 
     Args:
-        config: refraction, and how long a fix and the weather hold.
+        config: refraction, and how long fixes and readings of the air hold.
         table: Earth orientation.
         catalogue: the stars.
 
     Attributes:
-        bright_rows: of the catalogue, stars bright enough to be meant by a detection, shape (m,).
-        bright_directions: of these, ICRS unit vectors, shape (m, 3).
+        catalogue: the stars.
     """
 
     def __init__(self, config: SkyConfig, table: EarthOrientationTable, catalogue: StarCatalogue) -> None:
         self._config = config
-        self.sky = Sky(config, table)
+        self._model: ModelName = "almanac" if config.refraction_model == "almanac" else "erfa"
+        self._table = table
+        self._refreshed = RefreshedSky(table)
         self.catalogue = catalogue
-        self.bright_rows = catalogue.brighter_than(config.magnitude_limit)
-        self.bright_directions = _unit_vectors(catalogue.at_j2000[self.bright_rows])
+        rows = catalogue.brighter_than(config.magnitude_limit)
+        bright = catalogue.at_j2000[rows]
+        self._bright = BrightStars(catalogue, rows, erfa.s2c(bright.right_ascension, bright.declination))
         self.reset()
 
     def reset(self) -> None:
-        """Forget fixes and weather."""
-        self.place = PlaceTrack(self._config)
-        self.weather = WeatherTrack(self._config)
+        """Forget fixes and readings of the air."""
+        self._places = PlaceTrack(self._config)
+        self._weather = WeatherTrack(self._config)
 
-    def reason_against(self, time_ns: int) -> Refusal | None:
-        """Why no star can be placed at a moment; None where it can."""
-        return self.sky.reason_against(time_ns) or self.place.reason_against(time_ns)
+    def refusal(self, given: SkyInput) -> Refusal | None:
+        """DUPLICATE or CONFLICT where an input of the same kind and stamp is known; to be asked before insertion."""
+        return self._places.refusal(given) if isinstance(given, PositionFix) else self._weather.refusal(given)
 
-    def surroundings(self, time_ns: int) -> tuple[Place, Air]:
-        """Place and air at a moment that :meth:`reason_against` has nothing against."""
-        place = self.place.at(time_ns)
-        assert place is not None
-        return place, self.weather.at(time_ns)
+    def insert(self, given: SkyInput) -> int | None:
+        """Take a position fix or a reading of the air.
 
-    def apparent(self, stars: StarPositions, time_ns: int) -> ApparentStars:
-        """Directions of stars at a moment that :meth:`reason_against` has nothing against."""
-        return self.sky.apparent(stars, time_ns, *self.surroundings(time_ns))
+        Returns:
+            The moment (ns) after which the sky may have changed; None where it has not.
+        """
+        return self._places.insert(given) if isinstance(given, PositionFix) else self._weather.insert(given)
 
-    @staticmethod
-    def year(time_ns: int) -> float:
-        """Julian year of a moment, for what a catalogue's errors have grown to."""
-        return 1970.0 + time_ns / _JULIAN_YEAR_NS
+    def at(self, time_ns: int) -> SkyMoment | Refusal:
+        """The sky at a moment, or why no star can be placed then: NO_EARTH_ORIENTATION or NO_FIX."""
+        reason = self._table.reason_against(time_ns)
+        if reason is not None:
+            return Refusal(Reason.NO_EARTH_ORIENTATION, reason)
+        place = self._places.at(time_ns)
+        if isinstance(place, Refusal):
+            return place
+        return SkyMoment(
+            time_ns=time_ns,
+            place=place,
+            air=self._weather.at(time_ns),
+            refreshed=self._refreshed,
+            model=self._model,
+            wavelength_um=self._config.wavelength_um,
+            bright=self._bright,
+        )
+
+    def not_measured(self, time_ns: int) -> list[str]:
+        """Names of the quantities of the air that are taken from parameters at a moment."""
+        return self._weather.not_measured(time_ns)
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed for moments at or after ``time_ns``."""
-        self.place.drop_before(time_ns)
-        self.weather.drop_before(time_ns)
-
-
-def _unit_vectors(stars: StarPositions) -> FloatArray:
-    """ICRS directions, shape (k, 3)."""
-    vectors: FloatArray = erfa.s2c(stars.right_ascension, stars.declination)
-    return vectors
+        self._places.drop_before(time_ns)
+        self._weather.drop_before(time_ns)
 
 
 def installed_sky(config: SkyConfig) -> SkyWatch:
     """The sky by the installed catalogue and Earth orientation; reading them takes a second or two, once."""
     return SkyWatch(config, earth_orientation_table(), hipparcos())
+
+
+def _turns(place: Place, ut1_sigma_s: FloatArray) -> FloatArray:
+    """Turn of the sky in the horizon frame by one sigma of UT1 and of position, rotation vectors, rad, shape (3, 3)."""
+    turns_n = np.empty((3, 3))
+    latitude = place.observer.position.latitude
+    turn = EARTH_ROTATION_RATE * ut1_sigma_s
+    turns_n[0] = turn * np.cos(latitude), turn * np.sin(latitude), 0.0
+    turns_n[1:] = _position_turns(place)
+    return turns_n
+
+
+def _position_turns(place: Place) -> FloatArray:
+    """Turn of the sky in the horizon frame by one sigma of each of two independent errors of position, rad, (2, 3).
+
+    A ship that is farther north than assumed sees the sky turned about East. A ship that is farther east sees it turned
+    about the Earth's axis. 31 m make 1″. The first error is that of north with the part of east that goes with it, the
+    second is the rest of east, so that a filter may keep the two as separate states.
+    """
+    position, covariance_m2 = place.observer.position, place.covariance_m2
+    radius_north_m, radius_east_m = horizon_radii_m(position)
+    # The horizon turns by +latitude about -East and by +longitude about the pole, the sky in it the other way.
+    per_north = np.array([0.0, 0.0, 1.0]) / radius_north_m
+    per_east = -np.array([1.0, np.tan(position.latitude), 0.0]) / radius_east_m
+    north_m = np.sqrt(max(covariance_m2[0, 0], 0.0))
+    east_with_north_m = covariance_m2[0, 2] / north_m if north_m > 0.0 else 0.0
+    east_m = np.sqrt(max(covariance_m2[2, 2] - east_with_north_m**2, 0.0))
+    return np.stack([north_m * per_north + east_with_north_m * per_east, east_m * per_east])
+
+
+def _upward(direction_n: FloatArray) -> FloatArray:
+    """Unit vectors across directions (N, U, E), in which the elevation grows, shape (..., 3)."""
+    horizontal = np.hypot(direction_n[..., 0], direction_n[..., 2])
+    # At the zenith the elevation grows in no direction: the vector is then short instead of NaN.
+    upward = direction_n * (-direction_n[..., 1] / np.maximum(horizontal, _TINY))[..., None]
+    upward[..., 1] = horizontal
+    return upward

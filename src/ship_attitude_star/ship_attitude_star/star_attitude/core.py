@@ -10,19 +10,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_attitude_star.guards.stream_guards import StreamGuards
-from ship_attitude_star.measurements.device_config import JOINT
+from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
-from ship_attitude_star.measurements.star_exposure import StarExposure
-from ship_attitude_star.sky.sky_inputs import SkyInput
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.star_attitude.config import ObservingSensorConfig, StarAttitudeConfig
-from ship_attitude_star.star_attitude.exposure_solver import Mounted, Sighting, solve_deck, solve_exposure
+from ship_attitude_star.star_attitude.exposure_solver import (
+    Mounted,
+    PlacedExposure,
+    RefusedStar,
+    Solved,
+    StarOutcome,
+    solve_deck,
+    solve_exposure,
+)
 from ship_attitude_star.star_attitude.ins_motion import InsMotion
 from ship_attitude_star.star_attitude.joint_window import JointWindow
-from ship_attitude_star.star_attitude.results import RefusedStar, Solved, StarOutcome
+from ship_attitude_star.stars.config import JOINT
+from ship_attitude_star.stars.exposure import StarExposure, at_middle
 from ship_attitude_star.stars.selection import AttitudePrior
 from ship_attitude_star.stars.solution import no_attitude
-from ship_attitude_star.stars.streaks import at_middle
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_estimation.stamped_values import StampedValues
 from ship_geometry.attitude_track import AttitudeSample
@@ -70,7 +76,7 @@ class StarCore:
         self._sources = [f"star.{id_}" for id_ in self._config.star_sensors]
         self._taken: dict[str, StampedValues[StarExposure]] = {source: StampedValues() for source in self._sources}
         self._waiting: list[_Waiting] = []
-        self._window: JointWindow[Sighting] = JointWindow(self._sources, self._config.joint)
+        self._window: JointWindow[PlacedExposure] = JointWindow(self._sources, self._config.joint)
         self._newest_ns = 0
         self.joined_by_ins = False
 
@@ -89,8 +95,8 @@ class StarCore:
 
     def add_surroundings(self, given: SkyInput) -> Refusal | None:
         """Where the ship is, or the air around it; returns why it is not used."""
-        refusal = given.refusal(self._watch)
-        given.insert(self._watch)
+        refusal = self._watch.refusal(given)
+        self._watch.insert(given)
         return refusal
 
     def add_exposure(
@@ -121,7 +127,7 @@ class StarCore:
 
     def not_measured(self) -> list[str]:
         """Which quantities of the air are taken from parameters, at the newest time of the data."""
-        return self._watch.weather.not_measured(self._newest_ns)
+        return self._watch.not_measured(self._newest_ns)
 
     # -- what is used ---------------------------------------------------------------------------------------
 
@@ -159,7 +165,7 @@ class StarCore:
         self._watch.drop_before(oldest_ns)
         self._ins.drop_before(oldest_ns - _LONGEST_REACH_NS)
         for taken in self._taken.values():
-            taken.forget(taken.last_before(oldest_ns))
+            taken.drop_before(oldest_ns)
 
     def _solve(self, outcome: StarOutcome, waiting_ns: int | None) -> None:
         still_waiting = []
@@ -169,7 +175,7 @@ class StarCore:
                 still_waiting.append(waiting)
                 continue
             try:
-                sighting, solved = self._solve_one(waiting)
+                placed, solved = self._solve_one(waiting)
             except Exception as error:
                 solution = no_attitude(np.zeros(len(waiting.exposure), dtype=bool), failure(error))
                 sensor_id, time_ns = waiting.exposure.source.partition(".")[2], waiting.exposure.time_ns
@@ -177,8 +183,8 @@ class StarCore:
                 continue
             self._note(solved)
             outcome.solved.append(solved)
-            if not self._window.add(sighting, waiting.arrival_ns):
-                outcome.not_joined.append((sighting.source, sighting.time_ns))
+            if not self._window.add(placed, waiting.arrival_ns):
+                outcome.not_joined.append((placed.source, placed.time_ns))
         self._waiting = still_waiting
         for group in self._window.closed(self._movable, waiting_ns):
             try:
@@ -187,15 +193,15 @@ class StarCore:
                 joint = Solved(JOINT, group[0].time_ns, no_attitude(np.zeros(0, dtype=bool), failure(error)), (), ())
             outcome.solved.append(joint)
 
-    def _solve_one(self, waiting: _Waiting) -> tuple[Sighting, Solved]:
+    def _solve_one(self, waiting: _Waiting) -> tuple[PlacedExposure, Solved]:
         """The attitude of one sensor by one exposure."""
         prior = self._prior(waiting.exposure)
         exposure, turn_variance = self._at_middle(waiting.exposure)
-        sighting, solved = solve_exposure(exposure, waiting.refused, prior, self._watch, turn_variance)
+        placed, solved = solve_exposure(exposure, waiting.refused, prior, self._watch, turn_variance)
         if exposure.length is not None and exposure.smear_s is None and solved.valid:
             text = f"ins/imu does not tell how the ship turned in {exposure.length.exposure_s:g} s of exposure"
             solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
-        return sighting, solved
+        return placed, solved
 
     def _prior(self, exposure: StarExposure) -> AttitudePrior | None:
         """The attitude of a sensor by the INS and its mounting, with the errors of both."""
@@ -220,14 +226,14 @@ class StarCore:
         turning, variance = told
         return at_middle(exposure, turning.mounted(self._sensor(exposure.source).rotation_ds)), variance
 
-    def _joint(self, group: list[Sighting]) -> Solved:
+    def _joint(self, group: list[PlacedExposure]) -> Solved:
         time_ns = group[0].time_ns
         mounted = []
-        for sighting in group:
+        for placed in group:
             # Exposures so close that the ship is at rest need no turn.
-            turn, covariance_d = self._ins.turn(time_ns, sighting.time_ns) or (_AT_REST, _EXACT)
-            covariance_d = covariance_d + sighting.turn_variance * np.eye(3)
-            mounted.append(Mounted(sighting, turn @ self._sensor(sighting.source).rotation_ds, covariance_d))
+            turn, covariance_d = self._ins.turn(time_ns, placed.time_ns) or (_AT_REST, _EXACT)
+            covariance_d = covariance_d + placed.turn_variance * np.eye(3)
+            mounted.append(Mounted(placed, turn @ self._sensor(placed.source).rotation_ds, covariance_d))
         prior = self._ins.deck(time_ns)
         self.joined_by_ins = prior is not None
         return solve_deck(time_ns, mounted, self._config.star_sensors, prior)

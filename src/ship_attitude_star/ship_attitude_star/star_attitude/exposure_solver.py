@@ -1,64 +1,132 @@
-"""Exposures against the sky: the attitude of one sensor, and of the deck by several."""
+"""Exposures against the sky: the attitude of one sensor, the attitude of the deck by several, and the stars refused."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import numpy as np
 
-from ship_attitude_star.measurements.device_config import JOINT
-from ship_attitude_star.measurements.star_exposure import StarExposure
-from ship_attitude_star.ship_attitude.star_update import visible_stars
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.star_attitude.config import ObservingSensorConfig
-from ship_attitude_star.star_attitude.results import RefusedStar, Solved
 from ship_attitude_star.stars.camera import tangent_basis
+from ship_attitude_star.stars.config import JOINT
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.fit import SightedStars, square_roots
+from ship_attitude_star.stars.identification import visible_stars
 from ship_attitude_star.stars.selection import AttitudePrior
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_stars
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import FloatArray
 
+_SAME_FRAME: FloatArray = np.eye(3)
+_EXACT: FloatArray = np.zeros((3, 3))
+
 
 @dataclass(frozen=True)
-class Sighting:
+class RefusedStar:
+    """A star that had no part in a solution.
+
+    Attributes:
+        source: ``star.<id>``, the sensor that saw it.
+        time_ns: stamp of the exposure.
+        name: which star, for people.
+        refusal: why.
+        residual: measured minus predicted direction, up and right in the sensor, rad; empty where it was not compared.
+        sigma: standard deviation of each of the two, rad; NaN where it was not compared.
+    """
+
+    source: str
+    time_ns: int
+    name: str
+    refusal: Refusal
+    residual: tuple[float, ...] = ()
+    sigma: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Solved:
+    """An attitude from stars: of a sensor, or of the deck by several.
+
+    Attributes:
+        sensor_id: which sensor, or JOINT.
+        time_ns: moment of validity: the stamp of the exposure, of a joint solution that of its first exposure.
+        solution: the attitude.
+        refused: stars that had no part in it.
+        sources: the sensors whose stars have a part in it, ``star.<id>``.
+        text: what else is to be said, for people; mostly empty.
+    """
+
+    sensor_id: str
+    time_ns: int
+    solution: StarSolution
+    refused: tuple[RefusedStar, ...]
+    sources: tuple[str, ...]
+    text: str = ""
+
+    @property
+    def star_count(self) -> int:
+        """Number of stars used."""
+        return int(self.solution.members.sum()) if self.valid else 0
+
+    @property
+    def rejected_count(self) -> int:
+        """Number of stars that had no part in it, for whatever reason."""
+        return len(self.refused)
+
+    @property
+    def valid(self) -> bool:
+        """Whether there is an attitude."""
+        return self.solution.status is not SolutionStatus.INVALID
+
+
+@dataclass
+class StarOutcome:
+    """What one input of the core led to.
+
+    Attributes:
+        refusal: why this very input was not used; None where it was used, or still waits.
+        solved: solutions to publish, in order.
+        not_joined: exposures (source, stamp) that came too late for the joint solution of their time.
+    """
+
+    refusal: Refusal | None = None
+    solved: list[Solved] = field(default_factory=list)
+    not_joined: list[tuple[str, int]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class PlacedExposure:
     """An exposure whose stars have their places in the sky.
 
     Attributes:
+        source: ``star.<id>``.
+        time_ns: stamp of the exposure.
         exposure: the stars that can be used.
-        stars: the same, in the sensor frame; None where there was no sky to compare them with.
+        stars: the same stars with their places, in the sensor frame; None where no star can be placed in the sky.
         refused: stars that had no part in the solution of the sensor.
-        turn_variance: of an error of all its directions alike, left by the correction for the length of the exposure,
-            each axis, rad².
+        turn_variance: variance of an error that turns all directions alike, each axis, rad². The correction for the
+            length of the exposure leaves it.
     """
 
+    source: str
+    time_ns: int
     exposure: StarExposure
     stars: SightedStars | None
     refused: tuple[RefusedStar, ...]
     turn_variance: float = 0.0
 
-    @property
-    def source(self) -> str:
-        """``star.<id>``."""
-        return self.exposure.source
-
-    @property
-    def time_ns(self) -> int:
-        """Stamp of the exposure."""
-        return self.exposure.time_ns
-
 
 @dataclass(frozen=True)
 class Mounted:
-    """A sighting in the deck frame of another moment.
+    """An exposure in the deck frame of another moment.
 
     Attributes:
-        sighting: the stars.
+        placed: the exposure.
         rotation_ds: deck at that moment from sensor at its exposure, shape (3, 3).
-        covariance_d: of this turn, rotation vector in the deck, rad², shape (3, 3).
+        covariance_d: of this rotation, rotation vector in the deck frame, rad², shape (3, 3).
     """
 
-    sighting: Sighting
+    placed: PlacedExposure
     rotation_ds: FloatArray
     covariance_d: FloatArray
 
@@ -69,33 +137,35 @@ def solve_exposure(
     prior: AttitudePrior | None,
     watch: SkyWatch,
     turn_variance: float = 0.0,
-) -> tuple[Sighting, Solved]:
+) -> tuple[PlacedExposure, Solved]:
     """The attitude of a sensor by one exposure.
 
     Args:
         exposure: its stars.
         refused: stars that were refused before.
-        prior: attitude of the sensor that helps to choose.
+        prior: attitude of the sensor that helps to choose among the stars; None where it is not known.
         watch: the sky.
-        turn_variance: of an error of all directions alike, new at each exposure, each axis, rad².
+        turn_variance: variance of an error that turns all directions alike, new at each exposure, each axis, rad².
     """
-    sensor_id, time_ns = exposure.source.partition(".")[2], exposure.time_ns
-    refusal = watch.reason_against(time_ns)
-    if refusal is not None:
-        solution = no_attitude(np.zeros(len(exposure), dtype=bool), refusal)
-        return Sighting(exposure, None, refused), Solved(sensor_id, time_ns, solution, refused, ())
-    exposure, stars, invisible = visible_stars(exposure, watch, prior)
-    refused += tuple(RefusedStar(exposure.source, time_ns, name, reason) for name, reason in invisible)
+    source, time_ns = exposure.source, exposure.time_ns
+    sensor_id = source.partition(".")[2]
+    moment = watch.at(time_ns)
+    if isinstance(moment, Refusal):
+        solution = no_attitude(np.zeros(len(exposure), dtype=bool), moment)
+        placed = PlacedExposure(source, time_ns, exposure, None, refused)
+        return placed, Solved(sensor_id, time_ns, solution, refused, ())
+    exposure, stars, invisible = visible_stars(exposure, moment, prior)
+    if invisible:
+        refused += tuple(RefusedStar(source, time_ns, name, refusal) for name, refusal in invisible)
     solution, text = _solved(stars, prior)
     if turn_variance > 0.0:
-        parts_n = solution.parts_n.copy()
-        parts_n[0] += turn_variance * np.eye(3)
-        solution = replace(solution, parts_n=parts_n)
-    sighting = Sighting(exposure, stars, refused)
-    rejected = _rejected(solution, [Mounted(sighting, np.eye(3), np.zeros((3, 3)))])
-    sources = (exposure.source,) if solution.status is not SolutionStatus.INVALID else ()
-    solved = Solved(sensor_id, time_ns, solution, refused + tuple(rejected), sources, text)
-    return Sighting(exposure, stars, solved.refused, turn_variance), solved
+        solution = solution.with_more_noise(turn_variance)
+    placed = PlacedExposure(source, time_ns, exposure, stars, refused, turn_variance)
+    if solution.rejected:
+        refused += tuple(_rejected(solution, [Mounted(placed, _SAME_FRAME, _EXACT)]))
+        placed = replace(placed, refused=refused)
+    sources = (source,) if solution.status is not SolutionStatus.INVALID else ()
+    return placed, Solved(sensor_id, time_ns, solution, refused, sources, text)
 
 
 def solve_deck(
@@ -106,26 +176,26 @@ def solve_deck(
     Args:
         time_ns: moment of the attitude.
         group: the exposures.
-        sensors: how well their mounting is known, by id.
-        prior: attitude of the deck that helps to choose.
+        sensors: parameters of the sensors by id; they tell how well the mounting is known.
+        prior: attitude of the deck that helps to choose among the stars; None where it is not known.
     """
-    seeing = [mounted for mounted in group if mounted.sighting.stars is not None]
+    seeing = [mounted for mounted in group if mounted.placed.stars is not None]
     if not seeing:
         refusal = Refusal(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
         return Solved(JOINT, time_ns, no_attitude(np.zeros(0, dtype=bool), refusal), (), ())
     solution, text = _solved(_in_deck(seeing, sensors), prior)
     rejected = _rejected(solution, seeing)
-    known = {(star.source, star.name) for mounted in group for star in mounted.sighting.refused} if rejected else set()
+    known = {(star.source, star.name) for mounted in group for star in mounted.placed.refused} if rejected else set()
     refused = tuple(star for star in rejected if (star.source, star.name) not in known)
     sources: tuple[str, ...] = ()
     if solution.status is not SolutionStatus.INVALID:
         members, rows = solution.members.tolist(), _rows(seeing)
-        sources = tuple(m.sighting.source for m, own in zip(seeing, rows, strict=True) if any(members[own]))
+        sources = tuple(m.placed.source for m, own in zip(seeing, rows, strict=True) if any(members[own]))
     return Solved(JOINT, time_ns, solution, refused, sources, text)
 
 
 def _solved(stars: SightedStars, prior: AttitudePrior | None) -> tuple[StarSolution, str]:
-    """The solution, and what there is to say where the stars agree with one another but not with the prior."""
+    """The solution, and a text for people where the stars agree with one another but not with the prior."""
     solution = solve_stars(stars, prior)
     if prior is None or solution.status is not SolutionStatus.INVALID:
         return solution, ""
@@ -136,11 +206,11 @@ def _solved(stars: SightedStars, prior: AttitudePrior | None) -> tuple[StarSolut
 
 
 def _in_deck(group: Sequence[Mounted], sensors: dict[str, ObservingSensorConfig]) -> SightedStars:
-    """All stars in the deck frame, with the errors of their sensors' mounting and of the way to this moment."""
-    stars = [mounted.sighting.stars for mounted in group if mounted.sighting.stars is not None]
+    """All stars in the deck frame, with the errors of their sensors' mounting and of the turn to this moment."""
+    stars = [mounted.placed.stars for mounted in group if mounted.placed.stars is not None]
     mounting_b = np.empty((len(group), 3, 3))
     for index, mounted in enumerate(group):
-        sigma_s = sensors[mounted.sighting.source.partition(".")[2]].installation_sigma_s
+        sigma_s = sensors[mounted.placed.source.partition(".")[2]].installation_sigma_s
         turned = mounted.rotation_ds * sigma_s
         exact = not mounted.covariance_d.any()
         mounting_b[index] = turned if exact else square_roots(turned @ turned.T + mounted.covariance_d)
@@ -169,8 +239,8 @@ def _smear_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> F
 
 
 def _rows(group: Sequence[Mounted]) -> list[slice]:
-    """Where the stars of each sensor stand among all."""
-    ends = list(accumulate(len(mounted.sighting.exposure) for mounted in group))
+    """The rows of each sensor's stars among the stars of all sensors."""
+    ends = list(accumulate(len(mounted.placed.exposure) for mounted in group))
     return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
 
 
@@ -180,7 +250,7 @@ def _rejected(solution: StarSolution, group: Sequence[Mounted]) -> list[RefusedS
     if not solution.rejected:
         return rejected
     for mounted, rows in zip(group, _rows(group), strict=True):
-        exposure, stars = mounted.sighting.exposure, mounted.sighting.stars
+        exposure, stars = mounted.placed.exposure, mounted.placed.stars
         assert stars is not None
         rotation_ns = solution.rotation_nb @ mounted.rotation_ds
         for row in range(len(exposure)):

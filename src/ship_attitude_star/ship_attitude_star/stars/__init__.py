@@ -1,4 +1,5 @@
-"""From pixels to an attitude: camera, fit, selection, solution, identification.
+"""From an exposure to an attitude: camera, exposure, identification, choice of stars, fit and solution.
 
-The room may import the sky and the measurements.
+The room may import the measurements and the sky. It knows nothing of the cores and of the parameters of nodes, so that
+the simulation may import its camera too.
 """

@@ -98,7 +98,7 @@ class StarFit:
         rows = jacobian.reshape(-1, jacobian.shape[-1])
         return rows.T @ rows, displacement.ravel() @ rows
 
-    def judge(self, members: NDArray[np.bool_] | None = None) -> "Judgement":
+    def judge(self, members: NDArray[np.bool_] | None = None) -> "StarJudgement":
         """Could these stars, all or the members, be seen like this?"""
         information, right_side = self.normal_equations(members)
         displacement = self.displacement if members is None else self.displacement[members]
@@ -111,9 +111,9 @@ class StarFit:
             raise np.linalg.LinAlgError("stars that leave the attitude open cannot be judged")
         flat = displacement.ravel()
         chi_square = float(flat @ flat - right_side @ solution)
-        return Judgement(information, constrained, solution, chi_square, degrees)
+        return StarJudgement(information, constrained, solution, chi_square, degrees)
 
-    def gain_by_leaving_out(self, judgement: "Judgement", members: NDArray[np.bool_]) -> FloatArray:
+    def gain_by_leaving_out(self, judgement: "StarJudgement", members: NDArray[np.bool_]) -> FloatArray:
         """By how much chi² falls without each of the members (chi² with two degrees of freedom), shape (n_members,)."""
         jacobian = self.jacobian[members]
         left = self.displacement[members] - jacobian @ judgement.solution
@@ -123,7 +123,7 @@ class StarFit:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class StarJudgement:
     """What the best values of all unknowns leave over.
 
     Attributes:
@@ -187,7 +187,7 @@ class Agreement:
     rotation_nb: FloatArray
     white_covariance_n: FloatArray
     fit: StarFit
-    judgement: Judgement
+    judgement: StarJudgement
 
 
 def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> Agreement | None:

@@ -1,14 +1,18 @@
-"""Which star is it: detections without an identity, by the attitude that is predicted for their sensor.
+"""From an exposure to stars that can be compared with the sky: which star each detection is, and where it stands.
 
-The nearest catalogue star within the gate; where a second one could be meant too, none.
+A detection without an identity is identified by the attitude that is predicted for its sensor. It is the nearest
+catalogue star within the gate; where a second star could be meant too, it stays without an identity.
 """
 
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ship_attitude_star.measurements.star_exposure import StarExposure
-from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.catalogue import julian_year
+from ship_attitude_star.sky.sky_watch import SkyMoment
+from ship_attitude_star.stars.exposure import StarExposure
+from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.selection import AttitudePrior, across, distance
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.refusals import Reason, Refusal
@@ -17,29 +21,78 @@ from ship_geometry.star_directions import StarPositions
 
 GATE_PROBABILITY = 0.9999
 MAGNITUDE_TOLERANCE = 1.5
-"""A star so much brighter or fainter than what was measured is not meant; colours and Hp against V make for most."""
+"""A catalogue star that differs by more from the measured magnitude is not the star of a detection.
+
+Most of the tolerance is for the colours of stars, and for the difference between the bands Hp and V.
+"""
 
 _FIELD_MARGIN = np.deg2rad(1.0)
-"""Aberration, refraction and the prediction's own error, together far less."""
+"""Far more than aberration, refraction and the error of the predicted attitude together, rad."""
+
+_ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
+"""Mounting errors of stars that are compared in their sensor's own frame: none."""
+
+
+def visible_stars(
+    exposure: StarExposure, moment: SkyMoment, prior: AttitudePrior | None
+) -> tuple[StarExposure, SightedStars, list[tuple[str, Refusal]]]:
+    """The stars of an exposure that have a place in the sky.
+
+    Args:
+        exposure: the stars as the sensor saw them.
+        moment: the sky at the exposure.
+        prior: attitude of the sensor, by which stars without an identity are identified; None leaves them out.
+
+    Returns:
+        The exposure with the stars that can be used; the same stars with their places, in the sensor frame; and the
+        names of the other stars, each with its refusal.
+    """
+    refused: list[tuple[str, Refusal]] = []
+    known = exposure.identified
+    if not known.all():
+        reasons: dict[int, Refusal] = {}
+        if prior is not None:
+            exposure, reasons = identified(exposure, prior, moment)
+            known = exposure.identified
+        nobody = Refusal(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it by")
+        refused += [(exposure.name(row), reasons.get(row, nobody)) for row in np.flatnonzero(~known).tolist()]
+        exposure = exposure[known]
+    apparent = moment.apparent(exposure.positions)
+    direction_n, shared_n, seen = apparent.direction_n, apparent.shared_n, apparent.visible
+    if not seen.all():
+        for row in np.flatnonzero(~seen).tolist():
+            refused.append((exposure.name(row), moment.too_low(float(apparent.elevation[row]))))
+        exposure, direction_n, shared_n = exposure[seen], direction_n[seen], shared_n[seen]
+    stars = SightedStars(
+        measured_b=exposure.directions_s,
+        reference_n=direction_n,
+        sigma=exposure.sigma,
+        position_sigma=exposure.position_sigma,
+        shared_n=shared_n,
+        sensor=np.zeros(len(direction_n), dtype=np.intp),
+        mounting_b=_ONE_SENSOR,
+        smear_b=exposure.smear_s,
+    )
+    return exposure, stars, refused
 
 
 def identified(
-    exposure: StarExposure, prior: AttitudePrior, watch: SkyWatch
+    exposure: StarExposure, prior: AttitudePrior, moment: SkyMoment
 ) -> tuple[StarExposure, dict[int, Refusal]]:
-    """The exposure with identities for those stars that had none, where there is one.
+    """The exposure with identities for those of its stars that had none, where one can be found.
 
     Args:
-        exposure: at a moment that the watch's ``reason_against`` has nothing against.
+        exposure: the stars as the sensor saw them.
         prior: attitude of the sensor.
-        watch: the sky, its catalogue, and how faint a star may be.
+        moment: the sky at the exposure; it also says which catalogue stars are bright enough.
 
     Returns:
         The exposure, and for each row that is still without an identity the reason.
     """
     rows = np.flatnonzero(~exposure.identified)
-    candidates = _in_field(exposure.directions_s[rows], exposure.time_ns, prior, watch)
-    catalogue = watch.catalogue
-    apparent = watch.apparent(catalogue.at_j2000[candidates], exposure.time_ns)
+    candidates = _in_field(exposure.directions_s[rows], prior, moment)
+    catalogue = moment.bright.catalogue
+    apparent = moment.apparent(catalogue.at_j2000[candidates])
     candidates, reference_n = candidates[apparent.visible], apparent.direction_n[apparent.visible]
     seen_n = exposure.directions_s[rows] @ prior.rotation_nb.T
     variance = exposure.sigma[rows, None] ** 2 + catalogue.position_sigma[candidates] ** 2
@@ -47,7 +100,8 @@ def identified(
     close = _mahalanobis(seen_n, reference_n, variance, smear_n, prior) < chi_square_gate(GATE_PROBABILITY, 2)
     unlike = np.abs(exposure.magnitude[rows, None] - catalogue.magnitude[candidates]) > MAGNITUDE_TOLERANCE
     close &= ~unlike
-    # A star that two detections claim is nobody's, and one that has its detection is no other's: none counts twice.
+    # No catalogue star counts twice: one that two detections could be is given to neither, and one that a detection
+    # already has by its number is given to no other.
     claimed_once = (np.count_nonzero(close, axis=0) == 1) & ~np.isin(catalogue.hip[candidates], exposure.hip)
     chosen = np.full(len(rows), -1)
     reasons: dict[int, Refusal] = {}
@@ -58,25 +112,21 @@ def identified(
         else:
             reasons[row] = _why_not(seen_n[number], reference_n, len(found))
     taken = chosen >= 0
-    return _filled(exposure, rows[taken], chosen[taken], watch), reasons
+    return _filled(exposure, rows[taken], chosen[taken], moment), reasons
 
 
-def _in_field(directions_s: FloatArray, time_ns: int, prior: AttitudePrior, watch: SkyWatch) -> np.ndarray:
-    """Rows of the catalogue that may be in the field, those that the sensor can see."""
-    place, _ = watch.surroundings(time_ns)
-    rotation_nc = watch.sky.rotation_horizon_from_icrs(time_ns, place)
+def _in_field(directions_s: FloatArray, prior: AttitudePrior, moment: SkyMoment) -> NDArray[np.int64]:
+    """Rows of the catalogue with the bright stars that may be in the field of these detections."""
     centre_s = np.mean(directions_s, axis=0)
     centre_s /= np.linalg.norm(centre_s)
     radius = np.max(angle_between(directions_s, centre_s)) + _FIELD_MARGIN
-    centre_c = rotation_nc.T @ prior.rotation_nb @ centre_s
-    bright = watch.bright_rows
-    return bright[watch.bright_directions @ centre_c > np.cos(radius)]
+    return moment.bright_rows_around(prior.rotation_nb @ centre_s, radius)
 
 
 def _mahalanobis(
     seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: AttitudePrior
 ) -> FloatArray:
-    """Distance² of each detection to each candidate under the prior's error, shape (k, c)."""
+    """Mahalanobis² of each of k detections to each of c candidates under the prior's error, shape (k, c)."""
     basis = across(seen_n)
     left = np.einsum("kij,kcj->kci", basis, reference_n - seen_n[:, None, :])
     turned = basis @ skew(seen_n)
@@ -88,6 +138,7 @@ def _mahalanobis(
 
 
 def _why_not(seen_n: FloatArray, reference_n: FloatArray, found: int) -> Refusal:
+    """The refusal of a detection for which ``found`` catalogue stars lay within the gate."""
     if found:
         return Refusal(Reason.UNIDENTIFIED, f"{found} catalogue stars within the gate, or one claimed twice: left out")
     if not len(reference_n):
@@ -96,12 +147,14 @@ def _why_not(seen_n: FloatArray, reference_n: FloatArray, found: int) -> Refusal
     return Refusal(Reason.UNIDENTIFIED, f'no catalogue star within the gate, the nearest is {nearest:.0f}" away')
 
 
-def _filled(exposure: StarExposure, rows: np.ndarray, chosen: np.ndarray, watch: SkyWatch) -> StarExposure:
-    """The exposure with catalogue stars in some of its rows."""
-    catalogue = watch.catalogue
+def _filled(
+    exposure: StarExposure, rows: NDArray[np.intp], chosen: NDArray[np.intp], moment: SkyMoment
+) -> StarExposure:
+    """The exposure with the catalogue's stars ``chosen`` in its rows ``rows``."""
+    catalogue = moment.bright.catalogue
     hip, position_sigma = exposure.hip.copy(), exposure.position_sigma.copy()
     hip[rows] = catalogue.hip[chosen]
-    position_sigma[rows] = catalogue.sigma(chosen, watch.year(exposure.time_ns))
+    position_sigma[rows] = catalogue.sigma(chosen, julian_year(exposure.time_ns))
     positions = {}
     for name in StarPositions.__dataclass_fields__:
         column = getattr(exposure.positions, name).copy()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.stars.fit import Agreement, Judgement, SightedStars, StarFit, agreement, linearized
+from ship_attitude_star.stars.fit import Agreement, SightedStars, StarFit, StarJudgement, agreement, linearized
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, angle_between, skew
 
@@ -193,7 +193,7 @@ def _refined_by_prior(fit: StarFit, members: BoolArray) -> BoolArray:
     return members
 
 
-def _without_worst(fit: StarFit, judgement: Judgement, members: BoolArray) -> BoolArray:
+def _without_worst(fit: StarFit, judgement: StarJudgement, members: BoolArray) -> BoolArray:
     """Members without the one whose absence explains most of the misfit."""
     kept = members.copy()
     kept[np.flatnonzero(members)[np.argmax(fit.gain_by_leaving_out(judgement, members))]] = False

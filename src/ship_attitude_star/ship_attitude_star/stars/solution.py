@@ -5,12 +5,12 @@ set of normal equations holds the sensitivity to each: star noise averages, the 
 """
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.apparent_sky import SHARED_TERMS
+from ship_attitude_star.sky.sky_watch import SHARED_TERMS
 from ship_attitude_star.stars.fit import Agreement, SightedStars, agreement
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, AttitudePrior, select
 from ship_estimation.refusals import Reason, Refusal
@@ -74,6 +74,12 @@ class StarSolution:
         """Of the part that is independent from epoch to epoch, rad², shape (3, 3)."""
         noise: FloatArray = self.parts_n[0]
         return noise
+
+    def with_more_noise(self, variance: float) -> "StarSolution":
+        """The same attitude with a further error that turns all directions alike, new each time, each axis, rad²."""
+        parts_n = self.parts_n.copy()
+        parts_n[0] += variance * np.eye(3)
+        return replace(self, parts_n=parts_n)
 
     @property
     def residual_rms(self) -> float:

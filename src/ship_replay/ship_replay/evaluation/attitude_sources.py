@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.measurements.device_config import MountingConfig
+from ship_attitude_star.stars.config import MountingConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.ins_config import InsInputConfig
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from ship_attitude_star.measurements.device_config import JOINT
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
+from ship_attitude_star.stars.config import JOINT
 from ship_estimation.ins_config import InsInputConfig
 from ship_replay.evaluation.attitude_sources import AttitudeSource, InsAttitude, PublishedAttitude, StarAttitude, Truth
 from ship_replay.evaluation.pointing_sources import EncoderAlone, Pointing

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ship_attitude_star.measurements.device_config import MountingConfig
+from ship_attitude_star.stars.config import MountingConfig
 from ship_bags.errors import BadInput
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.parameter_yaml import ParameterFile, anywhere, full_name

@@ -7,18 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.measurements.device_config import MountingConfig
-from ship_attitude_star.measurements.inertial_attitude import in_horizon
-from ship_attitude_star.measurements.star_exposure import StarExposure
 from ship_attitude_star.ros.messages_in import TOPICS as SKY_TOPICS
 from ship_attitude_star.ros.messages_in import inertial_attitude, reference_measurement, sky_input, star_measurement
 from ship_attitude_star.ros.star_messages_in import star_exposure
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
+from ship_attitude_star.stars.config import CameraConfig, MountingConfig
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import SolutionStatus
-from ship_attitude_star.stars.star_config import CameraConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord
 from ship_bags.stamps import NS_PER_S
@@ -149,8 +148,8 @@ def _tell(
             track.insert(replace(ins_sample(message, config.ins, receive_ns).value, rate_d=None))
         elif watch is not None:
             told = sky_input(topic, message, config.sky, receive_ns)
-            if told.refusal(watch) is None:
-                told.insert(watch)
+            if watch.refusal(told) is None:
+                watch.insert(told)
     except (Refused, BadInput):
         return
 
@@ -178,7 +177,7 @@ def _attitudes(
                 measurement: Any = reference_measurement(message, id_, device, receive_ns)
             elif kind == "inertial_attitude":
                 inertial = inertial_attitude(message, id_, device, receive_ns)
-                if watch is None or watch.reason_against(inertial.time_ns) is not None:
+                if watch is None:
                     continue
                 measurement = in_horizon(inertial, watch)
             else:
@@ -209,7 +208,7 @@ def _exposures(
             )
         except Refused:
             continue
-        if watch.reason_against(exposure.time_ns) is None:
+        if not isinstance(watch.at(exposure.time_ns), Refusal):
             exposures.append(exposure)
     return exposures
 
@@ -246,7 +245,9 @@ def _scale(exposures: list[StarExposure], watch: SkyWatch) -> float | None:
         named = exposure[exposure.identified]
         if len(named) < 2:
             continue
-        places_n = watch.apparent(named.positions, named.time_ns).direction_n
+        moment = watch.at(named.time_ns)
+        assert not isinstance(moment, Refusal)
+        places_n = moment.apparent(named.positions).direction_n
         first, second = np.triu_indices(len(named), 1)
         true = angle_between(places_n[first], places_n[second])
         measured = angle_between(named.directions_s[first], named.directions_s[second])

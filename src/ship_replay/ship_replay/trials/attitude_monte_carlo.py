@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.measurements.inertial_attitude import InertialAttitude
+from ship_attitude_star.measurements.readings import AirReading, InertialAttitude, PositionFix, SkyInput
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
-from ship_attitude_star.measurements.star_exposure import ExposureLength, StarExposure
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.sky.sky_inputs import AirReading, PositionFix, SkyInput
 from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.consistency import normalized_error_squared
 from ship_estimation.outcome import Measurement
 from ship_estimation.parameters import build

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.stars.star_config import CameraConfig
+from ship_attitude_star.stars.config import CameraConfig
 from ship_estimation.parameters import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import FloatArray

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from ship_attitude_star.measurements.star_exposure import ExposureLength
+from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.ship_attitude.comparison import compare
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.measurement_models import predict_attitude
-from ship_attitude_star.sky.sky_inputs import PositionFix
 from ship_attitude_star.stars.camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
+from ship_attitude_star.stars.exposure import ExposureLength, at_middle
 from ship_attitude_star.stars.fit import agreement, linearized
-from ship_attitude_star.stars.streaks import at_middle
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.exposure_mean import turning_over

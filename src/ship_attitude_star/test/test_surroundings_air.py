@@ -4,8 +4,9 @@ import itertools
 
 import pytest
 
-from ship_attitude_star.sky.weather_track import WeatherTrack
-from ship_attitude_star.stars.star_config import SkyConfig
+from ship_attitude_star.measurements.readings import AirReading
+from ship_attitude_star.sky.config import SkyConfig
+from ship_attitude_star.sky.surroundings import WeatherTrack
 from ship_estimation.refusals import Reason
 from ship_geometry.refraction import Weather
 
@@ -36,10 +37,10 @@ def test_without_any_measurement_the_parameters_hold() -> None:
 
 def test_the_last_value_at_or_before_the_moment_holds() -> None:
     track = WeatherTrack(CONFIG)
-    track.insert_pressure(ns(0), 1010.0)
-    track.insert_pressure(ns(60), 1011.0)
-    track.insert_temperature(ns(30), 20.0)
-    track.insert_humidity(ns(30), 0.4)
+    track.insert(AirReading("pressure", ns(0), 1010.0))
+    track.insert(AirReading("pressure", ns(60), 1011.0))
+    track.insert(AirReading("temperature", ns(30), 20.0))
+    track.insert(AirReading("humidity", ns(30), 0.4))
     assert track.at(ns(-1)).weather == Weather(1000.0, -3.0, 0.9)
     assert track.at(ns(0)).weather == Weather(1010.0, -3.0, 0.9)
     assert track.at(ns(59)).weather == Weather(1010.0, 20.0, 0.4)
@@ -50,8 +51,8 @@ def test_the_last_value_at_or_before_the_moment_holds() -> None:
 
 def test_the_variance_grows_to_that_of_the_parameter_and_then_the_parameter_holds() -> None:
     track = WeatherTrack(CONFIG)
-    track.insert_pressure(ns(0), 1010.0, 0.3)
-    track.insert_temperature(ns(0), 20.0)
+    track.insert(AirReading("pressure", ns(0), 1010.0, 0.3))
+    track.insert(AirReading("temperature", ns(0), 20.0))
     fresh, half, last, gone = (track.at(ns(t)) for t in (0, 1800, 3600, 3601))
     assert (fresh.pressure_sigma_hpa, fresh.temperature_sigma_k) == (0.3, 1.0)
     # Half way between 0.3² and 15², and between 1² and 10².
@@ -63,7 +64,7 @@ def test_the_variance_grows_to_that_of_the_parameter_and_then_the_parameter_hold
 
 def test_a_bad_instrument_does_not_get_better_with_age() -> None:
     track = WeatherTrack(CONFIG)
-    track.insert_temperature(ns(0), 20.0, 30.0)
+    track.insert(AirReading("temperature", ns(0), 20.0, 30.0))
     assert [track.at(ns(t)).temperature_sigma_k for t in (0, 1800)] == [30.0, 30.0]
 
 
@@ -73,7 +74,7 @@ def test_any_order_of_arrival_gives_the_same_air() -> None:
     def answers(order) -> list:
         track = WeatherTrack(CONFIG)
         for since_s, pressure_hpa in order:
-            track.insert_pressure(ns(since_s), pressure_hpa)
+            track.insert(AirReading("pressure", ns(since_s), pressure_hpa))
         return [track.at(ns(t)) for t in (-1, 0, 5, 10, 15, 25, 100)]
 
     assert all(answers(order) == answers(readings) for order in itertools.permutations(readings))
@@ -81,26 +82,26 @@ def test_any_order_of_arrival_gives_the_same_air() -> None:
 
 def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
     track = WeatherTrack(CONFIG)
-    track.insert_pressure(ns(0), 1010.0)
-    track.insert_pressure(ns(20), 1010.0)
+    track.insert(AirReading("pressure", ns(0), 1010.0))
+    track.insert(AirReading("pressure", ns(20), 1010.0))
     before = {t: track.at(ns(t)) for t in (0, 9, 10, 19, 20)}
-    assert track.insert_pressure(ns(10), 1020.0) == ns(10) - 1
+    assert track.insert(AirReading("pressure", ns(10), 1020.0)) == ns(10) - 1
     assert [t for t in before if track.at(ns(t)) != before[t]] == [10, 19]
-    assert track.insert_pressure(ns(10), 1020.0) is None
+    assert track.insert(AirReading("pressure", ns(10), 1020.0)) is None
 
 
 def test_the_same_stamp_again_is_told() -> None:
     track = WeatherTrack(CONFIG)
-    track.insert_humidity(ns(0), 0.5)
-    assert track.refusal("humidity", ns(0), 0.5, None).reason is Reason.DUPLICATE
-    assert track.refusal("humidity", ns(0), 0.6, None).reason is Reason.CONFLICT
-    assert track.refusal("pressure", ns(0), 1000.0, None) is None
+    track.insert(AirReading("humidity", ns(0), 0.5))
+    assert track.refusal(AirReading("humidity", ns(0), 0.5, None)).reason is Reason.DUPLICATE
+    assert track.refusal(AirReading("humidity", ns(0), 0.6, None)).reason is Reason.CONFLICT
+    assert track.refusal(AirReading("pressure", ns(0), 1000.0, None)) is None
 
 
 def test_what_is_dropped_is_needed_no_more() -> None:
     track = WeatherTrack(CONFIG)
     for since_s in range(10):
-        track.insert_temperature(ns(since_s), float(since_s))
+        track.insert(AirReading("temperature", ns(since_s), float(since_s)))
     track.drop_before(ns(5.5))
     assert track.at(ns(5.5)).weather.temperature_c == 5.0
     assert track.at(ns(4.0)).weather.temperature_c == CONFIG.temperature_c

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ship_attitude_star.measurements.inertial_attitude import InertialAttitude, in_horizon
+from ship_attitude_star.measurements.readings import FieldOfView, InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.stars.star_config import FieldOfView
+from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.frames import rotation_from_angles
@@ -144,13 +144,12 @@ def test_mend_28_the_filter_keeps_it_as_a_slow_error(watch) -> None:
     sensors = {id_: replace(sensor, input="inertial_attitude", **exact) for id_, sensor in config.star_sensors.items()}
     ship_filter = ShipFilter(replace(config, star_sensors=sensors))
     rotation_ns = ins_track().at(TIME_NS).rotation_nd @ ship_filter.devices["star.fore"].rotation_dv0
-    place, _ = watch.surroundings(TIME_NS)
     sigmas = {}
     for field in (FIELD, POINT):
         state = ship_filter.initial_state()
         for second in range(1, 40):
             time_ns = TIME_NS + second * SECOND_NS
-            bare_cs = watch.sky.rotation_horizon_from_icrs(time_ns, place).T @ rotation_ns
+            bare_cs = watch.at(time_ns).rotation_horizon_from_icrs().T @ rotation_ns
             inertial = InertialAttitude("star.fore", time_ns, bare_cs, NOISE_S, field=field)
             lifted_ns = in_horizon(inertial, watch).rotation_nv
             inertial = replace(inertial, rotation_cs=bare_cs @ lifted_ns.T @ rotation_ns)
@@ -165,9 +164,8 @@ def test_mend_28_the_filter_keeps_it_as_a_slow_error(watch) -> None:
 
 @pytest.mark.parametrize("elevation_deg", [88.0, 89.999, 90.0])
 def test_mend_28_it_is_regular_at_the_zenith(watch, elevation_deg: float) -> None:
-    place, _ = watch.surroundings(TIME_NS)
     rotation_ns = rotation_from_angles(0.3, np.deg2rad(elevation_deg), 0.2)
-    rotation_cs = watch.sky.rotation_horizon_from_icrs(TIME_NS, place).T @ rotation_ns
+    rotation_cs = watch.at(TIME_NS).rotation_horizon_from_icrs().T @ rotation_ns
     attitude = in_horizon(InertialAttitude("star.fore", TIME_NS, rotation_cs, NOISE_S, field=FIELD), watch)
     common_s = rotation_ns.T @ attitude.common_n @ rotation_ns
     # A squeeze alike on all sides, that turns nothing: 57″ per radian and 10°/(2 √5).

@@ -5,8 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.place_track import ACCELERATION_SIGMA_M_PER_S2, SPEED_SIGMA_M_PER_S, PlaceTrack
-from ship_attitude_star.stars.star_config import SkyConfig
+from ship_attitude_star.measurements.readings import PositionFix
+from ship_attitude_star.sky.config import SkyConfig
+from ship_attitude_star.sky.surroundings import ACCELERATION_SIGMA_M_PER_S2, SPEED_SIGMA_M_PER_S, Place, PlaceTrack
 from ship_estimation.refusals import Reason
 from ship_geometry.geodetic import GeodeticPosition, vector_between
 
@@ -26,7 +27,7 @@ def at(latitude_deg: float, longitude_deg: float, height_m: float = 20.0) -> Geo
 def track(*fixes: tuple[float, GeodeticPosition], covariance_m2=SIGMA_M, **config) -> PlaceTrack:
     result = PlaceTrack(SkyConfig(**config))
     for since_s, position in fixes:
-        result.insert(ns(since_s), position, covariance_m2)
+        result.insert(PositionFix(ns(since_s), position, covariance_m2))
     return result
 
 
@@ -80,7 +81,7 @@ def test_beside_the_pole_the_error_keeps_its_direction_on_earth_not_its_name() -
     place = track((0, at(89.9999, 0.0)), (1, at(89.9999, 90.0)), covariance_m2=np.diag([100.0, 0.0, 1.0])).at(ns(0))
     assert place.covariance_m2[0, 0] == pytest.approx(100.0)
     turned = track((0, at(89.9999, 0.0)), covariance_m2=np.diag([100.0, 0.0, 1.0]))
-    turned.insert(ns(1), at(89.9999, 90.0), np.diag([1.0, 0.0, 100.0]))
+    turned.insert(PositionFix(ns(1), at(89.9999, 90.0), np.diag([1.0, 0.0, 100.0])))
     # On the way, at longitude 45°, half way in time: both fixes say the same ellipse, seen from 45° off.
     north, _, east = np.diagonal(turned.at(ns(0.5)).covariance_m2)
     drift_m2 = (0.5 * ACCELERATION_SIGMA_M_PER_S2 * 0.25) ** 2
@@ -118,18 +119,15 @@ def test_fixes_far_apart_say_nothing_of_the_velocity() -> None:
 
 
 def test_without_a_young_fix_there_is_no_place_and_it_says_why() -> None:
-    assert track().at(ns(0)) is None
-    assert track().reason_against(ns(0)).reason is Reason.NO_FIX
+    assert track().at(ns(0)).reason is Reason.NO_FIX
     fixes = track((0, at(50.0, 10.0)), fix_max_age_s=60.0)
-    assert fixes.reason_against(ns(60)) is None
-    assert fixes.at(ns(60)) is not None
-    refusal = fixes.reason_against(ns(60.1))
+    assert isinstance(fixes.at(ns(60)), Place)
+    refusal = fixes.at(ns(60.1))
     assert (refusal.reason, refusal.text) == (
         Reason.NO_FIX,
         "the nearest position fix is 60.1 s older: more than fix_max_age_s = 60",
     )
-    assert fixes.at(ns(60.1)) is None
-    assert "younger" in fixes.reason_against(ns(-61)).text
+    assert "younger" in fixes.at(ns(-61)).text
 
 
 def test_any_order_of_arrival_gives_the_same_places_to_the_last_bit() -> None:
@@ -153,18 +151,18 @@ def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
     for late in times:
         others = track(*((t, places[t]) for t in times if t != late))
         before = [others.at(ns(m)).covariance_m2.tobytes() for m in moments]
-        changed_after_ns = others.insert(ns(late), places[late], SIGMA_M)
+        changed_after_ns = others.insert(PositionFix(ns(late), places[late], SIGMA_M))
         for moment, old in zip(moments, before, strict=True):
             if others.at(ns(moment)).covariance_m2.tobytes() != old:
                 assert ns(moment) > changed_after_ns
-    assert others.insert(ns(9), places[9], SIGMA_M) is None
+    assert others.insert(PositionFix(ns(9), places[9], SIGMA_M)) is None
 
 
 def test_the_same_stamp_again_is_told() -> None:
     fixes = track((0, at(50.0, 10.0)))
-    assert fixes.refusal(ns(0), at(50.0, 10.0), SIGMA_M).reason is Reason.DUPLICATE
-    assert fixes.refusal(ns(0), at(50.0, 10.1), SIGMA_M).reason is Reason.CONFLICT
-    assert fixes.refusal(ns(1), at(50.0, 10.1), SIGMA_M) is None
+    assert fixes.refusal(PositionFix(ns(0), at(50.0, 10.0), SIGMA_M)).reason is Reason.DUPLICATE
+    assert fixes.refusal(PositionFix(ns(0), at(50.0, 10.1), SIGMA_M)).reason is Reason.CONFLICT
+    assert fixes.refusal(PositionFix(ns(1), at(50.0, 10.1), SIGMA_M)) is None
 
 
 def test_what_is_dropped_is_needed_no_more() -> None:

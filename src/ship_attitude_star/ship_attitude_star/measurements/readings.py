@@ -1,0 +1,95 @@
+"""What star trackers, GNSS receivers and weather stations say, as plain structs.
+
+The stars of an exposure have a struct of their own, :class:`ship_attitude_star.stars.exposure.StarExposure`.
+"""
+
+from dataclasses import dataclass
+
+from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.rotations import FloatArray
+
+
+@dataclass(frozen=True)
+class FieldOfView:
+    """How a star tracker sees the sky.
+
+    Attributes:
+        radius: of the field, rad; 0 for a tracker whose stars are all taken to stand at the boresight.
+        aberration_removed: True where the tracker's attitude is already free of aberration.
+    """
+
+    radius: float = 0.0
+    aberration_removed: bool = True
+
+
+AT_BORESIGHT = FieldOfView()
+"""All stars stand at the boresight, and aberration is taken out."""
+
+
+@dataclass(frozen=True)
+class InertialAttitude:
+    """The attitude that a star tracker has found against the ICRS.
+
+    Attributes:
+        source: ``star.<id>``.
+        time_ns: middle of the exposure, stamp of the sensor.
+        rotation_cs: celestial (ICRS) axes from sensor (forward, up, right), shape (3, 3).
+        noise_s: covariance of the error, rotation vector in the sensor frame, rad², shape (3, 3).
+        covariance_known: False where the message gave no covariance and the configured sigma stands in.
+        field: field in which the tracker saw its stars.
+    """
+
+    source: str
+    time_ns: int
+    rotation_cs: FloatArray
+    noise_s: FloatArray
+    covariance_known: bool = True
+    field: FieldOfView = AT_BORESIGHT
+
+    def content(self) -> bytes:
+        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        return self.rotation_cs.tobytes() + self.noise_s.tobytes()
+
+
+@dataclass(frozen=True)
+class PositionFix:
+    """Where the ship is, by a GNSS receiver.
+
+    Attributes:
+        time_ns: stamp.
+        position: of the antenna.
+        covariance_m2: of the position in (North, Up, East), m², shape (3, 3).
+        sigma_known: False where the message gave no covariance and the configured sigma stands in.
+    """
+
+    time_ns: int
+    position: GeodeticPosition
+    covariance_m2: FloatArray
+    sigma_known: bool = True
+
+
+@dataclass(frozen=True)
+class AirReading:
+    """One quantity of the air, by a weather station.
+
+    Attributes:
+        quantity: ``pressure`` (hPa, at the ship, not reduced to sea level), ``temperature`` (°C, of the outside air)
+            or ``humidity`` (relative, 0 to 1).
+        time_ns: stamp.
+        value: in the unit of the quantity.
+        sigma: its standard deviation; None where the message gives none.
+    """
+
+    quantity: str
+    time_ns: int
+    value: float
+    sigma: float | None = None
+
+    @property
+    def sigma_known(self) -> bool:
+        """Whether the message says how good it is; True for humidity, whose error is not used anywhere."""
+        return self.sigma is not None or self.quantity == "humidity"
+
+
+SkyInput = PositionFix | AirReading
+"""An input on which the sky over the ship depends."""

@@ -1,0 +1,130 @@
+"""Parameters of one star sensor: its camera, and where it is bolted.
+
+Both nodes of the package have these parameters for each of their sensors.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.stars.camera import Distortion, StarCamera
+from ship_estimation.parameters import ParameterError, arcsec, degrees, parameter
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+JOINT = "joint"
+"""Stands in the place of a sensor's id where the stars of all sensors give one attitude of the deck."""
+
+
+def check_sensor_ids(ids: Iterable[str]) -> None:
+    """Refuse JOINT as the id of a sensor.
+
+    A sensor of that name would publish on the topic of the joint solution, and its stars would count twice.
+
+    Raises:
+        ParameterError: names the parameter.
+    """
+    if JOINT in ids:
+        name = f"star_sensors.{JOINT}"
+        raise ParameterError(f"parameter '{name}': '{JOINT}' means all sensors, give it another id", name)
+
+
+def _coefficient(doc: str) -> Any:
+    return parameter(0.0, doc=doc, minimum=-100.0, maximum=100.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraConfig:
+    """The camera of a star sensor. Only a sensor that gives single stars needs one."""
+
+    focal_length_m: float = parameter(
+        0.0, doc="focal length; 0: not given", unit="m", minimum=0.0, maximum=10.0
+    )
+    pixel_pitch_m: float = parameter(0.0, doc="from pixel to pixel; 0: not given", unit="m", minimum=0.0, maximum=0.001)
+    principal_u_px: float = parameter(
+        0.0, doc="column of the boresight, from 0 at the first pixel's centre", unit="px", minimum=-1e5, maximum=1e5
+    )
+    principal_v_px: float = parameter(
+        0.0, doc="row of the boresight, from 0 at the first pixel's centre, down", unit="px", minimum=-1e5, maximum=1e5
+    )
+    distortion_k1: float = _coefficient("radial distortion (Brown–Conrady), r²")
+    distortion_k2: float = _coefficient("radial distortion, r⁴")
+    distortion_k3: float = _coefficient("radial distortion, r⁶")
+    distortion_p1: float = _coefficient("tangential distortion, first")
+    distortion_p2: float = _coefficient("tangential distortion, second")
+    centroid_sigma_px: float = parameter(
+        0.1, doc="error of u and of v where the message gives none", unit="px", minimum=1e-6, maximum=100.0, live=True
+    )
+    psf_sigma_px: float = parameter(
+        0.8,
+        doc="spread of the image of a star at rest, each axis; a streak long against it has a worse centroid",
+        unit="px",
+        minimum=0.05,
+        maximum=100.0,
+    )
+
+    @property
+    def given(self) -> bool:
+        """Whether the parameters describe a camera at all."""
+        return self.focal_length_m > 0.0 and self.pixel_pitch_m > 0.0
+
+    def camera(self, prefix: str) -> StarCamera:
+        """The camera that these parameters describe.
+
+        Args:
+            prefix: name of this section of the parameters, for the error message.
+
+        Raises:
+            ParameterError: focal length or pitch is missing; the text starts with ``prefix``.
+        """
+        if not self.given:
+            raise ParameterError(
+                f"parameters '{prefix}.focal_length_m' and '{prefix}.pixel_pitch_m' must be given in metres: "
+                "single stars come in pixels",
+                f"{prefix}.focal_length_m",
+                f"{prefix}.pixel_pitch_m",
+            )
+        distortion = Distortion(
+            self.distortion_k1, self.distortion_k2, self.distortion_p1, self.distortion_p2, self.distortion_k3
+        )
+        return StarCamera(
+            self.focal_length_m,
+            self.pixel_pitch_m,
+            self.principal_u_px,
+            self.principal_v_px,
+            None if distortion == Distortion() else distortion,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MountingConfig:
+    """Where a star sensor is bolted, and how well that is known."""
+
+    frame_id: str = parameter("", doc="frame_id that its messages must carry; empty accepts any")
+    azimuth_deg: float = degrees(doc="installation azimuth of the boresight in the deck")
+    elevation_deg: float = parameter(
+        doc="installation elevation of the boresight over the deck", unit="deg", minimum=-90.0, maximum=90.0
+    )
+    roll_deg: float = degrees(0.0, doc="installation roll about the boresight, right side down")
+    installation_sigma_forward_arcsec: float = arcsec(20.0, doc="installation error about the boresight")
+    installation_sigma_up_arcsec: float = arcsec(1.0, doc="installation error about the up axis")
+    installation_sigma_right_arcsec: float = arcsec(1.0, doc="installation error about the right axis")
+
+    @cached_property
+    def rotation_ds(self) -> FloatArray:
+        """Rotation "deck from sensor" by the installation angles, shape (3, 3)."""
+        return rotation_from_angles(*np.deg2rad([self.azimuth_deg, self.elevation_deg, self.roll_deg]))
+
+    @cached_property
+    def installation_sigma_s(self) -> FloatArray:
+        """Standard deviation of the installation about the sensor's forward, up and right axes, rad, shape (3,)."""
+        return ARCSEC * np.array(
+            [
+                self.installation_sigma_forward_arcsec,
+                self.installation_sigma_up_arcsec,
+                self.installation_sigma_right_arcsec,
+            ]
+        )

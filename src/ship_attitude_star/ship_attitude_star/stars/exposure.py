@@ -1,0 +1,168 @@
+"""One exposure of a star sensor: which stars it shows, in which directions, and where they stood at its middle.
+
+A ship turns while a star sensor exposes. The centroid of a streak is the mean of the star's pixels over the exposure.
+The INS tells how the sensor turned, and so by how much that mean is off the pixel at the middle: by the angular
+acceleration and its centripetal part. A streak of L pixels spreads the light along itself by L²/12 more than the image
+of a star at rest, s², so that along the streak the centroid's variance is σ² (1 + L²/(12 s²)). Across the streak
+nothing changes (docs/explanation/stars.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
+from ship_geometry.exposure_mean import Nodes, Turning, exposure_nodes
+from ship_geometry.rotations import FloatArray
+from ship_geometry.star_directions import StarPositions
+
+_OUT_OF_SIGHT = 1.0
+"""Variance of a star that leaves the camera's sight during the exposure, rad²: so large that the star has no weight."""
+
+
+@dataclass(frozen=True)
+class ExposureLength:
+    """How long an exposure lasted, and how the camera shows a star that moves meanwhile.
+
+    Attributes:
+        exposure_s: length, above 0.
+        camera: geometry of the sensor.
+        psf_sigma_px: standard deviation of the image of a star at rest, each axis.
+    """
+
+    exposure_s: float
+    camera: StarCamera
+    psf_sigma_px: float
+
+    @cached_property
+    def nodes(self) -> Nodes:
+        """Moments at which the motion is asked for, to find the mean over the exposure."""
+        return exposure_nodes(self.exposure_s)
+
+    def untold_turn_variance(self, acceleration: float) -> float:
+        """Variance of the turn from the mean of the exposure to its middle where no INS tells it, each axis, rad².
+
+        Args:
+            acceleration: angular acceleration that the sensor may have, standard deviation of each axis, rad/s².
+        """
+        return (acceleration * self.exposure_s**2 / 24.0) ** 2
+
+
+@dataclass(frozen=True)
+class StarExposure:
+    """The stars of one exposure of one sensor; arrays have one entry a star.
+
+    Attributes:
+        source: ``star.<id>``.
+        time_ns: middle of the exposure, stamp of the sensor.
+        hip: HIP numbers; 0 where the star has none, because its direction in the ICRS was given or it is unidentified.
+        directions_s: unit vectors in the sensor frame (forward, up, right), shape (k, 3).
+        sigma: error of a direction, rad per axis across it, shape (k,).
+        positions: of the stars, J2000.0; NaN where a star is not identified yet.
+        position_sigma: error of the star's position, rad per axis, shape (k,).
+        magnitude: as measured, shape (k,); NaN where unknown.
+        length: how long the exposure lasted, and of which camera it is; None where the message does not tell.
+        smear_s: what the motion during the exposure adds to the error of a direction, covariance in the sensor frame,
+            rad², shape (k, 3, 3); None before :func:`at_middle`.
+    """
+
+    source: str
+    time_ns: int
+    hip: NDArray[np.int64]
+    directions_s: FloatArray
+    sigma: FloatArray
+    positions: StarPositions
+    position_sigma: FloatArray
+    magnitude: FloatArray
+    length: ExposureLength | None = None
+    smear_s: FloatArray | None = None
+
+    @property
+    def covariance_known(self) -> bool:
+        """True for any exposure: a star whose message gives no error of its centroid has the configured one."""
+        return True
+
+    @property
+    def reach_ns(self) -> int:
+        """How far from the middle the motion of the sensor must be known; 0 where no length was given."""
+        return 0 if self.length is None else self.length.nodes.reach_ns
+
+    @property
+    def identified(self) -> NDArray[np.bool_]:
+        """True where it is known which star it is, shape (k,)."""
+        return np.isfinite(self.positions.right_ascension)
+
+    def name(self, row: int) -> str:
+        """A star for people: its number, else its place in the ICRS, else where the sensor saw it."""
+        hip = int(self.hip[row])
+        if hip:
+            return f"HIP {hip}"
+        alpha, delta = self.positions.right_ascension[row], self.positions.declination[row]
+        if np.isfinite(alpha):
+            return f"star at right ascension {np.rad2deg(alpha):.4f}°, declination {np.rad2deg(delta):+.4f}°"
+        _, up, right = self.directions_s[row]
+        return f"star {np.rad2deg(up):+.2f}° up, {np.rad2deg(right):+.2f}° right of the boresight"
+
+    def __len__(self) -> int:
+        return len(self.hip)
+
+    def __getitem__(self, rows: Any) -> StarExposure:
+        """The same exposure with some of its stars."""
+        return StarExposure(
+            self.source,
+            self.time_ns,
+            self.hip[rows],
+            self.directions_s[rows],
+            self.sigma[rows],
+            self.positions[rows],
+            self.position_sigma[rows],
+            self.magnitude[rows],
+            self.length,
+            None if self.smear_s is None else self.smear_s[rows],
+        )
+
+    def content(self) -> bytes:
+        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        positions = self.positions
+        arrays = (
+            self.hip,
+            self.directions_s,
+            self.sigma,
+            positions.right_ascension,
+            positions.declination,
+            self.magnitude,
+        )
+        length = b"" if self.length is None else np.float64(self.length.exposure_s).tobytes()
+        return b"".join(np.ascontiguousarray(array).tobytes() for array in arrays) + length
+
+
+def at_middle(exposure: StarExposure, turning: Turning) -> StarExposure:
+    """The stars where they stood at the middle of the exposure, with what their streaks add to their errors.
+
+    Args:
+        exposure: of a known length.
+        turning: of the sensor over the exposure.
+    """
+    length = exposure.length
+    assert length is not None
+    camera, seen_s = length.camera, exposure.directions_s
+    nodes, passed_s = turning.nodes, seen_s @ np.swapaxes(turning.turns, -1, -2)
+    pixels, middle = camera.pixels(passed_s), camera.pixels(seen_s)
+    directions_s = camera.directions(middle - (nodes.mean(pixels) - middle))
+    blur = equivalent_sigma(camera.direction_covariance(middle, length.psf_sigma_px))
+    smear_s: FloatArray = _across(seen_s, nodes.spread(passed_s)) * ((exposure.sigma / blur) ** 2)[:, None, None]
+    lost = ~np.all(np.isfinite(directions_s), axis=-1)
+    directions_s[lost], smear_s[lost] = seen_s[lost], _across(seen_s[lost], _OUT_OF_SIGHT * np.eye(3))
+    return replace(exposure, directions_s=directions_s, smear_s=smear_s)
+
+
+def _across(directions_s: FloatArray, covariance_s: FloatArray) -> FloatArray:
+    """The part of covariances that lies across the lines of sight, shape (k, 3, 3)."""
+    keep = np.eye(3) - directions_s[:, :, None] * directions_s[:, None, :]
+    across: FloatArray = keep @ covariance_s @ keep
+    return across
