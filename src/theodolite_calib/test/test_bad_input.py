@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_estimation.outcome import Status
 from ship_estimation.refusals import LONGEST_TEXT, Reason
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import (
@@ -34,7 +35,7 @@ from ship_testing.small_session import (
     new_adapter,
     session,
 )
-from theodolite_calib.measured.samples import Mode, Status
+from theodolite_calib.measured.samples import Mode
 from theodolite_calib.ros.messages_in import MOST_LIGHTS
 
 MOMENT_S = 3.0

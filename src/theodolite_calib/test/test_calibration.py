@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from ship_bags.errors import BadInput
+from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC
 from ship_node.live.start_line import start_line
 from ship_testing.adapter_runs import FACTORY, SECOND_NS
 from ship_testing.small_session import AXES, BEACONS, FOCAL_LENGTH_M, clean_run, config, drive, new_adapter, session
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.measured.samples import Status
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior, prior_of, state_from_prior
 from theodolite_calib.ros import calibration_file
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_testing.adapter_runs import START_NS, Arrival, changed_where, index_at, replaced, without
 from ship_testing.small_session import (
@@ -19,7 +20,6 @@ from ship_testing.small_session import (
     session,
     stamp_of,
 )
-from theodolite_calib.measured.samples import Status
 
 
 def seconds(message: Any) -> float:

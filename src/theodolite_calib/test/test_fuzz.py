@@ -6,10 +6,10 @@ import pickle
 import numpy as np
 from rclpy.serialization import serialize_message
 
+from ship_estimation.outcome import Status
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival
 from ship_testing.garbage import paths, spoil
 from ship_testing.small_session import ALL_TOPICS, Run, clean_run, new_adapter, session
-from theodolite_calib.measured.samples import Status
 
 MESSAGES = 10_000
 

@@ -47,7 +47,7 @@ def test_of_three_lights_the_wrong_one_is_left_out(three, wrong: int) -> None:
     shift = np.zeros((3, 2))
     shift[wrong] = [90.0, -60.0]
     after, decision = step(state, shifted(last, shift), exposure(last))
-    ((name, refusal),) = decision.lights_refused
+    ((name, refusal),) = decision.left_out
     assert name == last.names[wrong]
     assert refusal.reason is Reason.LIGHT_CONFLICT
     assert decision.accepted
@@ -105,7 +105,7 @@ def assert_no_part(step, state, wrong: Sighting, row: int) -> None:
         after, decision = step(state, sighting, exposure(sighting))
         assert np.isfinite(after.mean).all()
         assert np.isfinite(after.parts).all()
-        used = [name for name in sighting.names if name not in {name for name, _ in decision.lights_refused}]
+        used = [name for name in sighting.names if name not in {name for name, _ in decision.left_out}]
         assert not decision.accepted or wrong.names[row] not in used
 
 

@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_testing.adapter_runs import SECOND_NS, Arrival, delayed, index_at, replaced, stamp_of
 from ship_testing.small_session import (
@@ -19,7 +20,6 @@ from ship_testing.small_session import (
     new_adapter,
     session,
 )
-from theodolite_calib.measured.samples import Status
 
 LAG_S = 2.0
 ALPHA = BASELINE["alpha"]

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion
 from ship_geometry.rotations import exp_rotation
@@ -21,7 +22,6 @@ from ship_testing.small_session import (
     new_adapter,
     stamp_of,
 )
-from theodolite_calib.measured.samples import Status
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 Change = Callable[[Any], None]

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
+from ship_estimation.outcome import Status
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, hand_over, in_order, stamp_of
 from ship_testing.small_session import BEACONS, ENCODER, SHIP, Run, clean_run, drive, new_adapter, session
-from theodolite_calib.measured.samples import Status
 
 POINTING = "theodolite/pointing"
 BUDGETS = ("theodolite/error_budget", "theodolite/error_arcsec")

@@ -27,7 +27,7 @@ from theodolite_calib.axis_fit.sighting_file import COLUMNS, LABEL_COLUMN, TIME_
 from theodolite_calib.axis_fit.slow_errors import MOST_SIGHTINGS
 from theodolite_calib.chain.axis_chain import Parallelism
 from theodolite_calib.lights.telescope_attitude import solve
-from theodolite_calib.measured.samples import Decision, Outcome
+from theodolite_calib.measured.samples import ExposureDecision, PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
@@ -97,9 +97,9 @@ class AxisSightings:
             ((number, f"{stamp // 10**9}.{stamp % 10**9:09d}", *cells) for number, stamp, *cells in rows),
         )
 
-    def take(self, core: OpticalAxisCore, decision: Decision) -> None:
+    def take(self, core: OpticalAxisCore, decision: ExposureDecision) -> None:
         """Keep what the lights of an exposure say, where the core used them all as they are named."""
-        time_ns = decision.exposure.time_ns
+        time_ns = decision.measurement.time_ns
         self.rows.pop(time_ns, None)
         row = _row(core, decision)
         if row is None:
@@ -141,7 +141,7 @@ def axis_sightings(
     found = AxisSightings()
 
     class Listening(OpticalAxisAdapter):
-        def _published(self, outcome: Outcome, now_ns: int) -> list[Published]:
+        def _published(self, outcome: PointingOutcome, now_ns: int) -> list[Published]:
             for decision in outcome.decisions:
                 found.take(self.core, decision)
             return super()._published(outcome, now_ns)
@@ -158,10 +158,10 @@ def axis_sightings(
     return found
 
 
-def _row(core: OpticalAxisCore, decision: Decision) -> AxisSighting | None:
+def _row(core: OpticalAxisCore, decision: ExposureDecision) -> AxisSighting | None:
     """What the lights of an exposure say; None where they were not all used, or are too few."""
-    sighting = core.sighting(decision.exposure)
-    usable = decision.accepted and decision.reason is Reason.NONE and not decision.lights_refused
+    sighting = core.sighting(decision.measurement)
+    usable = decision.accepted and decision.reason is Reason.NONE and not decision.left_out
     if sighting is None or not usable or len(sighting.names) < _LEAST_LIGHTS:
         return None
     # The camera and the lines of sight as configured: nothing that the filter has learnt may come back as a sighting.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
@@ -21,11 +22,10 @@ from theodolite_calib.measured.samples import (
     EncoderSample,
     Exposure,
     Mode,
-    Outcome,
     PointingEstimate,
+    PointingOutcome,
     SeenLight,
     ShipSample,
-    Status,
 )
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
@@ -115,7 +115,7 @@ def feed(core: OpticalAxisCore, run: SimulatedRun) -> tuple[list[PointingEstimat
     return estimates, sightings, refused
 
 
-def _give(core: OpticalAxisCore, run: SimulatedRun, source: str, index: int) -> Outcome:
+def _give(core: OpticalAxisCore, run: SimulatedRun, source: str, index: int) -> PointingOutcome:
     kind, _, name = source.partition(".")
     theodolite = run.theodolite
     if kind == "fused":
@@ -136,9 +136,9 @@ def _give(core: OpticalAxisCore, run: SimulatedRun, source: str, index: int) -> 
         images = theodolite.images
         lights = tuple(SeenLight(key, point_m, images.sigma_m) for key, point_m in images.sightings(index))
         exposure = Exposure(int(images.time_ns[index]), lights, run.scenario.theodolite.telescope.exposure_s)
-        return core.add_exposure(exposure) if lights else Outcome()
+        return core.add_exposure(exposure) if lights else PointingOutcome()
     # ins: the fused attitude holds what it says.
-    return Outcome()
+    return PointingOutcome()
 
 
 def _ship_sample(run: SimulatedRun, index: int) -> ShipSample:

@@ -20,7 +20,7 @@ from theodolite_calib.lights.image import Camera
 from theodolite_calib.lights.light_check import Verdict, angle_residuals, check_lights
 from theodolite_calib.lights.line_of_sight import LinesOfSight
 from theodolite_calib.lights.telescope_attitude import AttitudePrior
-from theodolite_calib.measured.samples import Decision, Exposure
+from theodolite_calib.measured.samples import Exposure, ExposureDecision
 from theodolite_calib.measured.sighting import Sighting
 
 
@@ -34,7 +34,7 @@ class Judgement:
         comparison: of that with the predicted state.
     """
 
-    decision: Decision
+    decision: ExposureDecision
     sighting: Sighting | None = None
     comparison: Comparison | None = None
 
@@ -55,7 +55,7 @@ class SightingJudge:
         comparison = self._filter.compare(state, sighting)
         if comparison is None:
             text = "a light would be behind the telescope: its baseline, the encoders or the ship are far off"
-            return Judgement(Decision(exposure, Reason.LIGHT_CONFLICT, text=text))
+            return Judgement(ExposureDecision(exposure, Reason.LIGHT_CONFLICT, text=text))
         if self._passes(comparison):
             return self._use(exposure, sighting, comparison)
         if len(sighting.names) == 1:
@@ -88,7 +88,8 @@ class SightingJudge:
                 judgement = self._use(exposure, swapped, again)
                 exchanged = [f"{sighting.names[j]} is {n}" for n, j in zip(sighting.names, check.order, strict=True)]
                 text = f"lights fit only with names exchanged, and are used so: {', '.join(exchanged)}"
-                decision = replace(judgement.decision, reason=Reason.LIGHT_CONFLICT, text=text)
+                decision = judgement.decision
+                decision = replace(decision, reason=Reason.LIGHT_CONFLICT, names_exchanged=True, text=text)
                 return replace(judgement, decision=decision)
         without_one = self._without_one(state, sighting, exposure)
         if without_one is not None:
@@ -124,7 +125,7 @@ class SightingJudge:
         _, row, others, comparison = min(trials, key=lambda trial: trial[:2])
         judgement = self._use(exposure, others, comparison)
         refused = sighting.names[row], Refusal(Reason.LIGHT_CONFLICT, "the other lights fit, but only without it")
-        return replace(judgement, decision=replace(judgement.decision, lights_refused=(refused,)))
+        return replace(judgement, decision=replace(judgement.decision, left_out=(refused,)))
 
     def _use(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Judgement:
         rotation_nt = comparison.prediction.rotation_nt
@@ -132,20 +133,19 @@ class SightingJudge:
         decision = replace(
             self._decision(exposure, sighting, comparison),
             reason=Reason.NONE,
-            accepted=True,
             telescope_dt=(sighting.in_deck(rotation_nt), sigma),
         )
         return Judgement(decision, sighting, comparison)
 
-    def _disagreement(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Decision:
+    def _disagreement(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
         """The lights may fit among themselves, but not with the encoders and the ship."""
         decision = self._decision(exposure, sighting, comparison)
         return replace(decision, text=f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}")
 
-    def _decision(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Decision:
+    def _decision(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
         focal_length_m = _focal_length_m(comparison)
-        return Decision(
-            exposure=exposure,
+        return ExposureDecision(
+            measurement=exposure,
             reason=Reason.GATE,
             components=tuple(f"{name} {axis}" for name in sighting.names for axis in ("x", "z")),
             residual=comparison.measurement.residual / focal_length_m,
@@ -169,7 +169,7 @@ class SightingStep:
 
     def __call__(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure
-    ) -> tuple[CalibrationState, Decision]:
+    ) -> tuple[CalibrationState, ExposureDecision]:
         """State and decision after a sighting.
 
         Args:
@@ -181,7 +181,7 @@ class SightingStep:
         try:
             judgement = self._judge.judge(predicted, sighting, exposure)
         except np.linalg.LinAlgError as error:
-            return state, Decision(exposure, Reason.BAD_COVARIANCE, text=str(error))
+            return state, ExposureDecision(exposure, Reason.BAD_COVARIANCE, text=str(error))
         if judgement.sighting is not None and judgement.comparison is not None:
             return self._filter.used(predicted, judgement.sighting, judgement.comparison), judgement.decision
         # Not even the prediction is kept: the state stays, to the last bit, as without this sighting.
@@ -189,7 +189,7 @@ class SightingStep:
             return state, judgement.decision
         return self._held(state, judgement.decision)
 
-    def _held(self, state: CalibrationState, decision: Decision) -> tuple[CalibrationState, Decision]:
+    def _held(self, state: CalibrationState, decision: ExposureDecision) -> tuple[CalibrationState, ExposureDecision]:
         """After a run of disagreements say so and, where configured, re-open the gate."""
         run = state.refusals + 1
         reason, text = decision.reason, decision.text

@@ -1,11 +1,13 @@
 """What goes into the optical-axis core and what comes out: plain structs in radians, metres and nanoseconds."""
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
+from ship_estimation.outcome import Decision, Outcome, Status
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
@@ -19,15 +21,6 @@ class Mode(enum.IntEnum):
     TWO_LIGHTS = 0
     ONE_LIGHT = 1
     ENCODER = 2
-
-
-class Status(enum.IntEnum):
-    """What a pointing, or the ship's attitude, is worth; the values are those of the messages."""
-
-    VALID = 0
-    COASTING = 1
-    DEGRADED = 2
-    INVALID = 3
 
 
 @dataclass(frozen=True)
@@ -104,11 +97,14 @@ class Exposure:
         time_ns: middle of the exposure.
         lights: in the order of their names, each name once.
         exposure_s: how long it lasted; 0 where nobody said so.
+        covariance_known: False where the configured sigma stands in for that of a light.
     """
 
+    source: ClassVar[str] = "beacons"
     time_ns: int
     lights: tuple[SeenLight, ...]
     exposure_s: float = 0.0
+    covariance_known: bool = True
 
     @cached_property
     def nodes(self) -> Nodes | None:
@@ -130,37 +126,25 @@ class Exposure:
 
 
 @dataclass(frozen=True)
-class Decision:
+class ExposureDecision(Decision[Exposure]):
     """What became of an exposure.
 
+    ``residual`` and ``sigma`` are angles on the sky, two for each light: to the right and up. ``left_out`` are lights.
+
     Attributes:
-        exposure: itself.
-        reason: why it was not used; NONE where it was; LIGHT_CONFLICT where it was with names exchanged.
-        accepted: True where it entered the estimate.
-        components: names of the residuals.
-        residual: measured minus predicted, on the sky, rad.
-        sigma: predicted standard deviation of each, rad.
-        nis: normalised innovation squared.
-        gate: the value that ``nis`` must not exceed.
-        text: explanation for people.
-        lights_refused: lights that had no part in it, by name.
+        names_exchanged: True where the exposure was used although its lights were not named right: with other names.
+            The reason is LIGHT_CONFLICT all the same.
         telescope_dt: deck from telescope as the lights have it, shape (3, 3), and the standard deviation about its
             worst axis, rad; None where they do not tell.
-        revised: True where a measurement that arrived late changed an earlier decision.
     """
 
-    exposure: Exposure
-    reason: Reason
-    accepted: bool = False
-    components: tuple[str, ...] = ()
-    residual: FloatArray = field(default_factory=lambda: np.empty(0))
-    sigma: FloatArray = field(default_factory=lambda: np.empty(0))
-    nis: float = float("nan")
-    gate: float = float("nan")
-    text: str = ""
-    lights_refused: tuple[tuple[str, Refusal], ...] = ()
+    names_exchanged: bool = False
     telescope_dt: tuple[FloatArray, float] | None = None
-    revised: bool = False
+
+    @property
+    def accepted(self) -> bool:
+        """True where the exposure entered the estimate."""
+        return self.reason is Reason.NONE or self.names_exchanged
 
 
 @dataclass(frozen=True)
@@ -171,6 +155,7 @@ class PointingEstimate:
         time_ns: moment of validity.
         rotation_nm: horizon from main frame, shape (3, 3).
         parts_n: error covariance by source, rotation vector in n, rad², shape (n_sources, 3, 3).
+        covariance_n: the sum of these, shape (3, 3).
         rotation_nt: horizon from telescope, shape (3, 3); NaN in mode ENCODER.
         mode: how it was found.
         status: what it is worth.
@@ -181,32 +166,13 @@ class PointingEstimate:
     time_ns: int
     rotation_nm: FloatArray
     parts_n: FloatArray
+    covariance_n: FloatArray
     rotation_nt: FloatArray
     mode: Mode
     status: Status
     light_count: int
     text: str = ""
 
-    @property
-    def covariance_n(self) -> FloatArray:
-        """Error covariance, rotation vector in n, rad², shape (3, 3)."""
-        total: FloatArray = self.parts_n.sum(axis=0)
-        return total
 
-
-@dataclass
-class Outcome:
-    """What one input led to.
-
-    Attributes:
-        refusal: why this very input was not used; None where it was, or still waits.
-        decisions: exposures judged now.
-        estimates: pointings to publish; times increase strictly from claim to claim, see
-            :class:`ship_estimation.estimator_shell.OutputOrder`.
-        failures: by stamp, pointings that could not be computed: the software itself failed.
-    """
-
-    refusal: Refusal | None = None
-    decisions: list[Decision] = field(default_factory=list)
-    estimates: list[PointingEstimate] = field(default_factory=list)
-    failures: list[tuple[int, Refusal]] = field(default_factory=list)
+PointingOutcome = Outcome[ExposureDecision, PointingEstimate]
+"""What one input of the optical-axis core led to."""

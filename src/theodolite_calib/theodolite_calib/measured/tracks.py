@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason, Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposure_nodes
@@ -16,7 +17,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.sample_track import SECOND_NS, SampleTrack
 from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Exposure, ShipSample, Status
+from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Exposure, ShipSample
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _FULL_TURN = 2.0 * np.pi
@@ -175,7 +176,7 @@ class MeasuredTracks:
     def awaits(self, exposure: Exposure) -> bool:
         """True while data still to come may belong to an exposure."""
         end_ns = exposure.time_ns + exposure.reach_ns
-        if not (self.ship_covers(end_ns) and self.encoder.covers(end_ns)):
+        if not (self.ship.covers(end_ns - self.ship_shift_ns) and self.encoder.covers(end_ns)):
             return True
         for light in exposure.lights:
             if not self.baselines[light.beacon_id].covers(exposure.time_ns):
@@ -185,9 +186,11 @@ class MeasuredTracks:
                 return True
         return False
 
-    def ship_covers(self, time_ns: int) -> bool:
-        """True once later samples can no longer change the ship's attitude at a moment."""
-        return self.ship.covers(time_ns - self.ship_shift_ns)
+    @property
+    def ship_covered_until_ns(self) -> int | None:
+        """The latest moment at which later samples can no longer change the ship's attitude; None for none."""
+        until_ns = self.ship.covered_until_ns
+        return None if until_ns is None else until_ns + self.ship_shift_ns
 
     def ship_at(self, time_ns: int, over: Nodes | None = None) -> ShipAt | None:
         """The ship's attitude at a moment; None in a gap.

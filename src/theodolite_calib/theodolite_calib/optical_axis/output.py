@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_estimation.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 from ship_geometry.sample_track import SECOND_NS
@@ -17,7 +18,7 @@ from theodolite_calib.filter.model import (
     SOURCE_SHIP,
     SOURCE_SHIP_NOISE,
 )
-from theodolite_calib.measured.samples import EncoderSample, Mode, PointingEstimate, Status
+from theodolite_calib.measured.samples import EncoderSample, Mode, PointingEstimate
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 
@@ -119,6 +120,7 @@ class PointingOutput:
             time_ns=sample.time_ns,
             rotation_nm=axis.rotation_nm,
             parts_n=axis.parts_n,
+            covariance_n=axis.parts_n.sum(axis=0),
             rotation_nt=axis.rotation_nt if recent else np.full((3, 3), np.nan),
             mode=mode,
             status=status,
@@ -144,4 +146,4 @@ def no_pointing(filter_: CalibrationFilter, now_ns: int, text: str) -> PointingE
     """No pointing is claimed."""
     unknown = np.full((3, 3), np.nan)
     parts_n = np.full((len(filter_.model.sources), 3, 3), np.nan)
-    return PointingEstimate(now_ns, unknown, parts_n, unknown, Mode.ENCODER, Status.INVALID, 0, text)
+    return PointingEstimate(now_ns, unknown, parts_n, unknown, unknown, Mode.ENCODER, Status.INVALID, 0, text)

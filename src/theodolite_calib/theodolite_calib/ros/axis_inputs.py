@@ -6,7 +6,7 @@ from typing import Any
 from ship_estimation.refusals import Refusal
 from ship_node.edge.topics import InputTopic
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import Outcome
+from theodolite_calib.measured.samples import PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.ros import messages_in
 
@@ -29,7 +29,7 @@ class Taken:
     """
 
     time_ns: int
-    outcome: Outcome
+    outcome: PointingOutcome
     judged: bool = False
     covariance_known: bool = True
     lights_refused: tuple[tuple[str, Refusal], ...] = ()
@@ -94,7 +94,7 @@ class AxisInputs:
         exposure = converted.value
         if not exposure.lights:
             # The telescope works and sees no light, or none that can be read: nothing to compare.
-            return Taken(exposure.time_ns, Outcome(), lights_refused=converted.lights_refused)
+            return Taken(exposure.time_ns, PointingOutcome(), lights_refused=converted.lights_refused)
         return Taken(
             exposure.time_ns,
             self._core.add_exposure(exposure),

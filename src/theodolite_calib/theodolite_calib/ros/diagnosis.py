@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.messages_out import DiagnosticStatus, Level
-from theodolite_calib.measured.samples import Decision, Mode, PointingEstimate, Status
+from theodolite_calib.measured.samples import ExposureDecision, Mode, PointingEstimate
 from theodolite_calib.optical_axis.calibration import Calibration
 
 _LEVELS = {
@@ -47,6 +48,6 @@ def calibration_status(calibration: Calibration, messages: list[str]) -> Diagnos
     return DiagnosticStatus("calibration", level, "; ".join(messages) or "as configured, saved or sighted", values)
 
 
-def conflict_statuses(conflict: Decision | None) -> list[DiagnosticStatus]:
+def conflict_statuses(conflict: ExposureDecision | None) -> list[DiagnosticStatus]:
     """The lights that keep disagreeing with the encoders and the ship, if they do."""
     return [] if conflict is None else [DiagnosticStatus("conflict lights", Level.ERROR, conflict.text)]

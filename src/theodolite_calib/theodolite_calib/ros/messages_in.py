@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
@@ -33,7 +34,7 @@ from ship_node.edge.messages_in import (
     unit_quaternion,
 )
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
-from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Exposure, SeenLight, ShipSample, Status
+from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Exposure, SeenLight, ShipSample
 
 MOST_LIGHTS = 100
 """Of one image; what comes after them is not looked at, so that no message can hold up the node."""
@@ -179,7 +180,7 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Conver
         text = f"{len(message.beacons)} lights in one image: only the first {MOST_LIGHTS} are looked at"
         refused.append((message.beacons[MOST_LIGHTS].beacon_id, Refusal(Reason.OVERFLOW, text)))
     ordered = tuple(lights[name] for name in sorted(lights))
-    return Converted(Exposure(time_ns, ordered, exposure_s), known, tuple(refused))
+    return Converted(Exposure(time_ns, ordered, exposure_s, known), known, tuple(refused))
 
 
 def _light_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool] | Refusal:

@@ -10,7 +10,7 @@ from ship_estimation.refusals import Reason
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.measured.samples import Decision, PointingEstimate
+from theodolite_calib.measured.samples import ExposureDecision, PointingEstimate
 from theodolite_calib.optical_axis.calibration import Calibration
 
 MAIN_FRAME = "theodolite_main"
@@ -84,7 +84,7 @@ def calibration(factory: MessageFactory, values: Calibration, now_ns: int) -> An
     )
 
 
-def innovation(factory: MessageFactory, decision: Decision) -> Any:
+def innovation(factory: MessageFactory, decision: ExposureDecision) -> Any:
     """ship_msgs/Innovation of an exposure that was judged."""
     reason, text = decision.reason, decision.text
     if decision.revised:
@@ -92,7 +92,7 @@ def innovation(factory: MessageFactory, decision: Decision) -> Any:
         reason, text = Reason.REVISED, f"judged anew after a measurement that arrived late, {verdict} {text}".rstrip()
     return factory.make(
         "ship_msgs/msg/Innovation",
-        header=make_header(factory, decision.exposure.time_ns, LIGHTS),
+        header=make_header(factory, decision.measurement.time_ns, LIGHTS),
         source=LIGHTS,
         components=list(decision.components),
         residual=decision.residual,

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
+from ship_estimation.outcome import Status
 from ship_estimation.parameters import changed
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_node.documents.files import DISK, Files
@@ -17,7 +18,7 @@ from ship_node.edge.messages_in import Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array, refusal_message
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import Decision, Outcome, PointingEstimate, Status
+from theodolite_calib.measured.samples import ExposureDecision, PointingEstimate, PointingOutcome
 from theodolite_calib.optical_axis.calibration import CalibrationPrior
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.ros import calibration_file, messages_out
@@ -69,7 +70,7 @@ class OpticalAxisAdapter:
         self._calibration_messages: list[str] = []
         self._latest: PointingEstimate | None = None
         self._budget_due: PointingEstimate | None = None
-        self._conflict: Decision | None = None
+        self._conflict: ExposureDecision | None = None
         self._slow_due_ns: int | None = None
         self._clock_jumps = 0
 
@@ -170,11 +171,11 @@ class OpticalAxisAdapter:
             published.append((_INNOVATION, message))
         return published
 
-    def _published(self, outcome: Outcome, now_ns: int) -> list[Published]:
+    def _published(self, outcome: PointingOutcome, now_ns: int) -> list[Published]:
         published: list[Published] = []
         for decision in outcome.decisions:
             self._count(decision, now_ns)
-            published += self._lights_refused(decision.exposure.time_ns, decision.lights_refused)
+            published += self._lights_refused(decision.measurement.time_ns, decision.left_out)
             published.append((_INNOVATION, messages_out.innovation(self._factory, decision)))
         for time_ns, refusal in outcome.failures:
             published += self._failed(_POINTING, time_ns, refusal)
@@ -189,8 +190,8 @@ class OpticalAxisAdapter:
         self.health.failed(f"{what}: {refusal.text}")
         return [(_INNOVATION, refusal_message(self._factory, what, time_ns, refusal.reason, refusal.text))]
 
-    def _count(self, decision: Decision, now_ns: int) -> None:
-        time_ns = decision.exposure.time_ns
+    def _count(self, decision: ExposureDecision, now_ns: int) -> None:
+        time_ns = decision.measurement.time_ns
         if decision.revised:
             self.health.noted(BEACONS_TOPIC, Reason.REVISED)
         elif decision.accepted:
