@@ -17,7 +17,7 @@ from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.trials.attitude_monte_carlo import feed, final_error
+from ship_replay.trials.monte_carlo import feed_attitude, final_error
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Scenario
@@ -134,7 +134,7 @@ def arriving_within(run: SimulatedRun, longest_s: float, seed: int) -> Simulated
 def test_sigma_is_the_bound(name: str, expected_arcsec: list[float]) -> None:
     run = simulate(scenario(name, 600.0, ins_rate_hz=100.0), seed=3)
     core = ShipAttitudeCore(build(ShipAttitudeConfig, suite_configuration(run.scenario)))
-    estimate, _ = feed(core, run)
+    estimate, _ = feed_attitude(core, run)
     sigma = angle_sigmas(estimate.covariance_n, estimate.rotation_nd)
     bound = angle_sigmas(information_bound(run), estimate.rotation_nd)
     assert sigma == pytest.approx(bound, rel=0.01)
@@ -180,7 +180,7 @@ def test_a_filter_that_believes_too_much_is_found_out() -> None:
     values = []
     for seed in range(8):
         run = simulate(replace(short, star_sensors=worse), seed)
-        estimate, _ = feed(ShipAttitudeCore(configuration), run)
+        estimate, _ = feed_attitude(ShipAttitudeCore(configuration), run)
         error_n = log_rotation(run.truth.rotation_nd[-1] @ estimate.rotation_nd.T)
         values.append(normalized_error_squared(error_n, estimate.covariance_n))
     assert np.mean(values) > mean_nees_band(8, degrees=3)[1]
@@ -196,7 +196,7 @@ def test_any_order_of_arrival_ends_in_the_same_state(name: str) -> None:
     for order in range(4):
         shuffled = run if order == 0 else arriving_within(run, 1.9, order)
         core = ShipAttitudeCore(configuration)
-        feed(core, shuffled)
+        feed_attitude(core, shuffled)
         states.append(core.state)
     for state in states[1:]:
         assert np.array_equal(state.mean, states[0].mean)

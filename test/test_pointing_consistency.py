@@ -10,7 +10,7 @@ import pytest
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.trials.pointing_monte_carlo import PointingErrors, feed, pointing_errors
+from ship_replay.trials.monte_carlo import PointingErrors, feed_pointing, pointing_errors
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -102,7 +102,7 @@ def nees_at_the_end(scenario: Scenario, seed: int, told: Scenario) -> tuple[floa
     """Of a session through a core that is told another scenario's length of exposures, and how many it refused."""
     run = simulate(scenario, seed)
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
-    estimates, _, refused = feed(core, dataclasses.replace(run, scenario=told))
+    estimates, _, refused = feed_pointing(core, dataclasses.replace(run, scenario=told))
     error_n = log_rotation(run.theodolite.truth.mount.rotation_nm[-1] @ estimates[-1].rotation_nm.T)
     return float(normalized_error_squared(error_n, estimates[-1].covariance_n)), refused
 
@@ -128,7 +128,7 @@ def test_mend_09_points_of_moving_lights_are_brought_to_the_middle_of_the_exposu
     # The estimator takes no baseline for exact.
     told = with_beacons(scenario, rtk__sigma_m=0.001)
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(told)))
-    feed(core, run)
+    feed_pointing(core, run)
     middle_s = (images.time_ns - run.start_ns) * 1e-9
     true_m = points_on_detector(telescope, scene, middle_s, scene.mount(middle_s))
     psf_m, sigma_m = telescope.psf_sigma_m, telescope.sigma_m

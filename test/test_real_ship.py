@@ -13,7 +13,7 @@ from ship_bags.commands.import_nmea import main as import_nmea
 from ship_bags.mcap.bag_reader import read_bag
 from ship_estimation.consistency import mean_nees_band, sigma_ratio_band
 from ship_replay.commands.replay import main as replay
-from ship_replay.trials.attitude_monte_carlo import final_error
+from ship_replay.trials.monte_carlo import final_error
 from ship_simulation.scenario.scenario_file import load_scenario
 
 ROOT = Path(__file__).parents[1]

@@ -20,7 +20,7 @@ from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.trials.attitude_monte_carlo import sky_input, star_exposure
+from ship_replay.trials.monte_carlo import sky_input, star_exposure
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario

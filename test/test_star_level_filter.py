@@ -19,7 +19,7 @@ from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTa
 from ship_geometry.refraction import elevation_of, lifted
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.star_directions import RefreshedSky
-from ship_replay.trials.attitude_monte_carlo import core_for, feed
+from ship_replay.trials.monte_carlo import core_for, feed_attitude
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -50,7 +50,7 @@ def final_nees(
     """Of the fused attitude at the end, by an estimator with another sky where one is given."""
     config = core_for(run.scenario).config
     core = ShipAttitudeCore(config, watch(config.sky, table or earth_orientation_table(), hipparcos()))
-    estimate, _ = feed(core, run)
+    estimate, _ = feed_attitude(core, run)
     return normalised(run, estimate)
 
 

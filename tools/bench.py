@@ -24,8 +24,8 @@ from ship_attitude_star.star_attitude.exposure_solver import Mounted, solve_deck
 from ship_attitude_star.stars.solution import SolutionStatus
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_estimation.parameters import build
-from ship_replay.trials.attitude_monte_carlo import sky_input
 from ship_replay.trials.live_run import LiveFailure, LiveRun
+from ship_replay.trials.monte_carlo import sky_input
 from ship_simulation.run import SKY_SOURCES, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import star_attitude_configuration

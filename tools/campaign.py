@@ -16,7 +16,7 @@ from rich.progress import track
 
 from ship_estimation.consistency import mean_nees_band, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC
-from ship_replay.trials.attitude_monte_carlo import FinalError, final_error
+from ship_replay.trials.monte_carlo import FinalError, final_error
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 

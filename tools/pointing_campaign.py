@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import track
 
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_replay.trials.pointing_monte_carlo import PointingErrors, pointing_errors
+from ship_replay.trials.monte_carlo import PointingErrors, pointing_errors
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 

@@ -20,8 +20,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_factory import message_class
 from ship_bags.message_store import RosbagsFactory, message_store
-from ship_replay.trials.live_graph import GraphObserver
-from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_replay.trials.live_run import executable
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]

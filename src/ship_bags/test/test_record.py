@@ -20,8 +20,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.message_store import serialize
-from ship_replay.trials.live_graph import GraphObserver
-from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_replay.trials.live_run import executable
 from ship_testing.hand_made_bags import START_NS, imu
 

@@ -11,8 +11,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_node.parameters.parameter_file import load_config
 from ship_replay.offline.replay import replay
-from ship_replay.trials.live_graph import GraphObserver
-from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_testing.hand_made_bags import START_NS, imu
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]

@@ -11,7 +11,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_replay.calibration.axis_sightings import AxisSighting, AxisSightings, axis_sightings
 from ship_replay.commands.axis_sightings import main
 from ship_replay.evaluation.evaluate import evaluate
-from ship_replay.offline.bag_suite import suite_text
+from ship_replay.offline.adapter_chain import suite_text
 from ship_replay.offline.replay import replay
 from theodolite_calib.axis_fit import fit_axes_command
 from theodolite_calib.axis_fit.sighting_file import read_sightings

@@ -13,9 +13,9 @@ from ship_estimation.consistency import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
-from ship_replay.calibration.result import Calibration, calibration_of
+from ship_replay.calibration.result import InstallationCalibration, calibration_of
 from ship_replay.calibration.session import Session
-from ship_replay.trials.attitude_monte_carlo import core_for, feed
+from ship_replay.trials.monte_carlo import core_for, feed_attitude
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.suite.suite import suite_configuration
@@ -26,19 +26,19 @@ VOYAGES = 16
 SENSORS = "fore", "starboard"
 
 
-def calibrated(run: SimulatedRun, core: ShipAttitudeCore) -> Calibration:
+def calibrated(run: SimulatedRun, core: ShipAttitudeCore) -> InstallationCalibration:
     """What the command makes of a run, without a bag."""
-    feed(core, run)
+    feed_attitude(core, run)
     return calibration_of(Session("run", core.config, core, {}, np.array([]), {}, run.scenario.duration_s, []))
 
 
-def angle_errors(calibration: Calibration, run: SimulatedRun) -> np.ndarray:
+def angle_errors(calibration: InstallationCalibration, run: SimulatedRun) -> np.ndarray:
     """True minus installed, of all angles, rad."""
     true = np.concatenate([angles_from_rotation(run.truth.stars[id_].rotation_dv) for id_ in SENSORS])
     return wrap_pi(true - [angle.installed for angle in calibration.angles])
 
 
-def nees(calibration: Calibration, run: SimulatedRun) -> float:
+def nees(calibration: InstallationCalibration, run: SimulatedRun) -> float:
     return float(normalized_error_squared(angle_errors(calibration, run), calibration.covariance))
 
 
@@ -118,7 +118,7 @@ def test_a_voyage_that_starts_from_it_is_better_and_honest(tmp_path: Path) -> No
             core = ShipAttitudeCore(config)
             if name == "calibrated":
                 assert core.start_from(alignment_file.load(path), voyage.start_ns) == []
-            estimate, _ = feed(core, voyage)
+            estimate, _ = feed_attitude(core, voyage)
             error_n = log_rotation(voyage.truth.rotation_nd[-1] @ estimate.rotation_nd.T)
             squares.append(float(error_n @ error_n))
         values.append(normalized_error_squared(error_n, estimate.covariance_n))

@@ -14,8 +14,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_replay.commands.evaluate import main
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.evaluation.figures import attitude_error_figure
-from ship_replay.offline.orientations import POINTING
-from ship_replay.offline.truth_errors import TruthErrors
+from ship_replay.offline.orientations import POINTING, TruthErrors
 from ship_simulation.messages.theodolite_messages import true_pointings
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Ins

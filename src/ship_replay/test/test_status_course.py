@@ -9,7 +9,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main as replay
-from ship_replay.offline.gaps import Gaps
+from ship_replay.offline.message_times import Gaps
 from ship_replay.offline.status_course import StatusCourse
 from ship_testing.hand_made_bags import START_NS, imu, ship_attitude
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_node.documents.figure_files import settled, write_figures
-from ship_replay.calibration.result import Calibration, InstalledAngle
+from ship_replay.calibration.result import InstallationCalibration, InstalledAngle
 
 _BAND_COLOUR = "#bcd4ea"
 _LINE_COLOUR = "#0b3c6f"
@@ -18,16 +18,16 @@ _CONFIGURED_COLOUR = "#d55e00"
 _ROOM = 1.15
 
 
-def draw_course(calibration: Calibration, folder: Path) -> Path:
+def draw_course(calibration: InstallationCalibration, folder: Path) -> Path:
     """Write ``installation.png`` into a folder that exists."""
     return write_figures(_figures(calibration), folder)["installation"]
 
 
-def _figures(calibration: Calibration) -> Iterator[tuple[str, Figure]]:
+def _figures(calibration: InstallationCalibration) -> Iterator[tuple[str, Figure]]:
     yield "installation", _course_figure(calibration)
 
 
-def _course_figure(calibration: Calibration) -> Figure:
+def _course_figure(calibration: InstallationCalibration) -> Figure:
     """Correction of every angle over the session, one row a sensor; the last values stand above."""
     rows = len(calibration.sensors)
     figure, grid = plt.subplots(rows, 3, figsize=(14, 3.2 * rows + 1), sharex=True, squeeze=False, layout="constrained")
@@ -43,7 +43,7 @@ def _course_figure(calibration: Calibration) -> Figure:
     return figure
 
 
-def _draw_course(axes: Axes, calibration: Calibration, angle: InstalledAngle) -> None:
+def _draw_course(axes: Axes, calibration: InstallationCalibration, angle: InstalledAngle) -> None:
     time_s = calibration.session.times_s
     course = calibration.session.course[f"star.{angle.sensor}.{angle.angle}"]
     value = wrap_pi(course[:, 0] - angle.configured) / ARCSEC

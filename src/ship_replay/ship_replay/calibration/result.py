@@ -1,4 +1,17 @@
-"""What a session says of the installation: each angle, and each combination of them."""
+"""What a session says of the installation: each angle, and each combination of them.
+
+Which combinations a session could tell follows from the covariances before and after it. What star sensors see against
+each other is free of the INS's errors. What they have together — one turn of all of them on the deck — is seen only
+against an attitude of the deck: at constant heading the INS's error and a common error of the installation look alike
+(models.md §4). So the joint error e = C t + r of all installations, C the turn of the deck in the sensors' axes, is
+split in two parts that the prior P0 holds independent of each other:
+
+    apart      r, with C^T P0^-1 r = 0, of 3 (N - 1) dimensions, in its principal directions
+    together   t, as known once r is: (C^T P^-1 C)^-1
+
+and each is compared with what was known of it beforehand: by the prior, and of t also by the errors of the INS as
+configured, (C^T P0^-1 C + Sigma_ins^-1)^-1, which is what one look at constant heading gives.
+"""
 
 from dataclasses import dataclass
 
@@ -9,9 +22,7 @@ from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_bags.errors import BadInput
 from ship_geometry.frames import angle_errors_from_rotation_vector, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, left_jacobian, wrap_pi
-from ship_replay.calibration.collected import InputCount
-from ship_replay.calibration.observability import Combination, combinations, verdict
-from ship_replay.calibration.session import Session
+from ship_replay.calibration.session import InputCount, Session
 
 ANGLES = ("azimuth", "elevation", "roll")
 
@@ -20,6 +31,103 @@ _TAKES_PART = 0.25
 
 _EXPECTED_SHARE = 0.01
 """Of the messages that the gate may refuse without a warning: ten times and more of what chance refuses."""
+
+NOT_OBSERVED = 0.9
+"""From this ratio of the sigmas, after / beforehand, on."""
+
+WELL_OBSERVED = 0.5
+"""Up to this ratio: three quarters of the variance are gone."""
+
+DECK_AXES = ("bow", "up", "starboard")
+
+
+@dataclass(frozen=True)
+class JointTurn:
+    """One way in which the installations may be wrong at the same time.
+
+    Attributes:
+        axis: of the deck, about which all sensors are turned together; None of sensors turned against each other.
+        run_s: how far each sensor is turned for one sigma of it, rotation vector in its axes (forward, up, right), rad,
+            shape (N, 3).
+        sigma_before: known beforehand, rad.
+        sigma: after the session, rad.
+        shares: of the sources of error in its variance, shape (n_sources,).
+    """
+
+    axis: str | None
+    run_s: FloatArray
+    sigma_before: float
+    sigma: float
+    shares: FloatArray
+
+    @property
+    def ratio(self) -> float:
+        """Sigma after / beforehand."""
+        return self.sigma / self.sigma_before
+
+    @property
+    def observed(self) -> str:
+        """yes, partly or no."""
+        return verdict(self.ratio)
+
+
+def combinations(
+    prior_sigma: FloatArray, parts: FloatArray, rotations_ds: FloatArray, ins_sigma_d: FloatArray
+) -> list[JointTurn]:
+    """The three turns together, and what of the sensors against each other was not well observed, worst first.
+
+    Args:
+        prior_sigma: of each sensor's installation about its axes, rad, not zero, shape (N, 3).
+        parts: joint covariance after the session by source of error, rad², shape (n_sources, 3 N, 3 N).
+        rotations_ds: deck from sensor, shape (N, 3, 3).
+        ins_sigma_d: error of the INS about the axes of the deck, rad, shape (3,).
+    """
+    scale = prior_sigma.ravel()
+    whitened = parts / np.outer(scale, scale)
+    turn = np.concatenate([rotation.T for rotation in rotations_ds])
+    # All in prior sigmas: there the prior is the unit matrix, and independent means orthogonal.
+    turned = turn / scale[:, None]
+    information = np.linalg.solve(whitened.sum(axis=0), turned)
+    to_together = np.linalg.solve(turned.T @ information, information.T)
+    # An INS without errors about an axis is the deck itself: a look at it is an observation.
+    has_errors = ins_sigma_d > 0.0
+    ins_information = np.diag(np.divide(1.0, ins_sigma_d**2, out=np.zeros(3), where=has_errors))
+    before = np.linalg.inv(turned.T @ turned + ins_information)
+    found = []
+    for number, axis in enumerate(DECK_AXES):
+        variances = _variances(whitened, to_together[number])
+        sigma = float(np.sqrt(variances.sum()))
+        run_s = (sigma * turn[:, number]).reshape(-1, 3)
+        shares = variances / variances.sum()
+        found.append(JointTurn(axis, run_s, float(np.sqrt(before[number, number])), sigma, shares))
+    across = np.linalg.qr(turned, mode="complete")[0][:, 3:]
+    return found + _apart(whitened, scale, across)
+
+
+def _apart(whitened: FloatArray, scale: FloatArray, basis: FloatArray) -> list[JointTurn]:
+    """Directions of the sensors against each other that the session did not observe well."""
+    _, vectors = np.linalg.eigh(basis.T @ whitened.sum(axis=0) @ basis)
+    found = []
+    for vector in (basis @ vectors[:, ::-1]).T:
+        variances = _variances(whitened, vector)
+        ratio = float(np.sqrt(variances.sum()))
+        if ratio > WELL_OBSERVED:
+            run = ratio * scale * vector * np.sign(vector[np.argmax(np.abs(scale * vector))])
+            sigma = float(np.linalg.norm(run))
+            found.append(JointTurn(None, run.reshape(-1, 3), sigma / ratio, sigma, variances / variances.sum()))
+    return found
+
+
+def _variances(parts: FloatArray, functional: FloatArray) -> FloatArray:
+    """Variance of a linear combination by source of error, shape (n_sources,)."""
+    return np.einsum("i,kij,j->k", functional, parts, functional)
+
+
+def verdict(ratio: float) -> str:
+    """Whether a session that left this share of a sigma has observed the quantity: yes, partly or no."""
+    if ratio >= NOT_OBSERVED:
+        return "no"
+    return "partly" if ratio > WELL_OBSERVED else "yes"
 
 
 @dataclass(frozen=True)
@@ -61,7 +169,7 @@ class InstalledAngle:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class InstallationCalibration:
     """The result of a session.
 
     Attributes:
@@ -75,7 +183,7 @@ class Calibration:
     """
 
     angles: list[InstalledAngle]
-    combinations: dict[str, Combination]
+    combinations: dict[str, JointTurn]
     sensors: tuple[str, ...]
     sources: tuple[str, ...]
     covariance: FloatArray
@@ -89,7 +197,7 @@ class Calibration:
         return [*(line for line in lines if line), *self.session.problems]
 
 
-def calibration_of(session: Session) -> Calibration:
+def calibration_of(session: Session) -> InstallationCalibration:
     """The result of a session.
 
     Raises:
@@ -110,7 +218,7 @@ def calibration_of(session: Session) -> Calibration:
     labelled = {str(number): combination for number, combination in enumerate(found, start=1)}
     before, after = alignment_of(core.filter, config, core.filter.initial_state()), core.alignment()
     index = [after.names.index(f"star.{id_}.{angle}") for id_ in sensors for angle in ANGLES]
-    return Calibration(
+    return InstallationCalibration(
         angles=_installed_angles(before, after, index, labelled, sensors),
         combinations=labelled,
         sensors=sensors,
@@ -135,7 +243,7 @@ def _installation_parts(core: ShipAttitudeCore, sensors: tuple[str, ...]) -> Flo
 
 
 def _installed_angles(
-    before: Alignment, after: Alignment, index: list[int], labelled: dict[str, Combination], sensors: tuple[str, ...]
+    before: Alignment, after: Alignment, index: list[int], labelled: dict[str, JointTurn], sensors: tuple[str, ...]
 ) -> list[InstalledAngle]:
     configured, installed = before.values[index], after.values[index]
     sigma_before, sigma = (np.sqrt(np.diagonal(alignment.covariance)[index]) for alignment in (before, after))
@@ -160,7 +268,7 @@ def _installed_angles(
     ]
 
 
-def _angle_changes(combination: Combination, angles: FloatArray) -> FloatArray:
+def _angle_changes(combination: JointTurn, angles: FloatArray) -> FloatArray:
     """What one sigma of a combination changes in all angles, rad, shape (3 N,)."""
     changes = []
     for run_s, (azimuth, elevation, roll) in zip(combination.run_s, angles.reshape(-1, 3), strict=True):

@@ -1,18 +1,34 @@
-"""A calibration as tables on a terminal, and as JSON."""
+"""A calibration as tables on a terminal, as JSON, and in the words of a shipwright."""
 
 import json
 import math
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_replay.calibration.result import Calibration
-from ship_replay.calibration.words import combination_words, limit_words, statements
+from ship_replay.calibration.result import InstallationCalibration, JointTurn
+
+_TOGETHER = {
+    "bow": "turned together in roll (about the deck's bow axis)",
+    "up": "turned together in azimuth (about the deck's up axis)",
+    "starboard": "turned together in pitch (about the deck's starboard axis)",
+}
+_SENSOR_AXES = "boresight", "up axis", "right axis"
+_TAKES_PART = 0.3
+"""Of a turn, as a share of the largest."""
+
+_TILT_REMEDY = "turn the ship by 180 deg or more, or give a reference of known installation"
+_AZIMUTH_REMEDY = (
+    "give a reference of known heading, or stay longer in a swell that heels the ship by degrees; turning the ship in "
+    "calm water does not help: the INS's heading error turns with it"
+)
+_APART_REMEDY = "a longer session, or more stars"
 
 
-def print_calibration(calibration: Calibration, console: Console) -> None:
+def print_calibration(calibration: InstallationCalibration, console: Console) -> None:
     """Print what a session says."""
     session = calibration.session
     counts = ", ".join(f"{source} {count.used} messages" for source, count in session.counts.items())
@@ -23,7 +39,7 @@ def print_calibration(calibration: Calibration, console: Console) -> None:
         console.print(line, highlight=False, markup=False)
 
 
-def json_text(calibration: Calibration) -> str:
+def json_text(calibration: InstallationCalibration) -> str:
     """All of it: angles in degrees, corrections and sigmas in arcseconds, covariance in rad²; null where undefined."""
     session = calibration.session
     document = {
@@ -63,7 +79,7 @@ def json_text(calibration: Calibration) -> str:
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 
-def _angle_table(calibration: Calibration) -> Table:
+def _angle_table(calibration: InstallationCalibration) -> Table:
     table = Table(title="Installation angles, 1σ")
     for column in ("sensor", "angle"):
         table.add_column(column)
@@ -87,7 +103,7 @@ def _angle_table(calibration: Calibration) -> Table:
     return table
 
 
-def _combination_table(calibration: Calibration) -> Table:
+def _combination_table(calibration: InstallationCalibration) -> Table:
     table = Table(title="Combinations, 1σ; before: by the configuration and one look at constant heading")
     table.add_column("")
     table.add_column("combination")
@@ -118,3 +134,44 @@ def _number(value: Any) -> float | None:
 
 def _text(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "-"
+
+
+def combination_words(combination: JointTurn, sensors: tuple[str, ...]) -> str:
+    """What is turned, and how."""
+    if combination.axis is not None:
+        who = sensors[0] if len(sensors) == 1 else "all sensors"
+        return f"{who} {_TOGETHER[combination.axis]}"
+    run_arcsec = combination.run_s / ARCSEC
+    parts = []
+    for number in np.argsort(-np.abs(run_arcsec.ravel())).tolist():
+        sensor, axis = divmod(number, 3)
+        value = run_arcsec[sensor, axis]
+        if abs(value) > _TAKES_PART * np.max(np.abs(run_arcsec)):
+            parts.append(f"{sensors[sensor]} about its {_SENSOR_AXES[axis]} {value:+.2f}″")
+    return f"turned against each other: {', '.join(parts)}"
+
+
+def remedy(combination: JointTurn) -> str:
+    """What would have told it."""
+    if combination.axis is None:
+        return _APART_REMEDY
+    return _AZIMUTH_REMEDY if combination.axis == "up" else _TILT_REMEDY
+
+
+def limit_words(calibration: InstallationCalibration, combination: JointTurn) -> str:
+    """The source of error that most of what is left comes from."""
+    largest = int(np.argmax(combination.shares))
+    return f"{calibration.sources[largest].replace('_', ' ')} {combination.shares[largest]:.0%}"
+
+
+def statements(calibration: InstallationCalibration) -> list[str]:
+    """One line for each combination that the session did not observe well; one in all where there is none."""
+    lines = []
+    for label, combination in calibration.combinations.items():
+        if combination.observed != "yes":
+            how = "not observed" if combination.observed == "no" else "partly observed"
+            lines.append(
+                f"({label}) {how}, {combination.sigma / ARCSEC:.2f}″ of {combination.sigma_before / ARCSEC:.2f}″: "
+                f"{combination_words(combination, calibration.sensors)}; {remedy(combination)}"
+            )
+    return lines or ["every combination of the installation angles was observed"]

@@ -12,7 +12,7 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import watched
 from ship_bags.output_files import add_force, check_file, check_folder, write_whole
-from ship_replay.calibration.result import Calibration, calibration_of
+from ship_replay.calibration.result import InstallationCalibration, calibration_of
 from ship_replay.calibration.session import run_session
 from ship_replay.calibration.tables import json_text, print_calibration
 
@@ -82,7 +82,7 @@ def _run(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def _report(calibration: Calibration, folder: Path) -> None:
+def _report(calibration: InstallationCalibration, folder: Path) -> None:
     from ship_replay.calibration.figure import draw_course
 
     folder.mkdir(parents=True, exist_ok=True)

@@ -9,12 +9,9 @@ from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser, run
 from ship_bags.errors import one_line
 from ship_bags.mcap.bag_reader import read_bag
 from ship_replay.commands.replay import ADAPTERS
-from ship_replay.preflight.check_bag import check_bag
+from ship_replay.preflight.check_bag import check_bag, check_rates, check_trial
 from ship_replay.preflight.check_config import Findings, check_file
-from ship_replay.preflight.check_installation import check_installation
-from ship_replay.preflight.check_rates import check_rates
-from ship_replay.preflight.check_telescope import check_telescope
-from ship_replay.preflight.check_trial import check_trial
+from ship_replay.preflight.check_installation import check_installation, check_telescope
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -12,10 +12,8 @@ from ship_bags.mcap.bag_reader import read_bag, watched
 from ship_bags.output_files import add_force, check_file, check_folder, write_whole
 from ship_replay.offline.black_box_identity import is_black_box
 from ship_replay.offline.black_box_replay import replay_black_box
-from ship_replay.offline.replay import replay
-from ship_replay.offline.replay_run import ReplaySummary
-from ship_replay.offline.verification import Verification
-from ship_replay.offline.verify_bag import verify_bag
+from ship_replay.offline.replay import ReplaySummary, replay
+from ship_replay.offline.verification import Verification, verify_bag
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)

@@ -5,7 +5,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
@@ -16,12 +18,11 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import anywhere
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import relative_topics
+from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_node.parameters.parameter_file import has_section, load_config
-from ship_replay.evaluation.alignment_values import AlignmentValue, alignment_values
 from ship_replay.evaluation.attitude_errors import AttitudeErrors
-from ship_replay.evaluation.attitude_sources import AttitudeSource, PublishedAttitude, Truth
-from ship_replay.evaluation.evaluation_sources import JOINT_SOLUTION, sources
 from ship_replay.evaluation.innovations import InnovationBook, SourceInnovations
+from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, sources
 from ship_replay.offline.orientations import ORIENTATIONS
 from theodolite_calib.config import OpticalAxisConfig
 
@@ -33,6 +34,27 @@ _ESTIMATES = {"ship/alignment": "alignment", "theodolite/calibration": "calibrat
 _RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)
 _OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), JOINT_SOLUTION, *_RESULTS)
 """Topics that another bag than the run's own may have as inputs, or of another run."""
+
+_INSTALLED = "star.", "reference."
+"""How names of installation angles begin."""
+
+
+@dataclass(frozen=True)
+class AlignmentValue:
+    """One estimated quantity.
+
+    Attributes:
+        name: as in the message.
+        value: in ``unit``, angles from -180 deg to 180 deg.
+        sigma: its standard deviation, same unit.
+        unit: ``arcsec`` for errors of the INS and of axes, ``deg`` for installation angles, ``s`` for time offsets, or
+            ``m``.
+    """
+
+    name: str
+    value: float
+    sigma: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -193,3 +215,18 @@ def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | Non
             except BadNodeInput as problem:
                 raise BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}") from problem
     return None
+
+
+def alignment_values(message: Any) -> list[AlignmentValue]:
+    """The values of an AlignmentState or a TheodoliteCalibration."""
+    count = len(message.names)
+    sigmas = np.sqrt(np.diagonal(np.asarray(message.covariance).reshape(count, count)))
+    values = []
+    for name, value, sigma, unit in zip(message.names, message.values, sigmas, message.units, strict=True):
+        scale, shown_unit = 1.0, unit
+        if unit == "rad":
+            value = float(wrap_pi(value))
+            installed = name.startswith(_INSTALLED)
+            scale, shown_unit = (np.pi / 180.0, "deg") if installed else (ARCSEC, "arcsec")
+        values.append(AlignmentValue(name, float(value) / scale, float(sigma) / scale, shown_unit))
+    return values

@@ -3,8 +3,7 @@
 from rich.console import Console
 from rich.table import Table
 
-from ship_replay.evaluation.alignment_values import AlignmentValue
-from ship_replay.evaluation.evaluate import Evaluation
+from ship_replay.evaluation.evaluate import AlignmentValue, Evaluation
 
 _SHOWN = {"arcsec": (1.0, 2, "arcsec"), "deg": (1.0, 5, "deg"), "s": (1e3, 3, "ms"), "m": (1e3, 4, "mm")}
 """Unit of a value → factor, decimals and unit in the table."""

@@ -12,7 +12,7 @@ from ship_estimation.parameters import flatten
 from ship_node.black_box.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT
 from ship_node.black_box.versions import versions
 from ship_node.edge.adapter import Adapter
-from ship_replay.offline.bag_suite import suite_config
+from ship_replay.offline.adapter_chain import suite_config
 from ship_replay.offline.verification import ASIDE
 
 

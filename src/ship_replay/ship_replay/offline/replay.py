@@ -5,8 +5,11 @@ the adapters are ticked on a fixed grid. The same bag and configuration give the
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Protocol
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
@@ -15,14 +18,65 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.parameter_yaml import full_name
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
-from ship_node.edge.adapter import Adapter
-from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
-from ship_replay.offline.bag_suite import suite_config, suite_text
-from ship_replay.offline.log_times import LogTimes, in_order_of_stamps
-from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.offline.status_course import reasons_for
+from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
+from ship_node.edge.topics import Published
+from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_config, suite_text
+from ship_replay.offline.message_times import LogTimes, MessageTimes, in_order_of_stamps
+from ship_replay.offline.orientations import ORIENTATIONS, TruthErrors
+from ship_replay.offline.status_course import STATUS_TOPICS, StatusCourse, reasons_for
 
 Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
+
+_LONGEST_SILENCE_NS = 600 * NS_PER_S
+"""Ticks stop this long after the last message: what a silence has to tell is told by then, and a log time
+decades ahead (a damaged file, a clock set wrongly) must not tick for hours."""
+
+
+@dataclass
+class ReplaySummary:
+    """What a replay did.
+
+    Attributes:
+        inputs: relative topic → messages handed over.
+        outputs: topic → messages written, truth included.
+        refused: relative topic → reason → messages not used.
+        noted: relative topic → reason → messages used with a note, or parts of them that were not.
+        undecodable: relative topic → messages whose bytes are not of their type.
+        statuses: topic of a status → its course over time.
+        times: relative topic → when its messages were stamped and arrived.
+        log_times: how regularly they were logged.
+        reasons: why outputs were INVALID or DEGRADED, one line each.
+        absent: optional input topics that are not in the bag.
+        problems: what is wrong with the bag, one line each.
+        duration_s: length of the bag.
+        elapsed_s: time that the replay took.
+    """
+
+    inputs: Counter[str] = field(default_factory=Counter)
+    outputs: Counter[str] = field(default_factory=Counter)
+    refused: dict[str, dict[str, int]] = field(default_factory=dict)
+    noted: dict[str, dict[str, int]] = field(default_factory=dict)
+    undecodable: Counter[str] = field(default_factory=Counter)
+    statuses: dict[str, StatusCourse] = field(default_factory=dict)
+    times: dict[str, MessageTimes] = field(default_factory=dict)
+    log_times: LogTimes = field(default_factory=LogTimes)
+    reasons: list[str] = field(default_factory=list)
+    absent: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    duration_s: float = 0.0
+    elapsed_s: float = 0.0
+
+
+class MessageSink(Protocol):
+    """Takes what a replay gives: a bag, or a comparison."""
+
+    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
+        """Take a message."""
+        ...
+
+    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
+        """Take a message given by its bytes: the truth, which is copied."""
+        ...
 
 
 def replay(
@@ -148,3 +202,87 @@ def _announce(writer: BagWriter, bag: Bag, chain: AdapterChain, config_text: str
             writer.add_metadata(name, entries)
     for output in chain.outputs:
         writer.add_topic(output.topic, output.type_name, output.latched)
+
+
+class ReplayRun:
+    """A chain of adapters fed message by message, its outputs given to a sink.
+
+    Args:
+        chain: of adapters.
+        writer: takes the outputs.
+        summary: is filled.
+        truth_topics: topics of the bag; where the truth of an orientation is among them, its errors are filled in.
+
+    Attributes:
+        last_time_ns: arrival of the last message; None before the first.
+    """
+
+    def __init__(
+        self, chain: AdapterChain, writer: MessageSink, summary: ReplaySummary, truth_topics: Container[str]
+    ) -> None:
+        self._chain = chain
+        self._writer = writer
+        self._summary = summary
+        known = [orientation for orientation in ORIENTATIONS if orientation.truth_topic in truth_topics]
+        self._errors = [TruthErrors(orientation) for orientation in known]
+        self.last_time_ns: int | None = None
+
+    def take(self, topic: str, record: BagRecord) -> None:
+        """One message of the bag."""
+        self._tick_until(record.log_time_ns)
+        if topic.startswith(TRUTH_PREFIX):
+            self._writer.write_raw(topic, record.type_name, record.data, record.log_time_ns)
+            self._summary.outputs[topic] += 1
+            for errors in self._errors:
+                if topic == errors.orientation.truth_topic:
+                    errors.add_truth(record.decode())
+        else:
+            try:
+                message = record.decode()
+            except BadInput:
+                self._summary.undecodable[topic] += 1
+                return
+            self._summary.inputs[topic] += 1
+            self._summary.times.setdefault(topic, MessageTimes()).add(record)
+            self._summary.log_times.add(topic, record)
+            self._publish(self._chain.handle(topic, message, record.log_time_ns), record.log_time_ns)
+        self._write_errors(record.log_time_ns)
+
+    def finish(self) -> None:
+        """Write what was held back."""
+        self._write_errors(None)
+
+    def _tick_until(self, time_ns: int) -> None:
+        """Tick on every multiple of the period that the time has passed since the last message."""
+        if self.last_time_ns is not None:
+            end_ns = min(time_ns, self.last_time_ns + _LONGEST_SILENCE_NS)
+            first_ns = (self.last_time_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS
+            for now_ns in range(first_ns, end_ns + 1, TICK_PERIOD_NS):
+                self._publish(self._chain.tick(now_ns), now_ns)
+        self.last_time_ns = time_ns
+
+    def _publish(self, published: list[Published], time_ns: int) -> None:
+        for topic, message in published:
+            if not self._held_back(topic, message, time_ns):
+                self._write(topic, message, time_ns)
+
+    def _held_back(self, topic: str, message: Any, time_ns: int) -> bool:
+        """Whether a message waits for the truth."""
+        for errors in self._errors:
+            if topic == errors.orientation.error_topic:
+                errors.add_error(message, time_ns)
+                return True
+            if topic == errors.orientation.topic:
+                errors.add_attitude(message)
+        return False
+
+    def _write_errors(self, now_ns: int | None) -> None:
+        for errors in self._errors:
+            for log_time_ns, message in errors.filled(now_ns):
+                self._write(errors.orientation.error_topic, message, log_time_ns)
+
+    def _write(self, topic: str, message: Any, time_ns: int) -> None:
+        self._writer.write(topic, message, time_ns)
+        self._summary.outputs[topic] += 1
+        if topic in STATUS_TOPICS:
+            self._summary.statuses.setdefault(topic, StatusCourse()).add(message)

@@ -9,7 +9,7 @@ from typing import Any
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp, utc_text
 from ship_node.edge.adapter import Adapter
-from ship_replay.offline.gaps import MessageTimes, exceeded
+from ship_replay.offline.message_times import MessageTimes, exceeded
 from ship_replay.offline.orientations import ORIENTATIONS
 
 STATUS_WORDS = ("VALID", "COASTING", "DEGRADED", "INVALID")

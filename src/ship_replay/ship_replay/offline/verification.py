@@ -1,13 +1,100 @@
-"""What a comparison of a replay with recorded outputs came to."""
+"""Whether a replay gives what was recorded, to the last bit: two messages compared, and a whole bag."""
 
-from collections import Counter
+import dataclasses
+import struct
+from collections import Counter, defaultdict, deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import Bag
+from ship_bags.message_store import RosbagsFactory, serialize
+from ship_bags.stamps import ns_from_stamp, utc_text
+from ship_bags.topic_names import relative_topics
+from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DIAGNOSTICS_TYPE
-from ship_replay.offline.message_difference import Difference
+from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
+from ship_replay.offline.replay import ReplayRun, ReplaySummary, Watcher, match_inputs
 
 ASIDE = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"
 """Types of messages that also tell of the middleware, which no replay knows: not compared."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first thing that a replay gave otherwise than it was recorded.
+
+    Attributes:
+        topic: topic, service or file.
+        stamp_ns: stamp of the message, or time of what has none.
+        field: dotted name of the field, empty where one of the two gave nothing at all.
+        recorded: its value in the bag.
+        replayed: its value now.
+    """
+
+    topic: str
+    stamp_ns: int
+    field: str
+    recorded: str
+    replayed: str
+
+    @property
+    def line(self) -> str:
+        """The difference for people."""
+        field = f", field {self.field}" if self.field else ""
+        when = f"{utc_text(self.stamp_ns)} ({self.stamp_ns} ns)"
+        return f"{self.topic}, stamp {when}{field}: recorded {self.recorded}, replayed {self.replayed}"
+
+
+def message_difference(topic: str, recorded: Any, replayed: Any, time_ns: int) -> Difference | None:
+    """The first field in which two messages differ; None where all bits are the same.
+
+    Args:
+        topic: topic of both.
+        recorded: decoded from the bag.
+        replayed: of the same type.
+        time_ns: when they were published, for messages without a stamp.
+    """
+    # Compared anew serialised: what fills the gaps between fields is no part of a message.
+    if serialize(recorded) == serialize(replayed):
+        return None
+    field, one, other = _first_difference("", recorded, replayed) or ("", "other bytes", "other bytes")
+    return Difference(topic, stamp_of(recorded, time_ns), field, _text(one), _text(other))
+
+
+def stamp_of(message: Any, time_ns: int) -> int:
+    """Stamp of a message, ns; ``time_ns`` where it has none."""
+    header = getattr(message, "header", None)
+    return time_ns if header is None else ns_from_stamp(header.stamp)
+
+
+def _first_difference(name: str, one: Any, other: Any) -> tuple[str, Any, Any] | None:
+    """Name of the first field that differs, and both values."""
+    if dataclasses.is_dataclass(one):
+        for field in dataclasses.fields(one):
+            inner = f"{name}.{field.name}".lstrip(".")
+            if found := _first_difference(inner, getattr(one, field.name), getattr(other, field.name)):
+                return found
+        return None
+    if isinstance(one, (list, np.ndarray)):
+        if len(one) != len(other):
+            return f"{name} (length)", len(one), len(other)
+        pairs = enumerate(zip(one, other, strict=True))
+        return next((found for i, (a, b) in pairs if (found := _first_difference(f"{name}[{i}]", a, b))), None)
+    return None if _bits(one) == _bits(other) else (name, one, other)
+
+
+def _bits(value: Any) -> Any:
+    """What is equal only for the same bits: NaN equals itself, 0.0 is not -0.0."""
+    return struct.pack("<d", value) if isinstance(value, (float, np.floating)) else value
+
+
+def _text(value: Any) -> str:
+    return repr(value.item() if isinstance(value, np.generic) else value)
 
 
 @dataclass
@@ -34,3 +121,109 @@ class Verification:
     def holds(self) -> bool:
         """Whether all outputs are the same, up to a cut at most."""
         return self.difference is None and (self.cut or not self.unverified)
+
+
+def verify_bag(
+    bag: Bag,
+    adapter_classes: Sequence[type[Adapter]],
+    config_path: Path | None = None,
+    namespace: str = "",
+    watch: Watcher = lambda records, bag: records,
+) -> Verification:
+    """Compare what a replay gives with what a bag holds.
+
+    A recorder does not know the order in which the node used its inputs, nor its service calls: only a black box makes
+    sure that a difference is one of the estimate.
+
+    Args:
+        bag: inputs and outputs of one run.
+        adapter_classes: of the nodes that may take part, the main one first.
+        config_path: suite configuration; None takes the one attached to the bag.
+        namespace: namespace of the ship in the bag.
+        watch: wraps the iteration over the bag, for a progress bar.
+
+    Raises:
+        BadInput: the bag, its topics or the configuration do not serve, or it holds no outputs.
+    """
+    # Each node is given what was recorded, also of what another one gave it: that is what it met.
+    chain, left_out = suite_chain(bag, adapter_classes, RosbagsFactory(), config_path, namespace, linked=False)
+    inputs = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
+    outputs = _recorded_outputs(bag, chain, namespace)
+    comparison = _Comparison(set(outputs.values()))
+    summary = ReplaySummary()
+    run = ReplayRun(chain, comparison, summary, truth_topics=())
+    for record in watch(bag.records(inputs | outputs), bag):
+        if record.topic in inputs:
+            run.take(inputs[record.topic], record)
+        if record.topic in outputs:
+            comparison.add_recorded(outputs[record.topic], record.decode(), record.log_time_ns)
+        if comparison.result.difference is not None:
+            break
+    else:
+        comparison.finish()
+    comparison.result.used.update(summary.inputs)
+    comparison.result.notes += left_out + bag.problems
+    return comparison.result
+
+
+def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str, str]:
+    """Name in the bag → relative name, of the outputs that are compared."""
+    found = relative_topics(bag.topics, namespace)
+    outputs = {}
+    for output in chain.outputs:
+        if output.topic in found and output.type_name not in ASIDE:
+            name = found[output.topic]
+            if lines := bag.differences.get(bag.topics[name]):
+                raise BadInput(f"{bag.path}: topic '{name}': the message definition has changed: {'; '.join(lines)}")
+            if bag.topics[name] != output.type_name:
+                raise BadInput(f"{bag.path}: topic '{name}' is {bag.topics[name]}: expected {output.type_name}")
+            outputs[name] = output.topic
+    if not outputs:
+        raise BadInput(f"{bag.path}: it holds no outputs of {chain.name}: there is nothing to verify")
+    return outputs
+
+
+class _Comparison:
+    """Pairs what was recorded with what is replayed, per topic in order; takes a replay's outputs as a bag would."""
+
+    def __init__(self, topics: set[str]) -> None:
+        self.result = Verification()
+        self._topics = topics
+        self._recorded: defaultdict[str, deque[tuple[Any, int]]] = defaultdict(deque)
+        self._replayed: defaultdict[str, deque[tuple[Any, int]]] = defaultdict(deque)
+
+    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
+        """Take what the replay gave."""
+        if topic in self._topics:
+            self._replayed[topic].append((message, log_time_ns))
+            self._compare(topic)
+
+    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
+        """The truth is no output."""
+
+    def add_recorded(self, topic: str, message: Any, log_time_ns: int) -> None:
+        """Take what was recorded."""
+        self._recorded[topic].append((message, log_time_ns))
+        self._compare(topic)
+
+    def finish(self) -> None:
+        """What is left over on one side only is a difference."""
+        left = [
+            (rest[0][1], topic, rest[0][0], values)
+            for side, values in ((self._recorded, ("a message", "nothing")), (self._replayed, ("nothing", "a message")))
+            for topic, rest in side.items()
+            if rest
+        ]
+        if left and self.result.difference is None:
+            time_ns, topic, message, (one, other) = min(left, key=lambda entry: entry[:2])
+            self.result.difference = Difference(topic, stamp_of(message, time_ns), "", one, other)
+
+    def _compare(self, topic: str) -> None:
+        if self._recorded[topic] and self._replayed[topic]:
+            recorded, time_ns = self._recorded[topic].popleft()
+            replayed, _ = self._replayed[topic].popleft()
+            difference = message_difference(topic, recorded, replayed, time_ns)
+            if difference is None:
+                self.result.equal[topic] += 1
+            elif self.result.difference is None:
+                self.result.difference = difference

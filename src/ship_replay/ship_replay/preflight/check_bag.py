@@ -1,13 +1,22 @@
-"""Says before the voyage what of a suite configuration does not fit a bag recorded with its sensors."""
+"""What of a suite configuration does not fit a bag recorded with its sensors, said before the voyage.
+
+Topics, types and frames; inputs that come too seldom; and what the nodes refuse of the bag's beginning, tried out.
+"""
 
 import re
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
+from ship_bags.message_store import RosbagsFactory
 from ship_bags.parameter_yaml import ParameterFile
+from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import likely_namespace, relative_topics
+from ship_replay.offline.adapter_chain import AdapterChain
+from ship_replay.offline.message_times import MessageTimes, exceeded
+from ship_replay.offline.status_course import hardly_used, most_frequent_refusal
 from ship_replay.preflight.check_config import CheckedNode, Findings
 
 _INS_TOPIC = "ins/imu"
@@ -15,6 +24,13 @@ _SENSOR_TOPIC = re.compile(
     r"(?P<group>star|reference)/(?P<name>[^/]+)/(horizon_attitude|inertial_attitude|observations|solution|imu)"
 )
 _GROUPS = {"star": "star_sensors", "reference": "references"}
+
+TRIAL_S = 20.0
+_FEWEST = 10
+_OF_THE_CONFIGURATION = frozenset(
+    ("attitude_conflict", "bad_quaternion", "frame", "gate", "light_conflict", "units", "unknown_sensor")
+)
+"""Where these refuse all of an input, no change of the weather will mend it."""
 
 
 def check_bag(path: Path, nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings: Findings) -> None:
@@ -128,3 +144,60 @@ def _place(file: ParameterFile, path: Path, topic: str, parameter: str = "") -> 
     """File and line that speak of an input topic."""
     line = file.line_of(f"{_section(topic)}.{parameter}".rstrip("."))
     return f"{path}:{line}" if line else str(path)
+
+
+def check_rates(path: Path, nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings: Findings) -> None:
+    """Compare the gaps between the messages of a bag with what the parameters allow.
+
+    Args:
+        path: file of the configuration.
+        nodes: what it is about.
+        bag: a bag recorded with the sensors of the voyage.
+        namespace: namespace of the ship in the bag.
+        findings: takes what is found.
+    """
+    found = relative_topics(bag.topics, namespace)
+    taken = {topic.topic for node in nodes for topic in node.adapter.inputs} & found.keys()
+    times = {topic: MessageTimes() for topic in taken}
+    relative_names = {found[topic]: topic for topic in taken}
+    for record in bag.records(relative_names) if taken else ():
+        times[relative_names[record.topic]].add(record)
+    for node in nodes:
+        for excess in exceeded(node.config, times, str(bag.path)):
+            line = node.file.line_of(excess.limit.parameter)
+            text = f"{path}:{line}: {excess.text}" if line else f"{path}: {excess.text}"
+            where = findings.errors if excess.mostly else findings.warnings
+            # Two nodes may have the parameter by default.
+            if text not in where:
+                where.append(text)
+
+
+def check_trial(nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings: Findings) -> None:
+    """Give the beginning of a bag to the nodes and name the inputs of which they used hardly anything.
+
+    Args:
+        nodes: of the configuration; they are used up.
+        bag: a bag recorded with the sensors of the voyage.
+        namespace: namespace of the ship in the bag.
+        findings: takes what is found.
+    """
+    chain = AdapterChain([node.adapter for node in nodes])
+    found = relative_topics(bag.topics, namespace)
+    names = {found[topic.topic]: topic.topic for topic in chain.inputs if topic.topic in found}
+    last_ns = 0
+    for record in bag.records(names) if names else ():
+        if record.log_time_ns > (bag.start_ns or 0) + TRIAL_S * NS_PER_S:
+            break
+        last_ns = record.log_time_ns
+        try:
+            chain.handle(names[record.topic], record.decode(), last_ns)
+        except BadInput as problem:
+            findings.errors.append(f"{bag.path}: {problem}")
+            return
+    for node in nodes:
+        for message in node.adapter.health.messages(RosbagsFactory(), last_ns):
+            line = hardly_used(message) if message.received >= _FEWEST else ""
+            if line:
+                wrong = not message.accepted and most_frequent_refusal(message)[0] in _OF_THE_CONFIGURATION
+                where = findings.errors if wrong else findings.warnings
+                where.append(f"{bag.path}: in the first {TRIAL_S:.0f} s: {node.adapter.node_name}: {line}")

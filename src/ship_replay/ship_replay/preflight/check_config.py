@@ -16,7 +16,7 @@ from ship_bags.parameter_yaml import ParameterFile, anywhere, full_name
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.parameter_file import has_section, misfit, read, unknown_sections
-from ship_replay.offline.bag_suite import nodes_of
+from ship_replay.offline.adapter_chain import nodes_of
 
 
 @dataclass

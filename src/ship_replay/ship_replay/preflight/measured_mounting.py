@@ -25,7 +25,7 @@ from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray, angle_between
 from ship_node.edge.messages_in import Refused, ins_sample
-from ship_replay.offline.gaps import stamp_of_bytes
+from ship_replay.offline.message_times import stamp_of_bytes
 
 _EPOCHS = 30
 """Moments of the bag at which a device is compared with the INS: all that a check needs."""

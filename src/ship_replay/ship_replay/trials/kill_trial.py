@@ -19,8 +19,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.recover import recover, recovered_path
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_msgs.msg import ShipAttitude
-from ship_replay.trials.live_graph import GraphObserver
-from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_replay.trials.live_run import LiveFailure, executable
 
 RATE_HZ = 200.0

@@ -1,12 +1,20 @@
-"""Executables run as processes of their own: log in a file, an end that is waited for, a DDS domain of their own."""
+"""Executables run as processes of their own, and a look at the live ROS graph that they make.
+
+A process has its log in a file, an end that is waited for, and a DDS domain that stays on this machine.
+"""
 
 import os
 import signal
 import socket
 import subprocess
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 
 # DDS-RTPS: a domain's first participant listens at 7410 + 250 * domain for discovery. Beyond domain 101 the ports run
 # into those that Linux gives to anybody.
@@ -14,6 +22,8 @@ _FIRST_PORT = 7410
 _PORTS_PER_DOMAIN = 250
 _LAST_DOMAIN = 101
 _END_S = 15.0
+
+_POLL_S = 0.02
 
 
 def free_domain_id() -> int:
@@ -108,3 +118,63 @@ class LiveProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+class GraphObserver:
+    """A node of its own in a domain, for waiting; use it in a ``with`` statement.
+
+    The process's environment must already keep discovery on this machine, as :func:`live_environment` says.
+    """
+
+    def __init__(self, domain_id: int) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=domain_id)
+        self.node: Node = rclpy.create_node("observer", context=self._context)
+        self.executor = SingleThreadedExecutor(context=self._context)
+        self.executor.add_node(self.node)
+
+    def wait_for(
+        self,
+        publishers: Mapping[str, int] | None = None,
+        subscribers: Mapping[str, int] | None = None,
+        timeout_s: float = 15.0,
+        unless: Callable[[], bool] = lambda: False,
+    ) -> bool:
+        """Wait until topics have so many publishers and subscribers at least.
+
+        Args:
+            publishers: topic → number.
+            subscribers: topic → number.
+            timeout_s: steady time to wait at most.
+            unless: gives the wait up when true, e.g. when the process waited for is gone.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        while not unless() and time.monotonic() < deadline_s:
+            found = all(self.node.count_publishers(topic) >= n for topic, n in (publishers or {}).items())
+            if found and all(
+                self.node.count_subscribers(topic) >= n for topic, n in (subscribers or {}).items()
+            ):
+                return True
+            self.executor.spin_once(timeout_sec=_POLL_S)
+        return False
+
+    def spin_until(self, condition: Callable[[], bool], timeout_s: float = 15.0) -> bool:
+        """Serve the node's callbacks until a condition holds; False when it does not in time."""
+        deadline_s = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() >= deadline_s:
+                return False
+            self.executor.spin_once(timeout_sec=_POLL_S)
+        return True
+
+    def __enter__(self) -> "GraphObserver":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.executor.shutdown()
+        # The node holds the DDS participant, and two participants of one process can lock each other up for good
+        # while they take note that a third has died.
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)

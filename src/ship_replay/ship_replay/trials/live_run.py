@@ -16,10 +16,9 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.parameter_file import load_config
-from ship_replay.offline.bag_suite import suite_text
+from ship_replay.offline.adapter_chain import suite_text
 from ship_replay.offline.replay import match_inputs
-from ship_replay.trials.live_graph import GraphObserver
-from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 _START_S = 30.0
 # A node that could not keep up has this long to work off its queue.

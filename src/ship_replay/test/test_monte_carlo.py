@@ -10,7 +10,7 @@ from ship_attitude_star.ros.star_messages_in import star_exposure as read_exposu
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_attitude_star.sky.config import SkyConfig
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
-from ship_replay.trials.attitude_monte_carlo import sky_input, star_exposure
+from ship_replay.trials.monte_carlo import sky_input, star_exposure
 from ship_simulation.messages.to_messages import messages
 from ship_simulation.run import SKY_SOURCES, simulate
 from ship_simulation.scenario.motion_scenario import Outage

@@ -5,7 +5,7 @@ import pytest
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_replay.calibration.observability import DECK_AXES, combinations, verdict
+from ship_replay.calibration.result import DECK_AXES, combinations, verdict
 
 LAYOUT = np.array([rotation_from_angles(azimuth, np.deg2rad(45.0), 0.0) for azimuth in np.deg2rad([0.0, 90.0])])
 INS = np.array([10.0, 72.0, 10.0]) * ARCSEC

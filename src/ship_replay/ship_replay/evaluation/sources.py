@@ -1,10 +1,13 @@
-"""Collects, from the messages of a bag, attitudes that can be compared with the truth."""
+"""What of a bag can be compared with the truth, topic by topic: attitudes of the deck, pointings of the theodolite."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.stars.config import MountingConfig
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.star_attitude.config import StarAttitudeConfig
+from ship_attitude_star.stars.config import JOINT, MountingConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.ins_config import InsInputConfig
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
@@ -12,7 +15,12 @@ from ship_geometry.frames import rotation_from_angles, rotation_vector_covarianc
 from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 from ship_replay.evaluation.attitude_errors import AttitudeErrors, attitude_errors
-from ship_replay.offline.orientations import Orientation
+from ship_replay.offline.orientations import POINTING, SHIP_ATTITUDE, Orientation
+from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.config import AxesConfig, OpticalAxisConfig
+
+JOINT_SOLUTION = f"star/{JOINT}/solution"
+"""Attitude of the deck by the stars of all sensors."""
 
 _TRUTH_GAP_NS = 1_000_000_000
 
@@ -171,6 +179,92 @@ class StarAttitude(AttitudeSource):
         installation_n = rotation_nv @ self._installation_covariance_v @ rotation_nv.T
         own_n = _total_covariance_n(message, message.azimuth, message.elevation)
         self._keep(stamp_ns, rotation_nv @ self._rotation_dv.T, truth_nd, own_n + installation_n)
+
+
+class PublishedPointing(PublishedAttitude):
+    """``theodolite/pointing``, all of it and by mode."""
+
+    MODES = ("two_lights", "one_light", "encoder")
+
+    def __init__(self, truth: Truth) -> None:
+        super().__init__(truth)
+        self._modes: dict[int, int] = {}
+
+    def take(self, message: Any) -> None:
+        """An OpticalAxisPointing."""
+        super().take(message)
+        self._modes[ns_from_stamp(message.header.stamp)] = message.mode
+
+    def errors(self) -> list[AttitudeErrors]:
+        """Errors of all, then of each mode that occurred."""
+        every = super().errors()
+        for errors in every[:1]:
+            modes = np.array([self._modes[stamp_ns] for stamp_ns in errors.time_ns.tolist()])
+            every += [
+                errors.where(modes == mode, f"{self.label}.{name}")
+                for mode, name in enumerate(self.MODES)
+                if np.any(modes == mode)
+            ]
+        return every
+
+
+class EncoderAlone(AttitudeSource):
+    """``theodolite/encoder`` with the axis errors as configured, carried to the horizon by the INS alone."""
+
+    def __init__(self, truth: Truth, ins: AttitudeTrack, config: AxesConfig) -> None:
+        super().__init__("ins_encoder", truth)
+        self._ins = ins
+        self._axis_errors = AxisErrors.from_vector(config.values)
+        self._readings: dict[int, tuple[float, float]] = {}
+
+    def take(self, message: Any) -> None:
+        """A TheodoliteEncoder."""
+        self._readings[ns_from_stamp(message.header.stamp)] = message.azimuth, message.elevation
+
+    def errors(self) -> list[AttitudeErrors]:
+        """Errors in order of stamps; the whole of ``ins/imu`` must be there. It claims no covariance."""
+        for stamp_ns, (azimuth, elevation) in self._readings.items():
+            truth_nm, ship = self._truth.exactly_at(stamp_ns), self._ins.at(stamp_ns)
+            if truth_nm is not None and ship is not None and np.isfinite(azimuth) and np.isfinite(elevation):
+                rotation_dm = main_axis_rotation(self._axis_errors, azimuth, elevation)
+                self._keep(stamp_ns, ship.rotation_nd @ rotation_dm, truth_nm, np.full((3, 3), np.nan))
+        return super().errors()
+
+
+def sources(
+    truths: Mapping[str, Truth],
+    ship: ShipAttitudeConfig | None,
+    star: StarAttitudeConfig | None,
+    theodolite: OpticalAxisConfig | None,
+) -> dict[str, AttitudeSource]:
+    """Relative topic → what collects its attitudes.
+
+    A star sensor is one source: by its horizon attitudes where those feed ``ship_attitude``, else by its solutions.
+
+    Args:
+        truths: by topic of the truth, those that are known.
+        ship: configuration of ``ship_attitude``; None where it is not known.
+        star: the same of ``star_attitude``.
+        theodolite: the same of ``optical_axis``.
+    """
+    collectors: dict[str, AttitudeSource] = {}
+    ins_config = ship.ins if ship else theodolite.ins if theodolite else InsInputConfig()
+    deck, axis = truths.get(SHIP_ATTITUDE.truth_topic), truths.get(POINTING.truth_topic)
+    if deck is not None:
+        ins = InsAttitude(deck, ins_config)
+        collectors |= {SHIP_ATTITUDE.topic: PublishedAttitude(deck), "ins/imu": ins}
+        collectors[JOINT_SOLUTION] = StarAttitude(JOINT, deck, None)
+        for sensor_id, solved in (star.star_sensors if star else {}).items():
+            collectors[f"star/{sensor_id}/solution"] = StarAttitude(sensor_id, deck, solved)
+        for sensor_id, sensor in (ship.star_sensors if ship else {}).items():
+            collectors.pop(f"star/{sensor_id}/solution", None)
+            topic = "horizon_attitude" if sensor.input == "horizon_attitude" else "solution"
+            collectors[f"star/{sensor_id}/{topic}"] = StarAttitude(sensor_id, deck, sensor)
+    if axis is not None:
+        collectors[POINTING.topic] = PublishedPointing(axis)
+        if deck is not None and theodolite is not None:
+            collectors["theodolite/encoder"] = EncoderAlone(axis, ins.track, theodolite.axes)
+    return collectors
 
 
 def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> FloatArray:

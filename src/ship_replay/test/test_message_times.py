@@ -12,7 +12,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import message_store, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_replay.commands.replay import main
-from ship_replay.offline.log_times import LogTimes, in_order_of_stamps
+from ship_replay.offline.message_times import LogTimes, in_order_of_stamps
 from ship_replay.offline.replay import replay
 from ship_testing.hand_made_bags import START_NS, imu
 
