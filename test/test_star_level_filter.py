@@ -73,8 +73,8 @@ def streaked(exposure_s: float) -> list[SimulatedRun]:
 
 def nobody_told_the_length(run: SimulatedRun) -> SimulatedRun:
     """The same run, its exposures without their length."""
-    stars = {id_: replace(said, stars=replace(said.stars, length=None)) for id_, said in run.stars.items()}
-    return replace(run, stars=stars)
+    sensors = {id_: replace(sensor, exposure_s=0.0) for id_, sensor in run.scenario.star_sensors.items()}
+    return replace(run, scenario=replace(run.scenario, star_sensors=sensors))
 
 
 @pytest.mark.parametrize("exposure_s", [0.1, 0.2])
