@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.witnesses import RECENT_NS, Testimony, Witness
+from ship_estimation.witnesses import RECENT_NS, Witness, WitnessRecord
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 JUMP_SAMPLES = 5
@@ -136,9 +136,9 @@ class StuckGuard:
             first = held.first_said.setdefault(name, now)
             if first is now:
                 continue
-            if name not in held.testimonies:
-                held.testimonies[name] = Testimony(first)
-            turned = held.testimonies[name].add(now, sigma_rad, _ACROSS * self._resolution_rad) or turned
+            if name not in held.records:
+                held.records[name] = WitnessRecord(first)
+            turned = held.records[name].add(now, sigma_rad, _ACROSS * self._resolution_rad) or turned
         return turned
 
 
@@ -151,7 +151,7 @@ class _Held:
     repeats: int = 0
     stuck: bool = False
     first_said: dict[str, Witness] = field(default_factory=dict)
-    testimonies: dict[str, Testimony] = field(default_factory=dict)
+    records: dict[str, WitnessRecord] = field(default_factory=dict)
 
 
 def _same(value: FloatArray, other: FloatArray) -> bool:

@@ -31,15 +31,15 @@ class Witness(NamedTuple):
     drift_rad_per_s: float = 0.0
 
 
-class Testimony:
+class WitnessRecord:
     """What one witness said while a value stood.
 
     Args:
         first: the first attitude that the witness gave.
 
     >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> testimony = Testimony(Witness(0, np.eye(3), sigma_rad=1e-5))
-    >>> [testimony.add(Witness(time_ns, turned, 1e-5), sigma_rad=1e-5, resolution_rad=0.0) for time_ns in (1, 2)]
+    >>> record = WitnessRecord(Witness(0, np.eye(3), sigma_rad=1e-5))
+    >>> [record.add(Witness(time_ns, turned, 1e-5), sigma_rad=1e-5, resolution_rad=0.0) for time_ns in (1, 2)]
     [False, True]
     """
 
