@@ -7,13 +7,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from ship_attitude_star.layout.azimuths import recommended, scan
 from ship_attitude_star.layout.config import OperatingPoint, study_config
 from ship_attitude_star.layout.figures import plan_figure
-from ship_attitude_star.layout.installation_model import Reading, linearise
+from ship_attitude_star.layout.installation_model import SWEEPS, Curve, Reading, all_curves, linearise
 from ship_attitude_star.layout.joint_error import Layout, error_map, total_arcsec
-from ship_attitude_star.layout.study import study
-from ship_attitude_star.layout.sweeps import SWEEPS, Curve, all_curves
+from ship_attitude_star.layout.study import recommended, scan, study
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 

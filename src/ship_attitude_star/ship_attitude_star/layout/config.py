@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.layout.installation_model import Reading
 from ship_estimation.parameters import ParameterError, build, mapping_of, parameter, section
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -122,13 +121,6 @@ class LayoutStudyConfig:
     sensors: dict[str, LayoutSensor] = mapping_of("the star sensors of the layout, by name")
     common: CommonErrors = section(CommonErrors)
     figures: OperatingPoint = section(OperatingPoint)
-
-
-READING_NAMES = {
-    Reading.PHYSICAL: "physical: R(A0, E0, γ0) turns the sensor's axes into the deck's",
-    Reading.PAPER: "as computed in [Z14]: R(A0, E0, γ0) turns the deck's axes into the sensor's",
-}
-"""How tables and figures call the two readings."""
 
 
 def study_config(values: Mapping[str, Any]) -> LayoutStudyConfig:

@@ -1,4 +1,4 @@
-"""The figures of a layout study. Loading matplotlib takes longer than the study: only the command imports this."""
+"""The figures of a layout study. Only the command imports this module: matplotlib loads longer than the study takes."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,22 +11,19 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MultipleLocator, NullFormatter, ScalarFormatter
 
-from ship_attitude_star.layout.azimuths import AzimuthScan
+from ship_attitude_star.layout.installation_model import SHIP_ANGLES, SWEEPS, Curve, Reading, Sweep
 from ship_attitude_star.layout.joint_error import ErrorMap, Layout, total_arcsec
-from ship_attitude_star.layout.study import LayoutStudy
-from ship_attitude_star.layout.sweep_figure import sweep_figure
-from ship_attitude_star.layout.sweeps import SWEEPS
+from ship_attitude_star.layout.study import AzimuthScan, LayoutStudy
 from ship_geometry.rotations import FloatArray
 from ship_node.documents.figure_files import write_figures
 
-_ANGLES = ("heading", "pitch", "roll")
-# Readable in print and for the colour-blind (Okabe and Ito).
+# Readable in print and for the colour-blind (Okabe and Ito, 2008).
 _PART_STYLES = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."))
 _GIVEN, _BEST = "#0b3c6f", "#c1440e"
 _ARCSEC_TICKS = (1, 2, 3, 4, 5, 7, 10, 20, 30, 50, 100, 200, 300, 500, 1000)
 _FEW_LINES = (1, 3, 10, 30, 100, 300, 1000)
 _MORE_LINES = (1, 2, 3, 4, 5, 6, 8, 10, 30, 100, 300, 1000)
-# Panels whose values span more than this factor are steep: few lines do.
+# In a panel whose values span more than this factor fewer lines are drawn.
 _STEEP = 25.0
 
 
@@ -42,12 +39,13 @@ def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
         yield f"map_{moved.sensor}", _map_figure(moved, study.layout, number)
     for sweep in SWEEPS:
         curves = [curve for curve in study.curves if curve.sweep is sweep]
-        yield f"figure_{sweep.number}", sweep_figure(sweep, curves)
+        yield f"figure_{sweep.number}", _sweep_figure(sweep, curves)
 
 
-# Of the radius of the plan: tips nearer than this share a number's place; from a tip to its number, of its distance.
 _NEAR = 0.15
+"""Tips of arrows nearer to each other than this, in radii of the plan, have their numbers in one place."""
 _NUMBER_BESIDE = 0.2
+"""From a tip to its number, in lengths of the arrow."""
 
 
 def plan_figure(given: Layout, best: Layout) -> Figure:
@@ -88,7 +86,7 @@ def _draw_boresight(axes: Axes, angles: FloatArray, colour: str, line: str) -> t
 
 
 def _number_boresights(axes: Axes, tips: list[tuple[float, float]], colour: str, reach: float) -> None:
-    """The sensors' numbers at the tips, those of tips too near to each other for two numbers in one place."""
+    """Write the sensors' numbers at the tips; tips that are too near to each other share one place."""
     places: list[tuple[tuple[float, float], list[str]]] = []
     for number, tip in enumerate(tips, start=1):
         near = [numbers for place, numbers in places if np.hypot(place[0] - tip[0], place[1] - tip[1]) < _NEAR]
@@ -126,9 +124,8 @@ def _draw_scan(axes: Axes, turned: AzimuthScan, study: LayoutStudy) -> None:
     number = study.layout.names.index(turned.sensor)
     own_deg, best_deg = (np.rad2deg(layout.angles[number, 0]) % 360.0 for layout in (study.layout, study.best))
     for column, (colour, line) in enumerate(_PART_STYLES):
-        axes.plot(
-            turned.azimuths_deg, turned.sigmas_arcsec[:, column], color=colour, ls=line, lw=1.8, label=_ANGLES[column]
-        )
+        sigmas_arcsec = turned.sigmas_arcsec[:, column]
+        axes.plot(turned.azimuths_deg, sigmas_arcsec, color=colour, ls=line, lw=1.8, label=SHIP_ANGLES[column])
     axes.plot(turned.azimuths_deg, total_arcsec(turned.sigmas_arcsec), color="black", lw=2.6, label="total")
     axes.axvline(own_deg, color=_GIVEN, lw=1.3, label="as given")
     if len(study.layout.names) > 1:
@@ -156,7 +153,7 @@ def _map_figure(moved: ErrorMap, layout: Layout, number: int) -> Figure:
     low, high = np.nanmin(panels), np.nanmax(panels)
     levels = np.geomspace(low * 0.999, max(high, low * 1.05) * 1.001, 25)
     figure, grid = plt.subplots(2, 2, figsize=(11, 6.6), sharex=True, sharey=True, layout="constrained")
-    for axes, values, title in zip(grid.flat, panels, (*_ANGLES, "total"), strict=True):
+    for axes, values, title in zip(grid.flat, panels, (*SHIP_ANGLES, "total"), strict=True):
         filled = axes.contourf(
             moved.azimuths_deg, moved.elevations_deg, values, levels, norm=LogNorm(levels[0], levels[-1]), cmap="YlOrBr"
         )
@@ -193,3 +190,63 @@ def _mark_sensors(axes: Axes, layout: Layout, moved: int) -> None:
     )
     if others.size:
         axes.plot(others[:, 0], others[:, 1], "o", ms=10, color=_BEST, label="other sensors", **look)
+
+
+# -- the six figures of [Z14] ---------------------------------------------------------------------------------
+
+_SYMBOLS = ("dK", "dψ", "dθ")
+_READING_TITLES = {Reading.PHYSICAL: "physical reading", Reading.PAPER: "as in [Z14]"}
+# Wide pale curves lie below narrow dark ones, so that both are seen where they coincide. Blue looks ahead or astern,
+# orange abeam.
+_CURVE_STYLES = {
+    0.0: ("#8fbfe6", "-", 5.0),
+    90.0: ("#fbb982", "-", 5.0),
+    180.0: ("#08306b", "--", 1.8),
+    270.0: ("#a63603", ":", 2.2),
+}
+_ONLY_COLOUR = "#0b3c6f"
+_MARGIN = 0.08
+
+
+def _sweep_figure(sweep: Sweep, curves: list[Curve]) -> Figure:
+    """One figure: three errors side by side, the physical reading above that of [Z14]."""
+    figure, grid = plt.subplots(2, 3, figsize=(12, 6.6), sharex=True, layout="constrained")
+    for row, (reading, words) in zip(grid, _READING_TITLES.items(), strict=True):
+        drawn = [curve for curve in curves if curve.reading is reading]
+        for column, axes in enumerate(row):
+            for curve in drawn:
+                _draw_curve(axes, curve, column)
+            _limit(axes, [curve.errors_arcsec[:, column] for curve in drawn])
+            axes.set_title(f"{SHIP_ANGLES[column]} {_SYMBOLS[column]}, {words}")
+            axes.set_xlim(*sweep.range_deg)
+            axes.xaxis.set_major_locator(MultipleLocator(90.0 if sweep.range_deg[1] > 90.0 else 30.0))
+        row[0].set_ylabel("error [″]")
+    for axes in grid[-1]:
+        axes.set_xlabel(f"{sweep.symbol}, {sweep.meaning} [°]")
+    errors = "all six errors, added with their signs" if sweep.all_errors else "error of the sensor's roll γs alone"
+    figure.suptitle(f"Figure {sweep.number} of [Z14]: {errors}, over {sweep.symbol}")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    if len(labels) > 1:
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+def _draw_curve(axes: Axes, curve: Curve, column: int) -> None:
+    values = curve.errors_arcsec[:, column]
+    if curve.azimuth_deg is None:
+        axes.plot(curve.swept_deg, values, color=_ONLY_COLOUR, lw=2.2, label="error")
+        return
+    colour, line, width = _CURVE_STYLES[curve.azimuth_deg]
+    axes.plot(curve.swept_deg, values, color=colour, ls=line, lw=width, label=f"A0 = {curve.azimuth_deg:g}°")
+
+
+def _limit(axes: Axes, series: list[FloatArray]) -> None:
+    """Set limits that hold zero and leave out errors that grow without bound where the ship stands on end."""
+    values = np.concatenate(series)
+    values = values[np.isfinite(values)]
+    size = np.abs(values)
+    most = max(4.0 * float(np.median(size)), float(np.percentile(size, 80.0)), 1.0)
+    low, high = min(float(values.min()), 0.0), max(float(values.max()), 0.0)
+    low, high = max(low, -most), min(high, most)
+    margin = _MARGIN * max(high - low, 1.0)
+    axes.set_ylim(low - margin, high + margin)

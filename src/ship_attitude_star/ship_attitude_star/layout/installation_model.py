@@ -1,11 +1,12 @@
-"""How errors of star sensors and of their installation reach the ship's attitude (models.md §3, [Z14]).
+"""How errors of one star sensor and of its installation reach the ship's attitude; and the six figures of [Z14].
 
     R_ship = R(As, Es, roll_s) R(A0, E0, roll_0)^T         physical reading, [Z14] (4)
     R_ship = R(As, Es, roll_s) R(A0, E0, roll_0)           what [Z14] computed for its figures
 
 To first order the error of heading, pitch and roll is ``J_s [dAs, dEs, droll_s] + J_0 [dA0, dE0, droll_0]``. Both
 Jacobians follow from B of :mod:`ship_geometry.frames`, exactly, for every layout. Angles are arrays (..., 3) of
-azimuth, elevation, roll (rad); all functions take leading dimensions, so that a sweep is one call.
+azimuth, elevation, roll (rad); all functions take leading dimensions, so that a sweep is one call. models.md §3 derives
+the model. A sweep is one of the six figures: the errors while one angle is turned and the others stay.
 """
 
 import enum
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_attitude_star.layout.config import OperatingPoint
 from ship_geometry.frames import (
     angle_errors_from_rotation_vector,
     angles_from_rotation,
@@ -20,6 +22,9 @@ from ship_geometry.frames import (
     rotation_vector_from_angle_errors,
 )
 from ship_geometry.rotations import FloatArray
+
+SHIP_ANGLES = ("heading", "pitch", "roll")
+"""Names of the ship's angles, in the order of every array of their errors."""
 
 
 class Reading(enum.Enum):
@@ -58,7 +63,13 @@ class ErrorModel:
 def linearise(
     star_angles: FloatArray, installation_angles: FloatArray, reading: Reading = Reading.PHYSICAL
 ) -> ErrorModel:
-    """The error model of one sensor at its horizon attitude and installation, shapes (..., 3), rad."""
+    """The error model of one sensor at its horizon attitude and installation.
+
+    Args:
+        star_angles: azimuth, elevation, roll of the sensor in the horizon, shape (..., 3), rad.
+        installation_angles: azimuth, elevation, roll of the sensor in the deck, shape (..., 3), rad.
+        reading: what the installation angles stand for.
+    """
     star, installation = np.broadcast_arrays(
         np.asarray(star_angles, dtype=float), np.asarray(installation_angles, dtype=float)
     )
@@ -85,8 +96,8 @@ def ship_rotation(star_angles: FloatArray, installation_angles: FloatArray, read
 
 
 @dataclass(frozen=True)
-class Combination:
-    """The best joint attitude of N sensors.
+class JointAttitude:
+    """Errors of the best joint attitude of N sensors.
 
     Attributes:
         covariance: of the joint rotation vector, shape (..., 3, 3), rad².
@@ -99,11 +110,12 @@ class Combination:
 
 def combine(
     covariances: FloatArray, common_effects: FloatArray | None = None, common_covariance: FloatArray | None = None
-) -> Combination:
+) -> JointAttitude:
     """Best linear unbiased combination of N attitudes whose errors are ``own + effect @ common``.
 
-    Without common terms this is the sum of the informations. What is common to all in the same way passes through
-    undiminished; what acts on each sensor differently is in part told apart.
+    Without common errors the information of the joint attitude is the sum of those of the sensors. An error that acts
+    on all sensors in the same way passes through undiminished. One that acts on each sensor differently shows in their
+    differences and is reduced in part.
 
     Args:
         covariances: of each sensor's own error, rotation vectors in one frame, shape (..., N, 3, 3), regular, rad².
@@ -124,7 +136,7 @@ def combine(
     weights = np.linalg.solve(joint, same_attitude)
     covariance = np.linalg.inv(weights.reshape(*leading, count, 3, 3).sum(axis=-3))
     gains = (covariance @ np.swapaxes(weights, -1, -2)).reshape(*leading, 3, count, 3)
-    return Combination(covariance, np.moveaxis(gains, -2, -3))
+    return JointAttitude(covariance, np.moveaxis(gains, -2, -3))
 
 
 def _rotation(angles: FloatArray) -> FloatArray:
@@ -137,3 +149,105 @@ def _transport(angles: FloatArray) -> FloatArray:
 
 def _transported(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
     return matrix @ covariance @ np.swapaxes(matrix, -1, -2)
+
+
+CURVE_AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)
+"""Installation azimuths A0 of the curves of each figure."""
+
+STAR_ROLL_ALONE = np.array([0.0, 0.0, 1.0])
+
+# Indices into (As, Es, roll_s, A0, E0, roll_0).
+_STAR_AZIMUTH, _STAR_ELEVATION, _AZIMUTH, _ELEVATION, _ROLL = 0, 1, 3, 4, 5
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One figure.
+
+    Attributes:
+        number: number of the figure in [Z14].
+        symbol: symbol of the angle swept.
+        meaning: the angle swept, in words.
+        column: index of that angle in (As, Es, roll_s, A0, E0, roll_0).
+        range_deg: least and greatest angle.
+        all_errors: all six errors added with their signs; otherwise that of the star sensor's roll alone.
+    """
+
+    number: int
+    symbol: str
+    meaning: str
+    column: int
+    range_deg: tuple[float, float]
+    all_errors: bool
+
+
+SWEEPS = (
+    Sweep(1, "As", "azimuth of the sensor in the horizon", _STAR_AZIMUTH, (0.0, 360.0), False),
+    Sweep(2, "Es", "elevation of the sensor in the horizon", _STAR_ELEVATION, (0.0, 90.0), False),
+    Sweep(3, "E0", "installation elevation", _ELEVATION, (0.0, 90.0), False),
+    Sweep(4, "A0", "installation azimuth", _AZIMUTH, (0.0, 360.0), True),
+    Sweep(5, "γ0", "installation roll", _ROLL, (-90.0, 90.0), True),
+    Sweep(6, "E0", "installation elevation", _ELEVATION, (0.0, 90.0), True),
+)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One curve of a figure.
+
+    Attributes:
+        sweep: the figure to which the curve belongs.
+        reading: what the installation angles stand for.
+        azimuth_deg: installation azimuth A0; None where A0 itself is swept.
+        swept_deg: the angle swept, shape (n,).
+        errors_arcsec: of heading, pitch, roll, signs kept, shape (n, 3); NaN where the ship stands on end.
+    """
+
+    sweep: Sweep
+    reading: Reading
+    azimuth_deg: float | None
+    swept_deg: FloatArray
+    errors_arcsec: FloatArray
+
+
+def all_curves(point: OperatingPoint) -> list[Curve]:
+    """Every curve of every figure in both readings, one point a degree."""
+    return [
+        _curve(point, sweep, reading, azimuth_deg)
+        for sweep in SWEEPS
+        for reading in Reading
+        for azimuth_deg in ((None,) if sweep.column == _AZIMUTH else CURVE_AZIMUTHS_DEG)
+    ]
+
+
+def _curve(point: OperatingPoint, sweep: Sweep, reading: Reading, azimuth_deg: float | None) -> Curve:
+    low, high = sweep.range_deg
+    swept_deg = np.linspace(low, high, round(high - low) + 1)
+    angles_deg = np.tile(point_angles_deg(point, azimuth_deg or 0.0), (swept_deg.size, 1))
+    angles_deg[:, sweep.column] = swept_deg
+    angles = np.deg2rad(angles_deg)
+    model = linearise(angles[:, :3], angles[:, 3:], reading)
+    if sweep.all_errors:
+        errors = model.errors(point.star_errors_arcsec(), point.installation_errors_arcsec())
+    else:
+        errors = model.errors(point.star_errors_arcsec() * STAR_ROLL_ALONE, np.zeros(3))
+    return Curve(sweep, reading, azimuth_deg, swept_deg, errors)
+
+
+def point_angles_deg(point: OperatingPoint, azimuth_deg: float) -> FloatArray:
+    """(As, Es, roll_s, A0, E0, roll_0) of the operating point, shape (6,)."""
+    star = [point.star_azimuth_deg, point.star_elevation_deg, point.star_roll_deg]
+    return np.array([*star, azimuth_deg, point.elevation_deg, point.roll_deg])
+
+
+SOURCES = ("ΔAs", "ΔEs", "Δγs", "ΔA0", "ΔE0", "Δγ0")
+"""The error sources of [Z14], in the order of :func:`source_errors_arcsec`."""
+
+
+def source_errors_arcsec(point: OperatingPoint, azimuth_deg: float, reading: Reading) -> FloatArray:
+    """What each of the six errors alone does to heading, pitch, roll, shape (6, 3), signs kept."""
+    angles = np.deg2rad(point_angles_deg(point, azimuth_deg))
+    model = linearise(angles[:3], angles[3:], reading)
+    factors = np.concatenate([model.star, model.installation], axis=-1)
+    errors = np.concatenate([point.star_errors_arcsec(), point.installation_errors_arcsec()])
+    return (factors * errors).T

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
-from ship_attitude_star.layout.installation_model import Combination, combine
+from ship_attitude_star.layout.installation_model import JointAttitude, combine
 from ship_geometry.frames import (
     angle_covariance,
     angle_errors_from_rotation_vector,
@@ -16,19 +16,20 @@ from ship_geometry.frames import (
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _AXES = ("forward", "up", "right")
-# The horizon seen from deck: heading does not matter to any error, so the bow looks North.
 _HEADING = 0.0
+"""No error depends on the heading, so the bow looks North."""
 
 
 @dataclass(frozen=True)
 class SourceError:
-    """What one source of error, one sigma of it, does to the joint attitude.
+    """What one sigma of one source of error does to the joint attitude.
 
     Attributes:
-        sensor: its sensor, "all" for what the sensors share.
-        source: in words.
-        sigma_arcsec: of the source.
-        errors_arcsec: of heading, pitch, roll, shape (3,); their squares over all sources add up to the variance.
+        sensor: the sensor that has this error; "all" for an error that the sensors share.
+        source: the source in words.
+        sigma_arcsec: standard deviation of the source.
+        errors_arcsec: errors of heading, pitch, roll by it, shape (3,); the squares of all sources add up to the
+            variance.
     """
 
     sensor: str
@@ -122,7 +123,7 @@ class Layout:
         rotation_nd = rotation_from_angles(*self.ship_angles)
         return rotation_nd @ rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
 
-    def _joined(self, angles: FloatArray) -> tuple[Combination, FloatArray, FloatArray]:
+    def _joined(self, angles: FloatArray) -> tuple[JointAttitude, FloatArray, FloatArray]:
         """Joint attitude, "horizon from sensor" (..., N, 3, 3), effects of the common errors (..., N, 3, 4)."""
         rotations_ns = self._rotations_ns(angles)
         # Noise and installation error turn about the same axes: R_star = R_ship R_0 exp(m) exp(n), models.md §4.

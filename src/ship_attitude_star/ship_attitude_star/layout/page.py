@@ -9,15 +9,22 @@ from string import Template
 
 import numpy as np
 
-from ship_attitude_star.layout.config import READING_NAMES
-from ship_attitude_star.layout.installation_model import Reading
+from ship_attitude_star.layout.installation_model import (
+    CURVE_AZIMUTHS_DEG,
+    SHIP_ANGLES,
+    SOURCES,
+    SWEEPS,
+    Reading,
+    source_errors_arcsec,
+)
 from ship_attitude_star.layout.joint_error import total_arcsec
-from ship_attitude_star.layout.study import LayoutStudy
-from ship_attitude_star.layout.sweeps import CURVE_AZIMUTHS_DEG, SOURCES, SWEEPS, source_errors_arcsec
-from ship_attitude_star.layout.words import advice, result, rule_in_numbers
+from ship_attitude_star.layout.study import AzimuthScan, LayoutStudy
 from ship_geometry.rotations import FloatArray
 
-_ANGLES = ("heading", "pitch", "roll")
+_READING_NAMES = {
+    Reading.PHYSICAL: "physical: R(A0, E0, γ0) turns the sensor's axes into the deck's",
+    Reading.PAPER: "as computed in [Z14]: R(A0, E0, γ0) turns the deck's axes into the sensor's",
+}
 
 
 def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> str:
@@ -32,9 +39,9 @@ def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> st
     config = study.config
     return template.substitute(
         title=escape(title),
-        result=result(study),
-        advice=advice(study),
-        rule_in_numbers=rule_in_numbers(study),
+        result=_result(study),
+        advice=_advice(study),
+        rule_in_numbers=_rule_in_numbers(study),
         ship="The ship is level."
         if config.ship_pitch_deg == config.ship_roll_deg == 0.0
         else f"The ship has pitch {config.ship_pitch_deg:g}°, roll {config.ship_roll_deg:g}°.",
@@ -83,7 +90,7 @@ def _layout_table(study: LayoutStudy) -> str:
     if len(study.layout.names) > 1:
         joint.append(("all, at the recommended azimuths", study.best_arcsec))
     rows += [[words, "", "", *_arcsec(sigmas), *_arcsec(total_arcsec(sigmas[None]))] for words, sigmas in joint]
-    header = ["sensors", "azimuth", "elevation", *(f"{angle} [″]" for angle in _ANGLES), "total [″]"]
+    header = ["sensors", "azimuth", "elevation", *(f"{angle} [″]" for angle in SHIP_ANGLES), "total [″]"]
     return _table(header, rows, last_is_sum=True)
 
 
@@ -133,4 +140,84 @@ def _source_table(study: LayoutStudy, reading: Reading) -> str:
     symbols = "<th>dK</th><th>dψ</th><th>dθ</th>" * len(CURVE_AZIMUTHS_DEG)
     head = f"<thead><tr><th>[″]</th>{groups}</tr><tr><th>source</th>{symbols}</tr></thead>"
     table = f'<table class="groups">{head}{_body(rows, last_is_sum=True)}</table>'
-    return f"<h3>Reading: {escape(READING_NAMES[reading])}</h3>{table}"
+    return f"<h3>Reading: {escape(_READING_NAMES[reading])}</h3>{table}"
+
+
+# -- the plain words, every number in them computed from the layout at hand ------------------------------------
+
+_WORTH_MOVING = 0.1
+"""Where turning the sensors gains less than this share of the error, other needs of the ship decide."""
+
+
+def _result(study: LayoutStudy) -> str:
+    """What the layout as given achieves."""
+    count = len(study.layout.names)
+    if count == 1:
+        return f"The one sensor, “{study.layout.names[0]}”, gives {_errors(study.joint_arcsec)} (1σ)."
+    totals = total_arcsec(study.alone_arcsec)
+    # Of sensors that are equally good the first is named, whatever the last bits say.
+    best = int(np.argmin(np.round(totals, 6)))
+    joint = float(total_arcsec(study.joint_arcsec))
+    return (
+        f"The {count} sensors together give {_errors(study.joint_arcsec)} (1σ). The best of them alone, "
+        f"“{study.layout.names[best]}”, gives {_errors(study.alone_arcsec[best])}: together they are "
+        f"{totals[best] / joint:.3g} times better in total."
+    )
+
+
+def _advice(study: LayoutStudy) -> str:
+    """The recommended azimuths and how much they may be missed, as a list."""
+    if len(study.layout.names) == 1:
+        return (
+            "<p>With one sensor no azimuth is best in total: turning it only moves the error from roll to pitch. Look "
+            "along the keel where pitch matters, abeam where roll matters; for both, and for heading, add a second "
+            "sensor about a right angle away.</p>"
+        )
+    given, best = (float(total_arcsec(sigmas)) for sigmas in (study.joint_arcsec, study.best_arcsec))
+    first_deg = np.rad2deg(study.best.angles[0, 0]) % 360.0
+    items = [f"<li>“{study.best.names[0]}”: {first_deg:g}° from the bow (kept; the others are turned against it)</li>"]
+    for number, turned in enumerate(study.scans, start=1):
+        best_deg, given_deg = (np.rad2deg(layout.angles[number, 0]) % 360.0 for layout in (study.best, study.layout))
+        items.append(
+            f"<li>“{escape(turned.sensor)}”: <b>{best_deg:.0f}°</b> from the bow (given: {given_deg:g}°); "
+            f"{_tolerance(turned)}</li>"
+        )
+    return (
+        f"<ul>{''.join(items)}</ul><p>Total error there {best:.2f}″, as given {given:.2f}″. {_verdict(given, best)}</p>"
+    )
+
+
+def _rule_in_numbers(study: LayoutStudy) -> str:
+    """The engineering rule for the first sensor's own elevation and error about the boresight."""
+    layout = study.layout
+    elevation = layout.angles[0, 1]
+    sensor = next(iter(study.config.sensors.values()))
+    size = float(np.hypot(sensor.sigma_forward_arcsec, sensor.installation_sigma_forward_arcsec))
+    return (
+        f"Sensor “{layout.names[0]}” at {np.rad2deg(elevation):g}° elevation, with {size:.3g}″ about its boresight "
+        f"(noise and installation together): {size * np.sin(elevation):.3g}″ of heading, and "
+        f"{size * np.cos(elevation):.3g}″ of roll if it looks along the keel or of pitch if it looks abeam."
+    )
+
+
+def _errors(sigmas_arcsec: FloatArray) -> str:
+    heading, pitch, roll = (f"{sigma:.3g}″" for sigma in sigmas_arcsec)
+    return f"heading {heading}, pitch {pitch}, roll {roll}"
+
+
+def _tolerance(turned: AzimuthScan) -> str:
+    if turned.good_deg is None:
+        return "no room to turn it without losing a tenth"
+    low, high = turned.good_deg
+    if high - low == 360.0:
+        return "any azimuth costs less than a tenth more"
+    return f"anything from {low:.0f}° clockwise to {high:.0f}° costs less than a tenth more"
+
+
+def _verdict(given: float, best: float) -> str:
+    gain = 1.0 - best / given
+    if gain < 1e-6:
+        return "The layout as given is the best one in azimuth."
+    if gain < _WORTH_MOVING:
+        return f"The gain of {100.0 * gain:.1f} % is small: what else the ship needs may decide."
+    return f"Turning the sensors there takes {100.0 * gain:.0f} % off the total error."

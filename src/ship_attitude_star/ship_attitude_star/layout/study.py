@@ -1,15 +1,46 @@
-"""All numbers of a layout study in one place: tables, figures and page only show them."""
+"""All numbers of a layout study in one place, the recommended azimuths among them; tables, figures and page show them.
 
-from dataclasses import dataclass
+Recommended are the azimuths with the least total error. The first sensor keeps its azimuth and the others are turned:
+on a level ship only the differences in azimuth count, so keeping the first loses nothing.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ship_attitude_star.layout.azimuths import AzimuthScan, recommended, scan
 from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
-from ship_attitude_star.layout.joint_error import ErrorMap, Layout, SourceError, error_map
-from ship_attitude_star.layout.sweeps import Curve, all_curves
+from ship_attitude_star.layout.installation_model import Curve, all_curves
+from ship_attitude_star.layout.joint_error import ErrorMap, Layout, SourceError, error_map, total_arcsec
 from ship_estimation.parameters import ParameterError
-from ship_geometry.rotations import FloatArray
+from ship_geometry.rotations import FloatArray, wrap_pi
+
+_STEP_DEG = 1.0
+_SAME = 1e-9
+"""Total errors closer than this share count as equal; of equals the azimuth nearest to the given one is taken."""
+_NEARLY_SAME = 0.02
+"""Another arrangement of the sensors must gain more than this share over the one near the given azimuths."""
+_ALLOWED_LOSS = 0.1
+"""Share of the least total error that a good azimuth may cost more."""
+_MOST_ROUNDS = 20
+
+
+@dataclass(frozen=True)
+class AzimuthScan:
+    """The joint error while one sensor is turned in azimuth and the others stay.
+
+    Attributes:
+        sensor: the one that is turned.
+        azimuths_deg: in [0, 360), shape (n,).
+        sigmas_arcsec: heading, pitch, roll, shape (n, 3).
+        good_deg: the range of azimuths (from, to), clockwise, around the sensor's own in which the total error is at
+            most a tenth above the least; None where it is more than that at the sensor's own azimuth.
+    """
+
+    sensor: str
+    azimuths_deg: FloatArray
+    sigmas_arcsec: FloatArray
+    good_deg: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -18,15 +49,15 @@ class LayoutStudy:
 
     Attributes:
         config: what was asked.
-        layout: as given.
-        alone_arcsec: sigma of heading, pitch, roll of each sensor alone, shape (N, 3).
-        joint_arcsec: of all together, shape (3,).
+        layout: the layout as given.
+        alone_arcsec: sigma of heading, pitch, roll of each sensor of it alone, shape (N, 3).
+        joint_arcsec: sigma of heading, pitch, roll of all its sensors together, shape (3,).
         best: the layout at the recommended azimuths.
-        best_arcsec: its sigmas, shape (3,).
+        best_arcsec: sigma of heading, pitch, roll of all sensors of that, shape (3,).
         scans: the error while each sensor of ``best`` but the first, or the only one, is turned in azimuth.
         maps: the error of ``layout`` while each sensor is bolted anywhere.
         budget: the joint error of ``layout`` by source.
-        curves: of the six figures of [Z14].
+        curves: the curves of the six figures of [Z14].
     """
 
     config: LayoutStudyConfig
@@ -69,3 +100,66 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
         budget=layout.budget(),
         curves=all_curves(config.figures),
     )
+
+
+def recommended(layout: Layout) -> Layout:
+    """The layout with the azimuths that give the least total error; the first sensor keeps its own.
+
+    The search descends from the given azimuths and from sensors spread evenly over half and over the whole circle.
+    """
+    count = len(layout.names)
+    first = layout.angles[0, 0]
+    starts = [layout.angles[:, 0]]
+    starts += [first + np.arange(count) * circle / count for circle in (np.pi, 2.0 * np.pi)]
+    layouts = [_with_azimuths(layout, azimuths) for azimuths in starts]
+    # On a heeled ship a sensor of the other two starts may look into the sea, where no error is finite.
+    candidates = [_descended(start) for start in layouts if np.isfinite(start.sigmas_arcsec()).all()]
+    # Of nearly equal layouts the first is taken: it comes from the given azimuths and has the least to rebuild.
+    totals = np.array([total_arcsec(candidate.sigmas_arcsec()) for candidate in candidates])
+    return candidates[int(np.argmax(totals <= totals.min() * (1.0 + _NEARLY_SAME)))]
+
+
+def scan(layout: Layout, number: int) -> AzimuthScan:
+    """The error while the sensor of that number is turned through all azimuths."""
+    azimuths_deg = np.arange(0.0, 360.0, _STEP_DEG)
+    angles = np.tile(layout.angles, (azimuths_deg.size, 1, 1))
+    angles[:, number, 0] = np.deg2rad(azimuths_deg)
+    sigmas = layout.sigmas_arcsec(angles)
+    good = total_arcsec(sigmas) <= np.nanmin(total_arcsec(sigmas)) * (1.0 + _ALLOWED_LOSS)
+    own = round(np.rad2deg(layout.angles[number, 0]) / _STEP_DEG) % azimuths_deg.size
+    return AzimuthScan(layout.names[number], azimuths_deg, sigmas, _run_around(good, own, azimuths_deg))
+
+
+def _descended(layout: Layout) -> Layout:
+    """Each sensor but the first turned to its best azimuth in its turn, until none moves."""
+    for _ in range(_MOST_ROUNDS):
+        before = layout.angles[:, 0].copy()
+        for number in range(1, len(layout.names)):
+            scanned = scan(layout, number)
+            totals = total_arcsec(scanned.sigmas_arcsec)
+            best = scanned.azimuths_deg[totals <= np.nanmin(totals) * (1.0 + _SAME)]
+            away = np.abs(wrap_pi(np.deg2rad(best) - layout.angles[number, 0]))
+            azimuths = layout.angles[:, 0].copy()
+            azimuths[number] = np.deg2rad(best[int(np.argmin(away))])
+            layout = _with_azimuths(layout, azimuths)
+        if np.array_equal(before, layout.angles[:, 0]):
+            break
+    return layout
+
+
+def _with_azimuths(layout: Layout, azimuths: FloatArray) -> Layout:
+    angles = layout.angles.copy()
+    angles[:, 0] = azimuths
+    return replace(layout, angles=angles)
+
+
+def _run_around(good: NDArray[np.bool_], own: int, azimuths_deg: FloatArray) -> tuple[float, float] | None:
+    """First and last azimuth of the unbroken run of good ones around index ``own``, over the bow if need be."""
+    if not good[own]:
+        return None
+    if good.all():
+        return 0.0, 360.0
+    size = good.size
+    backward = next(step for step in range(1, size) if not good[(own - step) % size])
+    forward = next(step for step in range(1, size) if not good[(own + step) % size])
+    return float(azimuths_deg[(own - backward + 1) % size]), float(azimuths_deg[(own + forward - 1) % size])
