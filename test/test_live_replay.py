@@ -24,7 +24,7 @@ from ship_bags.topic_names import relative_topic
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import quaternion_from_rotation
 from ship_node.edge.adapter import Adapter
-from ship_node.live.tick_grid import TickGrid
+from ship_node.live.node_clock import TickGrid
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.bounds import judge, read_bounds
 from ship_replay.evaluation.evaluate import evaluate

@@ -23,9 +23,9 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import log_rotation
 from ship_node.black_box.black_box import BlackBox
-from ship_node.documents.files import NotedFiles
+from ship_node.documents.saved_document import NotedFiles
 from ship_node.live.adapter_calls import AdapterCalls
-from ship_node.live.tick_grid import TickGrid
+from ship_node.live.node_clock import TickGrid
 from ship_replay.commands.replay import main as replay
 from ship_replay.trials.live_run import LiveRun
 from ship_simulation.messages.to_messages import messages

@@ -13,7 +13,7 @@ import numpy as np
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import ns_from_stamp
 from ship_node.edge.adapter import Adapter
-from ship_node.live.tick_grid import TickGrid
+from ship_node.live.node_clock import TickGrid
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS

@@ -17,9 +17,9 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_estimation.parameters import ParameterError
 from ship_node.black_box.black_box import BlackBox
-from ship_node.documents.files import NotedFiles
+from ship_node.documents.saved_document import NotedFiles
 from ship_node.live.adapter_calls import AdapterCalls
-from ship_node.live.tick_grid import TickGrid
+from ship_node.live.node_clock import TickGrid
 from ship_node.parameters.parameter_file import load_config
 from ship_testing.places import ROOT
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter

@@ -9,7 +9,7 @@ import numpy as np
 
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.parameters import ParameterError, mapping_of, parameter, section
-from ship_node.documents.files import DISK, Files
+from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import Refused, frame, stamp_ns, unit_quaternion

@@ -33,7 +33,7 @@ from ship_node.black_box.black_box_format import (
     event_from_text,
     event_text,
 )
-from ship_node.documents.files import NotedFiles
+from ship_node.documents.saved_document import NotedFiles
 from ship_node.edge.messages_out import Level
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.parameters.parameter_file import load_config, parameter_text

@@ -18,8 +18,8 @@ from std_srvs.srv import Trigger
 
 from ship_bags.stamps import ns_from_stamp
 from ship_node.edge.adapter import TICK_PERIOD_NS
-from ship_node.live.inbox import LARGEST_MESSAGE_BYTES
 from ship_node.live.node_clock import DEAD_AFTER_NS
+from ship_node.live.node_events import LARGEST_MESSAGE_BYTES
 from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
 from ship_testing.relay_adapter import EXPLOSIVE_FRAME
 

@@ -10,7 +10,7 @@ from ship_bags.errors import BadInput
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC
-from ship_node.live.start_line import start_line
+from ship_node.live.node_report import start_line
 from ship_testing.adapter_runs import FACTORY, SECOND_NS
 from ship_testing.small_session import AXES, BEACONS, FOCAL_LENGTH_M, clean_run, config, drive, new_adapter, session
 from theodolite_calib.filter.filter import CalibrationFilter

@@ -8,8 +8,16 @@ import numpy as np
 from ship_attitude_star.ship_attitude.alignment import AlignmentPrior
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
-from ship_node.documents.files import DISK, Files
-from ship_node.documents.saved_document import SavedFormat, finite_numbers, joint_covariance, section, stamp_ns, texts
+from ship_node.documents.saved_document import (
+    DISK,
+    Files,
+    SavedFormat,
+    finite_numbers,
+    joint_covariance,
+    section,
+    stamp_ns,
+    texts,
+)
 
 FORMAT = "ship_attitude alignment"
 VERSION = 1

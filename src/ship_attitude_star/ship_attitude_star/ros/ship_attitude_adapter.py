@@ -18,8 +18,7 @@ from ship_bags.stamps import ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import changed
 from ship_estimation.refusals import Reason, Refusal, failure
-from ship_node.documents.files import DISK, Files
-from ship_node.documents.saved_document import age_words
+from ship_node.documents.saved_document import DISK, Files, age_words
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import Refused

@@ -14,7 +14,7 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.parameters import changed
 from ship_estimation.refusals import Reason, Refusal
-from ship_node.documents.files import DISK, Files
+from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import Refused, ins_sample

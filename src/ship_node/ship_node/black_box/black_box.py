@@ -30,9 +30,9 @@ from ship_node.black_box.black_box_format import (
     Event,
     FileUsed,
     event_text,
+    versions,
 )
-from ship_node.black_box.versions import versions
-from ship_node.documents.files import FileUse
+from ship_node.documents.saved_document import FileUse
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import OutputTopic

@@ -1,1 +1,4 @@
-"""Files for people that outlast a run: what a node saves for its next start, and figures."""
+"""Files that outlast a run: what a node saves for its next start, and figures for people.
+
+The lowest room of the package: it imports no other, and no ROS.
+"""

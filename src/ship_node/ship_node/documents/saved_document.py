@@ -1,22 +1,115 @@
-"""What a node saves for its next start: YAML that people can read, written atomically, with format and version."""
+"""The files that an adapter reads and writes while it runs, and the documents that a node saves for its next start.
 
+What a node reads is an input like any message: a replay must be given the same bytes. So an adapter reads and writes
+through :class:`Files` alone, where a black box can note each use. A saved document is YAML that people can read, with
+format and version.
+"""
+
+import errno
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import yaml
 
 from ship_bags.errors import BadInput
+from ship_bags.output_files import write_whole
 from ship_bags.stamps import END_OF_TIME_NS
 from ship_bags.yaml_text import plain_data
-from ship_node.documents.files import DISK, Files
+
+LONGEST_FILE_BYTES = 16_000_000
+"""A saved alignment or calibration has some ten thousand."""
 
 _ROUNDING = 1e-6
 
 Content = TypeVar("Content")
+
+
+@dataclass(frozen=True)
+class FileUse:
+    """One file read or written.
+
+    Attributes:
+        path: as the adapter named it.
+        written: whether it was written, not read.
+        content: the bytes; None where it failed.
+        error: error number (errno) where it failed.
+    """
+
+    path: str
+    written: bool
+    content: bytes | None
+    error: int | None = None
+
+
+class Files(Protocol):
+    """What an adapter may do with files; a failure is an OSError."""
+
+    def read(self, path: Path) -> bytes:
+        """The whole content."""
+        ...
+
+    def write(self, path: Path, content: bytes) -> None:
+        """Write a file that is either the old or the new one, never a part; folders are made."""
+        ...
+
+
+class DiskFiles:
+    """The files themselves."""
+
+    def read(self, path: Path) -> bytes:
+        """See :meth:`Files.read`; a file longer than anything that is saved is an OSError, too."""
+        with path.open("rb") as stream:
+            content = stream.read(LONGEST_FILE_BYTES + 1)
+        if len(content) > LONGEST_FILE_BYTES:
+            raise _plain(errno.EFBIG, path)
+        return content
+
+    def write(self, path: Path, content: bytes) -> None:
+        """See :meth:`Files.write`."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            write_whole(path, content)
+        except OSError as error:
+            raise _plain(error.errno or errno.EIO, path) from error
+
+
+class NotedFiles:
+    """The files themselves, each use noted.
+
+    Attributes:
+        uses: in order; whoever takes them clears the list.
+    """
+
+    def __init__(self) -> None:
+        self.uses: list[FileUse] = []
+        self._disk = DiskFiles()
+
+    def read(self, path: Path) -> bytes:
+        """See :meth:`Files.read`."""
+        try:
+            content = self._disk.read(path)
+        except OSError as error:
+            self.uses.append(FileUse(str(path), False, None, error.errno or errno.EIO))
+            raise
+        self.uses.append(FileUse(str(path), False, content))
+        return content
+
+    def write(self, path: Path, content: bytes) -> None:
+        """See :meth:`Files.write`."""
+        try:
+            self._disk.write(path, content)
+        except OSError as error:
+            self.uses.append(FileUse(str(path), True, None, error.errno or errno.EIO))
+            raise
+        self.uses.append(FileUse(str(path), True, content))
+
+
+DISK = DiskFiles()
 
 
 @dataclass(frozen=True)
@@ -110,10 +203,12 @@ def section(document: dict[str, Any], key: str, read: Callable[[Any], Content]) 
     Raises:
         ValueError: names the section that is missing or cannot be read.
     """
+    if key not in document:
+        raise ValueError(f"'{key}' is missing")
     try:
         return read(document[key])
     except KeyError as error:
-        raise ValueError(f"{error} is missing" if error.args == (key,) else f"'{key}': {error} is missing") from error
+        raise ValueError(f"'{key}': {error} is missing") from error
     except (AttributeError, TypeError, ValueError) as error:
         raise ValueError(f"'{key}': {error}") from error
 
@@ -173,3 +268,8 @@ def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float
     if np.linalg.eigvalsh(correlation)[0] < -_ROUNDING:
         raise ValueError("not positive semidefinite")
     return covariance
+
+
+def _plain(number: int, path: Path) -> OSError:
+    """The error as a replay of the black box will raise it, which knows only its number."""
+    return OSError(number, os.strerror(number), str(path))

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from ship_bags.message_factory import MessageFactory
-from ship_node.documents.files import DISK, Files
+from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 

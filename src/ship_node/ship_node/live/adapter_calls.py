@@ -16,11 +16,11 @@ from ship_node.black_box.black_box_format import (
     ServiceCalled,
     Tick,
 )
-from ship_node.documents.files import NotedFiles
+from ship_node.documents.saved_document import NotedFiles
 from ship_node.edge.adapter import Adapter, ServiceResult
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DiagnosticStatus, Level
 from ship_node.edge.topics import Published
-from ship_node.live.status_log import StatusLog
+from ship_node.live.node_report import StatusLog
 
 
 class AdapterCalls:

@@ -1,9 +1,9 @@
 """An adapter in a live rclpy node: its inputs, ticks, services and parameters.
 
-Nothing that an adapter raises ends the node (:mod:`ship_node.live.guard`). Ticks fall on a grid of the time of waiting:
-of /clock as in replay, or of a clock that nobody sets (:mod:`ship_node.live.tick_grid`). Callbacks only put messages
-into an inbox that is bounded (:mod:`ship_node.live.inbox`), for the events that wait are not
-(:mod:`ship_node.live.node_events`); the adapter gets one message whenever no event is left.
+Nothing that an adapter raises ends the node (:mod:`ship_node.live.node_report`). Ticks fall on a grid of the time of
+waiting: of /clock as in replay, or of a clock that nobody sets (:mod:`ship_node.live.node_clock`). Callbacks only put
+messages into an inbox, which is bounded; the events that wait for a callback are not
+(:mod:`ship_node.live.node_events`). The adapter gets one message whenever no event is left.
 """
 
 import time
@@ -26,21 +26,16 @@ from ship_bags.errors import BadInput
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_geometry.input_error import InputError
 from ship_node.black_box.black_box import BlackBox
-from ship_node.documents.files import NotedFiles
+from ship_node.documents.saved_document import NotedFiles
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.edge.topics import InputTopic, OutputTopic
 from ship_node.live.adapter_calls import AdapterCalls
-from ship_node.live.guard import Guard
-from ship_node.live.inbox import Arrival, Inbox
-from ship_node.live.node_clock import NodeClock
-from ship_node.live.node_events import NodeEvents
-from ship_node.live.node_watch import name_status, stamps_status
+from ship_node.live.node_clock import NodeClock, TickGrid
+from ship_node.live.node_events import Arrival, Inbox, NodeEvents
+from ship_node.live.node_report import Guard, StatusLog, name_status, stamps_status, start_line
 from ship_node.live.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
-from ship_node.live.start_line import start_line
-from ship_node.live.status_log import StatusLog
-from ship_node.live.tick_grid import TickGrid
 from ship_node.parameters.parameter_file import misfit, read_whatever_fits
 
 SPIN_TIMEOUT_S = 0.1

@@ -1,19 +1,25 @@
-"""The time of a live node: by its clock, of waiting, and whether /clock still comes where it rules."""
+"""The time of a live node: by its clock, of waiting, its ticks, and whether /clock still comes where it rules.
 
-from collections.abc import Callable
+The ticks are multiples of a period in the time of waiting. Nothing of ROS is read before a node follows /clock.
+"""
 
-from rclpy.node import Node
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.edge.messages_out import DiagnosticStatus, Level
-from ship_node.live.clock_queue import queue_clock
-from ship_node.live.tick_grid import WaitingClock
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
 DEAD_AFTER_NS = 2_000_000_000
 """/clock comes many times a second, from a paused `play` too: after so long a silence it is dead, ns."""
 
 _START_NS = 5_000_000_000
 """The first /clock may take longer: who sends it is still to be found, ns."""
+
+CLOCK_DEPTH = 1000
+"""Messages of /clock that may wait for the node: ten seconds of a bag's time at the usual 100 Hz."""
 
 
 class NodeClock:
@@ -28,7 +34,7 @@ class NodeClock:
         on_event: called after each message of /clock.
     """
 
-    def __init__(self, node: Node, steady_ns: Callable[[], int], on_event: Callable[[], None]) -> None:
+    def __init__(self, node: "Node", steady_ns: Callable[[], int], on_event: Callable[[], None]) -> None:
         self._clock = node.get_clock()
         self._on_event = on_event
         self._waiting = WaitingClock(steady_ns)
@@ -91,3 +97,84 @@ class NodeClock:
         self._was_heard = True
         self._heard_ns = self._listening.now_ns(0)
         self._on_event()
+
+
+class WaitingClock:
+    """The time in which a node was listening: what judges silence where no /clock rules.
+
+    It goes with a clock that nobody sets, whatever becomes of the system's time. It begins at the node's time, so that
+    the two are near one another in a black box.
+
+    Args:
+        steady_ns: a clock that never jumps.
+    """
+
+    LONGEST_STEP_NS = 2 * TICK_PERIOD_NS
+    """A standstill of the node counts as no more: what came meanwhile lies unread, and that is no silence."""
+
+    def __init__(self, steady_ns: Callable[[], int]) -> None:
+        self._steady_ns = steady_ns
+        self._last_ns = 0
+        self._waiting_ns: int | None = None
+
+    def now_ns(self, node_ns: int) -> int:
+        """The time of waiting; ``node_ns`` is the node's time. A node at work asks at every tick."""
+        last_ns, self._last_ns = self._last_ns, self._steady_ns()
+        if self._waiting_ns is None:
+            self._waiting_ns = node_ns
+        else:
+            self._waiting_ns += min(self._last_ns - last_ns, self.LONGEST_STEP_NS)
+        return self._waiting_ns
+
+
+class TickGrid:
+    """Which ticks are due: every multiple of the period that time has reached, each once."""
+
+    def __init__(self, period_ns: int = TICK_PERIOD_NS) -> None:
+        self._period_ns = period_ns
+        self._newest: int | None = None
+
+    def due(self, now_ns: int) -> Iterator[int]:
+        """The ticks up to and including ``now_ns`` since the last call, ns; the first call only starts the grid."""
+        reached = now_ns // self._period_ns
+        for number in range((reached if self._newest is None else self._newest) + 1, reached + 1):
+            self._newest = number
+            yield number * self._period_ns
+        if self._newest is None:
+            self.restart(now_ns)
+
+    def restart(self, now_ns: int) -> None:
+        """The clock jumped to ``now_ns``: the grid starts there anew, nothing is made up for."""
+        self._newest = now_ns // self._period_ns
+
+
+def queue_clock(node: "Node", heard: Callable[[], None] = lambda: None) -> None:
+    """Keep every message of /clock until the node takes it; without ``use_sim_time`` there is nothing to do.
+
+    rclpy keeps the newest only. In a node that is behind for a moment — a fast bag, a busy machine — time then runs
+    ahead of the inputs that still wait: they look late, and their silence is reported while they lie in the queue.
+    With an executor that handles messages in order of arrival, queued time is right for each of them.
+
+    Args:
+        node: whose /clock.
+        heard: called after each message of it.
+    """
+    # There is no public way to this subscription, and rclpy allows no QoS overrides for it.
+    time_source = node._time_source
+    if time_source._clock_sub is None:
+        return
+
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from rosgraph_msgs.msg import Clock
+
+    def take(message: Clock) -> None:
+        time_source.clock_callback(message)
+        heard()
+
+    node.destroy_subscription(time_source._clock_sub)
+    time_source._clock_sub = node.create_subscription(
+        Clock,
+        "/clock",
+        take,
+        QoSProfile(depth=CLOCK_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
+    )

@@ -21,7 +21,7 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.files import DISK, Files
+from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.adapter import Adapter
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.replay import ReplayRun, ReplaySummary, Watcher, match_inputs

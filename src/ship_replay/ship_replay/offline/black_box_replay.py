@@ -28,7 +28,7 @@ from ship_node.black_box.black_box_format import (
     Tick,
     event_from_text,
 )
-from ship_node.documents.files import FileUse
+from ship_node.documents.saved_document import FileUse
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import suite_text

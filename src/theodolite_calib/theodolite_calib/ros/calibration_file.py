@@ -7,8 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.files import DISK, Files
-from ship_node.documents.saved_document import SavedFormat, finite_numbers, joint_covariance, section, stamp_ns
+from ship_node.documents.saved_document import (
+    DISK,
+    Files,
+    SavedFormat,
+    finite_numbers,
+    joint_covariance,
+    section,
+    stamp_ns,
+)
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior
 
 _SAVED = SavedFormat("optical_axis calibration", 1, "calibration")

@@ -1,4 +1,4 @@
-"""A node that is behind sees the time that belongs to each message, not the newest."""
+"""Ticks and the time of waiting; a node that is behind sees the time that belongs to each message, not the newest."""
 
 import time
 
@@ -9,9 +9,8 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32
 
-from ship_node.live.clock_queue import CLOCK_DEPTH, queue_clock
+from ship_node.live.node_clock import CLOCK_DEPTH, TickGrid, WaitingClock, queue_clock
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
 COUNT = 200
 
 
@@ -24,6 +23,8 @@ def context(monkeypatch):
     rclpy.shutdown(context=context)
 
 
+@pytest.mark.live
+@pytest.mark.xdist_group("dds")
 def test_each_message_is_handled_at_its_own_time(context):
     sim_time = [Parameter("use_sim_time", value=True)]
     node = rclpy.create_node("behind", context=context, parameter_overrides=sim_time)
@@ -58,6 +59,8 @@ def test_each_message_is_handled_at_its_own_time(context):
     assert seen == {number: number * 10**9 for number in range(1, COUNT)}
 
 
+@pytest.mark.live
+@pytest.mark.xdist_group("dds")
 def test_wall_time_stays_as_it_is(context):
     node = rclpy.create_node("wall", context=context)
     queue_clock(node)
@@ -65,3 +68,44 @@ def test_wall_time_stays_as_it_is(context):
     topics = [subscription.topic_name for subscription in node.subscriptions]
     node.destroy_node()
     assert "/clock" not in topics
+
+
+def test_first_call_only_starts_the_grid():
+    assert list(TickGrid(100).due(1050)) == []
+
+
+def test_every_multiple_reached_comes_once():
+    grid = TickGrid(100)
+    list(grid.due(1050))
+    assert list(grid.due(1099)) == []
+    assert list(grid.due(1100)) == [1100]
+    assert list(grid.due(1100)) == []
+    assert list(grid.due(1420)) == [1200, 1300, 1400]
+
+
+def test_time_that_wavers_back_repeats_no_tick():
+    grid = TickGrid(100)
+    list(grid.due(1050))
+    assert list(grid.due(1210)) == [1100, 1200]
+    assert list(grid.due(1190)) == []
+    assert list(grid.due(1300)) == [1300]
+
+
+def test_restart_makes_up_for_nothing():
+    grid = TickGrid(100)
+    list(grid.due(1050))
+    grid.restart(500)
+    assert list(grid.due(700)) == [600, 700]
+
+
+def test_mend_04_waiting_is_the_time_in_which_the_node_listens() -> None:
+    start_ns, steady_ns = 1_700_000_000_000_000_000, 5_000_000_000
+    clock = WaitingClock(lambda: steady_ns)
+    assert clock.now_ns(start_ns) == start_ns
+    steady_ns += 1_200_000_000
+    # It was not asked for so long: the node stood still.
+    assert clock.now_ns(start_ns) == start_ns + 200_000_000
+    steady_ns += 50_000_000
+    # Whatever the system's clock shows.
+    assert clock.now_ns(start_ns - 3600 * 10**9) == start_ns + 250_000_000
+    assert clock.now_ns(start_ns + 3600 * 10**9) == start_ns + 250_000_000
