@@ -224,13 +224,20 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._samples[index].rate_d is not None
 
     def _between(self, left: int, fraction: float) -> InterpolatedAttitude:
-        interval_s = (self._times[left + 1] - self._times[left]) / SECOND_NS
+        """Between two samples, by a cubic in the rotation vector from the first one."""
         first, second = self._samples[left], self._samples[left + 1]
-        start_rate, end_rate = self.rate(left), self.rate(left + 1)
         measured = first.rate_d is not None and second.rate_d is not None
+        start_rate, end_rate = self.rate(left), self.rate(left + 1)
+        # First all that the track says, ...
+        interval_s = self._seconds(left, left + 1)
         value0, slope0, value1, slope1 = hermite_weights(fraction)
         gain = value0 * value0 + value1 * value1 if measured else self._noise_gain(left, fraction)
+        checked = measured and left > 0 and self._joined(left - 1)
+        at_check = -self._seconds(left - 1, left) / interval_s if checked else 0.0
+        _, slope0_check, value1_check, slope1_check = hermite_weights(at_check)
+        # ... then the rotations, ...
         turn = log_rotation(first.rotation_nd.T @ second.rotation_nd)
+        turn_check = log_rotation(first.rotation_nd.T @ self._samples[left - 1].rotation_nd) if checked else turn
         start_slope = start_rate * interval_s
         # d(rotation vector)/dt = J_right^-1 rate, and J_right = J_left^T.
         end_slope = np.linalg.solve(left_jacobian(turn).T, end_rate * interval_s)
@@ -241,33 +248,21 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         )
         rate = left_jacobian(vector).T @ derivative / interval_s
         rotation_nd = first.rotation_nd @ exp_rotation(vector)
+        # ... then how far the cubic may be off: with measured slopes, by how far it misses the sample before.
+        errors: tuple[FloatArray, ...]
         if measured:
-            error = self._error_with_rates(left, fraction, start_slope, turn, end_slope)
+            bound = by_third_derivative(6.0 * (start_slope + end_slope) - 12.0 * turn, fraction)
+            miss = turn_check - (slope0_check * start_slope + value1_check * turn + slope1_check * end_slope)
+            errors = (by_miss(miss, at_check, fraction), 0.5 * BESIDE * bound) if checked else (bound,)
         else:
             around = self._around(left)
             values = np.array([self._turn(left, index) for index in around])
             errors = by_polynomial(self._fractions(around, left), values, fraction, vector)
-            error = as_covariance(errors, _LARGEST_VARIANCE)
-        return InterpolatedAttitude(rotation_nd, rate, gain, error)
+        return InterpolatedAttitude(rotation_nd, rate, gain, as_covariance(errors, _LARGEST_VARIANCE))
 
     def _turn(self, first: int, second: int) -> FloatArray:
         """Rotation vector from one sample to another, rad."""
         return log_rotation(self._samples[first].rotation_nd.T @ self._samples[second].rotation_nd)
-
-    def _error_with_rates(
-        self, left: int, fraction: float, start_slope: FloatArray, turn: FloatArray, end_slope: FloatArray
-    ) -> FloatArray:
-        """Covariance of the error of a cubic with measured slopes: by how far it misses the sample before."""
-        third_derivative = 6.0 * (start_slope + end_slope) - 12.0 * turn
-        if left == 0 or not self._joined(left - 1):
-            return as_covariance([by_third_derivative(third_derivative, fraction)], _LARGEST_VARIANCE)
-        before = -self._seconds(left - 1, left) / self._seconds(left, left + 1)
-        _, slope0, value1, slope1 = hermite_weights(before)
-        cubic = slope0 * start_slope + value1 * turn + slope1 * end_slope
-        turn_back = log_rotation(self._samples[left].rotation_nd.T @ self._samples[left - 1].rotation_nd)
-        bound = by_third_derivative(third_derivative, fraction)
-        miss = by_miss(turn_back - cubic, before, fraction)
-        return as_covariance([miss, 0.5 * BESIDE * bound], _LARGEST_VARIANCE)
 
 
 def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: float) -> FloatArray:

@@ -111,7 +111,7 @@ class Exposure:
         """Moments by which the mean over it is found; None where its length is not known."""
         return exposure_nodes(self.exposure_s) if self.exposure_s > 0.0 else None
 
-    @property
+    @cached_property
     def reach_ns(self) -> int:
         """How far from the middle it must be known how telescope and ship turned."""
         return 0 if self.nodes is None else self.nodes.reach_ns

@@ -255,20 +255,17 @@ class OpticalAxisCore:
             return
         covered_ns, too_old_ns = self._tracks.ship_covered_until_ns, self._shell.window.oldest_ns - 1
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
+        if self._waiting[0].sample.time_ns > until_ns:
+            return
+        state = self._shell.state_now()
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
-            reading = self._waiting.popleft()
-            estimate = functools.partial(self._pointing_at, reading)
-            self._shell.put_out(outcome, reading.sample.time_ns, waiting_ns, estimate)
-
-    def _pointing_at(self, reading: _WaitingReading) -> PointingEstimate | None:
-        """The pointing at a reading; None where the ship's attitude has a gap."""
-        sample, doubt = reading
-        state, ship = self._shell.state_now(), self._tracks.ship_at(sample.time_ns)
-        if ship is None:
-            return None
-        if not doubt and self._ship_watch is not None:
-            doubt = self._ship_watch.doubt(sample.time_ns)
-        return self._pointing.estimate(state, sample, ship, doubt)
+            sample, doubt = self._waiting.popleft()
+            if not doubt and self._ship_watch is not None:
+                doubt = self._ship_watch.doubt(sample.time_ns)
+            ship = self._tracks.ship_at(sample.time_ns)
+            if ship is not None:
+                estimate = functools.partial(self._pointing.estimate, state, sample, ship, doubt)
+                self._shell.put_out(outcome, sample.time_ns, waiting_ns, estimate)
 
 
 def _encoder_limits(config: OpticalAxisConfig) -> tuple[float, float]:

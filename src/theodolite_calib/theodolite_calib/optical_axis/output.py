@@ -111,11 +111,11 @@ class PointingOutput:
         """
         if self._corrected is None or self._corrected.state is not state:
             self._corrected = CorrectedAxis(self._filter, state)
-        azimuth, elevation = sample.vector.tolist()
-        axis = self._corrected.at(sample.time_ns, ship, EncoderAt(azimuth, elevation, sample.sigma**2))
         recent = state.used_ns is not None and sample.time_ns - state.used_ns <= self._recent_ns
         mode = Mode.ENCODER if not recent else Mode.ONE_LIGHT if state.light_count == 1 else Mode.TWO_LIGHTS
         status, text = self._worth(state, mode, ship.status, doubt)
+        azimuth, elevation = sample.vector.tolist()
+        axis = self._corrected.at(sample.time_ns, ship, EncoderAt(azimuth, elevation, sample.sigma**2))
         return PointingEstimate(
             time_ns=sample.time_ns,
             rotation_nm=axis.rotation_nm,
