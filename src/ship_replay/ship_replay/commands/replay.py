@@ -55,7 +55,8 @@ def _parser() -> CommandParser:
         "--verify",
         action="store_true",
         help="compare with the outputs in IN.mcap, diagnostics and health aside; tells the first difference: topic, "
-        "stamp (UTC and ns), field, both values (SI units, rad)",
+        "stamp (UTC and ns), field, both values (SI units, rad). A black box is promised to be equal with the version "
+        "of the suite and on the kind of machine that wrote it",
     )
     add_force(parser)
     return parser
