@@ -70,7 +70,8 @@ class AttitudeEstimate:
         time_ns: moment of validity.
         rotation_nd: horizon from deck, shape (3, 3); NaN where no attitude is claimed.
         covariance_parts_n: error covariance by source, rotation vector in the horizon frame, rad²,
-            shape (n_sources, 3, 3); the covariance is their sum.
+            shape (n_sources, 3, 3).
+        covariance_n: error covariance: the sum of the parts, shape (3, 3).
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         status: how far it can be relied on.
         horizon: what "up" means.
@@ -81,17 +82,12 @@ class AttitudeEstimate:
     time_ns: int
     rotation_nd: FloatArray
     covariance_parts_n: FloatArray
+    covariance_n: FloatArray
     rate_d: FloatArray
     status: Status
     horizon: Horizon
     sources: tuple[str, ...]
     star_age_s: float
-
-    @property
-    def covariance_n(self) -> FloatArray:
-        """Error covariance, rotation vector in the horizon frame, rad², shape (3, 3)."""
-        total: FloatArray = self.covariance_parts_n.sum(axis=0)
-        return total
 
 
 AttitudeOutcome = Outcome[AttitudeDecision, AttitudeEstimate]

@@ -12,8 +12,10 @@ from ship_estimation.outcome import Status
 from ship_estimation.state import lasting
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
+from ship_geometry.sample_track import SECOND_NS
 
-_SECOND_NS = 1_000_000_000
+_ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
+"""Columns of the states that correct an INS attitude: its slow error (north, up, east) and its time offset."""
 
 
 class CorrectedIns:
@@ -24,61 +26,64 @@ class CorrectedIns:
     Args:
         filter_: the filter and its model.
         state: its state after the last measurement.
+
+    Attributes:
+        state: the same.
+        time_offset_s: estimated tau, on top of the configured constant, s.
     """
 
     def __init__(self, filter_: ShipFilter, state: FilterState) -> None:
         self.state = state
-        self._model = filter_.model
-        rows = np.r_[self._model.rows("ins.attitude"), self._model.rows("ins.time_offset")]
-        self._attitude_rows = rows[:3]
-        self._mean = state.mean[rows]
+        model, slow = filter_.model, filter_.model.blocks["ins.attitude"]
+        rows = np.r_[model.rows("ins.attitude"), model.rows("ins.time_offset")]
+        self._error_n = state.mean[rows][_ATTITUDE]
+        self.time_offset_s = float(state.mean[rows][_TIME_OFFSET])
         self._parts = state.parts[:, rows[:, None], rows]
-        self._drift_index = self._model.sources.index(self._model.blocks["ins.attitude"].source)
-        self._white_index = self._model.sources.index(SOURCE_INS_NOISE)
-        self._interpolation_index = self._model.sources.index(SOURCE_INTERPOLATION)
-        self._lasting = lasting(self._mean[:3], self._model.blocks["ins.attitude"].sigma)
+        self._drift_index = model.sources.index(slow.source)
+        self._white_index = model.sources.index(SOURCE_INS_NOISE)
+        self._interpolation_index = model.sources.index(SOURCE_INTERPOLATION)
+        self._lasting = lasting(self._error_n, slow.sigma)
+        self._correlation_time_s, self._steady_variance = slow.time_s, slow.sigma**2
         self._newest_star_ns = _newest_star_ns(filter_, state)
-        self._white_variance = self._model.blocks["ins.noise"].sigma ** 2
+        self._white_variance = model.blocks["ins.noise"].sigma ** 2
 
-    @property
-    def time_offset_s(self) -> float:
-        """Estimated tau, on top of the configured constant, s."""
-        return float(self._mean[3])
+    def attitude(self, since_s: float | FloatArray, ins: InterpolatedAttitude) -> tuple[FloatArray, FloatArray]:
+        """Attitude and its covariance parts, horizon frame, rad², shapes (..., 3, 3), (..., n_sources, 3, 3).
 
-    def attitude(self, time_ns: int, ins: InterpolatedAttitude) -> tuple[FloatArray, FloatArray]:
-        """Attitude and its covariance parts, horizon frame, rad², shapes (3, 3), (n_sources, 3, 3).
+        The result depends on the arguments and the state alone. The arguments may be stacks: the leading axes (...) of
+        ``since_s`` and of every array in ``ins`` are the same. A stack gives what the single calls give, but for the
+        rounding of a rotation (1e-15).
 
         Args:
-            time_ns: the moment.
+            since_s: time from the state to the moment, at least 0, s, shape (...).
             ins: the INS's attitude of that moment (its samples moved by tau).
         """
-        since_ns = self.state.time_ns if self.state.time_ns is not None else time_ns
-        decay, noise = self._model.transition(max(time_ns - since_ns, 0) * 1e-9)
-        decay = decay[self._attitude_rows]
-        error = np.where(self._lasting, self._mean[:3], decay * self._mean[:3])
-        correction = exp_rotation(error)
-        # At the INS's rate; of single matrices the method takes half the time of the operator.
-        rotation_nd = correction.dot(ins.rotation_nd)
+        decay = np.exp(-np.asarray(since_s)[..., None] / self._correlation_time_s)
+        drift_variance = self._steady_variance * (1.0 - decay * decay)
+        error_n = np.where(self._lasting, self._error_n, decay * self._error_n)
+        correction = exp_rotation(error_n)
+        rotation_nd: FloatArray = correction @ ins.rotation_nd
 
         # Errors now, from errors at the state's moment.
-        jacobian = np.empty((3, 4))
-        jacobian[:, :3] = left_jacobian(error)
-        jacobian[:, 3] = -rotation_nd.dot(ins.rate_d)
-        propagated = jacobian.copy()
-        propagated[:, :3] *= decay
-        parts = propagated @ self._parts @ propagated.T
-        drift = jacobian[:, :3] * np.sqrt(noise[self._attitude_rows])
-        parts[self._drift_index] += drift.dot(drift.T)
-        white = correction * np.sqrt(self._white_variance * ins.noise_gain)
-        parts[self._white_index] += white.dot(white.T)
-        parts[self._interpolation_index] += rotation_nd.dot(ins.error_covariance_d).dot(rotation_nd.T)
+        by_error = left_jacobian(error_n)
+        by_state = np.empty((*rotation_nd.shape[:-1], 4))
+        by_state[..., _ATTITUDE] = by_error * decay[..., None, :]
+        by_state[..., _TIME_OFFSET] = -(rotation_nd @ ins.rate_d[..., None])[..., 0]
+        by_state = by_state[..., None, :, :]  # the same for every source
+        parts: FloatArray = by_state @ self._parts @ np.swapaxes(by_state, -1, -2)
+        parts[..., self._drift_index, :, :] += _scaled_square(by_error, drift_variance)
+        white_variance = self._white_variance * np.asarray(ins.noise_gain)[..., None]
+        parts[..., self._white_index, :, :] += _scaled_square(correction, white_variance)
+        interpolated = rotation_nd @ ins.error_covariance_d @ np.swapaxes(rotation_nd, -1, -2)
+        parts[..., self._interpolation_index, :, :] += interpolated
         return rotation_nd, parts
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
         """The attitude at the stamp of an INS sample, with its status."""
-        rotation_nd, parts = self.attitude(time_ns, ins)
-        recent_ns = time_ns - config.coasting_after_s * _SECOND_NS
-        used = sorted(source for source, used_ns in self.state.used_ns.items() if used_ns >= recent_ns)
+        since_ns = 0 if self.state.time_ns is None else max(time_ns - self.state.time_ns, 0)
+        rotation_nd, parts = self.attitude(since_ns * 1e-9, ins)
+        recent_ns = time_ns - config.coasting_after_s * SECOND_NS
+        used = sorted([source for source, used_ns in self.state.used_ns.items() if used_ns >= recent_ns])
         star_age_s = _age_s(self._newest_star_ns, time_ns)
         if math.isnan(star_age_s) or self.state.jumped:
             status = Status.DEGRADED
@@ -89,8 +94,22 @@ class CorrectedIns:
         # NaN compares false: before the first star the horizon is the INS's own.
         horizon = Horizon.GEODETIC if star_age_s <= config.ins.tilt_time_s else Horizon.GRAVITY
         return AttitudeEstimate(
-            time_ns, rotation_nd, parts, ins.rate_d, status, horizon, ("ins", *used), star_age_s
+            time_ns=time_ns,
+            rotation_nd=rotation_nd,
+            covariance_parts_n=parts,
+            covariance_n=parts.sum(axis=0),
+            rate_d=ins.rate_d,
+            status=status,
+            horizon=horizon,
+            sources=("ins", *used),
+            star_age_s=star_age_s,
         )
+
+
+def _scaled_square(matrix: FloatArray, variance: FloatArray) -> FloatArray:
+    """Matrix @ diag(variance) @ matrix^T, shape (..., 3, 3), for matrices (..., 3, 3) and variances (..., 3)."""
+    root = matrix * np.sqrt(variance)[..., None, :]
+    return root @ np.swapaxes(root, -1, -2)
 
 
 def estimate_from_star(
@@ -115,6 +134,7 @@ def estimate_from_star(
         time_ns=measurement.time_ns,
         rotation_nd=rotation_nd,
         covariance_parts_n=parts,
+        covariance_n=parts.sum(axis=0),
         rate_d=np.full(3, np.nan),
         status=Status.DEGRADED,
         horizon=Horizon.GEODETIC,
@@ -129,6 +149,7 @@ def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int) -> Attitud
         time_ns=now_ns,
         rotation_nd=np.full((3, 3), np.nan),
         covariance_parts_n=np.full((len(filter_.model.sources), 3, 3), np.nan),
+        covariance_n=np.full((3, 3), np.nan),
         rate_d=np.full(3, np.nan),
         status=Status.INVALID,
         horizon=Horizon.GRAVITY,
@@ -145,4 +166,4 @@ def _newest_star_ns(filter_: ShipFilter, state: FilterState) -> int | None:
 
 def _age_s(since_ns: int | None, time_ns: int) -> float:
     """Time since a moment; NaN where there was none."""
-    return float("nan") if since_ns is None else (time_ns - since_ns) / _SECOND_NS
+    return float("nan") if since_ns is None else (time_ns - since_ns) / SECOND_NS
