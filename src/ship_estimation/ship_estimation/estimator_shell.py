@@ -167,13 +167,6 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         if clock_jumped:
             self.order.restart()
 
-    def state_now(self) -> State:
-        """The state for outputs: jumps count at once, also where measurements of before them still wait."""
-        if not self._log.waiting:
-            return self.state
-        openings = [item for item in self._log.not_applied() if isinstance(item, _Opening)]
-        return functools.reduce(lambda state, opening: self._model.opened(state, opening.jump), openings, self.state)
-
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def add(self, measurement: Measured, outcome: Outcome[Judged, Estimate]) -> bool:
@@ -196,7 +189,9 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         if known is not None:
             taken, outcome.refusal = same_stamp(known, sample)
         if taken:
-            self.data_changed(track.insert(sample))
+            changed_after_ns = track.insert(sample)
+            if changed_after_ns is not None:
+                self.data_changed(changed_after_ns)
             self._advance(sample.time_ns, outcome)
         return taken
 
@@ -204,13 +199,12 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         """A source has jumped at a moment: the state after it is open by as much."""
         self._log.insert((time_ns, source), _Opening(jump))
 
-    def data_changed(self, after_ns: int | None) -> None:
-        """Samples after a stamp have changed, or none where it is None: compare anew, soon, what they matter to."""
-        if after_ns is not None:
-            self.rewind_where(lambda decision: self._model.until_ns(decision) > after_ns)
+    def data_changed(self, after_ns: int) -> None:
+        """Samples after a stamp have changed: at the next :meth:`apply`, compare anew what they matter to."""
+        self.rewind_where(lambda decision: self._model.until_ns(decision) > after_ns)
 
     def rewind_where(self, affected: Callable[[Judged], bool]) -> None:
-        """Apply again, at the next advance, from the first measurement whose decision is affected."""
+        """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
         self._log.rewind_where(lambda verdict: not isinstance(verdict, _Opening) and affected(verdict))
 
     def apply(self, outcome: Outcome[Judged, Estimate]) -> None:
@@ -254,7 +248,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         outcome: Outcome[Judged, Estimate],
         time_ns: int,
         waiting_ns: int,
-        estimate: Callable[[], Estimate | None],
+        estimate: Callable[[State], Estimate | None],
         patience_ns: int = SECOND_NS,
     ) -> None:
         """Put out the estimate of a moment that is later than all before, where there is one.
@@ -265,19 +259,26 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
             outcome: takes the estimate.
             time_ns: the moment.
             waiting_ns: the time of waiting.
-            estimate: computes it.
+            estimate: computes it from the state now; None where there is none.
             patience_ns: how long the next one may take before INVALID is said.
         """
         if not self.order.follows(time_ns):
             return
         try:
-            found = estimate()
+            found = estimate(self._state_now())
         except Exception as error:
             outcome.failures.append((time_ns, failure(error)))
             return
         if found is not None:
             outcome.estimates.append(found)
             self.order.claimed(time_ns, waiting_ns, patience_ns)
+
+    def _state_now(self) -> State:
+        """The state for outputs: jumps count at once, also where measurements of before them still wait."""
+        if not self._log.waiting:
+            return self.state
+        openings = [item for item in self._log.not_applied() if isinstance(item, _Opening)]
+        return functools.reduce(lambda state, opening: self._model.opened(state, opening.jump), openings, self.state)
 
     def say_invalid(
         self, outcome: Outcome[Judged, Estimate], waiting_ns: int, nothing: Callable[[], Estimate]

@@ -1,4 +1,4 @@
-"""A jump of the INS's attitude that is believed, as the filters apply it: like a measurement, at its own time."""
+"""A jump of the INS's attitude that is believed, as the filters apply it: at its own time, among the measurements."""
 
 import math
 from dataclasses import dataclass
@@ -16,8 +16,6 @@ class InsJump:
         time_ns: just before the first sample after the jump.
         jump_n: the jump, rotation vector in the horizon frame, rad, shape (3,).
         sigma_rad: standard deviation of the jump about each axis.
-        source: ``ins``.
-        covariance_known: True: the covariance of a jump is always known.
 
     >>> jump = InsJump(time_ns=0, jump_n=np.array([0.0, 0.1, 0.0]), sigma_rad=0.001)
     >>> [round(float(sigma), 3) for sigma in np.sqrt(np.diagonal(jump.covariance_n))]
@@ -27,8 +25,6 @@ class InsJump:
     time_ns: int
     jump_n: FloatArray
     sigma_rad: float
-    source: str = "ins"
-    covariance_known: bool = True
 
     @property
     def covariance_n(self) -> FloatArray:
@@ -40,7 +36,3 @@ class InsJump:
         across_rad = math.hypot(self.sigma_rad, 0.5 * float(self.jump_n @ self.jump_n))
         covariance_n: FloatArray = np.outer(self.jump_n, self.jump_n) + across_rad**2 * np.eye(3)
         return covariance_n
-
-    def content(self) -> bytes:
-        """All values as bytes."""
-        return self.jump_n.tobytes()

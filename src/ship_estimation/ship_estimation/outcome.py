@@ -42,6 +42,11 @@ class Measurement(Protocol):
         """False where the message gave none and the configured sigma stands in."""
         ...
 
+    @property
+    def reach_ns(self) -> int:
+        """Data up to this long before and after the stamp belong to it: half of an exposure; mostly 0."""
+        ...
+
     def content(self) -> bytes:
         """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
         ...
@@ -56,7 +61,8 @@ class Decision(Generic[Measured]):
 
     Attributes:
         measurement: the measurement itself.
-        reason: why it was not used; NONE where it was.
+        reason: why it was not used, or what was wrong with it although it was; NONE where nothing is to be said.
+        accepted: True where the measurement entered the estimate.
         components: names of the residuals.
         residual: measured minus predicted, rad, shape (m,); empty where the measurement was not compared at all.
         sigma: predicted standard deviation of each component of the residual, rad, shape (m,).
@@ -69,6 +75,7 @@ class Decision(Generic[Measured]):
 
     measurement: Measured
     reason: Reason
+    accepted: bool = False
     components: tuple[str, ...] = ()
     residual: FloatArray = field(default_factory=lambda: np.empty(0))
     sigma: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -77,11 +84,6 @@ class Decision(Generic[Measured]):
     text: str = ""
     left_out: tuple[tuple[str, Refusal], ...] = ()
     revised: bool = False
-
-    @property
-    def accepted(self) -> bool:
-        """True where the measurement entered the estimate."""
-        return self.reason is Reason.NONE
 
 
 Judged = TypeVar("Judged", bound=Decision[Measurement])

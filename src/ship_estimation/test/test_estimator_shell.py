@@ -29,6 +29,7 @@ class Toy:
     value: float
     source: str = "toy"
     covariance_known: bool = True
+    reach_ns: int = 0
 
     def content(self) -> bytes:
         return np.float64(self.value).tobytes()
@@ -64,7 +65,7 @@ class Estimator:
             return state, Decision(toy, Reason.GATE)
         before = self.track.last_before(toy.time_ns)
         added = 0.0 if before is None else float(before.vector[0])
-        return math.cos(1.7 * state) + toy.value / 3.0 + added, Decision(toy, Reason.NONE)
+        return math.cos(1.7 * state) + toy.value / 3.0 + added, Decision(toy, Reason.NONE, accepted=True)
 
     def add(self, toy: Toy) -> ToyOutcome:
         outcome = ToyOutcome(self.shell.window.late(toy.time_ns))
@@ -80,6 +81,13 @@ class Estimator:
 
 def toy(time_ms: int, value: float = 0.5, source: str = "toy") -> Toy:
     return Toy(time_ms * MS, value, source)
+
+
+def state_for_outputs(estimator: Estimator) -> float:
+    outcome = ToyOutcome()
+    estimator.shell.order.restart()
+    estimator.shell.put_out(outcome, 0, 0, lambda state: state)
+    return outcome.estimates[0]
 
 
 def test_what_is_older_than_the_lag_is_refused_and_says_by_how_much() -> None:
@@ -124,7 +132,7 @@ def test_a_decision_that_turns_out_otherwise_is_told_as_revised() -> None:
     gate = {"open": True}
 
     def step(state: float, measurement: Toy, may_wait: bool) -> tuple[float, Decision[Toy]]:
-        return state, Decision(measurement, Reason.NONE if gate["open"] else Reason.GATE)
+        return state, Decision(measurement, Reason.NONE if gate["open"] else Reason.GATE, gate["open"])
 
     shell: Shell = EstimatorShell(
         Model(
@@ -145,7 +153,6 @@ def test_a_decision_that_turns_out_otherwise_is_told_as_revised() -> None:
     shell.apply(outcome)
     assert [(decision.revised, decision.accepted) for decision in outcome.decisions] == [(True, False)]
     outcome = ToyOutcome()
-    shell.data_changed(None)
     shell.data_changed(20 * MS)
     shell.apply(outcome)
     assert outcome.decisions == []
@@ -205,12 +212,12 @@ def test_a_jump_counts_for_outputs_at_once_and_for_the_state_at_its_place() -> N
     estimator.add(toy(20))
     estimator.shell.add_jump(25 * MS, "ins", 0.5)
     assert estimator.shell.state == before
-    assert estimator.shell.state_now() == math.cos(before) + 0.5
+    assert state_for_outputs(estimator) == math.cos(before) + 0.5
     estimator.waits = False
     outcome = ToyOutcome()
     estimator.shell.apply(outcome)
     assert [decision.measurement.time_ns // MS for decision in outcome.decisions] == [20]
-    assert estimator.shell.state == estimator.shell.state_now()
+    assert estimator.shell.state == state_for_outputs(estimator)
     in_order = Estimator()
     in_order.add(toy(10))
     in_order.add(toy(20))
@@ -262,15 +269,15 @@ def test_any_order_of_arrival_ends_in_the_same_state_with_all_that_can_go_wrong_
 def test_outputs_that_claim_something_strictly_increase_and_one_that_fails_is_told() -> None:
     estimator, outcome = Estimator(), ToyOutcome()
     for time_ms in (10, 10, 5, 20):
-        estimator.shell.put_out(outcome, time_ms * MS, 0, lambda time_ms=time_ms: float(time_ms))
+        estimator.shell.put_out(outcome, time_ms * MS, 0, lambda state, time_ms=time_ms: float(time_ms))
     assert outcome.estimates == [10.0, 20.0]
 
-    def fails() -> float:
+    def fails(state: float) -> float:
         raise ArithmeticError("no root")
 
     estimator.shell.put_out(outcome, 30 * MS, 0, fails)
-    estimator.shell.put_out(outcome, 31 * MS, 0, lambda: None)
-    estimator.shell.put_out(outcome, 30 * MS, 0, lambda: 30.0)
+    estimator.shell.put_out(outcome, 31 * MS, 0, lambda state: None)
+    estimator.shell.put_out(outcome, 30 * MS, 0, lambda state: 30.0)
     assert outcome.estimates == [10.0, 20.0, 30.0]
     ((time_ns, refusal),) = outcome.failures
     assert (time_ns, refusal.reason) == (30 * MS, Reason.FAILED)
@@ -281,7 +288,7 @@ def test_invalid_is_said_once_a_second_after_the_patience_whatever_the_stamps_sa
     estimator = Estimator()
     patience_ns = round(patience_s * SECOND_NS)
     outcome = ToyOutcome()
-    estimator.shell.put_out(outcome, 10**18, 0, lambda: 1.0, patience_ns)
+    estimator.shell.put_out(outcome, 10**18, 0, lambda state: 1.0, patience_ns)
     said = []
     for waiting_ns in range(0, 8 * SECOND_NS, 100 * MS):
         outcome = ToyOutcome()
@@ -295,7 +302,7 @@ def test_invalid_is_said_once_a_second_after_the_patience_whatever_the_stamps_sa
 def test_a_clock_that_jumps_back_lets_earlier_outputs_follow_and_a_reset_alone_does_not() -> None:
     estimator, outcome = Estimator(), ToyOutcome()
     estimator.add(toy(10))
-    estimator.shell.put_out(outcome, 10 * MS, 0, lambda: 1.0)
+    estimator.shell.put_out(outcome, 10 * MS, 0, lambda state: 1.0)
     estimator.shell.reset(START)
     assert estimator.shell.state == START
     assert not estimator.shell.order.follows(5 * MS)

@@ -44,6 +44,7 @@ class InertialAttitude:
     rotation_cs: FloatArray
     noise_s: FloatArray
     covariance_known: bool = True
+    reach_ns = 0  # an attitude is that of its moment
     field: FieldOfView = AT_BORESIGHT
 
     def content(self) -> bytes:

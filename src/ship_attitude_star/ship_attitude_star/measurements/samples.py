@@ -39,6 +39,7 @@ class AttitudeMeasurement:
     common_n: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     covariance_known: bool = True
     shared_n: FloatArray | None = None
+    reach_ns = 0  # an attitude is that of its moment
 
     def content(self) -> bytes:
         """All values as bytes: equal for a repeated message, and an order for conflicting ones."""

@@ -25,7 +25,7 @@ from ship_attitude_star.ship_attitude.alignment import (
 )
 from ship_attitude_star.ship_attitude.comparison import attitude_alone
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter, reach_ns
+from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
 from ship_attitude_star.ship_attitude.output import CorrectedIns, estimate_from_star, no_estimate
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.estimator_shell import SECOND_NS, EstimatorShell, Model
@@ -60,7 +60,7 @@ class ShipAttitudeCore:
             step=self._step,
             opened=self._opened,
             failed=_failed,
-            until_ns=lambda decision: decision.ins_time_ns + reach_ns(decision.measurement),
+            until_ns=lambda decision: decision.ins_time_ns + decision.measurement.reach_ns,
             forget_before=self._forget_before,
         )
         self._shell: EstimatorShell[FilterState, Measurement, AttitudeDecision, InsJump, AttitudeEstimate]
@@ -110,24 +110,27 @@ class ShipAttitudeCore:
         judged = self._guards.ins.judge(sample, self._track, self._guards.witnesses)
         if judged.rates_wrong_after_ns is not None:
             # What was compared by rates that were none is compared anew without them.
-            self._shell.data_changed(self._track.forget_rates(judged.rates_wrong_after_ns))
-            self._shell.apply(outcome)
+            changed_after_ns = self._track.forget_rates(judged.rates_wrong_after_ns)
+            if changed_after_ns is not None:
+                self._shell.data_changed(changed_after_ns)
+                self._shell.apply(outcome)
         if judged.refusal is not None:
             outcome.refusal = judged.refusal
             return outcome
         if judged.jump is not None:
-            self._shell.add_jump(judged.jump.time_ns, judged.jump.source, judged.jump)
+            self._shell.add_jump(judged.jump.time_ns, "ins", judged.jump)
             self._track.cut(judged.jump.time_ns)
         if not self._shell.add_sample(self._track, judged.sample, outcome):
             return outcome
         # An attitude that is moved by a clock offset needs its rate. Without it the sample leads to nothing.
-        movable = self._track.newest_rate_known or self.state.time_ns is None
-        if self._track.newest is judged.sample and movable:
+        if self._track.newest is judged.sample and (self._track.newest_rate_known or self.state.time_ns is None):
             self._ins_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
             if estimate:
-                self._shell.put_out(
-                    outcome, sample.time_ns, self._ins_arrival_ns, self._estimate_by_newest_ins, self._silence_ns
-                )
+
+                def by_ins(state: FilterState) -> AttitudeEstimate:
+                    return self._estimate_by_newest_ins(state, sample.time_ns)
+
+                self._shell.put_out(outcome, sample.time_ns, self._ins_arrival_ns, by_ins, self._silence_ns)
         return outcome
 
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
@@ -213,14 +216,12 @@ class ShipAttitudeCore:
 
     # -- outputs --------------------------------------------------------------------------------------------
 
-    def _estimate_by_newest_ins(self) -> AttitudeEstimate:
-        """The attitude at the stamp of the newest INS sample."""
-        state, newest = self._shell.state_now(), self._track.newest
-        assert newest is not None
+    def _estimate_by_newest_ins(self, state: FilterState, time_ns: int) -> AttitudeEstimate:
+        """The attitude at the stamp of the newest INS sample, by a state of the filter."""
         if state is not self._corrected.state:
             self._corrected = CorrectedIns(self.filter, state)
         moved_s = -(self.config.ins.time_offset_s + self._corrected.time_offset_s)
-        return self._corrected.estimate(newest.time_ns, self._track.newest_moved(moved_s), self.config)
+        return self._corrected.estimate(time_ns, self._track.newest_moved(moved_s), self.config)
 
     def _carry(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
         """With the INS gone, put out the attitude by the newest star measurement, once, while it is young."""
@@ -230,7 +231,7 @@ class ShipAttitudeCore:
         if waiting_ns - arrival_ns > SECOND_NS:
             return
 
-        def by_star() -> AttitudeEstimate | None:
+        def by_star(_state: FilterState) -> AttitudeEstimate | None:
             untold = np.deg2rad(self.config.ins.untold_acceleration_deg_per_s2)
             attitude = attitude_alone(measurement, self._watch, float(untold))
             return None if attitude is None else estimate_from_star(self.filter, self.state, attitude)

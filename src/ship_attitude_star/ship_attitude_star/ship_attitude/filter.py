@@ -155,7 +155,7 @@ class ShipFilter:
             The next state and the decision; None where samples that may still come belong to the measurement.
         """
         ins_time_ns = self.ins_time_ns(state, measurement)
-        if may_wait and not track.covers(ins_time_ns + reach_ns(measurement)):
+        if may_wait and not track.covers(ins_time_ns + measurement.reach_ns):
             return None
         ins = track.at(ins_time_ns)
         if ins is None:
@@ -180,6 +180,7 @@ class ShipFilter:
         decision = AttitudeDecision(
             measurement=measurement,
             reason=Reason.NONE,
+            accepted=True,
             ins_time_ns=ins_time_ns,
             residual=linear.residual,
             sigma=np.sqrt(np.diagonal(covariance)),
@@ -313,12 +314,7 @@ class ShipFilter:
         if self._gate.reopen_after and run % self._gate.reopen_after == 0:
             state = replace(state, parts=state.parts * self._gate.reopen_factor)
             text += f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
-        return state, replace(decision, reason=reason, text=text)
-
-
-def reach_ns(measurement: Measurement) -> int:
-    """How far from its moment the INS must be known to compare a measurement with it."""
-    return measurement.reach_ns if isinstance(measurement, StarExposure) else 0
+        return state, replace(decision, reason=reason, accepted=False, text=text)
 
 
 def _with(mapping: MappingProxyType[str, Value], key: str, value: Value) -> MappingProxyType[str, Value]:

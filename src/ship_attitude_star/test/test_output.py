@@ -1,0 +1,47 @@
+"""The attitude that is put out: a function of state and samples that takes one sample or a stack of them."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
+from ship_attitude_star.ship_attitude.output import CorrectedIns
+from ship_estimation.parameters import build
+from ship_geometry.attitude_track import InterpolatedAttitude
+from ship_geometry.rotations import ARCSEC
+
+FILTER = ShipFilter(
+    build(ShipAttitudeConfig, {"star_sensors": {"fore": {"azimuth_deg": 10.0, "elevation_deg": 40.0}}})
+)
+SAMPLES = 40
+
+
+@pytest.mark.parametrize("sigma_rad", [30.0 * ARCSEC, 0.1], ids=["as aboard", "large errors"])
+def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -> None:
+    rng = np.random.default_rng(7)
+    initial = FILTER.initial_state()
+    root = rng.normal(scale=sigma_rad, size=initial.parts.shape)
+    mean = rng.normal(scale=sigma_rad, size=FILTER.model.size)
+    state = FilterState(1_000_000_000, mean, root @ root.transpose(0, 2, 1))
+    corrected = CorrectedIns(FILTER, state)
+    since_s = np.concatenate([[0.0], rng.uniform(0.0, 1e4, SAMPLES - 1)])
+    lower = rng.normal(scale=1e-5, size=(SAMPLES, 3, 3))
+    stack = InterpolatedAttitude(
+        rotation_nd=Rotation.random(SAMPLES, random_state=7).as_matrix(),
+        rate_d=rng.normal(scale=0.1, size=(SAMPLES, 3)),
+        noise_gain=rng.uniform(0.3, 1.0, SAMPLES),  # type: ignore[arg-type]
+        error_covariance_d=lower @ lower.transpose(0, 2, 1),
+    )
+    rotations, parts = corrected.attitude(since_s, stack)
+    assert rotations.shape == (SAMPLES, 3, 3)
+    assert parts.shape == (SAMPLES, len(FILTER.model.sources), 3, 3)
+    for row in range(SAMPLES):
+        one = InterpolatedAttitude(
+            stack.rotation_nd[row], stack.rate_d[row], float(stack.noise_gain[row]), stack.error_covariance_d[row]
+        )
+        rotation, of_one = corrected.attitude(float(since_s[row]), one)
+        assert rotations[row] == pytest.approx(rotation, rel=0.0, abs=1e-15)
+        # Each part to some units in the last place of its largest element.
+        largest = np.abs(of_one).max(axis=(-2, -1), keepdims=True)
+        assert np.all(np.abs(parts[row] - of_one) <= 1e-14 * largest)
