@@ -49,7 +49,7 @@ def test_mend_02_an_exposure_on_which_the_filter_raises_is_left_out(monkeypatch:
 
 def test_mend_02_a_pointing_that_cannot_be_computed_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     clean, bad_ns = clean_run(), session()[index_at(session(), ENCODER, MOMENT_S)].stamp_ns
-    bad = failing_where(lambda _, state, sample, *rest: sample.time_ns == bad_ns, PointingOutput.estimate)
+    bad = failing_where(lambda _, sample, *rest: sample.time_ns == bad_ns, PointingOutput.estimate)
     monkeypatch.setattr(PointingOutput, "estimate", bad)
     run = drive(new_adapter(), session())
     expected = [stamp_of(m) for m in clean.pointings if stamp_of(m) != bad_ns]

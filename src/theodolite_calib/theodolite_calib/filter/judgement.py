@@ -89,7 +89,7 @@ class SightingJudge:
                 exchanged = [f"{sighting.names[j]} is {n}" for n, j in zip(sighting.names, check.order, strict=True)]
                 text = f"lights fit only with names exchanged, and are used so: {', '.join(exchanged)}"
                 decision = judgement.decision
-                decision = replace(decision, reason=Reason.LIGHT_CONFLICT, names_exchanged=True, text=text)
+                decision = replace(decision, reason=Reason.LIGHT_CONFLICT, text=text)
                 return replace(judgement, decision=decision)
         without_one = self._without_one(state, sighting, exposure)
         if without_one is not None:
@@ -133,6 +133,7 @@ class SightingJudge:
         decision = replace(
             self._decision(exposure, sighting, comparison),
             reason=Reason.NONE,
+            accepted=True,
             telescope_dt=(sighting.in_deck(rotation_nt), sigma),
         )
         return Judgement(decision, sighting, comparison)

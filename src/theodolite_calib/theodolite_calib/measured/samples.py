@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from ship_estimation.outcome import Decision, Outcome, Status
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.rotations import FloatArray
@@ -130,21 +130,14 @@ class ExposureDecision(Decision[Exposure]):
     """What became of an exposure.
 
     ``residual`` and ``sigma`` are angles on the sky, two for each light: to the right and up. ``left_out`` are lights.
+    An exposure whose lights had their names exchanged is accepted, with the reason LIGHT_CONFLICT.
 
     Attributes:
-        names_exchanged: True where the exposure was used although its lights were not named right: with other names.
-            The reason is LIGHT_CONFLICT all the same.
         telescope_dt: deck from telescope as the lights have it, shape (3, 3), and the standard deviation about its
             worst axis, rad; None where they do not tell.
     """
 
-    names_exchanged: bool = False
     telescope_dt: tuple[FloatArray, float] | None = None
-
-    @property
-    def accepted(self) -> bool:
-        """True where the exposure entered the estimate."""
-        return self.reason is Reason.NONE or self.names_exchanged
 
 
 @dataclass(frozen=True)

@@ -255,16 +255,13 @@ class OpticalAxisCore:
             return
         covered_ns, too_old_ns = self._tracks.ship_covered_until_ns, self._shell.window.oldest_ns - 1
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
-        if self._waiting[0].sample.time_ns > until_ns:
-            return
-        state = self._shell.state_now()
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
             sample, doubt = self._waiting.popleft()
             if not doubt and self._ship_watch is not None:
                 doubt = self._ship_watch.doubt(sample.time_ns)
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
-                estimate = functools.partial(self._pointing.estimate, state, sample, ship, doubt)
+                estimate = functools.partial(self._pointing.estimate, sample, ship, doubt)
                 self._shell.put_out(outcome, sample.time_ns, waiting_ns, estimate)
 
 

@@ -100,14 +100,14 @@ class PointingOutput:
         self._corrected: CorrectedAxis | None = None
         self._saved = filter_.model.sources.index(SOURCE_SAVED)
 
-    def estimate(self, state: CalibrationState, sample: EncoderSample, ship: ShipAt, doubt: str) -> PointingEstimate:
+    def estimate(self, sample: EncoderSample, ship: ShipAt, doubt: str, state: CalibrationState) -> PointingEstimate:
         """The pointing at a reading.
 
         Args:
-            state: after the last exposure applied.
             sample: the reading.
             ship: of its moment.
             doubt: why the encoders are in doubt; empty where they are not.
+            state: after the last exposure applied.
         """
         if self._corrected is None or self._corrected.state is not state:
             self._corrected = CorrectedAxis(self._filter, state)
