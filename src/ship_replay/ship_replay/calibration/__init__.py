@@ -1,6 +1,6 @@
-"""Installation calibration: a session (a bag) becomes installation angles with their covariance.
+"""What a bag says of the installation of star sensors, and of the sightings that a theodolite's axes are fitted to.
 
-One session walks one way: bag → :mod:`session` (the suite's own nodes) → :mod:`observability` (which combinations of
-the angles it could tell) → :mod:`result` → :mod:`tables`, :mod:`figure`, :mod:`words`, and the alignment file that
-``ship_attitude`` starts from.
+One session walks one way: bag → :mod:`session` (the suite's own nodes) → :mod:`result` (installation angles with their
+covariance, and which combinations of them the session could tell) → :mod:`tables`, :mod:`figure`, and the alignment
+file that ``ship_attitude`` starts from. The room imports ``offline/`` alone.
 """

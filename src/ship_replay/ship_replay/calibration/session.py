@@ -20,6 +20,7 @@ from ship_bags.mcap.bag_reader import Bag, read_bag
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
+from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.adapter import Adapter
@@ -27,7 +28,7 @@ from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.replay import ReplayRun, ReplaySummary, Watcher, match_inputs
 
 _ALIGNMENT_TOPIC = "ship/alignment"
-_IMPROBABLE = "gate", "attitude_conflict"
+_IMPROBABLE = Reason.GATE.word, Reason.ATTITUDE_CONFLICT.word
 """Reasons of refusal that an installation further off than its sigma leads to."""
 
 

@@ -1,1 +1,4 @@
-"""The executables of the package: arguments in, exit codes out. They may import every room; no room imports them."""
+"""What people type: arguments in, lines and exit codes out.
+
+The room imports all other rooms but ``trials/``.
+"""

@@ -10,8 +10,11 @@ from ship_bags.errors import one_line
 from ship_bags.mcap.bag_reader import read_bag
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.preflight.check_bag import check_bag, check_rates, check_trial
-from ship_replay.preflight.check_config import Findings, check_file
+from ship_replay.preflight.check_config import BagCheck, Findings, check_file
 from ship_replay.preflight.check_installation import check_installation, check_telescope
+
+_CHECKS = (check_bag, check_installation, check_telescope, check_rates)
+"""In the order in which they are told."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -42,13 +45,12 @@ def _run(options: argparse.Namespace) -> int:
     nodes = check_file(options.config, ADAPTERS, findings, options.namespace)
     if options.bag is not None and nodes:
         with read_bag(options.bag) as bag:
-            check_bag(options.config, nodes, bag, options.namespace, findings)
-            check_installation(options.config, nodes, bag, options.namespace, findings)
-            check_telescope(options.config, nodes, bag, options.namespace, findings)
-            check_rates(options.config, nodes, bag, options.namespace, findings)
+            check = BagCheck(options.config, nodes, bag, options.namespace, findings)
+            for look in _CHECKS:
+                look(check)
             if not findings.errors:
                 # What is wrong already would only be told a second time, as what follows from it.
-                check_trial(nodes, bag, options.namespace, findings)
+                check_trial(check)
     for line in findings.errors:
         print(f"error: {one_line(line)}", file=sys.stderr)
     for line in findings.warnings:

@@ -1,1 +1,4 @@
-"""What a run was worth: errors against the truth, innovations, shares of status, as tables and figures."""
+"""What a run was worth: errors against the truth, innovations, estimates, as tables and figures, against bounds.
+
+The room reads what nodes have published. It imports ``offline/`` alone.
+"""

@@ -1,5 +1,6 @@
 """What of a bag can be compared with the truth, topic by topic: attitudes of the deck, pointings of the theodolite."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
@@ -52,7 +53,7 @@ class Truth:
         return None if found is None else found.rotation_nd
 
 
-class AttitudeSource:
+class AttitudeSource(ABC):
     """Attitudes of one source at times where the truth is known.
 
     A subclass says in :meth:`take` which rotation and covariance a message stands for.
@@ -71,9 +72,9 @@ class AttitudeSource:
         self._truths: list[FloatArray] = []
         self._covariances: list[FloatArray] = []
 
+    @abstractmethod
     def take(self, message: Any) -> None:
         """Keep a message's attitude where the truth is known."""
-        raise NotImplementedError
 
     def errors(self) -> list[AttitudeErrors]:
         """Errors in order of stamps; none where nothing could be compared."""

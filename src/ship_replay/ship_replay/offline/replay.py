@@ -127,21 +127,28 @@ def replay(
             run.finish()
         last_ns = bag.last_time_ns if run.last_time_ns is None else run.last_time_ns
         for adapter in chain.adapters:
-            health = adapter.health.messages(factory, last_ns)
             config = suite_config(bag, type(adapter), config_path, full_name(adapter.node_name, namespace))
-            for output in adapter.outputs:
-                if output.topic in summary.statuses:
-                    course = summary.statuses[output.topic]
-                    summary.reasons += reasons_for(course, adapter, config, summary.times, health)
-            for topic, counts in adapter.health.refused_and_noted().items():
-                name = topic if len(chain.adapters) == 1 else f"{adapter.node_name}: {topic}"
-                for kept, reasons in zip((summary.refused, summary.noted), counts, strict=True):
-                    if reasons:
-                        kept[name] = {reason.word: count for reason, count in reasons.items()}
+            health = adapter.health.messages(factory, last_ns)
+            _tell_of_node(summary, adapter, config, health, is_alone=len(chain.adapters) == 1)
         summary.problems = left_out + bag.problems
         summary.duration_s = (bag.last_time_ns - bag.start_ns) / NS_PER_S
     summary.elapsed_s = time.monotonic() - started_s
     return summary
+
+
+def _tell_of_node(
+    summary: ReplaySummary, adapter: Adapter, config: Any, health: Sequence[Any], is_alone: bool
+) -> None:
+    """Note why a node's outputs were no better, and what it did not use of its inputs."""
+    for output in adapter.outputs:
+        if output.topic in summary.statuses:
+            course = summary.statuses[output.topic]
+            summary.reasons += reasons_for(course, adapter, config, summary.times, health)
+    for topic, counts in adapter.health.refused_and_noted().items():
+        name = topic if is_alone else f"{adapter.node_name}: {topic}"
+        for kept, reasons in zip((summary.refused, summary.noted), counts, strict=True):
+            if reasons:
+                kept[name] = {reason.word: count for reason, count in reasons.items()}
 
 
 def _usual_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp, utc_text
+from ship_estimation.refusals import Reason
 from ship_node.edge.adapter import Adapter
 from ship_replay.offline.message_times import MessageTimes, exceeded
 from ship_replay.offline.orientations import ORIENTATIONS
@@ -18,7 +19,7 @@ STATUS_WORDS = ("VALID", "COASTING", "DEGRADED", "INVALID")
 STATUS_TOPICS = frozenset(orientation.topic for orientation in ORIENTATIONS)
 
 _POOR = "DEGRADED", "INVALID"
-_NOTED = "covariance_unknown"
+_NOTED = Reason.COVARIANCE_UNKNOWN.word
 """A reason that leaves a message in use."""
 
 _WORTH_A_REASON = 0.01

@@ -1,1 +1,4 @@
-"""What is said before the voyage: where a suite file contradicts itself, a bag, or what the bag shows."""
+"""What is wrong with a suite configuration, by itself and against a bag: said before the voyage.
+
+The room imports ``offline/`` alone.
+"""

@@ -4,20 +4,18 @@ Topics, types and frames; inputs that come too seldom; and what the nodes refuse
 """
 
 import re
-from collections.abc import Collection, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.parameter_yaml import ParameterFile
 from ship_bags.stamps import NS_PER_S
-from ship_bags.topic_names import likely_namespace, relative_topics
+from ship_bags.topic_names import likely_namespace
+from ship_estimation.refusals import Reason
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes, exceeded
 from ship_replay.offline.status_course import hardly_used, most_frequent_refusal
-from ship_replay.preflight.check_config import CheckedNode, Findings
+from ship_replay.preflight.check_config import BagCheck, CheckedNode
 
 _INS_TOPIC = "ins/imu"
 _SENSOR_TOPIC = re.compile(
@@ -28,39 +26,36 @@ _GROUPS = {"star": "star_sensors", "reference": "references"}
 TRIAL_S = 20.0
 _FEWEST = 10
 _OF_THE_CONFIGURATION = frozenset(
-    ("attitude_conflict", "bad_quaternion", "frame", "gate", "light_conflict", "units", "unknown_sensor")
+    reason.word
+    for reason in (
+        Reason.ATTITUDE_CONFLICT,
+        Reason.BAD_QUATERNION,
+        Reason.FRAME,
+        Reason.GATE,
+        Reason.LIGHT_CONFLICT,
+        Reason.UNITS,
+        Reason.UNKNOWN_SENSOR,
+    )
 )
 """Where these refuse all of an input, no change of the weather will mend it."""
 
 
-def check_bag(path: Path, nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings: Findings) -> None:
-    """Check a configuration against the topics of a bag: presence, type, definition, frame_id.
-
-    Args:
-        path: file of the configuration.
-        nodes: what it is about.
-        bag: a bag recorded with the sensors of the voyage.
-        namespace: namespace of the ship in the bag.
-        findings: takes what is found.
-    """
-    found = relative_topics(bag.topics, namespace)
-    given = {topic.topic for node in nodes for topic in node.adapter.outputs}
-    _check_presence(path, nodes, bag, found.keys() | given, findings)
-    for node in nodes:
-        _check_inputs(path, node, bag, found, findings)
+def check_bag(check: BagCheck) -> None:
+    """Check a configuration against the topics of a bag: presence, type, definition, frame_id."""
+    given = {topic.topic for node in check.nodes for topic in node.adapter.outputs}
+    _check_presence(check, check.found.keys() | given)
+    for node in check.nodes:
+        _check_inputs(check, node)
     # What is wrong with the bag is wrong for each node that takes it.
-    findings.errors = list(dict.fromkeys(findings.errors))
-    taken = {topic.topic for node in nodes for topic in node.adapter.inputs}
-    findings.warnings += list(_not_configured([node.config for node in nodes], bag, found, taken | given))
-    findings.warnings += bag.problems
+    check.findings.errors = list(dict.fromkeys(check.findings.errors))
+    taken = {topic.topic for node in check.nodes for topic in node.adapter.inputs}
+    check.findings.warnings += [*_not_configured(check, taken | given), *check.bag.problems]
 
 
-def _check_presence(
-    path: Path, nodes: Sequence[CheckedNode], bag: Bag, present: Collection[str], findings: Findings
-) -> None:
+def _check_presence(check: BagCheck, present: Collection[str]) -> None:
     """Each input that is not among the topics in the bag or given by a node: once, with the nodes that take it."""
     absent: dict[str, list[tuple[CheckedNode, bool]]] = {}
-    for node in nodes:
+    for node in check.nodes:
         for topic in node.adapter.inputs:
             if topic.topic not in present:
                 absent.setdefault(topic.topic, []).append((node, topic.required))
@@ -69,45 +64,43 @@ def _check_presence(
         optional = [node.adapter.node_name for node, required in takers if not required]
         roles = ("needed by", needing), ("optional for", optional)
         whose = ", ".join(f"{role} {' and '.join(names)}" for role, names in roles if names)
-        hint = likely_namespace(bag.topics, [name])
+        hint = likely_namespace(check.bag.topics, [name])
         advice = f" (there is one under the namespace '{hint}')" if hint else ""
-        place = _place(takers[0][0].file, path, name)
-        where = findings.errors if needing else findings.warnings
-        where.append(f"{place}: topic '{name}' is not in {bag.path}: {whose}{advice}")
+        place = takers[0][0].place(check.path, _section(name))
+        check.say(bool(needing), f"{place}: topic '{name}' is not in {check.bag.path}: {whose}{advice}")
 
 
-def _check_inputs(path: Path, node: CheckedNode, bag: Bag, found: dict[str, str], findings: Findings) -> None:
+def _check_inputs(check: BagCheck, node: CheckedNode) -> None:
     """Check what a node takes from a bag."""
+    bag, errors = check.bag, check.findings.errors
     readable: dict[str, str] = {}
     for topic in node.adapter.inputs:
-        if topic.topic not in found:
+        if topic.topic not in check.found:
             continue
-        type_name = bag.topics[found[topic.topic]]
+        type_name = bag.topics[check.found[topic.topic]]
         if type_name != topic.type_name:
-            place = _place(node.file, path, topic.topic)
-            findings.errors.append(
-                f"{place}: topic '{topic.topic}' in {bag.path} is {type_name}: expected {topic.type_name}"
-            )
+            place = node.place(check.path, _section(topic.topic))
+            errors.append(f"{place}: topic '{topic.topic}' in {bag.path} is {type_name}: expected {topic.type_name}")
             continue
-        findings.errors += [f"{bag.path}: topic '{topic.topic}': {line}" for line in bag.differences.get(type_name, [])]
+        errors += [f"{bag.path}: topic '{topic.topic}': {line}" for line in bag.differences.get(type_name, [])]
         if type_name not in bag.differences:
-            readable[topic.topic] = found[topic.topic]
-    findings.errors += _frame_errors(path, node, bag, readable)
+            readable[topic.topic] = check.found[topic.topic]
+    errors += _frame_errors(check, node, readable)
 
 
-def _frame_errors(path: Path, node: CheckedNode, bag: Bag, readable: dict[str, str]) -> Iterator[str]:
+def _frame_errors(check: BagCheck, node: CheckedNode, readable: dict[str, str]) -> Iterator[str]:
     """Messages that would be refused because their frame_id is not the configured one."""
     expected = {topic: _frame_id(node.config, topic) for topic in readable}
     waiting = {readable[topic]: topic for topic, frame in expected.items() if frame}
-    for record in bag.records(waiting) if waiting else ():
+    for record in check.bag.records(waiting) if waiting else ():
         topic = waiting.pop(record.topic, None)
         if topic is not None:
             frame = record.decode().header.frame_id
             if frame != expected[topic]:
                 name = f"{_section(topic)}.frame_id"
                 yield (
-                    f"{_place(node.file, path, topic, 'frame_id')}: parameter '{name}' = '{expected[topic]}', but "
-                    f"topic '{topic}' in {bag.path} carries frame_id '{frame}'"
+                    f"{node.place(check.path, name)}: parameter '{name}' = '{expected[topic]}', but "
+                    f"topic '{topic}' in {check.bag.path} carries frame_id '{frame}'"
                 )
         if not waiting:
             break
@@ -121,17 +114,18 @@ def _frame_id(config: Any, topic: str) -> str:
     return str(getattr(config, _GROUPS[group])[rest[0]].frame_id) if group in _GROUPS else ""
 
 
-def _not_configured(configs: Sequence[Any], bag: Bag, found: dict[str, str], known: set[str]) -> Iterator[str]:
+def _not_configured(check: BagCheck, known: set[str]) -> Iterator[str]:
     """Sensors in the bag that the configuration does not use."""
+    found, where = check.found, check.bag.path
     for topic in sorted(found.keys() - known):
         match = _SENSOR_TOPIC.fullmatch(topic)
         if match is None:
             continue
         name, group = match["name"], _GROUPS[match["group"]]
-        if not any(name in getattr(config, group, {}) for config in configs):
-            yield f"{bag.path}: topic '{topic}' has no {group}.{name} in the configuration: not used"
+        if not any(name in getattr(config, group, {}) for config in (node.config for node in check.nodes)):
+            yield f"{where}: topic '{topic}' has no {group}.{name} in the configuration: not used"
         elif group == "star_sensors" and not any(t.startswith(f"star/{name}/") for t in known & found.keys()):
-            yield f"{bag.path}: topic '{topic}' is not used: star_sensors.{name}.input is another"
+            yield f"{where}: topic '{topic}' is not used: star_sensors.{name}.input is another"
 
 
 def _section(topic: str) -> str:
@@ -140,50 +134,23 @@ def _section(topic: str) -> str:
     return f"{_GROUPS[group]}.{rest[0]}" if group in _GROUPS else group
 
 
-def _place(file: ParameterFile, path: Path, topic: str, parameter: str = "") -> str:
-    """File and line that speak of an input topic."""
-    line = file.line_of(f"{_section(topic)}.{parameter}".rstrip("."))
-    return f"{path}:{line}" if line else str(path)
-
-
-def check_rates(path: Path, nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings: Findings) -> None:
-    """Compare the gaps between the messages of a bag with what the parameters allow.
-
-    Args:
-        path: file of the configuration.
-        nodes: what it is about.
-        bag: a bag recorded with the sensors of the voyage.
-        namespace: namespace of the ship in the bag.
-        findings: takes what is found.
-    """
-    found = relative_topics(bag.topics, namespace)
-    taken = {topic.topic for node in nodes for topic in node.adapter.inputs} & found.keys()
+def check_rates(check: BagCheck) -> None:
+    """Compare the gaps between the messages of a bag with what the parameters allow."""
+    taken = {topic.topic for node in check.nodes for topic in node.adapter.inputs} & check.found.keys()
     times = {topic: MessageTimes() for topic in taken}
-    relative_names = {found[topic]: topic for topic in taken}
-    for record in bag.records(relative_names) if taken else ():
+    relative_names = {check.found[topic]: topic for topic in taken}
+    for record in check.bag.records(relative_names) if taken else ():
         times[relative_names[record.topic]].add(record)
-    for node in nodes:
-        for excess in exceeded(node.config, times, str(bag.path)):
-            line = node.file.line_of(excess.limit.parameter)
-            text = f"{path}:{line}: {excess.text}" if line else f"{path}: {excess.text}"
-            where = findings.errors if excess.mostly else findings.warnings
-            # Two nodes may have the parameter by default.
-            if text not in where:
-                where.append(text)
+    for node in check.nodes:
+        for excess in exceeded(node.config, times, str(check.bag.path)):
+            check.say(excess.mostly, f"{node.place(check.path, excess.limit.parameter)}: {excess.text}")
 
 
-def check_trial(nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings: Findings) -> None:
-    """Give the beginning of a bag to the nodes and name the inputs of which they used hardly anything.
-
-    Args:
-        nodes: of the configuration; they are used up.
-        bag: a bag recorded with the sensors of the voyage.
-        namespace: namespace of the ship in the bag.
-        findings: takes what is found.
-    """
-    chain = AdapterChain([node.adapter for node in nodes])
-    found = relative_topics(bag.topics, namespace)
-    names = {found[topic.topic]: topic.topic for topic in chain.inputs if topic.topic in found}
+def check_trial(check: BagCheck) -> None:
+    """Give the beginning of a bag to the nodes, which are used up, and name the inputs that were hardly used."""
+    bag, findings = check.bag, check.findings
+    chain = AdapterChain([node.adapter for node in check.nodes])
+    names = {check.found[topic.topic]: topic.topic for topic in chain.inputs if topic.topic in check.found}
     last_ns = 0
     for record in bag.records(names) if names else ():
         if record.log_time_ns > (bag.start_ns or 0) + TRIAL_S * NS_PER_S:
@@ -194,7 +161,7 @@ def check_trial(nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings
         except BadInput as problem:
             findings.errors.append(f"{bag.path}: {problem}")
             return
-    for node in nodes:
+    for node in check.nodes:
         for message in node.adapter.health.messages(RosbagsFactory(), last_ns):
             line = hardly_used(message) if message.received >= _FEWEST else ""
             if line:

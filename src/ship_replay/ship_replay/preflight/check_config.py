@@ -1,4 +1,4 @@
-"""Says before the voyage what a suite configuration lacks."""
+"""What a suite configuration lacks, said before the voyage; and what every check of it against a bag begins with."""
 
 import copy
 import dataclasses
@@ -6,13 +6,16 @@ import itertools
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ship_attitude_star.stars.config import MountingConfig
 from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import Bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.parameter_yaml import ParameterFile, anywhere, full_name
+from ship_bags.topic_names import relative_topics
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.parameter_file import has_section, misfit, read, unknown_sections
@@ -40,11 +43,53 @@ class CheckedNode:
         file: its parameters in the file.
         config: its configuration.
         adapter: its adapter.
+        refused: dotted names of the parameters whose values were replaced: of these enough is said.
     """
 
     file: ParameterFile
     config: Any
     adapter: Adapter
+    refused: frozenset[str] = frozenset()
+
+    def place(self, path: Path, parameter: str) -> str:
+        """File and line of a parameter or of the nearest group around it; the file alone where it names none."""
+        line = self.file.line_of(parameter)
+        return f"{path}:{line}" if line else str(path)
+
+
+@dataclass
+class BagCheck:
+    """A suite configuration held against a bag that was recorded with the sensors of the voyage.
+
+    Attributes:
+        path: file of the configuration.
+        nodes: what it is about.
+        bag: the bag.
+        namespace: of the ship in the bag.
+        findings: takes what is found.
+    """
+
+    path: Path
+    nodes: Sequence[CheckedNode]
+    bag: Bag
+    namespace: str
+    findings: Findings
+
+    @cached_property
+    def found(self) -> dict[str, str]:
+        """Relative topic → name in the bag."""
+        return relative_topics(self.bag.topics, self.namespace)
+
+    @property
+    def usable(self) -> dict[str, str]:
+        """The same of topics whose messages are defined as here."""
+        return {topic: name for topic, name in self.found.items() if self.bag.topics[name] not in self.bag.differences}
+
+    def say(self, is_error: bool, text: str) -> None:
+        """Take a finding, once: two nodes may have the same parameter."""
+        lines = self.findings.errors if is_error else self.findings.warnings
+        if text not in lines:
+            lines.append(text)
 
 
 def check_file(
@@ -113,7 +158,7 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
     try:
         adapter = adapter_class(config, RosbagsFactory())
         findings.warnings += [f"{path}: {warning}" for warning in adapter.start_warnings]
-        return CheckedNode(file, config, adapter)
+        return CheckedNode(file, config, adapter, frozenset(told))
     except ParameterError as problem:
         # A value that was taken out above is missing here: told already.
         if told.isdisjoint(problem.parameters):
@@ -131,9 +176,9 @@ def _different_mountings(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[s
         for name in names if id_ == other_id else ():
             one, two = getattr(star, name), getattr(other_star, name)
             if one != two:
-                line = other.file.line_of(f"star_sensors.{id_}.{name}")
+                place = other.place(path, f"star_sensors.{id_}.{name}")
                 yield (
-                    f"{path}:{line}: parameter 'star_sensors.{id_}.{name}' is {two!r} for "
+                    f"{place}: parameter 'star_sensors.{id_}.{name}' is {two!r} for "
                     f"{other.adapter.node_name}, but {one!r} for {node.adapter.node_name}"
                 )
 

@@ -4,7 +4,6 @@ from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,9 @@ from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_bags.topic_names import relative_topics
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
-from ship_replay.preflight.check_config import CheckedNode, Findings
+from ship_replay.preflight.check_config import BagCheck
 from ship_replay.preflight.measured_mounting import MeasuredMounting, measured_mountings
 from theodolite_calib.config import OpticalAxisConfig
 
@@ -57,34 +55,22 @@ class _Residual:
     sigmas: float
 
 
-def check_installation(path: Path, nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings: Findings) -> None:
+def check_installation(check: BagCheck) -> None:
     """Compare configured installations and focal lengths with those that the bag shows.
 
     Each device's attitudes are held against the INS's at some moments of the bag.
-
-    Args:
-        path: file of the configuration.
-        nodes: what it is about.
-        bag: a bag recorded with the sensors of the voyage.
-        namespace: namespace of the ship in the bag.
-        findings: takes what is found.
     """
-    found = relative_topics(bag.topics, namespace)
-    usable = {t: name for t, name in found.items() if bag.topics[name] not in bag.differences}
-    told, refused = set(findings.errors) | set(findings.warnings), tuple(findings.errors)
-    for node in nodes:
+    told = {*check.findings.errors, *check.findings.warnings}
+    for node in check.nodes:
         if not isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig)):
             continue
-        mountings = list(measured_mountings(node.config, bag, usable))
-        for is_error, parameter, text in _contradictions(mountings, node.config, bag):
-            line = node.file.line_of(parameter)
-            place = f"{path}:{line}:" if line else f"{path}:"
-            said = f"{place} {text}"
+        mountings = list(measured_mountings(node.config, check.bag, check.usable))
+        for is_error, parameter, text in _contradictions(mountings, node.config, check.bag):
+            said = f"{node.place(check.path, parameter)}: {text}"
             # A value that is refused was replaced to look at the rest: there is nothing to say of the replacement.
-            is_refused = any(earlier.startswith(f"{place} parameter '{parameter}'") for earlier in refused)
-            if said not in told and not is_refused:
+            if said not in told and parameter not in node.refused:
                 told.add(said)
-                (findings.errors if is_error else findings.warnings).append(said)
+                check.say(is_error, said)
 
 
 def _contradictions(
@@ -204,28 +190,17 @@ def _wrap_deg(angle_deg: float) -> float:
     return (angle_deg + 180.0) % 360.0 - 180.0
 
 
-def check_telescope(path: Path, nodes: Sequence[CheckedNode], bag: Bag, namespace: str, findings: Findings) -> None:
-    """Compare the configured focal length with that by distances in the image and angles between the lights.
-
-    Args:
-        path: file of the configuration.
-        nodes: what it is about.
-        bag: a bag recorded with the sensors of the voyage.
-        namespace: namespace of the ship in the bag.
-        findings: takes what is found.
-    """
-    found = relative_topics(bag.topics, namespace)
-    usable = {t: name for t, name in found.items() if bag.topics[name] not in bag.differences}
-    for node in nodes:
-        if isinstance(node.config, OpticalAxisConfig) and _IMAGE_TOPIC in usable:
-            measured_m = _focal_length_m(node.config, bag, usable)
+def check_telescope(check: BagCheck) -> None:
+    """Compare the configured focal length with that by distances in the image and angles between the lights."""
+    for node in check.nodes:
+        if isinstance(node.config, OpticalAxisConfig) and _IMAGE_TOPIC in check.usable:
+            measured_m = _focal_length_m(node.config, check.bag, check.usable)
             configured_m = node.config.telescope.focal_length_m
             if measured_m is not None and not abs(measured_m / configured_m - 1.0) <= _TOLERANCE:
                 name = "telescope.focal_length_m"
-                line = node.file.line_of(name)
-                findings.errors.append(
-                    f"{path}:{line}: parameter '{name}' = {configured_m:g} m, but lights on '{_IMAGE_TOPIC}' in "
-                    f"{bag.path} stand as far apart as with {measured_m:.2g} m"
+                check.findings.errors.append(
+                    f"{node.place(check.path, name)}: parameter '{name}' = {configured_m:g} m, but lights on "
+                    f"'{_IMAGE_TOPIC}' in {check.bag.path} stand as far apart as with {measured_m:.2g} m"
                 )
 
 
