@@ -12,9 +12,9 @@ import yaml
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_testing.axis_sightings import ERRORS, sight, spread
-from theodolite_calib.axis_fit.coverage import azimuth_and_elevation
 from theodolite_calib.axis_fit.fit_axes_command import WRITTEN, main
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, read_sightings
+from theodolite_calib.axis_fit.sightings import azimuth_and_elevation
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES
 from theodolite_calib.ros import calibration_file

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from theodolite_calib.axis_fit.doubts import doubts
+from theodolite_calib.axis_fit.doubts import correlated_pairs, doubts, poorly_told_apart
 from theodolite_calib.axis_fit.robust_fit import AxisFit, fit, rms, sizes
 from theodolite_calib.axis_fit.sighting_file import read_sightings
 from theodolite_calib.axis_fit.sightings import Sightings, directions
-from theodolite_calib.axis_fit.told_apart import correlated_pairs, poorly_told_apart
 
 TABLE = Path(__file__).parents[3].parent / "shared" / "data" / "altaz_mount" / "pointing.csv"
 

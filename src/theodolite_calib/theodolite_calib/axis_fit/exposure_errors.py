@@ -11,7 +11,7 @@ from theodolite_calib.lights.line_of_sight import covariance_by_source
 from theodolite_calib.lights.telescope_attitude import linearised, total
 from theodolite_calib.measured.sighting import Sighting
 
-# What is looked for is no error of a sighting.
+# The axis errors are what the fit looks for: they are no error of a sighting.
 _SOUGHT = "axes"
 _SHIP = "ship.attitude"
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.figure_files import write_figures
-from theodolite_calib.axis_fit.coverage import azimuth_and_elevation
 from theodolite_calib.axis_fit.robust_fit import AxisFit, rms
-from theodolite_calib.axis_fit.sightings import Sightings
+from theodolite_calib.axis_fit.sightings import Sightings, azimuth_and_elevation
 
 _GOOD, _OUTLIER = "#0b3c6f", "#c1440e"
 _SIDES = ("to the right", "up")

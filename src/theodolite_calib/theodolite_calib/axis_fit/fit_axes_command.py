@@ -1,4 +1,4 @@
-"""``fit_axes``: axis errors of a theodolite from sightings of known directions, with figures and tables."""
+"""``fit_axes``: axis errors of a theodolite from sightings of known directions; with figures, tables, a calibration."""
 
 import argparse
 import math
@@ -11,20 +11,18 @@ import numpy as np
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.output_files import add_force, check_folder
-from ship_geometry.rotations import ARCSEC
+from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.axis_fit.doubts import doubts
-from theodolite_calib.axis_fit.fitted_calibration import fitted_calibration
+from theodolite_calib.axis_fit.report import MEANINGS, summary, write_tables
 from theodolite_calib.axis_fit.robust_fit import AxisFit, fit
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, GROUP_COLUMNS, LABEL_COLUMN, TIME_COLUMN, read_sightings
-from theodolite_calib.axis_fit.sightings import Sightings
-from theodolite_calib.axis_fit.slow_errors import MOST_SIGHTINGS
-from theodolite_calib.axis_fit.tables import write_tables
-from theodolite_calib.axis_fit.words import MEANINGS, summary
+from theodolite_calib.axis_fit.sightings import MOST_SIGHTINGS, Sightings
 from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior
 from theodolite_calib.ros import calibration_file
 
-# Sightings that scatter more than this about their own fit (rad) are no sightings, or in other units.
 _MOST_SCATTER = np.deg2rad(1.0)
+"""Sightings that scatter more than this about their own fit, rad, are in other units or no sightings at all."""
 
 CALIBRATION = "calibration.yaml"
 WRITTEN = (
@@ -114,14 +112,14 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _calibration(result: AxisFit, sightings: Sightings, doubted: list[str], options: argparse.Namespace) -> str:
-    """Write the calibration that optical_axis starts from, where there is one; the words for it."""
+    """Write the calibration that optical_axis starts from, where the fit gives one; returns what is to be said."""
     path = options.out / CALIBRATION
     if doubted or not result.sigmas_known:
-        # That of an earlier table must not pass for this one's.
+        # A calibration of an earlier table must not pass for one of this table.
         path.unlink(missing_ok=True)
         why = "the table is doubtful" if doubted else "no sigma is known"
         return f"not written: calibration.yaml, for {why}"
-    calibration_file.save(path, fitted_calibration(result, sightings.time_s, options.serial))
+    calibration_file.save(path, _fitted_calibration(result, sightings.time_s, options.serial))
     dated = "" if sightings.time_s is not None else f", but old: without {TIME_COLUMN} nothing says its age"
     return f"calibration.yaml: for the parameter calibration_file of optical_axis, serial '{options.serial}'{dated}"
 
@@ -150,3 +148,22 @@ def _fitted(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFi
             "offsets [deg] of one theodolite, true direction minus encoder"
         )
     return result
+
+
+def _fitted_calibration(fit: AxisFit, time_s: FloatArray | None, serial: str) -> CalibrationPrior:
+    """The calibration from which ``optical_axis`` starts, by a fit whose sigmas are known.
+
+    Terms that were held, the focal length and the parallelism have no variance in it: they stay as configured.
+
+    Args:
+        fit: the fit of the sightings.
+        time_s: moments of the sightings, UTC as POSIX time, shape (n,); None where nobody knows them. The calibration
+            then carries the year 1970 and counts as old.
+        serial: serial number of the theodolite.
+    """
+    values, covariance = np.zeros(len(SAVED_NAMES)), np.zeros((len(SAVED_NAMES), len(SAVED_NAMES)))
+    values[: len(NAMES)] = fit.errors.vector()
+    rows = [SAVED_NAMES.index(name) for name in fit.fitted]
+    covariance[np.ix_(rows, rows)] = fit.covariance
+    time_ns = 0 if time_s is None else round(float(np.max(time_s)) * 1e9)
+    return CalibrationPrior(time_ns, serial, "", values, covariance)

@@ -8,7 +8,7 @@ so that a sighting within 1.3 s counts in full and one far out with the weight k
 as small as these there is one minimum, whatever the start. s is the median of r over 1.177, which it is for a normal
 error in two components. Minimised by iteratively reweighted Gauss-Newton steps.
 
-Errors that several sightings share (:mod:`theodolite_calib.axis_fit.slow_errors`) are unknowns beside the axis errors,
+Errors that several sightings share (:mod:`theodolite_calib.axis_fit.sightings`) are unknowns beside the axis errors,
 known to their sigma beforehand: what is left of a sighting is its own. Where none are stated, the sightings count as
 independent, and the residuals of neighbours tell whether they are: where these hang together there is no covariance.
 

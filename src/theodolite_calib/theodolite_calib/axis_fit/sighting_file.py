@@ -19,8 +19,7 @@ import numpy as np
 from ship_bags.errors import BadInput
 from ship_bags.yaml_text import plain_data
 from ship_geometry.rotations import ARCSEC
-from theodolite_calib.axis_fit.sightings import Sightings, directions, right_and_up
-from theodolite_calib.axis_fit.slow_errors import SharedError
+from theodolite_calib.axis_fit.sightings import SharedError, Sightings, directions, right_and_up
 from theodolite_calib.chain.axes import direction_change
 
 COLUMNS = {

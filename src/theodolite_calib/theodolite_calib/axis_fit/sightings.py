@@ -1,12 +1,79 @@
-"""Sightings of known directions, and how far an axis model misses them."""
+"""Sightings of known directions: how far an axis model misses them, what errors they share, what sky they cover.
+
+An error that several sightings share is a Gauss-Markov process of the moment, or a constant where its correlation time
+is infinite. Each of its values moves a sighting by the stated effect, so that two sightings are correlated by
+
+    sum over the errors of  effect_i effect_jᵀ exp(-|t_i - t_j| / T)
+
+:meth:`Sightings.slow_map` is a root of that covariance: the fit then has these errors as further unknowns, each known
+to 1 beforehand.
+"""
 
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
-from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
-from theodolite_calib.axis_fit.slow_errors import SharedError, slow_map
+from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, wrap_pi
 from theodolite_calib.chain.axes import AxisErrors, direction_change, encoder_angles, main_axis, main_axis_rotation
+
+MOST_SIGHTINGS = 1000
+"""Of a table with errors that fade in time: the covariance of all its sightings is decomposed as a whole."""
+
+_LEAST_EFFECT = 0.1 * ARCSEC
+"""What moves the sightings by less than this in all, rad RMS, is left out of the map: it looks like their own error."""
+
+
+@dataclass(frozen=True)
+class SharedError:
+    """One error that lasts over several sightings.
+
+    Attributes:
+        name: name of the error.
+        time_s: correlation time, s; infinite for a constant.
+        effect: what one sigma of it moves each sighting by, to the right and up, shape (n, 2), rad.
+    """
+
+    name: str
+    time_s: float
+    effect: FloatArray
+
+
+def slow_map(errors: tuple[SharedError, ...], time_s: FloatArray | None, count: int) -> FloatArray:
+    """What independent errors of variance 1 move the sightings by, shape (count, 2, q), rad.
+
+    Args:
+        errors: the errors that the sightings share.
+        time_s: moments of the sightings, s, shape (count,); needed only where an error fades.
+        count: number of sightings.
+    """
+    columns = [error.effect.reshape(2 * count, 1) for error in errors if np.isinf(error.time_s)]
+    fading = sorted((error for error in errors if not np.isinf(error.time_s)), key=lambda error: error.time_s)
+    if fading:
+        assert time_s is not None
+        columns.append(_root(_covariance(fading, time_s)))
+    return np.hstack([np.zeros((2 * count, 0)), *columns]).reshape(count, 2, -1)
+
+
+def _covariance(fading: list[SharedError], time_s: FloatArray) -> FloatArray:
+    """Covariance of the sightings by the fading errors, right and up in turn, shape (2 n, 2 n), rad²."""
+    apart_s = np.abs(np.subtract.outer(time_s, time_s))
+    covariance = np.zeros((2 * len(time_s), 2 * len(time_s)))
+    for correlation_s, errors in groupby(fading, key=lambda error: error.time_s):
+        effects = np.stack([error.effect.ravel() for error in errors], axis=-1)
+        # A correlation time of zero is white: each moment has its own error.
+        kept = np.exp(-apart_s / correlation_s) if correlation_s > 0.0 else (apart_s == 0.0).astype(float)
+        covariance += (effects @ effects.T) * np.repeat(np.repeat(kept, 2, axis=0), 2, axis=1)
+    return covariance
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """A root of the covariance, without the columns that are too small to see, shape (2 n, q)."""
+    values, vectors = np.linalg.eigh(covariance)
+    # Eigenvalues rise: the least ones, which together move the sightings too little to count, are left out.
+    seen = np.cumsum(np.maximum(values, 0.0)) > _LEAST_EFFECT**2 * len(values)
+    root: FloatArray = vectors[:, seen] * np.sqrt(values[seen])
+    return root
 
 
 @dataclass(frozen=True)
@@ -14,13 +81,13 @@ class Sightings:
     """What the encoders said while the optical axis looked in known directions.
 
     Attributes:
-        labels: one a sighting, as its user numbers them.
-        azimuth: of the encoder, rad, shape (n,).
-        elevation: of the encoder, beyond the zenith where the telescope is plunged, rad, shape (n,).
+        labels: name of each sighting, as its user numbers them.
+        azimuth: reading of the azimuth encoder, rad, shape (n,).
+        elevation: reading of the elevation encoder, beyond the zenith where the telescope is plunged, rad, shape (n,).
         direction_d: where the optical axis truly looked, unit vectors in the base's frame, shape (n, 3).
-        time_s: moment of each, UTC as POSIX time or from any other start, shape (n,); None where nothing says it.
+        time_s: moment of each, s, UTC as POSIX time or from any other start, shape (n,); None where nothing says it.
         slow_errors: errors of the directions that several sightings share.
-        repeated: labels of rows that gave a sighting again; each counts once.
+        repeated: labels of rows that gave a sighting again; every sighting counts once.
     """
 
     labels: tuple[str, ...]
@@ -74,3 +141,46 @@ def right_and_up(direction_d: FloatArray) -> FloatArray:
     zero = np.zeros_like(azimuth)
     right = np.stack([-np.sin(azimuth), zero, np.cos(azimuth)], axis=-1)
     return np.stack([right, np.cross(right, direction_d)], axis=-2)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Where the sightings lie.
+
+    Attributes:
+        count: number of sightings.
+        plunged: number of those with the telescope tipped over the zenith.
+        elevations: least and greatest true elevation, rad.
+        azimuth_gap: the widest range of azimuth without a sighting, (from, to) clockwise, rad.
+    """
+
+    count: int
+    plunged: int
+    elevations: tuple[float, float]
+    azimuth_gap: tuple[float, float]
+
+    @property
+    def azimuth_gap_width(self) -> float:
+        """Width of the gap, in (0, 2 pi], rad: the whole round where all sightings have one azimuth."""
+        width = (self.azimuth_gap[1] - self.azimuth_gap[0]) % (2.0 * np.pi)
+        return width if width > 0.0 else 2.0 * np.pi
+
+
+def coverage(sightings: Sightings) -> Coverage:
+    """Where the sightings lie; there must be at least one."""
+    azimuth, elevation = azimuth_and_elevation(sightings.direction_d)
+    ordered = np.sort(azimuth)
+    following = np.roll(ordered, -1)
+    widest = int(np.argmax((following - ordered) % (2.0 * np.pi)))
+    return Coverage(
+        count=len(sightings.labels),
+        plunged=int(np.sum(np.cos(sightings.elevation) < 0.0)),
+        elevations=(float(elevation.min()), float(elevation.max())),
+        azimuth_gap=(float(ordered[widest]), float(following[widest])),
+    )
+
+
+def azimuth_and_elevation(direction_d: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Azimuth in [0, 2 pi) and elevation of unit vectors, shape (n,), rad."""
+    azimuth = np.arctan2(direction_d[..., 2], direction_d[..., 0]) % (2.0 * np.pi)
+    return azimuth, np.arctan2(direction_d[..., 1], np.hypot(direction_d[..., 0], direction_d[..., 2]))

@@ -1,14 +1,17 @@
-"""What a fit found, in plain words, for the terminal."""
+"""What a fit found: in plain words for the terminal, as YAML for programs, as CSV for people's own evaluations."""
 
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 
+from ship_bags.output_files import write_csv, write_whole
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.axis_fit.coverage import azimuth_and_elevation, coverage
+from theodolite_calib.axis_fit.doubts import condition_number, correlated_pairs, poorly_told_apart, unobservable
 from theodolite_calib.axis_fit.robust_fit import OUTLIER_AT, AxisFit, rms, sizes
-from theodolite_calib.axis_fit.sightings import Sightings
-from theodolite_calib.axis_fit.told_apart import condition_number, correlated_pairs, poorly_told_apart, unobservable
+from theodolite_calib.axis_fit.sightings import Sightings, azimuth_and_elevation, coverage
 from theodolite_calib.chain.axes import NAMES
 
 MEANINGS = {
@@ -21,12 +24,12 @@ MEANINGS = {
     "flexure": "bending of the tube, times cos E",
 }
 
-# A wider gap than this leaves the tilt of the vertical axis to half of the sky.
 _WIDE_GAP = np.pi / 2.0
+"""Across a wider gap in azimuth the tilt of the vertical axis is told by half of the sky alone, rad."""
 
 
 def summary(fit: AxisFit, sightings: Sightings, doubted: list[str]) -> str:
-    """Lines of the result, the last without a line break."""
+    """The result in plain words: lines for the terminal, the last without a line break."""
     lines = [
         *_coverage(sightings),
         _first_row(sightings),
@@ -69,7 +72,7 @@ def _terms(fit: AxisFit) -> Iterator[str]:
     for name, value in zip(NAMES, fit.errors.vector() / ARCSEC, strict=True):
         known = f"{sigmas.get(name, 0.0):9.2f}" if fit.sigmas_known else f"{'unknown':>9}"
         sigma = known if name in sigmas else f"{'fixed':>9}"
-        # Adding zero takes the sign from a rounded zero.
+        # Adding zero turns a rounded -0.0 into 0.0.
         yield f"{name:8}  {round(float(value), 2) + 0.0:9.2f} {sigma}   {MEANINGS[name]}"
     if not fit.sigmas_known:
         yield (
@@ -127,3 +130,83 @@ def _told_apart(fit: AxisFit) -> Iterator[str]:
 def together(names: tuple[str, ...], run: FloatArray) -> str:
     """Errors that run together with their sizes: ``c +14.9, I -12.2``."""
     return ", ".join(f"{name} {value / ARCSEC:+.3g}" for name, value in zip(names, run, strict=True))
+
+
+FORMAT = "theodolite axis errors"
+VERSION = 1
+
+_RESIDUALS = ("before", "after", "left_out")
+
+
+def write_tables(fit: AxisFit, sightings: Sightings, doubted: list[str], folder: Path) -> list[Path]:
+    """Write every table into a folder that exists; returns the files.
+
+    Args:
+        fit: what was found.
+        sightings: the sightings of the fit.
+        doubted: what speaks against the table as it was read.
+        folder: the folder.
+    """
+    names = [f"{residual}_{side}_arcsec" for residual in _RESIDUALS for side in ("right", "up")]
+    return [
+        _write_yaml(folder / "axes.yaml", fit, sightings, doubted),
+        write_csv(folder / "axes.csv", ("term", "value_arcsec", "sigma_arcsec", "fitted"), _term_rows(fit)),
+        write_csv(folder / "correlation.csv", ("term", *fit.fitted), _correlation_rows(fit)),
+        write_csv(
+            folder / "residuals.csv",
+            ("observation", "true_azimuth_deg", "true_elevation_deg", *names, "after_arcsec", "weight", "outlier"),
+            _residual_rows(fit, sightings),
+        ),
+    ]
+
+
+def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, doubted: list[str]) -> Path:
+    values = fit.errors.vector() / ARCSEC
+    open_combinations = unobservable(fit)
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "values_arcsec": {name: float(value) for name, value in zip(NAMES, values, strict=True)},
+        # No sigma is better than one that rests on a wrong assumption.
+        "sigma_arcsec": _sigmas_arcsec(fit) if fit.sigmas_known else None,
+        "covariance_of": list(fit.fitted),
+        "covariance_rad2": fit.covariance.tolist() if fit.sigmas_known else None,
+        "neighbours_correlation": fit.neighbours,
+        "rms_of_shared_errors_arcsec": rms(fit.shared) / ARCSEC,
+        "doubts": doubted,
+        "given_again": list(sightings.repeated),
+        "unobservable": list(open_combinations.names) if open_combinations else [],
+        "poorly_told_apart": [list(combination.names) for combination in poorly_told_apart(fit)],
+        "condition_number": condition_number(fit),
+        "sighting_count": len(sightings.labels),
+        "outliers": [label for label, outlier in zip(sightings.labels, fit.outliers, strict=True) if outlier],
+        "rms_before_arcsec": rms(fit.before) / ARCSEC,
+        "rms_after_arcsec": rms(fit.residuals) / ARCSEC,
+        "rms_left_out_arcsec": rms(fit.left_out) / ARCSEC,
+    }
+    write_whole(path, yaml.safe_dump(document, sort_keys=False, width=110, default_flow_style=None))
+    return path
+
+
+def _term_rows(fit: AxisFit) -> Iterator[tuple[Any, ...]]:
+    sigmas = _sigmas_arcsec(fit) if fit.sigmas_known else {}
+    for name, value in zip(NAMES, fit.errors.vector() / ARCSEC, strict=True):
+        yield name, value, sigmas.get(name, ""), "yes" if name in fit.fitted else "no"
+
+
+def _sigmas_arcsec(fit: AxisFit) -> dict[str, float]:
+    return dict(zip(fit.fitted, (fit.sigmas / ARCSEC).tolist(), strict=True))
+
+
+def _correlation_rows(fit: AxisFit) -> Iterator[tuple[Any, ...]]:
+    for name, row in zip(fit.fitted, fit.correlation, strict=True):
+        yield name, *row
+
+
+def _residual_rows(fit: AxisFit, sightings: Sightings) -> Iterator[tuple[Any, ...]]:
+    azimuth, elevation = np.rad2deg(azimuth_and_elevation(sightings.direction_d))
+    residuals = np.concatenate([fit.before, fit.residuals, fit.left_out], axis=1) / ARCSEC
+    size = sizes(fit.residuals) / ARCSEC
+    for number, label in enumerate(sightings.labels):
+        outlier = "yes" if fit.outliers[number] else "no"
+        yield label, azimuth[number], elevation[number], *residuals[number], size[number], fit.weights[number], outlier

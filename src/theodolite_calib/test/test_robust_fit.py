@@ -8,11 +8,9 @@ import pytest
 from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.axis_sightings import ERRORS, STRAIGHT, sight, spread
-from theodolite_calib.axis_fit.coverage import coverage
+from theodolite_calib.axis_fit.doubts import condition_number, correlated_pairs, poorly_told_apart, unobservable
 from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, fit, rms, sizes
-from theodolite_calib.axis_fit.sightings import Sightings, directions, right_and_up
-from theodolite_calib.axis_fit.slow_errors import SharedError, slow_map
-from theodolite_calib.axis_fit.told_apart import condition_number, correlated_pairs, poorly_told_apart, unobservable
+from theodolite_calib.axis_fit.sightings import SharedError, Sightings, coverage, directions, right_and_up, slow_map
 from theodolite_calib.chain.axes import NAMES, AxisErrors, direction_change
 
 SEEDS = 200
