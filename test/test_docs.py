@@ -1,11 +1,48 @@
 """What the documentation says is what the code does."""
 
+import re
 from pathlib import Path
+from urllib.parse import unquote
 
-from tools import reference_pages
+import pytest
+
+from tools.reference_pages import FOLDER, PAGES
 
 ROOT = Path(__file__).parents[1]
+PUBLISHED = sorted([ROOT / "README.md", ROOT / "bags" / "README.md", *(ROOT / "docs").rglob("*.md")])
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+HEADING = re.compile(r"^#+ +(.+)$", re.MULTILINE)
 
 
-def test_parameter_page_is_current() -> None:
-    assert reference_pages.PAGE.read_text(encoding="utf-8") == reference_pages.page(), "run tools/reference_pages.py"
+@pytest.mark.parametrize("name", PAGES)
+def test_a_reference_page_is_current(name: str) -> None:
+    assert (FOLDER / f"{name}.md").read_text(encoding="utf-8") == PAGES[name](), "run tools/reference_pages.py"
+
+
+def anchors(path: Path) -> set[str]:
+    """What the headings of a page are called in links, as GitHub does it."""
+    headings = HEADING.findall(re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL))
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("path", PUBLISHED, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_link_of_a_page_leads_somewhere(path: Path) -> None:
+    for link in LINK.findall(path.read_text(encoding="utf-8")):
+        if link.startswith(("http://", "https://")):
+            continue
+        place, _, anchor = unquote(link).partition("#")
+        target = (path.parent / place).resolve() if place else path
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+def test_every_page_can_be_reached_from_the_index() -> None:
+    reached, ahead = set(), [ROOT / "docs" / "index.md"]
+    while ahead:
+        page = ahead.pop()
+        if page in reached or page.suffix != ".md" or not page.exists():
+            continue
+        reached.add(page)
+        links = LINK.findall(page.read_text(encoding="utf-8"))
+        ahead += [(page.parent / link.partition("#")[0]).resolve() for link in links if not link.startswith("http")]
+    assert set((ROOT / "docs").rglob("*.md")) - reached == set()

@@ -29,9 +29,7 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
         factory: makes the adapter's messages.
     """
     name = adapter_class.node_name
-    descriptions = list(describe(adapter_class.config_type))
-    values = _example_values(descriptions)
-    adapter = adapter_class(build(adapter_class.config_type, nest(values), placeholder="<id>"), factory)
+    inputs, outputs = topic_rows(adapter_class, factory)
     return "\n".join(
         [
             f"usage: {package} {name} [--help] [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]",
@@ -39,13 +37,13 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
             (inspect.getdoc(adapter_class) or name).splitlines()[0],
             "",
             "topics in (best effort; qos_overrides./TOPIC.subscription.reliability: reliable changes that):",
-            *in_columns(_input_rows(adapter_class, descriptions, values, factory)),
+            *in_columns(inputs),
             "topics out (reliable):",
-            *in_columns([(t.topic, t.type_name, "latched" if t.latched else "") for t in adapter.outputs]),
+            *in_columns(outputs),
             "services (std_srvs/srv/Trigger):",
             *in_columns([(f"~/{service}",) for service in adapter_class.services]),
             "parameters (* may be changed while the node runs):",
-            *in_columns([*(parameter_row(description) for description in descriptions), _BLACK_BOX_ROW]),
+            *in_columns([*map(parameter_row, describe(adapter_class.config_type)), _BLACK_BOX_ROW]),
             "",
             "exit code: 0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (one line says which)",
             "",
@@ -53,6 +51,19 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
             f"  ./ros2run {package} {name} --ros-args --params-file suite.yaml -p black_box:=/var/log/ship/",
         ]
     )
+
+
+def topic_rows(
+    adapter_class: type[Adapter], factory: MessageFactory
+) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+    """Topics in and topics out of a node with one device of each kind: name, type, and what is to be said of it."""
+    descriptions = list(describe(adapter_class.config_type))
+    values = _example_values(descriptions)
+    adapter = adapter_class(build(adapter_class.config_type, nest(values), placeholder="<id>"), factory)
+    outputs: list[tuple[str, ...]] = [
+        (t.topic, t.type_name, "latched" if t.latched else "") for t in adapter.outputs
+    ]
+    return _input_rows(adapter_class, descriptions, values, factory), outputs
 
 
 def _input_rows(

@@ -1,0 +1,123 @@
+"""Every command that the documentation prints.
+
+A block of the language ``bash`` is run, with those above it on the page, in a folder like the checkout, with the first
+seconds of each bag. Blocks marked ``live`` need nodes: those of a page's terminals are run together. Of blocks marked
+``shown``, which need hours or files of one's own, all that they name is there.
+"""
+
+import re
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import BagWriter
+from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_replay.trials.live_run import executable
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "bags" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCK = re.compile(r"^```(\w+)(?: (\w+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+KEPT_S = 6
+VOYAGE_S = 6
+START_S = 30.0
+PREPARATION = r"^(?:mkdir[^\n]*|sed[^\n]*|cat > [^\n]*<<'EOF'\n.*?^EOF$|\./ros2run ship_simulation[^\n]*)"
+"""Commands that make what the terminals of a page need."""
+
+
+def blocks(page: Path, mark: str) -> list[str]:
+    """The bash blocks of a page that bear a mark; an empty one for those that are run."""
+    found = BLOCK.findall(page.read_text(encoding="utf-8"))
+    return [body for language, marked, body in found if language == "bash" and marked == mark]
+
+
+def name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def beginning(whole_path: Path, path: Path) -> None:
+    """The first seconds of a bag."""
+    with read_bag(whole_path) as whole, BagWriter(path) as writer:
+        for attachment, data in whole.attachments.items():
+            writer.add_attachment(attachment, data)
+        for record in whole.records():
+            if record.log_time_ns > (whole.start_ns or 0) + KEPT_S * 10**9:
+                break
+            writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A folder that looks like this one, with short bags."""
+    folder = tmp_path / "checkout"
+    (folder / "bags").mkdir(parents=True)
+    for path in ROOT.iterdir():
+        if path.name not in ("bags", "out", "log", ".git"):
+            (folder / path.name).symlink_to(path)
+    for path in (ROOT / "bags").glob("*.mcap"):
+        beginning(path, folder / "bags" / path.name)
+    return folder
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "")], ids=name)
+def test_the_commands_of_a_page_run_as_printed(page: Path, checkout: Path) -> None:
+    script = "set -eu\n" + "".join(blocks(page, "")).replace("duration_s: 30.0", f"duration_s: {VOYAGE_S}.0")
+    run = subprocess.run(["bash", "-c", script], cwd=checkout, capture_output=True, text=True, timeout=300, check=False)
+    assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "live") + blocks(page, "shown")], ids=name)
+def test_what_the_other_commands_of_a_page_name_is_there(page: Path) -> None:
+    shown = (ROOT / "docs" / "reference" / "executables.md").read_text(encoding="utf-8")
+    helps = dict(re.findall(r"^## `(\w+)`\n(.*?)(?=^## |\Z)", shown, re.MULTILINE | re.DOTALL))
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    for line in "".join(blocks(page, "live") + blocks(page, "shown")).splitlines():
+        words = line.partition("#")[0].split()
+        assert all((ROOT / word).exists() for word in words if word.startswith(("bags/", "examples/")))
+        if words[:1] == ["make"]:
+            assert words[1] in targets
+        elif words[:1] == ["./ros2run"]:
+            assert executable(*words[1:3])
+            help_text = helps[words[2]]
+            own = words[3 : words.index("--ros-args")] if "--ros-args" in words else words[3:]
+            assert [word for word in own if word.startswith("--") and word not in help_text] == []
+        else:
+            assert words[:1] in ([], ["cd"])
+
+
+def wait_until_it_listens(process: LiveProcess) -> None:
+    """Return when a node or a recorder has said its first line."""
+    end_s = time.monotonic() + START_S
+    while not process.log().strip():
+        assert time.monotonic() < end_s, process.log()
+        time.sleep(0.05)
+
+
+@pytest.mark.live
+@pytest.mark.xdist_group("dds")
+@pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "docs" / "tutorial" / "first_hour.md"], ids=name)
+def test_the_three_terminals_of_a_page(page: Path, checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Node, recorder, and the bag in place of the instruments, as printed; then what is done with what they leave."""
+    monkeypatch.chdir(checkout)
+    script = "set -eu\n" + "\n".join(re.findall(PREPARATION, "".join(blocks(page, "")), re.MULTILINE | re.DOTALL))
+    script = script.replace("duration_s: 30.0", f"duration_s: {VOYAGE_S}.0")
+    subprocess.run(["bash", "-c", script], cwd=checkout, check=True, capture_output=True, timeout=300)
+    lines = [line.split() for line in "".join(blocks(page, "live")).splitlines() if line.startswith("./ros2run")]
+    node, recorder, player, *afterwards = ([*executable(*words[1:3]), *words[3:]] for words in lines)
+    environment = live_environment(free_domain_id(), checkout / "ros")
+    with (
+        LiveProcess(node, checkout / "node.log", environment) as node_process,
+        LiveProcess(recorder, checkout / "recorder.log", environment) as recorder_process,
+    ):
+        wait_until_it_listens(node_process)
+        wait_until_it_listens(recorder_process)
+        subprocess.run(player, check=True, capture_output=True, timeout=120, env=environment)
+        assert node_process.end() == 0, node_process.log()
+        assert recorder_process.end() == 0, recorder_process.log()
+    for command in afterwards:
+        subprocess.run(command, check=True, capture_output=True, timeout=120)
+    recorded = checkout / recorder[recorder.index("--out") + 1]
+    with read_bag(recorded) as bag:
+        assert sum(1 for _ in bag.records(["/ship/attitude"])) > 100
