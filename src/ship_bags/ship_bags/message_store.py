@@ -115,7 +115,7 @@ def store_with_definitions(definitions: Mapping[str, str], bag_name: str) -> tup
         store.register(embedded)
     except Exception as problem:
         # A bag may define anything: the store fails over it in any way.
-        raise BadInput(f"{bag_name}: its message definitions disagree: {problem}") from problem
+        raise BadInput(f"its message definitions disagree: {problem}", file=bag_name) from problem
     return store, differences
 
 
@@ -208,7 +208,7 @@ def _parse(text: str, type_name: str, source: str) -> Any:
         return get_types_from_msg(text, type_name)
     except Exception as problem:
         # Any text may stand there: the parser fails over it in any way.
-        raise BadInput(f"{source}: definition of {type_name} cannot be parsed: {problem}") from problem
+        raise BadInput(f"definition of {type_name} cannot be parsed: {problem}", file=source) from problem
 
 
 def _type_text(description: Any) -> str:

@@ -57,7 +57,7 @@ def check_file(path: Path, force: bool) -> None:
         BadInput: it is there, is no regular file, or its folder is not there or cannot be written to.
     """
     if not path.parent.is_dir():
-        raise BadInput(f"{path}: cannot be written: there is no folder {path.parent}")
+        raise BadInput(f"cannot be written: there is no folder {path.parent}", file=path)
     _check_access(path.parent, path)
     _check_name(path, force)
 
@@ -77,7 +77,7 @@ def check_folder(folder: Path, names: Iterable[str], force: bool) -> None:
     while not there.exists() and not there.is_symlink() and there != there.parent:
         there = there.parent
     if not there.is_dir():
-        raise BadInput(f"{there}: is {_kind(there)}: expected a folder")
+        raise BadInput(f"is {_kind(there)}: expected a folder", file=there)
     _check_access(there, folder)
     if there == folder:
         for name in names:
@@ -182,16 +182,16 @@ class DiskSync:
 def _check_access(folder: Path, path: Path) -> None:
     if not os.access(folder, os.W_OK | os.X_OK):
         reason = errno.EROFS if os.statvfs(folder).f_flag & os.ST_RDONLY else errno.EACCES
-        raise BadInput(f"{path}: cannot be written: {os.strerror(reason)}")
+        raise BadInput(f"cannot be written: {os.strerror(reason)}", file=path)
 
 
 def _check_name(path: Path, force: bool) -> None:
     if not os.path.lexists(path):
         return
     if not path.is_file():
-        raise BadInput(f"{path}: is {_kind(path)}: expected a file")
+        raise BadInput(f"is {_kind(path)}: expected a file", file=path)
     if not force:
-        raise BadInput(f"{path}: is there already: --force writes over it")
+        raise BadInput("is there already: --force writes over it", file=path)
 
 
 def _kind(path: Path) -> str:

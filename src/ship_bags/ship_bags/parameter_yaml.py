@@ -118,7 +118,7 @@ def read_sections(source: Path | str) -> tuple[str, list[Section]]:
     name, text = _text(source)
     root = composed(name, text)
     if root is None:
-        raise BadInput(f"{name}: empty: expected a section 'NODE: {{{PARAMETERS_KEY}: ...}}'")
+        raise BadInput(f"empty: expected a section 'NODE: {{{PARAMETERS_KEY}: ...}}'", file=name)
     return name, list(_sections(name, root, ""))
 
 
@@ -131,7 +131,7 @@ def read_plain(source: Path | str) -> ParameterFile:
     name, text = _text(source)
     root = composed(name, text)
     if not isinstance(root, yaml.MappingNode):
-        raise BadInput(f"{name}:1: expected 'name: value' entries, the file holds none")
+        raise BadInput("expected 'name: value' entries, the file holds none", file=name, line=1)
     return merged(name, [Section("", dict(_parameters(name, root, "")))])
 
 
@@ -163,16 +163,16 @@ def _text(source: Path | str) -> tuple[str, str]:
     try:
         return str(source), source.read_text(encoding="utf-8")
     except OSError as error:
-        raise BadInput(f"{source}: cannot be read: {error.strerror}") from error
+        raise BadInput(f"cannot be read: {error.strerror}", file=source) from error
     except UnicodeDecodeError as error:
-        raise BadInput(f"{source}: is not a text file (UTF-8): expected a ROS 2 parameter file") from error
+        raise BadInput("is not a text file (UTF-8): expected a ROS 2 parameter file", file=source) from error
 
 
 def _sections(name: str, node: yaml.Node, path: str, path_line: int = 1) -> Iterator[Section]:
     for key, line, value in _entries(name, node, path or "the file"):
         if key == PARAMETERS_KEY:
             if not path:
-                raise BadInput(f"{name}:{line}: '{PARAMETERS_KEY}' must stand below the name of a node")
+                raise BadInput(f"'{PARAMETERS_KEY}' must stand below the name of a node", file=name, line=line)
             yield Section(_node_name(name, path_line, path), dict(_parameters(name, value, "")), path_line)
         else:
             # Names are put together as rcl does: a slash between them unless the first one ends with it.
@@ -186,8 +186,9 @@ def _node_name(name: str, line: int, path: str) -> str:
     for part in full[1:].split("/"):
         if part not in ("*", "**") and not _NAME.fullmatch(part):
             raise BadInput(
-                f"{name}:{line}: section '{path}' is no name of a node: expected letters, digits and _ between single "
-                "slashes, or * for any one part and ** for any number of them"
+                f"section '{path}' is no name of a node: expected letters, digits and _ between single "
+                "slashes, or * for any one part and ** for any number of them",
+                file=name, line=line,
             )
     return full
 
@@ -199,7 +200,8 @@ def _parameters(name: str, node: yaml.Node, prefix: str) -> Iterator[tuple[str, 
         if isinstance(value, yaml.MappingNode):
             if prefix and not value.value:
                 # rcl drops it: a device with nothing but defaults would not be there, and nobody would say so.
-                raise BadInput(f"{name}:{line}: group '{prefix}{key}' is empty: give it a parameter, or take it out")
+                reason = f"group '{prefix}{key}' is empty: give it a parameter, or take it out"
+                raise BadInput(reason, file=name, line=line)
             yield from _parameters(name, value, f"{prefix}{key}.")
         else:
             yield prefix + key, (_value(name, value, prefix + key), line)
@@ -209,51 +211,55 @@ def _entries(name: str, node: yaml.Node, what: str) -> Iterator[tuple[str, int, 
     """Key, line and value of each entry of a mapping."""
     if not isinstance(node, yaml.MappingNode):
         line = node.start_mark.line + 1
-        raise BadInput(f"{name}:{line}: {what}: expected 'name: value' entries, got {_kind(node)}")
+        raise BadInput(f"{what}: expected 'name: value' entries, got {_kind(node)}", file=name, line=line)
     seen: dict[str, int] = {}
     for key, value in node.value:
         line = key.start_mark.line + 1
         if not isinstance(key, yaml.ScalarNode):
-            raise BadInput(f"{name}:{line}: {what}: {_kind(key)} cannot be a name")
+            raise BadInput(f"{what}: {_kind(key)} cannot be a name", file=name, line=line)
         if key.value in seen:
-            raise BadInput(f"{name}:{line}: '{key.value}' was given before, in line {seen[key.value]}")
+            raise BadInput(f"'{key.value}' was given before, in line {seen[key.value]}", file=name, line=line)
         seen[key.value] = line
         yield key.value, line, value
 
 
 def _value(name: str, node: yaml.Node, parameter: str) -> Any:
-    where = f"{name}:{node.start_mark.line + 1}: parameter '{parameter}'"
+    def refused(what: str) -> BadInput:
+        line = node.start_mark.line + 1
+        return BadInput(f"parameter '{parameter}' {what}", file=name, line=line, parameters=(parameter,))
+
     if isinstance(node, yaml.SequenceNode):
         elements = [_value(name, element, parameter) for element in node.value]
         kinds = sorted({type(element).__name__ for element in elements})
         if len(kinds) > 1:
-            raise BadInput(f"{where} mixes {' and '.join(kinds)}: all elements of a list must be of one type")
+            raise refused(f"mixes {' and '.join(kinds)}: all elements of a list must be of one type")
         if kinds == ["list"]:
-            raise BadInput(f"{where} is a list of lists: expected a plain list")
+            raise refused("is a list of lists: expected a plain list")
         return elements
     if not isinstance(node, yaml.ScalarNode):
-        raise BadInput(f"{where} is a list of groups: expected a plain list")
+        raise refused("is a list of groups: expected a plain list")
     if node.style in ("'", '"', "|", ">"):
         return node.value
     if _is_null(node):
-        raise BadInput(f"{where} has no value")
+        raise refused("has no value")
     text = node.value
     if _BOOLEAN.fullmatch(text):
         return text.lower() in ("yes", "true", "on")
     if _INTEGER.fullmatch(text):
-        return _integer(text, where)
+        value = _integer(text)
+        if value is None:
+            raise refused(f"is a number of {len(text.lstrip('+-0x'))} digits: expected one of 64 bits")
+        return value
     if _FLOAT.fullmatch(text):
         return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
     return text
 
 
-def _integer(text: str, where: str) -> int:
-    """A number that ROS can hold; of thousands of digits not even the value is asked for."""
+def _integer(text: str) -> int | None:
+    """A number that ROS can hold, otherwise None; of thousands of digits not even the value is asked for."""
     digits = text.lstrip("+-0x")
     value = int(text, 16 if "x" in text else 10) if len(digits) <= _LONGEST_INTEGER else _FIRST_TOO_LARGE
-    if not -_FIRST_TOO_LARGE <= value < _FIRST_TOO_LARGE:
-        raise BadInput(f"{where} is a number of {len(digits)} digits: expected one of 64 bits")
-    return value
+    return value if -_FIRST_TOO_LARGE <= value < _FIRST_TOO_LARGE else None
 
 
 def _kind(node: yaml.Node) -> str:

@@ -43,13 +43,13 @@ def composed(name: str, text: str) -> yaml.Node | None:
         BadInput: it is no YAML or goes beyond a bound; names the file and, where there is one, the line.
     """
     if len(text) > LONGEST_TEXT:
-        raise BadInput(f"{name}: {len(text)} characters: expected a text of at most {LONGEST_TEXT}")
+        raise BadInput(f"{len(text)} characters: expected a text of at most {LONGEST_TEXT}", file=name)
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
         if root is not None and _size(root, {}, ()) > MOST_NODES:
-            raise BadInput(f"{name}: its aliases unfold to more than {MOST_NODES} values")
+            raise BadInput(f"its aliases unfold to more than {MOST_NODES} values", file=name)
     except RecursionError as error:
-        raise BadInput(f"{name}: {_TOO_DEEP}") from error
+        raise BadInput(_TOO_DEEP, file=name) from error
     except (yaml.YAMLError, ValueError) as error:
         raise _refused(name, error) from error
     return root
@@ -108,5 +108,5 @@ def _refused(name: str, error: Exception, mark: yaml.Mark | None = None) -> BadI
     reason = str(error)
     if isinstance(error, yaml.MarkedYAMLError):
         mark, reason = error.problem_mark or error.context_mark or mark, str(error.problem or error.context)
-    where = f":{mark.line + 1}" if mark is not None else ""
-    return BadInput(f"{name}{where}: not YAML: {reason.splitlines()[0]}")
+    line = None if mark is None else mark.line + 1
+    return BadInput(f"not YAML: {reason.splitlines()[0]}", file=name, line=line)

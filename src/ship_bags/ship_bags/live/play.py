@@ -84,13 +84,14 @@ class Player:
         self._publishers: dict[str, Publisher] = {}
         with read_bag(bag_path) as bag:
             if bag.start_ns is None or bag.end_ns is None:
-                raise BadInput(f"{bag_path}: there are no messages to play")
+                raise BadInput("there are no messages to play", file=bag_path)
             self.start_ns = bag.start_ns + round(options.start_offset_s * NS_PER_S)
             self.end_ns = bag.end_ns
             if self.start_ns > self.end_ns:
                 length_s = (bag.end_ns - bag.start_ns) / NS_PER_S
                 raise BadInput(
-                    f"{bag_path}: a start offset of {options.start_offset_s} s is past its end at {length_s:.3f} s"
+                    f"a start offset of {options.start_offset_s} s is past its end at {length_s:.3f} s",
+                    file=bag_path,
                 )
             for topic, why in bag.skipped_topics.items():
                 self._say(f"topic '{topic}' is not played: {why}")
@@ -178,7 +179,8 @@ class Player:
         for name in (*self._options.topics, *self._options.remaps):
             if name not in bag.topics:
                 raise BadInput(
-                    f"{bag.path}: has no topic '{name}' to play; it has {', '.join(sorted(bag.topics))}"
+                    f"has no topic '{name}' to play; it has {', '.join(sorted(bag.topics))}",
+                    file=bag.path,
                 )
         types: dict[str, str] = {}
         for topic, type_name in bag.topics.items():
@@ -200,12 +202,13 @@ class Player:
             name = self._options.remaps.get(topic, topic)
             if types.setdefault(name, type_name) != type_name:
                 raise BadInput(
-                    f"{bag.path}: topic '{topic}' ({type_name}) cannot be played as '{name}', "
-                    f"which carries {types[name]}"
+                    f"topic '{topic}' ({type_name}) cannot be played as '{name}', "
+                    f"which carries {types[name]}",
+                    file=bag.path,
                 )
             self._publishers[topic] = self._node.create_publisher(kind, name, qos)
         if not self._publishers:
-            raise BadInput(f"{bag.path}: none of its topics can be played")
+            raise BadInput("none of its topics can be played", file=bag.path)
 
     def _wait_for_subscribers(self) -> None:
         """Return when every topic has its subscribers, or nobody else is to be expected.

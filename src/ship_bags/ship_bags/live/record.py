@@ -96,8 +96,9 @@ class Recorder:
         except OSError as problem:
             self._bag.cut()
             raise BadInput(
-                f"{self._bag.path}: recording ended: {problem.strerror}; the file is whole up to the last flush, "
-                f"{self._bag.whole_bytes} bytes, and record --recover finishes it"
+                f"recording ended: {problem.strerror}; the file is whole up to the last flush, "
+                f"{self._bag.whole_bytes} bytes, and record --recover finishes it",
+                file=self._bag.path,
             ) from problem
         finally:
             executor.shutdown()

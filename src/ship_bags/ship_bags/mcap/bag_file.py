@@ -80,7 +80,7 @@ def open_mcap(path: Path) -> McapFile:
     try:
         stream = open(path, "rb")  # noqa: SIM115 - closed by the bag that owns it
     except OSError as problem:
-        raise BadInput(f"{path}: cannot be read: {problem.strerror}") from problem
+        raise BadInput(f"cannot be read: {problem.strerror}", file=path) from problem
     size = stream.seek(0, io.SEEK_END)
     stream.seek(0)
     magic = stream.read(len(MAGIC))
@@ -139,7 +139,7 @@ def _has_whole_footer(file: McapFile) -> bool:
 def _take_summary(file: McapFile, summary: Summary) -> None:
     compressions = {index.compression for index in summary.chunk_indexes}
     if compressions and compressions.isdisjoint(COMPRESSIONS):
-        raise BadInput(f"{file.path}: compression {min(compressions)!r} is unknown: expected zstd, lz4 or none")
+        raise BadInput(f"compression {min(compressions)!r} is unknown: expected zstd, lz4 or none", file=file.path)
     file.schemas.update(summary.schemas)
     file.channels.update(summary.channels)
     for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):

@@ -130,8 +130,9 @@ class Bag:
             waiting.extend(self._chunk_records(order, file_number, place, channels[file_number]))
             if sum(len(record.data) + _RECORD_BYTES for _, _, record in waiting) > MAX_HELD_MB * 1_000_000:
                 raise BadInput(
-                    f"{self._files[file_number].path}: the chunk at byte {place.offset} and those that overlap it in "
-                    f"time hold more than {MAX_HELD_MB} MB"
+                    f"the chunk at byte {place.offset} and those that overlap it in "
+                    f"time hold more than {MAX_HELD_MB} MB",
+                    file=self._files[file_number].path,
                 )
             # Order in the file settles equal times and is unique, so records themselves are never compared.
             waiting.sort(key=lambda entry: entry[:2])
@@ -237,7 +238,7 @@ def read_bag(path: Path | str) -> Bag:
         if not any(file.messages(place) for file in files for place in file.chunks):
             problems = "; ".join(problem for file in files for problem in file.problems)
             why = f" that can be read ({problems})" if problems else ""
-            raise BadInput(f"{path}: the bag holds no messages{why}")
+            raise BadInput(f"the bag holds no messages{why}", file=path)
         return Bag(path, files)
     except BadInput:
         for file in files:
@@ -255,10 +256,10 @@ def watched(records: Iterator[BagRecord], bag: Bag) -> Iterator[BagRecord]:
 def _parts(path: Path) -> list[Path]:
     """The MCAP files that make up a bag, in order."""
     if not path.exists():
-        raise BadInput(f"{path}: no such file or folder")
+        raise BadInput("no such file or folder", file=path)
     if not path.is_dir():
         return [path]
     information_path = path / INFORMATION_FILE
     if not information_path.is_file():
-        raise BadInput(f"{path}: the folder has no {INFORMATION_FILE}: give one of its .mcap files instead")
+        raise BadInput(f"the folder has no {INFORMATION_FILE}: give one of its .mcap files instead", file=path)
     return [path / name for name in file_names(information_path)]

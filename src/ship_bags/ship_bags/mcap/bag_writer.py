@@ -110,7 +110,7 @@ class BagWriter:
         try:
             self._file = _opened(self._written_path, atomic, exclusive)
         except OSError as problem:
-            raise BadInput(f"{self.path}: cannot be written: {problem.strerror}") from problem
+            raise BadInput(f"cannot be written: {problem.strerror}", file=self.path) from problem
         self._sync = DiskSync(self._file.fileno())
         self._writer = McapWriter(self._file, self.path.parent, profile="ros2", library=library)
         self._definitions: dict[str, TypeDefinition] = {}
@@ -259,7 +259,7 @@ class BagWriter:
         known = self._channels.get(topic)
         if known is not None:
             if known[1] != type_name:
-                raise BadInput(f"{self.path}: topic '{topic}' carries {known[1]}, not {type_name}")
+                raise BadInput(f"topic '{topic}' carries {known[1]}, not {type_name}", file=self.path)
             return known[0]
         metadata = {
             "offered_qos_profiles": own_qos_text(latched) if qos_profiles is None else qos_profiles,
@@ -276,7 +276,7 @@ class BagWriter:
             try:
                 self._definitions[type_name] = self._define(type_name)
             except Exception as problem:
-                raise BadInput(f"{self.path}: message type {type_name} is unknown") from problem
+                raise BadInput(f"message type {type_name} is unknown", file=self.path) from problem
         return self._definitions[type_name]
 
     def _schema_id(self, type_name: str) -> int:

@@ -82,7 +82,7 @@ class FolderWriter:
         try:
             folder.mkdir()
         except OSError as problem:
-            raise BadInput(f"{folder}: cannot be made: {problem.strerror}") from problem
+            raise BadInput(f"cannot be made: {problem.strerror}", file=folder) from problem
         self._begin_file()
 
     @property
@@ -174,27 +174,32 @@ def file_names(information_path: Path) -> list[str]:
     try:
         document = plain_data(str(information_path), information_path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as problem:
-        raise BadInput(f"{information_path}: cannot be read: {problem}") from problem
+        raise BadInput(f"cannot be read: {problem}", file=information_path) from problem
     information = document.get(_INFORMATION_KEY) if isinstance(document, dict) else None
     if not isinstance(information, dict):
-        raise BadInput(f"{information_path}: not the information file of a rosbag2 bag: it has no {_INFORMATION_KEY}")
+        raise BadInput(
+            f"not the information file of a rosbag2 bag: it has no {_INFORMATION_KEY}", file=information_path
+        )
     storage, compression = information.get("storage_identifier"), information.get("compression_mode")
     if storage != "mcap":
         raise BadInput(
-            f"{information_path}: storage_identifier is '{storage!s:.40}': expected mcap (ros2 bag convert)"
+            f"storage_identifier is '{storage!s:.40}': expected mcap (ros2 bag convert)",
+            file=information_path,
         )
     if compression is not None and str(compression).lower() not in ("", "none"):
         raise BadInput(
-            f"{information_path}: compression_mode is '{compression!s:.40}': unpack the bag's files first"
+            f"compression_mode is '{compression!s:.40}': unpack the bag's files first",
+            file=information_path,
         )
     names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names:
-        raise BadInput(f"{information_path}: relative_file_paths names no file")
+        raise BadInput("relative_file_paths names no file", file=information_path)
     for name in names:
         # Another folder's file is not of this bag, whoever wrote this.
         if not isinstance(name, str) or "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
             raise BadInput(
-                f"{information_path}: relative_file_paths: '{name!s:.80}' is no file of this folder"
+                f"relative_file_paths: '{name!s:.80}' is no file of this folder",
+                file=information_path,
             )
     return names
 

@@ -69,11 +69,11 @@ def recover(source: Path, target: Path, force: bool = False) -> Recovery:
     """
     if source.is_dir():
         if os.path.lexists(target):
-            raise BadInput(f"{target}: is there already: take it away, or give another name by --out")
+            raise BadInput("is there already: take it away, or give another name by --out", file=target)
         return _recover_folder(source, target)
     check_file(target, force)
     if target.resolve() == source.resolve():
-        raise BadInput(f"{target}: the output would overwrite the input")
+        raise BadInput("the output would overwrite the input", file=target)
     topics: dict[str, TopicInformation] = {}
     return _recover_file(source, target, topics, _Tally())[0]
 
@@ -81,7 +81,7 @@ def recover(source: Path, target: Path, force: bool = False) -> Recovery:
 def _recover_folder(source: Path, target: Path) -> Recovery:
     parts = sorted(source.glob("*.mcap"), key=_number)
     if not parts:
-        raise BadInput(f"{source}: there are no .mcap files in this folder")
+        raise BadInput("there are no .mcap files in this folder", file=source)
     target.mkdir()
     files: list[FileInformation] = []
     topics: dict[str, TopicInformation] = {}
@@ -119,11 +119,11 @@ def _recover_file(
     part = target.with_name(f"{target.stem}.part.mcap")
     try:
         if not file.chunks:
-            raise BadInput(f"{source}: no message reached the disk, there is nothing to recover")
+            raise BadInput("no message reached the disk, there is nothing to recover", file=source)
         try:
             written, information = _rewrite(file, part, target.name, topics)
             if not written.counts:
-                raise BadInput(f"{source}: no message can be read: {'; '.join(file.problems)}")
+                raise BadInput(f"no message can be read: {'; '.join(file.problems)}", file=source)
             _read_back(part, target, "mcap", _read_by_mcap, written)
             _read_back(part, target, "rosbags", _read_by_rosbags, written)
             part.replace(target)
@@ -146,7 +146,7 @@ def _rewrite(
     try:
         stream = open_new(part)
     except OSError as problem:
-        raise BadInput(f"{part}: cannot be written: {problem.strerror}") from problem
+        raise BadInput(f"cannot be written: {problem.strerror}", file=part) from problem
     with stream:
         writer = Writer(stream)
         writer.start(profile="ros2", library=_LIBRARY)
@@ -242,10 +242,11 @@ def _read_back(path: Path, name: Path, reader: str, read: Callable[[Path], _Tall
         found = read(path)
     except Exception as problem:
         # Whatever it stumbles on, the result is not what was meant to be written.
-        raise BadInput(f"{name}: is not written, reading it back by {reader} failed: {problem}") from problem
+        raise BadInput(f"is not written, reading it back by {reader} failed: {problem}", file=name) from problem
     for topic in sorted(found.counts.keys() | written.counts.keys()):
         if (found.counts[topic], found.digests[topic]) != (written.counts[topic], written.digests[topic]):
             raise BadInput(
-                f"{name}: is not written, {reader} reads back {found.counts[topic]} messages of topic '{topic}' "
-                f"instead of {written.counts[topic]}, or with other bytes"
+                f"is not written, {reader} reads back {found.counts[topic]} messages of topic '{topic}' "
+                f"instead of {written.counts[topic]}, or with other bytes",
+                file=name,
             )

@@ -88,7 +88,7 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
     if order.resample_hz is not None:
         samples = resampled(samples, order.resample_hz)
         if not samples:
-            raise BadInput(f"{order.ins}: no two attitudes within {LONGEST_GAP_S:g} s of each other to resample")
+            raise BadInput(f"no two attitudes within {LONGEST_GAP_S:g} s of each other to resample", file=order.ins)
     timed += _imu_messages(factory, "ins/imu", "ins", samples)
     timed += _fix_messages(factory, ins_lines, by_instrument)
     for name, path in sorted(order.references.items()):
@@ -110,14 +110,14 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
 def _attitudes(lines: list[LogLine], report: LogReport, by_instrument: bool) -> list[LoggedAttitude]:
     found = attitudes(lines, report, by_instrument)
     if not found:
-        raise BadInput(f"{report.path}: no usable attitude: expected PSXN,23 after ZDA, or PASHR; {report.text()}")
+        raise BadInput(f"no usable attitude: expected PSXN,23 after ZDA, or PASHR; {report.text()}", file=report.path)
     return found
 
 
 def _read_with(path: Path, kind: str) -> tuple[list[LogLine], LogReport]:
     lines, report = read_log(path)
     if not report.used[kind]:
-        raise BadInput(f"{path}: no {kind} in {report.lines} lines")
+        raise BadInput(f"no {kind} in {report.lines} lines", file=path)
     return lines, report
 
 
@@ -146,7 +146,7 @@ def _write(order: ImportOrder, out_path: Path, timed: list[_Timed], reports: lis
             try:
                 bag.add_attachment(SUITE_ATTACHMENT, order.suite.read_bytes())
             except OSError as problem:
-                raise BadInput(f"{order.suite}: cannot be read: {problem.strerror}") from problem
+                raise BadInput(f"cannot be read: {problem.strerror}", file=order.suite) from problem
         for log_time_ns, topic, message in sorted(timed, key=lambda entry: entry[:2]):
             bag.write(topic, message, log_time_ns)
 

@@ -93,9 +93,9 @@ def read_log(path: Path) -> tuple[list[LogLine], LogReport]:
     report = LogReport(path)
     lines = list(_lines(path, report))
     if report.lines == 0:
-        raise BadInput(f"{path}: the file is empty: expected lines 'RECEIVE_TIME SENTENCE'")
+        raise BadInput("the file is empty: expected lines 'RECEIVE_TIME SENTENCE'", file=path)
     if not lines and not report.unused:
-        raise BadInput(f"{path}: no line could be read: {report.examples[0]}: expected 'RECEIVE_TIME SENTENCE'")
+        raise BadInput(f"no line could be read: {report.examples[0]}: expected 'RECEIVE_TIME SENTENCE'", file=path)
     return lines, report
 
 
@@ -127,7 +127,7 @@ def _lines(path: Path, report: LogReport) -> Iterator[LogLine]:
                         report.used[parsed.kind] += 1
                         yield parsed
     except OSError as problem:
-        raise BadInput(f"{path}: cannot be read: {problem.strerror}") from problem
+        raise BadInput(f"cannot be read: {problem.strerror}", file=path) from problem
 
 
 def _parsed(number: int, text: str, report: LogReport) -> LogLine | None:

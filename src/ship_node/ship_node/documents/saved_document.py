@@ -136,7 +136,7 @@ class SavedFormat:
         try:
             files.write(path, yaml.safe_dump(whole, sort_keys=False, width=110).encode())
         except OSError as error:
-            raise BadInput(f"{path}: the {self.what} cannot be written: {error.strerror}") from error
+            raise BadInput(f"the {self.what} cannot be written: {error.strerror}", file=path) from error
 
     def load(self, path: Path, read: Callable[[dict[str, Any]], Content], files: Files = DISK) -> Content:
         """Read a document.
@@ -168,23 +168,23 @@ class SavedFormat:
         return self._parsed(path, content, read)
 
     def _unreadable(self, path: Path, error: OSError) -> BadInput:
-        return BadInput(f"{path}: the {self.what} cannot be read: {error.strerror}")
+        return BadInput(f"the {self.what} cannot be read: {error.strerror}", file=path)
 
     def _parsed(self, path: Path, content: bytes, read: Callable[[dict[str, Any]], Content]) -> Content:
         try:
             document = plain_data(str(path), content.decode())
         except UnicodeDecodeError as error:
-            raise BadInput(f"{path}: not a text in UTF-8: {error.reason} at byte {error.start}") from error
+            raise BadInput(f"not a text in UTF-8: {error.reason} at byte {error.start}", file=path) from error
         article = "an" if self.what[0] in "aeiou" else "a"
         if not isinstance(document, dict) or document.get("format") != self.format:
-            raise BadInput(f"{path}: not {article} {self.what}: expected 'format: {self.format}'")
+            raise BadInput(f"not {article} {self.what}: expected 'format: {self.format}'", file=path)
         if document.get("version") != self.version:
             found = f"{document.get('version')!r:.40}"
-            raise BadInput(f"{path}: version {found} of the {self.what}: expected {self.version}")
+            raise BadInput(f"version {found} of the {self.what}: expected {self.version}", file=path)
         try:
             return read(document)
         except ValueError as error:
-            raise BadInput(f"{path}: the {self.what} cannot be used: {error}; save it anew") from error
+            raise BadInput(f"the {self.what} cannot be used: {error}; save it anew", file=path) from error
 
 
 def age_words(time_ns: int, now_ns: int) -> str:

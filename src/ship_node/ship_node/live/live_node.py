@@ -274,9 +274,12 @@ def _outputs(adapter: Adapter) -> tuple[OutputTopic, ...]:
 
 def _with_line(error: InputError, parameter_files: tuple[Path, ...], node: str) -> BadInput:
     """The error with the file that gives the parameter, and its line; the last one of several."""
-    if not error.parameters:
-        return BadInput(str(error))
-    parameter = error.parameters[0]
-    files = [read_whatever_fits(path, node) for path in reversed(parameter_files)]
-    naming = [file for file in files if parameter in file.lines] or [file for file in files if file.line_of(parameter)]
-    return naming[0].error(error) if naming else BadInput(str(error))
+    if error.parameters and not error.file:
+        parameter = error.parameters[0]
+        files = [read_whatever_fits(path, node) for path in reversed(parameter_files)]
+        naming = [file for file in files if parameter in file.lines] or [f for f in files if f.line_of(parameter)]
+        if naming:
+            return naming[0].error(error)
+    return BadInput(
+        error.reason, file=error.file, line=error.line, parameters=error.parameters, value=error.value
+    )

@@ -68,10 +68,11 @@ def read(source: Path | str, node: str) -> ParameterFile:
     if not fitting:
         _refuse_misfits(name, sections, node)
         expected = f"expected '{anywhere(_last(node))}' or '/**'"
-        raise BadInput(f"{name}: no section for node '{_last(node)}': {expected}, found {_names(sections)}")
+        raise BadInput(f"no section for node '{_last(node)}': {expected}, found {_names(sections)}", file=name)
     exact = sorted({section.node for section in fitting if "*" not in section.node})
     if len(exact) > 1:
-        raise BadInput(f"{name}: sections {' and '.join(exact)} both fit node '{_last(node)}': keep one in this file")
+        reason = f"sections {' and '.join(exact)} both fit node '{_last(node)}': keep one in this file"
+        raise BadInput(reason, file=name)
     return merged(name, fitting)
 
 
@@ -99,7 +100,7 @@ def misfit(source: Path | str, node: str) -> str:
         return f"{name}: nothing in it is for node '{node}', its sections are {_names(sections)}"
     misfits = _misfits(sections, node)
     if misfits and not any(_last(section.node) == _last(node) for section in fitting):
-        return _misfit_text(name, misfits, node)
+        return str(_misfit(name, misfits, node))
     return ""
 
 
@@ -151,11 +152,11 @@ def _likeness(one: str, other: str) -> float:
 def _refuse_misfits(name: str, sections: list[Section], node: str) -> None:
     misfits = _misfits(sections, node)
     if misfits:
-        raise BadInput(_misfit_text(name, misfits, node))
+        raise _misfit(name, misfits, node)
 
 
-def _misfit_text(name: str, misfits: list[Section], node: str) -> str:
-    """Both names, and what to do."""
+def _misfit(name: str, misfits: list[Section], node: str) -> BadInput:
+    """A section that was hardly meant for another node: both names, and what to do."""
     first, last = misfits[0], _last(node)
     namespace = first.node.rpartition("/")[0]
     advice = f"name it '/**/{last}' to fit in every namespace"
@@ -163,7 +164,8 @@ def _misfit_text(name: str, misfits: list[Section], node: str) -> str:
         where = f"-r __ns:={namespace}, of a tool --namespace {namespace[1:]}" if namespace else "give it no namespace"
         advice += f", or run the node in that of the section ({where})"
     full = node if node.startswith("/") else f"/{node}"
-    return f"{name}:{first.line}: section '{first.node}' does not fit node '{full}': {advice}"
+    reason = f"section '{first.node}' does not fit node '{full}': {advice}"
+    return BadInput(reason, file=name, line=first.line)
 
 
 def _names(sections: list[Section]) -> str:
