@@ -2,12 +2,14 @@
 
 import itertools
 
+import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.readings import AirReading
+from ship_attitude_star.measurements.readings import AirReading, PositionFix
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.surroundings import WeatherTrack
+from ship_attitude_star.sky.surroundings import Air, Surroundings
 from ship_estimation.refusals import Reason
+from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.refraction import Weather
 
 SECOND_NS = 1_000_000_000
@@ -21,39 +23,53 @@ CONFIG = SkyConfig(
     measured_pressure_sigma_hpa=0.5,
     measured_temperature_sigma_k=1.0,
     weather_max_age_s=3600.0,
+    fix_max_age_s=3600.0,
 )
+POSITION = GeodeticPosition(0.9, 0.1, 20.0)
 
 
 def ns(since_s: float) -> int:
     return START_NS + round(since_s * SECOND_NS)
 
 
+class Readings(Surroundings):
+    """Surroundings of a ship at anchor, of which the air alone is asked."""
+
+    def __init__(self, config: SkyConfig) -> None:
+        super().__init__(config)
+        for since_s in (0, 3600):
+            self.insert(PositionFix(ns(since_s), POSITION, np.eye(3)))
+
+    def air(self, time_ns: int) -> Air:
+        return self.at(time_ns)[1]
+
+
 def test_without_any_measurement_the_parameters_hold() -> None:
-    air = WeatherTrack(CONFIG).at(ns(0))
+    air = Readings(CONFIG).air(ns(0))
     assert air.weather == Weather(1000.0, -3.0, 0.9)
     assert (air.pressure_sigma_hpa, air.temperature_sigma_k) == (15.0, 10.0)
-    assert WeatherTrack(CONFIG).not_measured(ns(0)) == ["pressure", "temperature", "humidity"]
+    assert Readings(CONFIG).not_measured(ns(0)) == ["pressure", "temperature", "humidity"]
 
 
 def test_the_last_value_at_or_before_the_moment_holds() -> None:
-    track = WeatherTrack(CONFIG)
+    track = Readings(CONFIG)
     track.insert(AirReading("pressure", ns(0), 1010.0))
     track.insert(AirReading("pressure", ns(60), 1011.0))
     track.insert(AirReading("temperature", ns(30), 20.0))
     track.insert(AirReading("humidity", ns(30), 0.4))
-    assert track.at(ns(-1)).weather == Weather(1000.0, -3.0, 0.9)
-    assert track.at(ns(0)).weather == Weather(1010.0, -3.0, 0.9)
-    assert track.at(ns(59)).weather == Weather(1010.0, 20.0, 0.4)
-    assert track.at(ns(60)).weather == Weather(1011.0, 20.0, 0.4)
+    assert track.air(ns(-1)).weather == Weather(1000.0, -3.0, 0.9)
+    assert track.air(ns(0)).weather == Weather(1010.0, -3.0, 0.9)
+    assert track.air(ns(59)).weather == Weather(1010.0, 20.0, 0.4)
+    assert track.air(ns(60)).weather == Weather(1011.0, 20.0, 0.4)
     assert track.not_measured(ns(10)) == ["temperature", "humidity"]
     assert track.not_measured(ns(40)) == []
 
 
 def test_the_variance_grows_to_that_of_the_parameter_and_then_the_parameter_holds() -> None:
-    track = WeatherTrack(CONFIG)
+    track = Readings(CONFIG)
     track.insert(AirReading("pressure", ns(0), 1010.0, 0.3))
     track.insert(AirReading("temperature", ns(0), 20.0))
-    fresh, half, last, gone = (track.at(ns(t)) for t in (0, 1800, 3600, 3601))
+    fresh, half, last, gone = (track.air(ns(t)) for t in (0, 1800, 3600, 3601))
     assert (fresh.pressure_sigma_hpa, fresh.temperature_sigma_k) == (0.3, 1.0)
     # Half way between 0.3² and 15², and between 1² and 10².
     assert (half.pressure_sigma_hpa**2, half.temperature_sigma_k**2) == pytest.approx((112.545, 50.5))
@@ -63,35 +79,35 @@ def test_the_variance_grows_to_that_of_the_parameter_and_then_the_parameter_hold
 
 
 def test_a_bad_instrument_does_not_get_better_with_age() -> None:
-    track = WeatherTrack(CONFIG)
+    track = Readings(CONFIG)
     track.insert(AirReading("temperature", ns(0), 20.0, 30.0))
-    assert [track.at(ns(t)).temperature_sigma_k for t in (0, 1800)] == [30.0, 30.0]
+    assert [track.air(ns(t)).temperature_sigma_k for t in (0, 1800)] == [30.0, 30.0]
 
 
 def test_any_order_of_arrival_gives_the_same_air() -> None:
     readings = [(0, 1010.0), (10, 1011.0), (10, 1009.0), (20, 1012.0), (30, 1013.0)]
 
     def answers(order) -> list:
-        track = WeatherTrack(CONFIG)
+        track = Readings(CONFIG)
         for since_s, pressure_hpa in order:
             track.insert(AirReading("pressure", ns(since_s), pressure_hpa))
-        return [track.at(ns(t)) for t in (-1, 0, 5, 10, 15, 25, 100)]
+        return [track.air(ns(t)) for t in (-1, 0, 5, 10, 15, 25, 100)]
 
     assert all(answers(order) == answers(readings) for order in itertools.permutations(readings))
 
 
 def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
-    track = WeatherTrack(CONFIG)
+    track = Readings(CONFIG)
     track.insert(AirReading("pressure", ns(0), 1010.0))
     track.insert(AirReading("pressure", ns(20), 1010.0))
-    before = {t: track.at(ns(t)) for t in (0, 9, 10, 19, 20)}
+    before = {t: track.air(ns(t)) for t in (0, 9, 10, 19, 20)}
     assert track.insert(AirReading("pressure", ns(10), 1020.0)) == ns(10) - 1
-    assert [t for t in before if track.at(ns(t)) != before[t]] == [10, 19]
+    assert [t for t in before if track.air(ns(t)) != before[t]] == [10, 19]
     assert track.insert(AirReading("pressure", ns(10), 1020.0)) is None
 
 
 def test_the_same_stamp_again_is_told() -> None:
-    track = WeatherTrack(CONFIG)
+    track = Readings(CONFIG)
     track.insert(AirReading("humidity", ns(0), 0.5))
     assert track.refusal(AirReading("humidity", ns(0), 0.5, None)).reason is Reason.DUPLICATE
     assert track.refusal(AirReading("humidity", ns(0), 0.6, None)).reason is Reason.CONFLICT
@@ -99,9 +115,9 @@ def test_the_same_stamp_again_is_told() -> None:
 
 
 def test_what_is_dropped_is_needed_no_more() -> None:
-    track = WeatherTrack(CONFIG)
+    track = Readings(CONFIG)
     for since_s in range(10):
         track.insert(AirReading("temperature", ns(since_s), float(since_s)))
     track.drop_before(ns(5.5))
-    assert track.at(ns(5.5)).weather.temperature_c == 5.0
-    assert track.at(ns(4.0)).weather.temperature_c == CONFIG.temperature_c
+    assert track.air(ns(5.5)).weather.temperature_c == 5.0
+    assert track.air(ns(4.0)).weather.temperature_c == CONFIG.temperature_c

@@ -7,8 +7,8 @@ import pytest
 
 from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.surroundings import ACCELERATION_SIGMA_M_PER_S2, SPEED_SIGMA_M_PER_S, Place, PlaceTrack
-from ship_estimation.refusals import Reason
+from ship_attitude_star.sky.surroundings import ACCELERATION_SIGMA_M_PER_S2, SPEED_SIGMA_M_PER_S, Place, Surroundings
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.geodetic import GeodeticPosition, vector_between
 
 SECOND_NS = 1_000_000_000
@@ -24,11 +24,19 @@ def at(latitude_deg: float, longitude_deg: float, height_m: float = 20.0) -> Geo
     return GeodeticPosition(np.deg2rad(latitude_deg), np.deg2rad(longitude_deg), height_m)
 
 
-def track(*fixes: tuple[float, GeodeticPosition], covariance_m2=SIGMA_M, **config) -> PlaceTrack:
-    result = PlaceTrack(SkyConfig(**config))
+def track(*fixes: tuple[float, GeodeticPosition], covariance_m2=SIGMA_M, **config) -> "Fixes":
+    result = Fixes(SkyConfig(**config))
     for since_s, position in fixes:
         result.insert(PositionFix(ns(since_s), position, covariance_m2))
     return result
+
+
+class Fixes(Surroundings):
+    """Surroundings of which the place alone is asked."""
+
+    def place(self, time_ns: int) -> Place | Refusal:
+        found = self.at(time_ns)
+        return found if isinstance(found, Refusal) else found[0]
 
 
 def ns(since_s: float) -> int:
@@ -40,7 +48,7 @@ def away_m(place, position: GeodeticPosition) -> float:
 
 
 def test_between_fixes_the_place_is_on_the_line() -> None:
-    place = track((0, at(0.0, 10.0)), (10, at(0.001, 10.0))).at(ns(2.5))
+    place = track((0, at(0.0, 10.0)), (10, at(0.001, 10.0))).place(ns(2.5))
     # The chord is lower than the arc by s (L - s) / 2R, below a millimetre here.
     assert away_m(place, at(0.00025, 10.0)) < 1e-3
     np.testing.assert_allclose(place.observer.velocity_n_m_per_s, [0.001 * M_PER_DEG_OF_LATITUDE / 10, 0, 0], atol=1e-3)
@@ -48,19 +56,19 @@ def test_between_fixes_the_place_is_on_the_line() -> None:
 
 
 def test_beyond_the_last_fix_it_goes_on_as_between_the_last_two() -> None:
-    place = track((0, at(0.0, 9.0)), (5, at(0.0, 10.0)), (6, at(0.0, 10.0001))).at(ns(8))
+    place = track((0, at(0.0, 9.0)), (5, at(0.0, 10.0)), (6, at(0.0, 10.0001))).place(ns(8))
     assert away_m(place, at(0.0, 10.0003)) < 1e-3
     np.testing.assert_allclose(place.observer.velocity_n_m_per_s, [0, 0, 1e-4 * M_PER_DEG_OF_LONGITUDE], atol=1e-3)
     assert place.age_s == 2.0
 
 
 def test_before_the_first_fix_it_comes_from_where_it_will_go() -> None:
-    place = track((0, at(0.0, 10.0)), (1, at(0.0, 10.0001))).at(ns(-2))
+    place = track((0, at(0.0, 10.0)), (1, at(0.0, 10.0001))).place(ns(-2))
     assert away_m(place, at(0.0, 9.9998)) < 1e-3
 
 
 def test_across_the_date_line_the_way_is_the_short_one() -> None:
-    place = track((0, at(0.0, 179.9999)), (1, at(0.0, -179.9999))).at(ns(0.75))
+    place = track((0, at(0.0, 179.9999)), (1, at(0.0, -179.9999))).place(ns(0.75))
     assert away_m(place, at(0.0, -179.99995)) < 1e-3
     assert place.observer.velocity_n_m_per_s[2] == pytest.approx(2e-4 * M_PER_DEG_OF_LONGITUDE, abs=1e-3)
 
@@ -69,7 +77,7 @@ def test_over_the_pole_the_way_is_straight() -> None:
     # 11 m on either side of the pole: north first, then south on the meridian opposite.
     fixes = (0, at(89.9999, 30.0)), (2, at(89.9999, -150.0))
     speed_m_per_s = 2e-4 * 111_694.0 / 2  # per degree of latitude at the pole
-    before, after = (track(*fixes).at(ns(t)) for t in (0.5, 1.5))
+    before, after = (track(*fixes).place(ns(t)) for t in (0.5, 1.5))
     assert away_m(before, at(89.99995, 30.0)) < 1e-3
     assert away_m(after, at(89.99995, -150.0)) < 1e-3
     np.testing.assert_allclose(before.observer.velocity_n_m_per_s, [speed_m_per_s, 0, 0], atol=1e-3)
@@ -78,12 +86,12 @@ def test_over_the_pole_the_way_is_straight() -> None:
 
 def test_beside_the_pole_the_error_keeps_its_direction_on_earth_not_its_name() -> None:
     # A quarter of the way round the pole: what was north-south at the fix is east-west now.
-    place = track((0, at(89.9999, 0.0)), (1, at(89.9999, 90.0)), covariance_m2=np.diag([100.0, 0.0, 1.0])).at(ns(0))
+    place = track((0, at(89.9999, 0.0)), (1, at(89.9999, 90.0)), covariance_m2=np.diag([100.0, 0.0, 1.0])).place(ns(0))
     assert place.covariance_m2[0, 0] == pytest.approx(100.0)
     turned = track((0, at(89.9999, 0.0)), covariance_m2=np.diag([100.0, 0.0, 1.0]))
     turned.insert(PositionFix(ns(1), at(89.9999, 90.0), np.diag([1.0, 0.0, 100.0])))
     # On the way, at longitude 45°, half way in time: both fixes say the same ellipse, seen from 45° off.
-    north, _, east = np.diagonal(turned.at(ns(0.5)).covariance_m2)
+    north, _, east = np.diagonal(turned.place(ns(0.5)).covariance_m2)
     drift_m2 = (0.5 * ACCELERATION_SIGMA_M_PER_S2 * 0.25) ** 2
     assert (north, east) == pytest.approx((50.5 + drift_m2, 50.5 + drift_m2))
 
@@ -99,12 +107,12 @@ def test_beside_the_pole_the_error_keeps_its_direction_on_earth_not_its_name() -
     ],
 )
 def test_the_error_grows_with_the_time_to_the_fixes(since_s: float, drift_m: float) -> None:
-    covariance_m2 = track((0, at(50.0, 10.0)), (1, at(50.0, 10.0))).at(ns(since_s)).covariance_m2
+    covariance_m2 = track((0, at(50.0, 10.0)), (1, at(50.0, 10.0))).place(ns(since_s)).covariance_m2
     np.testing.assert_allclose(covariance_m2, SIGMA_M + np.diag([drift_m**2, 0.0, drift_m**2]), rtol=1e-9, atol=1e-9)
 
 
 def test_with_one_fix_the_ship_may_sail_anywhere() -> None:
-    place = track((0, at(50.0, 10.0))).at(ns(3))
+    place = track((0, at(50.0, 10.0))).place(ns(3))
     drift_m2 = (3 * SPEED_SIGMA_M_PER_S) ** 2
     np.testing.assert_allclose(place.covariance_m2, SIGMA_M + np.diag([drift_m2, 0.0, drift_m2]), atol=1e-9)
     np.testing.assert_array_equal(place.observer.velocity_n_m_per_s, 0.0)
@@ -112,22 +120,22 @@ def test_with_one_fix_the_ship_may_sail_anywhere() -> None:
 
 def test_fixes_far_apart_say_nothing_of_the_velocity() -> None:
     apart = track((0, at(0.0, 10.0)), (121, at(0.0, 10.1)), fix_max_age_s=60.0)
-    assert away_m(apart.at(ns(3)), at(0.0, 10.0)) < 1e-6
+    assert away_m(apart.place(ns(3)), at(0.0, 10.0)) < 1e-6
     joined = track((0, at(0.0, 10.0)), (120, at(0.0, 10.1)), fix_max_age_s=60.0)
     # The chord of 11 km passes below the sea by s (L - s) / 2R: 2.3 m in its middle.
-    assert away_m(joined.at(ns(60)), at(0.0, 10.05)) == pytest.approx(5566.0**2 / 2 / 6_378_137.0, rel=1e-3)
+    assert away_m(joined.place(ns(60)), at(0.0, 10.05)) == pytest.approx(5566.0**2 / 2 / 6_378_137.0, rel=1e-3)
 
 
 def test_without_a_young_fix_there_is_no_place_and_it_says_why() -> None:
-    assert track().at(ns(0)).reason is Reason.NO_FIX
+    assert track().place(ns(0)).reason is Reason.NO_FIX
     fixes = track((0, at(50.0, 10.0)), fix_max_age_s=60.0)
-    assert isinstance(fixes.at(ns(60)), Place)
-    refusal = fixes.at(ns(60.1))
+    assert isinstance(fixes.place(ns(60)), Place)
+    refusal = fixes.place(ns(60.1))
     assert (refusal.reason, refusal.text) == (
         Reason.NO_FIX,
         "the nearest position fix is 60.1 s older: more than fix_max_age_s = 60",
     )
-    assert "younger" in fixes.at(ns(-61)).text
+    assert "younger" in fixes.place(ns(-61)).text
 
 
 def test_any_order_of_arrival_gives_the_same_places_to_the_last_bit() -> None:
@@ -137,7 +145,7 @@ def test_any_order_of_arrival_gives_the_same_places_to_the_last_bit() -> None:
     moments = [ns(t) for t in (-3.0, 0.0, 0.5, 2.0, 3.3, 4.0, 7.0, 9.0, 12.0)]
 
     def answers(order) -> list[bytes]:
-        places = [track(*order).at(moment) for moment in moments]
+        places = [track(*order).place(moment) for moment in moments]
         return [p.observer.velocity_n_m_per_s.tobytes() + p.covariance_m2.tobytes() for p in places]
 
     expected = answers(fixes)
@@ -150,10 +158,10 @@ def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
     moments = np.arange(-5.0, 15.0, 0.25)
     for late in times:
         others = track(*((t, places[t]) for t in times if t != late))
-        before = [others.at(ns(m)).covariance_m2.tobytes() for m in moments]
+        before = [others.place(ns(m)).covariance_m2.tobytes() for m in moments]
         changed_after_ns = others.insert(PositionFix(ns(late), places[late], SIGMA_M))
         for moment, old in zip(moments, before, strict=True):
-            if others.at(ns(moment)).covariance_m2.tobytes() != old:
+            if others.place(ns(moment)).covariance_m2.tobytes() != old:
                 assert ns(moment) > changed_after_ns
     assert others.insert(PositionFix(ns(9), places[9], SIGMA_M)) is None
 
@@ -170,5 +178,5 @@ def test_what_is_dropped_is_needed_no_more() -> None:
     kept, whole = track(*fixes), track(*fixes)
     kept.drop_before(ns(5.5))
     for since_s in (5.5, 6.0, 8.3, 12.0):
-        assert away_m(kept.at(ns(since_s)), whole.at(ns(since_s)).observer.position) == 0.0
-    assert away_m(kept.at(ns(2.0)), whole.at(ns(2.0)).observer.position) > 1.0
+        assert away_m(kept.place(ns(since_s)), whole.place(ns(since_s)).observer.position) == 0.0
+    assert away_m(kept.place(ns(2.0)), whole.place(ns(2.0)).observer.position) > 1.0

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.catalogue import UNKNOWN, StarCatalogue
-from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
+from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.refusals import Reason, Refusal
@@ -31,8 +31,6 @@ _FARTHEST_OFF_AXIS = np.deg2rad(60.0)
 _LARGEST_PIXEL = 1e6
 _LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 1e-4, 100.0
 _ANGLE_TOLERANCE = 1e-9
-_YEAR_NS = 31_557_600 * 1_000_000_000
-_J2000_NS = 946_728_000 * 1_000_000_000
 
 RefusedStar = tuple[int, Refusal]
 """Row of a star in its message, and why it is not used."""
@@ -75,9 +73,11 @@ def star_exposure(
     not_given = ~(sigma_px > 0.0) & ~(sigma_px < 0.0)
     sigma_px = np.where(not_given, camera_config.centroid_sigma_px, sigma_px)
     # Squares of the largest doubles would overflow.
-    directions_s = camera.directions(np.where(np.abs(pixels) < _LARGEST_PIXEL, pixels, np.nan))
-
-    rows = catalogue.rows(hip)
+    directions_s, direction_sigma = camera.sighted(
+        np.where(np.abs(pixels) < _LARGEST_PIXEL, pixels, np.nan),
+        np.where(np.abs(sigma_px) <= _LARGEST_SIGMA_PX, sigma_px, np.nan),
+    )
+    entries, given = catalogue.entries(hip, time_ns), fixed_stars(right_ascension, declination)
     seen: dict[Hashable, FloatArray] = {}
 
     def reason_against(row: int) -> Refusal | None:
@@ -85,7 +85,7 @@ def star_exposure(
         return (
             _pixel_refusal(pixels[row], directions_s[row])
             or _sigma_refusal(float(sigma_px[row]))
-            or _number_refusal(int(hip[row]), int(rows[row]), catalogue)
+            or _number_refusal(int(hip[row]), int(entries.rows[row]), catalogue)
             or _place_refusal(int(hip[row]), float(right_ascension[row]), float(declination[row]))
             or _repeated(_identity(int(hip[row]), right_ascension[row], declination[row]), pixels[row], seen)
         )
@@ -96,17 +96,16 @@ def star_exposure(
         text = f"{len(message.stars)} stars in one exposure: only the first {MOST_STARS} are looked at"
         refused.append((MOST_STARS, Refusal(Reason.OVERFLOW, text)))
     kept = np.flatnonzero([refusal is None for refusal in refusals])
-    positions, position_sigma = _positions(
-        rows[kept], hip[kept] != 0, right_ascension[kept], declination[kept], catalogue, time_ns
-    )
+    listed = hip != 0
+    position_sigma = np.where(listed, entries.sigma, _GIVEN_DIRECTION_SIGMA)
     exposure = StarExposure(
         source=f"star.{sensor_id}",
         time_ns=time_ns,
         hip=hip[kept],
         directions_s=directions_s[kept],
-        sigma=equivalent_sigma(camera.direction_covariance(pixels[kept], sigma_px[kept])),
-        positions=positions,
-        position_sigma=position_sigma,
+        sigma=direction_sigma[kept],
+        positions=_either(listed, entries.positions, given, kept),
+        position_sigma=position_sigma[kept],
         magnitude=np.array([star.magnitude for star in stars], dtype=float)[kept],
         length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
     )
@@ -175,21 +174,12 @@ def _repeated(identity: Hashable, pixel: FloatArray, seen: dict[Hashable, FloatA
     return Refusal(Reason.DUPLICATE if same else Reason.CONFLICT, text)
 
 
-def _positions(
-    rows: NDArray[np.int64],
-    by_catalogue: NDArray[np.bool_],
-    right_ascension: FloatArray,
-    declination: FloatArray,
-    catalogue: StarCatalogue,
-    time_ns: int,
-) -> tuple[StarPositions, FloatArray]:
-    """Places of stars and their errors: of the catalogue, else as given; NaN where neither is there."""
-    listed = np.where(by_catalogue, rows, 0)
-    of_catalogue, given = catalogue.at_j2000[listed], fixed_stars(right_ascension, declination)
-    columns = (
-        np.where(by_catalogue, getattr(of_catalogue, name), getattr(given, name))
+def _either(
+    listed: NDArray[np.bool_], of_catalogue: StarPositions, given: StarPositions, kept: NDArray[np.intp]
+) -> StarPositions:
+    """Positions of the stars of some rows: of the catalogue where they are listed, else as given."""
+    columns = [
+        np.where(listed, getattr(of_catalogue, name), getattr(given, name))[kept]
         for name in StarPositions.__dataclass_fields__
-    )
-    year = 2000.0 + (time_ns - _J2000_NS) / _YEAR_NS
-    sigma = np.where(by_catalogue, catalogue.sigma(listed, year), _GIVEN_DIRECTION_SIGMA)
-    return StarPositions(*columns), sigma
+    ]
+    return StarPositions(*columns)

@@ -72,13 +72,13 @@ def star_residuals(
     Returns:
         The refusal of the whole exposure where no star can be placed in the sky at its moment, or none can be used.
     """
-    moment = watch.at(exposure.time_ns)
-    if isinstance(moment, Refusal):
-        return moment
     rotation_ns, to_sensor = predicted.rotation_nv, predicted.jacobian_v
     prior_s = to_sensor @ covariance @ to_sensor.T + predicted.interpolation_v
     prior = AttitudePrior(rotation_ns, rotation_ns @ prior_s @ rotation_ns.T)
-    seen, stars, refused = visible_stars(exposure, moment, prior)
+    visible = visible_stars(exposure, watch, prior)
+    if isinstance(visible, Refusal):
+        return visible
+    seen, stars, refused = visible
     if len(stars.sigma) == 0:
         return Refusal(Reason.TOO_FEW_STARS, _listed(f"none of {len(exposure)} stars can be used", refused))
     rows = sky_rows(model)
@@ -174,10 +174,10 @@ def attitude_by_stars(
     Returns:
         The refusal where the stars do not give an attitude that others of them verify.
     """
-    moment = watch.at(exposure.time_ns)
-    if isinstance(moment, Refusal):
-        return moment
-    _, stars, refused = visible_stars(exposure, moment, None)
+    visible = visible_stars(exposure, watch, None)
+    if isinstance(visible, Refusal):
+        return visible
+    _, stars, refused = visible
     solution = solve_stars(stars)
     if solution.status is SolutionStatus.INVALID:
         assert solution.refusal is not None

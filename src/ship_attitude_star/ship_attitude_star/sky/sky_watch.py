@@ -12,13 +12,12 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.measurements.readings import PositionFix, SkyInput
+from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.sky.catalogue import StarCatalogue, hipparcos
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.surroundings import Air, Place, PlaceTrack, WeatherTrack
+from ship_attitude_star.sky.surroundings import Air, Place, Surroundings
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.earth_orientation import EarthOrientationTable, earth_orientation_table
-from ship_geometry.geodetic import horizon_radii_m
 from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, elevation_of, lifted, refraction, refraction_slopes
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.star_directions import RefreshedSky, StarPositions, fixed_stars
@@ -97,10 +96,10 @@ class SkyMoment:
         bent = refraction(self.model, elevation, self.air.weather, self.wavelength_um)
         direction_n = lifted(without_air, bent.angle)
         bent_sigma = bent.sigma(self.air.pressure_sigma_hpa, self.air.temperature_sigma_k)
-        # turn × direction for all three turns in one product.
-        across = skew(_turns(self.place, ut1_sigma_s)).transpose(2, 1, 0).reshape(3, 9)
         shared_n = np.empty((*direction_n.shape, len(SHARED_TERMS)))
         shared_n[..., 0] = _upward(direction_n) * bent_sigma[..., None]
+        # turn × direction for all three turns in one product.
+        across = skew(_turns(self.place, ut1_sigma_s)).transpose(2, 1, 0).reshape(3, 9)
         shared_n[..., 1:] = (direction_n @ across).reshape(*direction_n.shape, 3)
         return ApparentStars(direction_n, shared_n, elevation, np.isfinite(bent_sigma))
 
@@ -170,12 +169,11 @@ class SkyWatch:
 
     def reset(self) -> None:
         """Forget fixes and readings of the air."""
-        self._places = PlaceTrack(self._config)
-        self._weather = WeatherTrack(self._config)
+        self._surroundings = Surroundings(self._config)
 
     def refusal(self, given: SkyInput) -> Refusal | None:
-        """DUPLICATE or CONFLICT where an input of the same kind and stamp is known; to be asked before insertion."""
-        return self._places.refusal(given) if isinstance(given, PositionFix) else self._weather.refusal(given)
+        """DUPLICATE or CONFLICT where an input of the kind and stamp is known; to be asked before :meth:`insert`."""
+        return self._surroundings.refusal(given)
 
     def insert(self, given: SkyInput) -> int | None:
         """Take a position fix or a reading of the air.
@@ -183,20 +181,21 @@ class SkyWatch:
         Returns:
             The moment (ns) after which the sky may have changed; None where it has not.
         """
-        return self._places.insert(given) if isinstance(given, PositionFix) else self._weather.insert(given)
+        return self._surroundings.insert(given)
 
     def at(self, time_ns: int) -> SkyMoment | Refusal:
         """The sky at a moment, or why no star can be placed then: NO_EARTH_ORIENTATION or NO_FIX."""
         reason = self._table.reason_against(time_ns)
         if reason is not None:
             return Refusal(Reason.NO_EARTH_ORIENTATION, reason)
-        place = self._places.at(time_ns)
-        if isinstance(place, Refusal):
-            return place
+        surroundings = self._surroundings.at(time_ns)
+        if isinstance(surroundings, Refusal):
+            return surroundings
+        place, air = surroundings
         return SkyMoment(
             time_ns=time_ns,
             place=place,
-            air=self._weather.at(time_ns),
+            air=air,
             refreshed=self._refreshed,
             model=self._model,
             wavelength_um=self._config.wavelength_um,
@@ -205,12 +204,11 @@ class SkyWatch:
 
     def not_measured(self, time_ns: int) -> list[str]:
         """Names of the quantities of the air that are taken from parameters at a moment."""
-        return self._weather.not_measured(time_ns)
+        return self._surroundings.not_measured(time_ns)
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed for moments at or after ``time_ns``."""
-        self._places.drop_before(time_ns)
-        self._weather.drop_before(time_ns)
+        self._surroundings.drop_before(time_ns)
 
 
 def installed_sky(config: SkyConfig) -> SkyWatch:
@@ -236,7 +234,7 @@ def _position_turns(place: Place) -> FloatArray:
     second is the rest of east, so that a filter may keep the two as separate states.
     """
     position, covariance_m2 = place.observer.position, place.covariance_m2
-    radius_north_m, radius_east_m = horizon_radii_m(position)
+    radius_north_m, radius_east_m = place.horizon_radii_m
     # The horizon turns by +latitude about -East and by +longitude about the pole, the sky in it the other way.
     per_north = np.array([0.0, 0.0, 1.0]) / radius_north_m
     per_east = -np.array([1.0, np.tan(position.latitude), 0.0]) / radius_east_m

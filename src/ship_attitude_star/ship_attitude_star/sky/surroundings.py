@@ -11,11 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.measurements.readings import AirReading, PositionFix
+from ship_attitude_star.measurements.readings import AirReading, PositionFix, SkyInput
 from ship_attitude_star.sky.config import SkyConfig
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.stamped_values import StampedValues
-from ship_geometry.geodetic import ecef_from_geodetic, geodetic_from_ecef, rotation_horizon_from_ecef
+from ship_geometry.geodetic import (
+    ecef_from_geodetic,
+    geodetic_from_ecef,
+    horizon_radii_m,
+    rotation_horizon_from_ecef,
+)
 from ship_geometry.refraction import Weather
 from ship_geometry.rotations import FloatArray
 from ship_geometry.star_directions import Observer
@@ -40,11 +45,13 @@ class Place:
         observer: position on WGS 84 and velocity over ground.
         covariance_m2: of the position in (North, Up, East), m², shape (3, 3).
         age_s: time between the moment and the fix nearest to it.
+        horizon_radii_m: radii of curvature of the ellipsoid along the meridian and along the parallel.
     """
 
     observer: Observer
     covariance_m2: FloatArray
     age_s: float
+    horizon_radii_m: tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -71,114 +78,6 @@ class _Fix:
 
     def content(self) -> bytes:
         return self.ecef_m.tobytes() + self.covariance_ecef_m2.tobytes()
-
-
-class PlaceTrack:
-    """Position fixes by their stamps.
-
-    Args:
-        config: says how old a fix may be.
-    """
-
-    def __init__(self, config: SkyConfig) -> None:
-        self._max_age_s = config.fix_max_age_s
-        self._max_age_ns = round(config.fix_max_age_s * _SECOND_NS)
-        self._fixes: StampedValues[_Fix] = StampedValues()
-
-    def refusal(self, fix: PositionFix) -> Refusal | None:
-        """DUPLICATE or CONFLICT where a fix of the same stamp is known; to be asked before :meth:`insert`."""
-        return self._fixes.refusal(fix.time_ns, _earth_fixed(fix))
-
-    def insert(self, fix: PositionFix) -> int | None:
-        """Take a fix; of two with the same stamp the one whose bytes sort first is kept.
-
-        Returns:
-            The moment (ns) after which answers may have changed; None where no answer has changed.
-        """
-        index = self._fixes.insert(fix.time_ns, _earth_fixed(fix))
-        if index is None:
-            return None
-        times = self._fixes.times
-        if index < 2:
-            return 0  # the first two fixes give the velocity for all times before them
-        # Where the fix before is alone, the new fix gives the velocity on the far side of that one too.
-        joined = times[index - 1] - times[index - 2] <= 2 * self._max_age_ns
-        return times[index - 1] if joined else times[index - 2]
-
-    def drop_before(self, time_ns: int) -> None:
-        """Forget what is not needed for moments at or after ``time_ns``."""
-        # The last two fixes before the moment give place and velocity until the next fix comes.
-        self._fixes.drop_before(time_ns, keep=2)
-
-    def at(self, time_ns: int) -> Place | Refusal:
-        """The place at a moment, or NO_FIX where no fix is near enough in time.
-
-        Errors of successive fixes are taken to be alike, as those of GNSS are: no averaging makes them better. The
-        error that the straight line leaves out grows with the time to its two fixes.
-        """
-        times = self._fixes.times
-        if not times:
-            return Refusal(Reason.NO_FIX, "no position fix yet: is gnss/fix published?")
-        left = self._fixes.last_before(time_ns)
-        # Of two fixes equally near the earlier one counts.
-        later = left < 0 or (left + 1 < len(times) and times[left + 1] - time_ns < time_ns - times[left])
-        nearest = left + 1 if later else left
-        away_ns = time_ns - times[nearest]
-        if abs(away_ns) > self._max_age_ns:
-            return self._too_far(away_ns)
-        age_s = abs(away_ns) / _SECOND_NS
-        pair = self._pair(nearest, time_ns)
-        if pair is None:
-            fix = self._fixes.values[nearest]
-            return _place(fix.ecef_m, np.zeros(3), fix.covariance_ecef_m2, SPEED_SIGMA_M_PER_S * age_s, age_s)
-        first, second = self._fixes.values[pair], self._fixes.values[pair + 1]
-        since_first_s, since_second_s = (time_ns - times[pair]) / _SECOND_NS, (time_ns - times[pair + 1]) / _SECOND_NS
-        span_s = since_first_s - since_second_s
-        velocity_ecef = (second.ecef_m - first.ecef_m) / span_s
-        share = min(max(since_first_s / span_s, 0.0), 1.0)
-        return _place(
-            first.ecef_m + since_first_s * velocity_ecef,
-            velocity_ecef,
-            (1.0 - share) * first.covariance_ecef_m2 + share * second.covariance_ecef_m2,
-            # Remainder of the line through two points of a curve with this second derivative.
-            0.5 * ACCELERATION_SIGMA_M_PER_S2 * abs(since_first_s * since_second_s),
-            age_s,
-        )
-
-    def _too_far(self, away_ns: int) -> Refusal:
-        away_s = away_ns / _SECOND_NS
-        text = f"the nearest position fix is {abs(away_s):.1f} s {'older' if away_s > 0 else 'younger'}"
-        return Refusal(Reason.NO_FIX, f"{text}: more than fix_max_age_s = {self._max_age_s:g}")
-
-    def _pair(self, nearest: int, time_ns: int) -> int | None:
-        """Index of the first of two successive fixes that give the line; None where no two are near enough in time.
-
-        One of the two is the nearest fix. The other is its neighbour on the far side of the moment, where there is
-        one.
-        """
-        times = self._fixes.times
-        left = nearest if times[nearest] <= time_ns else nearest - 1
-        for index in (left, left - 1) if left == nearest else (left, left + 1):
-            # Wherever a moment lies between fixes so near to one another, one of them is young enough.
-            if 0 <= index < len(times) - 1 and times[index + 1] - times[index] <= 2 * self._max_age_ns:
-                return index
-        return None
-
-
-def _earth_fixed(fix: PositionFix) -> _Fix:
-    rotation = rotation_horizon_from_ecef(fix.position.latitude, fix.position.longitude)
-    return _Fix(ecef_from_geodetic(fix.position), rotation.T @ fix.covariance_m2 @ rotation)
-
-
-def _place(
-    ecef_m: FloatArray, velocity_ecef: FloatArray, covariance_ecef_m2: FloatArray, drift_m: float, age_s: float
-) -> Place:
-    """A place from Earth-fixed vectors, with a further error ``drift_m`` (m) of each horizontal axis."""
-    position = geodetic_from_ecef(ecef_m)
-    rotation = rotation_horizon_from_ecef(position.latitude, position.longitude)
-    covariance_m2 = rotation @ covariance_ecef_m2 @ rotation.T
-    covariance_m2 += np.diag([drift_m**2, 0.0, drift_m**2])
-    return Place(Observer(position, rotation @ velocity_ecef), covariance_m2, age_s)
 
 
 @dataclass(frozen=True)
@@ -210,77 +109,176 @@ class _Quantity:
     def measured(self, reading: AirReading) -> _Value:
         return _Value(reading.value, self._measured_sigma if reading.sigma is None else reading.sigma)
 
-    def holding(self, index: int, time_ns: int) -> bool:
+    def holds(self, last: int, time_ns: int) -> bool:
         """Whether the last reading before a moment, by its index (-1: none), still holds then."""
-        return index >= 0 and time_ns - self.readings.times[index] <= self._max_age_ns
+        return last >= 0 and time_ns - self.readings.times[last] <= self._max_age_ns
 
-    def at(self, index: int, time_ns: int) -> _Value:
-        """The value at a moment by the last reading before it (-1: none).
+    def at(self, last: int, time_ns: int) -> _Value:
+        """The value at a moment by the last reading before it, by its index (-1: none).
 
         The variance of a reading grows in its life to that of the default, unless it is larger from the beginning.
         """
-        if not self.holding(index, time_ns):
+        if not self.holds(last, time_ns):
             return self._default
-        reading, age_ns = self.readings.values[index], time_ns - self.readings.times[index]
+        reading, age_ns = self.readings.values[last], time_ns - self.readings.times[last]
         growth = max(0.0, self._default.sigma**2 - reading.sigma**2)
         return _Value(reading.value, math.sqrt(reading.sigma**2 + growth * age_ns / self._max_age_ns))
 
 
-class WeatherTrack:
-    """Readings of pressure, temperature and humidity by their stamps.
+class Surroundings:
+    """Position fixes and readings of the air by their stamps, and what they tell of any moment.
 
     Args:
-        config: says what holds where nothing was measured, and how fast a reading grows old.
+        config: how old a fix and a reading may be, and what holds where the air was not measured.
     """
 
     def __init__(self, config: SkyConfig) -> None:
+        self._fix_max_age_s = config.fix_max_age_s
+        self._fix_max_age_ns = round(config.fix_max_age_s * _SECOND_NS)
+        self._fixes: StampedValues[_Fix] = StampedValues()
         pressure = _Value(config.pressure_hpa, config.pressure_sigma_hpa)
         temperature = _Value(config.temperature_c, config.temperature_sigma_k)
         # The error of humidity is left out: from dry to saturated air, refraction changes as by 0.5 K at 10 °C, and as
         # by 2.5 K at 35 °C.
         humidity = _Value(config.relative_humidity, 0.0)
         max_age_s = config.weather_max_age_s
-        self._quantities = {
+        self._air = {
             "pressure": _Quantity(pressure, config.measured_pressure_sigma_hpa, max_age_s),
             "temperature": _Quantity(temperature, config.measured_temperature_sigma_k, max_age_s),
             "humidity": _Quantity(humidity, 0.0, max_age_s),
         }
 
-    def refusal(self, reading: AirReading) -> Refusal | None:
-        """DUPLICATE or CONFLICT where a reading of the same stamp is known; to be asked before :meth:`insert`."""
-        quantity = self._quantities[reading.quantity]
-        return quantity.readings.refusal(reading.time_ns, quantity.measured(reading))
+    # -- inputs ---------------------------------------------------------------------------------------------
 
-    def insert(self, reading: AirReading) -> int | None:
-        """Take a reading; of two with the same stamp the one whose bytes sort first is kept.
+    def refusal(self, given: SkyInput) -> Refusal | None:
+        """DUPLICATE or CONFLICT where an input of the same kind and stamp is known; to be asked before :meth:`insert`.
+
+        The input of a conflict is inserted all the same: of two with the same stamp the one whose bytes sort first is
+        kept.
+        """
+        if isinstance(given, PositionFix):
+            return self._fixes.refusal(given.time_ns, _earth_fixed(given))
+        quantity = self._air[given.quantity]
+        return quantity.readings.refusal(given.time_ns, quantity.measured(given))
+
+    def insert(self, given: SkyInput) -> int | None:
+        """Take a position fix or a reading of the air.
 
         Returns:
-            The moment (ns) after which the air has changed; None where it has not.
+            The moment (ns) after which answers may have changed; None where no answer has changed.
         """
-        quantity = self._quantities[reading.quantity]
-        if quantity.readings.insert(reading.time_ns, quantity.measured(reading)) is None:
+        if isinstance(given, PositionFix):
+            return self._insert_fix(given)
+        quantity = self._air[given.quantity]
+        if quantity.readings.insert(given.time_ns, quantity.measured(given)) is None:
             return None
         # A reading holds from its stamp on, so the answer at the stamp itself changes too.
-        return reading.time_ns - 1
+        return given.time_ns - 1
 
-    def at(self, time_ns: int) -> Air:
-        """The air at a moment, by the last readings at or before it."""
-        quantities = self._quantities.values()
-        indices = [quantity.readings.last_before(time_ns) for quantity in quantities]
-        pressure, temperature, humidity = (
-            quantity.at(index, time_ns) for quantity, index in zip(quantities, indices, strict=True)
-        )
-        return Air(Weather(pressure.value, temperature.value, humidity.value), pressure.sigma, temperature.sigma)
-
-    def not_measured(self, time_ns: int) -> list[str]:
-        """Names of the quantities that are taken from parameters at a moment."""
-        return [
-            name
-            for name, quantity in self._quantities.items()
-            if not quantity.holding(quantity.readings.last_before(time_ns), time_ns)
-        ]
+    def _insert_fix(self, fix: PositionFix) -> int | None:
+        index = self._fixes.insert(fix.time_ns, _earth_fixed(fix))
+        if index is None:
+            return None
+        times = self._fixes.times
+        if index < 2:
+            return 0  # the first two fixes give the velocity for all times before them
+        # Where the fix before is alone, the new fix gives the velocity on the far side of that one too.
+        joined = times[index - 1] - times[index - 2] <= 2 * self._fix_max_age_ns
+        return times[index - 1] if joined else times[index - 2]
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed for moments at or after ``time_ns``."""
-        for quantity in self._quantities.values():
+        # The last two fixes before the moment give place and velocity until the next fix comes.
+        self._fixes.drop_before(time_ns, keep=2)
+        for quantity in self._air.values():
             quantity.readings.drop_before(time_ns)
+
+    # -- answers --------------------------------------------------------------------------------------------
+
+    def at(self, time_ns: int) -> tuple[Place, Air] | Refusal:
+        """Place and air at a moment, or NO_FIX where no fix is near enough in time.
+
+        Errors of successive fixes are taken to be alike, as those of GNSS are: no averaging makes them better. The
+        error that the straight line leaves out grows with the time to its two fixes. The air is that of the last
+        readings at or before the moment.
+        """
+        quantities = tuple(self._air.values())
+        last_fix = self._fixes.last_before(time_ns)
+        last = [quantity.readings.last_before(time_ns) for quantity in quantities]
+        pressure, temperature, humidity = [
+            quantity.at(index, time_ns) for quantity, index in zip(quantities, last, strict=True)
+        ]
+        place = self._place(last_fix, time_ns)
+        if isinstance(place, Refusal):
+            return place
+        weather = Weather(pressure.value, temperature.value, humidity.value)
+        return place, Air(weather, pressure.sigma, temperature.sigma)
+
+    def not_measured(self, time_ns: int) -> list[str]:
+        """Names of the quantities of the air that are taken from parameters at a moment."""
+        return [
+            name
+            for name, quantity in self._air.items()
+            if not quantity.holds(quantity.readings.last_before(time_ns), time_ns)
+        ]
+
+    def _place(self, last: int, time_ns: int) -> Place | Refusal:
+        """The place at a moment; ``last`` is the index of the last fix before it (-1: none)."""
+        times = self._fixes.times
+        if not times:
+            return Refusal(Reason.NO_FIX, "no position fix yet: is gnss/fix published?")
+        # Of two fixes equally near the earlier one counts.
+        later = last < 0 or (last + 1 < len(times) and times[last + 1] - time_ns < time_ns - times[last])
+        nearest = last + 1 if later else last
+        away_s = (time_ns - times[nearest]) / _SECOND_NS
+        if abs(time_ns - times[nearest]) > self._fix_max_age_ns:
+            text = f"the nearest position fix is {abs(away_s):.1f} s {'older' if away_s > 0 else 'younger'}"
+            return Refusal(Reason.NO_FIX, f"{text}: more than fix_max_age_s = {self._fix_max_age_s:g}")
+        age_s = abs(away_s)
+        pair = self._pair(nearest, time_ns)
+        if pair is None:
+            fix = self._fixes.values[nearest]
+            return _place(fix.ecef_m, np.zeros(3), fix.covariance_ecef_m2, SPEED_SIGMA_M_PER_S * age_s, age_s)
+        first, second = self._fixes.values[pair], self._fixes.values[pair + 1]
+        since_first_s, since_second_s = (time_ns - times[pair]) / _SECOND_NS, (time_ns - times[pair + 1]) / _SECOND_NS
+        span_s = since_first_s - since_second_s
+        velocity_ecef = (second.ecef_m - first.ecef_m) / span_s
+        share = min(max(since_first_s / span_s, 0.0), 1.0)
+        return _place(
+            first.ecef_m + since_first_s * velocity_ecef,
+            velocity_ecef,
+            (1.0 - share) * first.covariance_ecef_m2 + share * second.covariance_ecef_m2,
+            # Remainder of the line through two points of a curve with this second derivative.
+            0.5 * ACCELERATION_SIGMA_M_PER_S2 * abs(since_first_s * since_second_s),
+            age_s,
+        )
+
+    def _pair(self, nearest: int, time_ns: int) -> int | None:
+        """Index of the first of two successive fixes that give the line; None where no two are near enough in time.
+
+        One of the two is the nearest fix. The other is its neighbour on the far side of the moment, where there is
+        one.
+        """
+        times = self._fixes.times
+        left = nearest if times[nearest] <= time_ns else nearest - 1
+        for index in (left, left - 1) if left == nearest else (left, left + 1):
+            # Wherever a moment lies between fixes so near to one another, one of them is young enough.
+            if 0 <= index < len(times) - 1 and times[index + 1] - times[index] <= 2 * self._fix_max_age_ns:
+                return index
+        return None
+
+
+def _earth_fixed(fix: PositionFix) -> _Fix:
+    rotation = rotation_horizon_from_ecef(fix.position.latitude, fix.position.longitude)
+    return _Fix(ecef_from_geodetic(fix.position), rotation.T @ fix.covariance_m2 @ rotation)
+
+
+def _place(
+    ecef_m: FloatArray, velocity_ecef: FloatArray, covariance_ecef_m2: FloatArray, drift_m: float, age_s: float
+) -> Place:
+    """A place from Earth-fixed vectors, with a further error ``drift_m`` (m) of each horizontal axis."""
+    position = geodetic_from_ecef(ecef_m)
+    rotation = rotation_horizon_from_ecef(position.latitude, position.longitude)
+    covariance_m2 = rotation @ covariance_ecef_m2 @ rotation.T
+    covariance_m2 += np.diag([drift_m**2, 0.0, drift_m**2])
+    return Place(Observer(position, rotation @ velocity_ecef), covariance_m2, age_s, horizon_radii_m(position))

@@ -1,8 +1,10 @@
 """Exposures of star sensors in, attitudes out: the core that the node ``star_attitude`` and the replay share.
 
-Knows no ROS, no files, no clock. Each exposure gives the attitude of its sensor, at its own time and in any order
-within ``lag_s``; exposures of different sensors near in time give the attitude of the deck, in order of time. How long
-something waits is measured in the time of waiting (:mod:`ship_estimation.estimator_shell`).
+The core knows no ROS, no files and no clock. Each exposure gives the attitude of its sensor, at its own time; exposures
+may come in any order within ``lag_s``. Exposures of different sensors that are near in time give the attitude of the
+deck, in order of time. No attitude depends on the one before, so that of the shell of the estimators
+(:mod:`ship_estimation.estimator_shell`) only the window of arrivals is needed here. How long something waits is
+measured in the time of waiting, as there.
 """
 
 from dataclasses import dataclass, replace
@@ -29,13 +31,13 @@ from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure, at_middle
 from ship_attitude_star.stars.selection import AttitudePrior
 from ship_attitude_star.stars.solution import no_attitude
+from ship_estimation.estimator_shell import SECOND_NS, LagWindow
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_estimation.stamped_values import StampedValues
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray
 
-_SECOND_NS = 1_000_000_000
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _AT_REST: FloatArray = np.eye(3)
 _EXACT: FloatArray = np.zeros((3, 3))
@@ -43,11 +45,19 @@ _EXACT: FloatArray = np.zeros((3, 3))
 
 @dataclass(frozen=True)
 class _Waiting:
-    """An exposure that has not been solved yet, those of its stars that were refused already, and when it came."""
+    """An exposure that waits to be solved.
+
+    Attributes:
+        exposure: its stars.
+        refused: further stars of its message, which were refused already.
+        arrival_ns: when it came, in the time of waiting.
+        reach_ns: how far from its middle the motion of the deck must be known.
+    """
 
     exposure: StarExposure
     refused: tuple[RefusedStar, ...]
     arrival_ns: int
+    reach_ns: int
 
 
 class StarCore:
@@ -64,8 +74,7 @@ class StarCore:
     def __init__(self, config: StarAttitudeConfig, watch: SkyWatch) -> None:
         self._config = config
         self._watch = watch
-        self._lag_ns = round(config.lag_s * _SECOND_NS)
-        self._wait_ns = round(config.joint.wait_s * _SECOND_NS)
+        self._wait_ns = round(config.joint.wait_s * SECOND_NS)
         self.reset()
 
     def reset(self) -> None:
@@ -77,7 +86,7 @@ class StarCore:
         self._taken: dict[str, StampedValues[StarExposure]] = {source: StampedValues() for source in self._sources}
         self._waiting: list[_Waiting] = []
         self._window: JointWindow[PlacedExposure] = JointWindow(self._sources, self._config.joint)
-        self._newest_ns = 0
+        self._arrivals = LagWindow(self._config.lag_s)
         self.joined_by_ins = False
 
     def reconfigure(self, config: StarAttitudeConfig) -> None:
@@ -87,8 +96,9 @@ class StarCore:
 
     def add_ins(self, sample: AttitudeSample) -> StarOutcome:
         """The attitude of the deck as the INS has it: it chooses among stars, and its turn moves them to one moment."""
-        if self._too_late(sample.time_ns):
-            return StarOutcome(self._late(sample.time_ns))
+        late = self._arrivals.late(sample.time_ns)
+        if late is not None:
+            return StarOutcome(late)
         outcome = StarOutcome(self._ins.add(sample))
         self._advance(sample.time_ns, outcome)
         return outcome
@@ -102,7 +112,7 @@ class StarCore:
     def add_exposure(
         self, exposure: StarExposure, refused: tuple[RefusedStar, ...] = (), arrival_ns: int | None = None
     ) -> StarOutcome:
-        """The stars of a sensor; of two exposures of one stamp that whose bytes sort first holds.
+        """The stars of a sensor. Of two exposures with the same stamp the one whose bytes sort first is kept.
 
         Args:
             exposure: the stars.
@@ -114,33 +124,39 @@ class StarCore:
             return StarOutcome(refusal)
         if self._taken[exposure.source].insert(exposure.time_ns, exposure) is None:
             return StarOutcome(refusal)
-        self._wait(_Waiting(exposure, refused, exposure.time_ns if arrival_ns is None else arrival_ns))
+        arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
+        self._wait(_Waiting(exposure, refused, arrival_ns, exposure.reach_ns))
         outcome = StarOutcome(refusal)
         self._advance(exposure.time_ns, outcome)
         return outcome
 
     def tick(self, waiting_ns: int) -> StarOutcome:
-        """The time of waiting now: nothing waits any longer than it should."""
+        """Solve what has waited long enough.
+
+        Args:
+            waiting_ns: the time of waiting now.
+        """
         outcome = StarOutcome()
         self._solve(outcome, waiting_ns)
         return outcome
 
     def not_measured(self) -> list[str]:
-        """Which quantities of the air are taken from parameters, at the newest time of the data."""
-        return self._watch.not_measured(self._newest_ns)
+        """Names of the quantities of the air that are taken from parameters at the newest time of the data."""
+        return self._watch.not_measured(self._arrivals.newest_ns)
 
     # -- what is used ---------------------------------------------------------------------------------------
 
     def _refusal(self, exposure: StarExposure) -> Refusal | None:
-        if self._too_late(exposure.time_ns):
-            return self._late(exposure.time_ns)
+        late = self._arrivals.late(exposure.time_ns)
+        if late is not None:
+            return late
         refusal = self._taken[exposure.source].refusal(exposure.time_ns, exposure)
         if refusal is not None and refusal.reason is Reason.CONFLICT:
             return replace(refusal, text=f"{refusal.text}; do two sensors publish on one topic?")
         return refusal or self._guards.check(exposure, self._ins.track)
 
     def _wait(self, new: _Waiting) -> None:
-        """Put an exposure among those to be solved, in the place of a refused one of its stamp where that waits too."""
+        """Put an exposure among those that wait, in the place of one of the same sensor and stamp."""
         key = new.exposure.source, new.exposure.time_ns
         for index, old in enumerate(self._waiting):
             if (old.exposure.source, old.exposure.time_ns) == key:
@@ -148,30 +164,23 @@ class StarCore:
                 return
         self._waiting.append(new)
 
-    def _too_late(self, time_ns: int) -> bool:
-        return time_ns < self._newest_ns - self._lag_ns
-
-    def _late(self, time_ns: int) -> Refusal:
-        late_s = (self._newest_ns - time_ns) / _SECOND_NS
-        return Refusal(Reason.LATE, f"{late_s:.3f} s behind the newest data: more than lag_s = {self._config.lag_s:g}")
-
     # -- in order of time -----------------------------------------------------------------------------------
 
     def _advance(self, time_ns: int, outcome: StarOutcome) -> None:
         """Solve what can be solved now, and forget what no exposure can ask for any more."""
-        self._newest_ns = max(self._newest_ns, time_ns)
+        self._arrivals.move_to(time_ns)
         self._solve(outcome, None)
-        oldest_ns = self._newest_ns - self._lag_ns - self._wait_ns
+        oldest_ns = self._arrivals.oldest_ns - self._wait_ns
         self._watch.drop_before(oldest_ns)
-        self._ins.drop_before(oldest_ns - _LONGEST_REACH_NS)
         for taken in self._taken.values():
             taken.drop_before(oldest_ns)
+        self._ins.drop_before(oldest_ns - _LONGEST_REACH_NS)
 
     def _solve(self, outcome: StarOutcome, waiting_ns: int | None) -> None:
         still_waiting = []
         for waiting in self._waiting:
             overdue = waiting_ns is not None and waiting_ns - waiting.arrival_ns >= self._wait_ns
-            if self._ins.awaited(waiting.exposure.time_ns, waiting.exposure.reach_ns) and not overdue:
+            if self._ins.awaited(waiting.exposure.time_ns, waiting.reach_ns) and not overdue:
                 still_waiting.append(waiting)
                 continue
             try:
@@ -213,9 +222,10 @@ class StarCore:
         return AttitudePrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
 
     def _at_middle(self, exposure: StarExposure) -> tuple[StarExposure, float]:
-        """The stars where they stood at the middle, and the variance of that turn of all of them, each axis, rad².
+        """The stars where they stood at the middle of the exposure, and the variance of this turn, each axis, rad².
 
-        Where the INS does not tell how the ship turned, they are as they were seen, with what it may have turned.
+        Where the INS does not tell how the ship turned, the stars stay where they were seen, and the variance is that
+        of the turn that the ship may have made.
         """
         if exposure.length is None:
             return exposure, 0.0
@@ -230,7 +240,7 @@ class StarCore:
         time_ns = group[0].time_ns
         mounted = []
         for placed in group:
-            # Exposures so close that the ship is at rest need no turn.
+            # Where the INS does not tell the turn, the exposures are so close in time that the ship is at rest.
             turn, covariance_d = self._ins.turn(time_ns, placed.time_ns) or (_AT_REST, _EXACT)
             covariance_d = covariance_d + placed.turn_variance * np.eye(3)
             mounted.append(Mounted(placed, turn @ self._sensor(placed.source).rotation_ds, covariance_d))
@@ -239,14 +249,16 @@ class StarCore:
         return solve_deck(time_ns, mounted, self._config.star_sensors, prior)
 
     def _movable(self, to_ns: int, from_ns: int) -> bool:
+        """Whether the INS tells how the deck turned between two moments."""
         return self._ins.turn(to_ns, from_ns) is not None
 
     def _note(self, solved: Solved) -> None:
-        """A sensor's attitude tells whether other sensors stand still."""
-        if solved.valid:
+        """Give a sensor's attitude to the guards, so that they see whether another sensor stands still."""
+        if solved.sources:
             rotation_ns, covariance_n = solved.solution.rotation_nb, solved.solution.covariance_n
             noise_s = rotation_ns.T @ covariance_n @ rotation_ns
-            self._guards.used(AttitudeMeasurement(f"star.{solved.sensor_id}", solved.time_ns, rotation_ns, noise_s))
+            attitude = AttitudeMeasurement(solved.sources[0], solved.time_ns, rotation_ns, noise_s, common_n=_EXACT)
+            self._guards.used(attitude)
 
     def _sensor(self, source: str) -> ObservingSensorConfig:
         return self._config.star_sensors[source.partition(".")[2]]

@@ -149,12 +149,12 @@ def solve_exposure(
     """
     source, time_ns = exposure.source, exposure.time_ns
     sensor_id = source.partition(".")[2]
-    moment = watch.at(time_ns)
-    if isinstance(moment, Refusal):
-        solution = no_attitude(np.zeros(len(exposure), dtype=bool), moment)
+    visible = visible_stars(exposure, watch, prior)
+    if isinstance(visible, Refusal):
+        solution = no_attitude(np.zeros(len(exposure), dtype=bool), visible)
         placed = PlacedExposure(source, time_ns, exposure, None, refused)
         return placed, Solved(sensor_id, time_ns, solution, refused, ())
-    exposure, stars, invisible = visible_stars(exposure, moment, prior)
+    exposure, stars, invisible = visible
     if invisible:
         refused += tuple(RefusedStar(source, time_ns, name, refusal) for name, refusal in invisible)
     solution, text = _solved(stars, prior)

@@ -1,4 +1,7 @@
-"""The ship's motion by its INS, for whoever only needs to know about where the deck is and how it turns meanwhile."""
+"""The ship's motion by its INS: where the deck is about, and how it turns from one moment to another.
+
+Stars need no more of the INS: its attitude helps to choose among them, its turn moves exposures to one moment.
+"""
 
 import numpy as np
 
@@ -20,6 +23,9 @@ class InsMotion:
     Args:
         config: the INS.
         guards: watch its samples.
+
+    Attributes:
+        track: the samples by their stamps.
     """
 
     def __init__(self, config: GuardedInsConfig, guards: StreamGuards) -> None:
@@ -27,13 +33,8 @@ class InsMotion:
         self._guards = guards
         self._max_gap_ns = round(config.max_gap_s * _SECOND_NS)
         self._offset_ns = round(config.time_offset_s * _SECOND_NS)
-        self._track = AttitudeTrack(self._max_gap_ns)
+        self.track = AttitudeTrack(self._max_gap_ns)
         self._jumps: list[InsJump] = []
-
-    @property
-    def track(self) -> AttitudeTrack:
-        """The samples by their stamps."""
-        return self._track
 
     def reconfigure(self, config: GuardedInsConfig) -> None:
         """Go on with other sigmas."""
@@ -41,31 +42,31 @@ class InsMotion:
         self._guards.ins.reconfigure(config)
 
     def add(self, sample: AttitudeSample) -> Refusal | None:
-        """Take a sample, or say why not."""
-        judged = self._guards.ins.judge(sample, self._track, self._guards.witnesses)
+        """Take a sample; the refusal where it is not used."""
+        judged = self._guards.ins.judge(sample, self.track, self._guards.witnesses)
         if judged.rates_wrong_after_ns is not None:
-            self._track.forget_rates(judged.rates_wrong_after_ns)
+            self.track.forget_rates(judged.rates_wrong_after_ns)
         if judged.refusal is not None:
             return judged.refusal
         if judged.jump is not None:
-            self._track.cut(judged.jump.time_ns)
+            self.track.cut(judged.jump.time_ns)
             self._jumps.append(judged.jump)
         sample = judged.sample
-        known = self._track.get(sample.time_ns)
+        known = self.track.get(sample.time_ns)
         taken, refusal = (True, None) if known is None else same_stamp(known, sample)
         if taken:
-            self._track.insert(sample)
+            self.track.insert(sample)
         return refusal
 
     def awaited(self, time_ns: int, reach_ns: int = 0) -> bool:
-        """Whether a sample still to come may tell the attitude at a moment and as long after it."""
-        newest, stamp_ns = self._track.newest, time_ns - self._offset_ns
+        """Whether samples still to come may tell the attitude from a moment until ``reach_ns`` later."""
+        newest, stamp_ns = self.track.newest, time_ns - self._offset_ns
         if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns:
             return False
-        return not self._track.covers(stamp_ns + reach_ns)
+        return not self.track.covers(stamp_ns + reach_ns)
 
     def deck(self, time_ns: int) -> AttitudePrior | None:
-        """The attitude of the deck at a moment, with all that the INS may have wrong; None where it is not known."""
+        """The attitude of the deck at a moment, with all errors that the INS may have; None where it is not known."""
         found = self._at(time_ns)
         if found is None:
             return None
@@ -73,10 +74,10 @@ class InsMotion:
         slow = np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec]) * ARCSEC
         white_variance = found.noise_gain * (config.white_sigma_arcsec * ARCSEC) ** 2
         shifted_n = config.time_offset_sigma_s * (found.rotation_nd @ found.rate_d)
+        interpolated_n, jumped_n = found.error_covariance_n, self._jumped_n(time_ns)
         covariance_n = np.diag(slow**2 + white_variance) + np.outer(shifted_n, shifted_n)
-        jumped_n = self._jumped_n(time_ns)
         covariance_n += np.outer(jumped_n, jumped_n)
-        return AttitudePrior(found.rotation_nd, covariance_n + found.error_covariance_n)
+        return AttitudePrior(found.rotation_nd, covariance_n + interpolated_n)
 
     def turn(self, to_ns: int, from_ns: int) -> tuple[FloatArray, FloatArray] | None:
         """The deck's turn between two moments.
@@ -100,13 +101,13 @@ class InsMotion:
         return rotation, white_variance * np.eye(3) + np.outer(shifted, shifted) + interpolated
 
     def turning(self, time_ns: int, nodes: Nodes) -> tuple[Turning, float] | None:
-        """The deck's turning over an exposure, whatever is constantly wrong with the INS.
+        """The deck's turning over an exposure. Constant errors of the INS have no part in it.
 
         Returns:
             The turning, and the variance of the mean attitude over the exposure against that at its middle, each axis,
             rad²; None where the INS does not tell.
         """
-        turning = turning_over(self._track, time_ns - self._offset_ns, nodes)
+        turning = turning_over(self.track, time_ns - self._offset_ns, nodes)
         if turning is None:
             return None
         white_variance = turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
@@ -114,12 +115,12 @@ class InsMotion:
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed for moments at or after ``time_ns``."""
-        self._track.drop_before(time_ns - self._offset_ns)
+        self.track.drop_before(time_ns - self._offset_ns)
 
     def _jumped_n(self, time_ns: int) -> FloatArray:
-        """How far the INS has jumped in all until a moment: it may be so far off."""
+        """Sum of all jumps of the INS until a moment, rotation vector, rad: its attitude may be wrong by as much."""
         before = [jump.jump_n for jump in self._jumps if jump.time_ns < time_ns - self._offset_ns]
         return np.sum(before, axis=0) if before else np.zeros(3)
 
     def _at(self, time_ns: int) -> InterpolatedAttitude | None:
-        return self._track.at(time_ns - self._offset_ns)
+        return self.track.at(time_ns - self._offset_ns)

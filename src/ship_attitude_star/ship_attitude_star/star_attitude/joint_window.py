@@ -26,11 +26,11 @@ Item = TypeVar("Item", bound=Timed)
 
 
 class JointWindow(Generic[Item]):
-    """Groups of items, each item in one group at most; the first item of a group is the earliest.
+    """Makes groups of items. An item belongs to one group at most, and a group holds one item of a sensor at most.
 
     Args:
         sources: all sensors.
-        config: how far apart the items of a group may be, and how long it waits.
+        config: how far apart in time the items of a group may be, and how long a group waits for more of them.
     """
 
     def __init__(self, sources: Collection[str], config: JointConfig) -> None:
@@ -43,7 +43,7 @@ class JointWindow(Generic[Item]):
         self._last_ns: int | None = None
 
     def add(self, item: Item, arrival_ns: int | None = None) -> bool:
-        """Take an item, in the place of another one of its stamp; False where the group of its time is closed.
+        """Take an item, in the place of one of the same sensor and stamp. False where the group of its time is closed.
 
         Args:
             item: what a sensor gave.
@@ -68,7 +68,7 @@ class JointWindow(Generic[Item]):
         while self._items:
             group = self._group(movable)
             first_ns = group[0].time_ns
-            # A sensor that has given something, be it for later, gives nothing more for this group.
+            # A sensor whose item is there, even if it is too late for this group, gives nothing more for this group.
             awaited = self._sources - {item.source for item in self._items}
             since_ns = self._arrivals_ns[first_ns, group[0].source]
             if awaited and (waiting_ns is None or waiting_ns - since_ns < self._wait_ns):
@@ -81,7 +81,7 @@ class JointWindow(Generic[Item]):
             yield group
 
     def _group(self, movable: Callable[[int, int], bool]) -> list[Item]:
-        """The earliest item, and the next one of each other sensor where that is near enough."""
+        """The earliest item, and of each other sensor the next one that is near enough in time."""
         first_ns = self._items[0].time_ns
         group: dict[str, Item] = {}
         for item in self._items:

@@ -108,6 +108,20 @@ class StarCamera:
             point = self.distortion.distorted(point)
         return self._principal_px + point / self._pixel
 
+    def sighted(self, pixels: FloatArray, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Directions of centroids and their errors; NaN where a pixel, and of the errors where a sigma, is not finite.
+
+        Args:
+            pixels: centroids (u, v), shape (k, 2).
+            sigma_px: their standard deviation in u and in v, shape (k,).
+
+        Returns:
+            Unit vectors (forward, up, right), shape (k, 3), and one sigma per axis (:func:`equivalent_sigma`), rad,
+            shape (k,).
+        """
+        ideal = self._ideal(pixels)
+        return _direction(ideal), equivalent_sigma(self._covariance(ideal, sigma_px))
+
     def direction_covariance(self, pixels: FloatArray, sigma_px: FloatArray | float) -> FloatArray:
         """Covariance of directions found from centroids, rad², shape (..., 2, 2), along :func:`tangent_basis`.
 
@@ -115,7 +129,10 @@ class StarCamera:
             pixels: centroids (u, v), shape (..., 2).
             sigma_px: their standard deviation in u and in v, shape (...).
         """
-        ideal = self._ideal(pixels)
+        return self._covariance(self._ideal(pixels), sigma_px)
+
+    def _covariance(self, ideal: FloatArray, sigma_px: FloatArray | float) -> FloatArray:
+        """Covariance of directions, as :meth:`direction_covariance`, by their ideal points in focal lengths."""
         x, y = ideal[..., 0], ideal[..., 1]
         length2 = 1.0 + x * x + y * y
         across2 = 1.0 + x * x

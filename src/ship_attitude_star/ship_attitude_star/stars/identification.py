@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.catalogue import julian_year
-from ship_attitude_star.sky.sky_watch import SkyMoment
+from ship_attitude_star.sky.sky_watch import SkyMoment, SkyWatch
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.selection import AttitudePrior, across, distance
@@ -34,21 +34,25 @@ _ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
 
 
 def visible_stars(
-    exposure: StarExposure, moment: SkyMoment, prior: AttitudePrior | None
-) -> tuple[StarExposure, SightedStars, list[tuple[str, Refusal]]]:
+    exposure: StarExposure, watch: SkyWatch, prior: AttitudePrior | None
+) -> tuple[StarExposure, SightedStars, list[tuple[str, Refusal]]] | Refusal:
     """The stars of an exposure that have a place in the sky.
 
     Args:
         exposure: the stars as the sensor saw them.
-        moment: the sky at the exposure.
+        watch: the sky.
         prior: attitude of the sensor, by which stars without an identity are identified; None leaves them out.
 
     Returns:
         The exposure with the stars that can be used; the same stars with their places, in the sensor frame; and the
-        names of the other stars, each with its refusal.
+        names of the other stars, each with its refusal. Or one refusal, where no star can be placed in the sky at the
+        moment of the exposure.
     """
     refused: list[tuple[str, Refusal]] = []
     known = exposure.identified
+    moment = watch.at(exposure.time_ns)
+    if isinstance(moment, Refusal):
+        return moment
     if not known.all():
         reasons: dict[int, Refusal] = {}
         if prior is not None:
