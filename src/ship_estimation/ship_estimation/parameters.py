@@ -89,6 +89,17 @@ def arcsec(default: float, *, doc: str, live: bool = False) -> Any:
     return parameter(default, doc=doc, unit="arcsec", minimum=0.0, maximum=360_000.0, live=live)
 
 
+def stamp_age() -> Any:
+    """The parameter ``max_age_s`` of every node: how old a stamp may be without a word, s."""
+    return parameter(
+        10.0,
+        doc="stamps further than this before the node's clock are an error of the input, although they are used",
+        unit="s",
+        minimum=0.1,
+        maximum=1e9,
+    )
+
+
 def mapping_of(doc: str) -> Any:
     """A field of type ``dict[str, Dataclass]``, empty by default."""
     return dataclasses.field(default_factory=dict, metadata={"doc": doc})

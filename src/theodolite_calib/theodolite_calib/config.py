@@ -7,7 +7,7 @@ import numpy as np
 
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins_config import GuardedInsConfig, InsErrorConfig
-from ship_estimation.parameters import arcsec, mapping_of, parameter, section
+from ship_estimation.parameters import arcsec, mapping_of, parameter, section, stamp_age
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
 
@@ -290,13 +290,7 @@ class OpticalAxisConfig:
         maximum=3600.0,
         live=True,
     )
-    max_age_s: float = parameter(
-        10.0,
-        doc="stamps further than this before the node's clock are an error of the input, although they are used",
-        unit="s",
-        minimum=0.1,
-        maximum=1e9,
-    )
+    max_age_s: float = stamp_age()
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget, calibration, error and health topics", unit="s", minimum=0.1, maximum=60.0
     )

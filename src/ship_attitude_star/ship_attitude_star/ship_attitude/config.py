@@ -6,7 +6,7 @@ from ship_attitude_star.sky.config import InertialConfig, SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, check_sensor_ids
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins_config import InsErrorConfig, StarInsConfig
-from ship_estimation.parameters import arcsec, degrees, mapping_of, parameter, section
+from ship_estimation.parameters import arcsec, degrees, mapping_of, parameter, section, stamp_age
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,13 +137,7 @@ class ShipAttitudeConfig:
     coasting_after_s: float = parameter(
         2.0, doc="without stars for this long the status is COASTING", unit="s", minimum=0.1, maximum=3600.0, live=True
     )
-    max_age_s: float = parameter(
-        10.0,
-        doc="stamps further than this before the node's clock are an error of the input, although they are used",
-        unit="s",
-        minimum=0.1,
-        maximum=1e9,
-    )
+    max_age_s: float = stamp_age()
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget, alignment, error and health topics", unit="s", minimum=0.1, maximum=60.0
     )

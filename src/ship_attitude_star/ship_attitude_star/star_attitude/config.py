@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, check_sensor_ids
 from ship_estimation.ins_config import StarInsConfig
-from ship_estimation.parameters import mapping_of, parameter, section
+from ship_estimation.parameters import mapping_of, parameter, section, stamp_age
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,13 +64,7 @@ class StarAttitudeConfig:
     lag_s: float = parameter(
         2.0, doc="exposures later than this behind the newest data are not used", unit="s", minimum=0.0, maximum=600.0
     )
-    max_age_s: float = parameter(
-        10.0,
-        doc="stamps further than this before the node's clock are an error of the input, although they are used",
-        unit="s",
-        minimum=0.1,
-        maximum=1e9,
-    )
+    max_age_s: float = stamp_age()
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget and health topics", unit="s", minimum=0.1, maximum=60.0
     )

@@ -5,8 +5,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from ship_attitude_star.ros import alignment_file
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
@@ -15,8 +13,7 @@ from ship_bags.output_files import add_force, check_file, check_folder, write_wh
 from ship_replay.calibration.result import InstallationCalibration, calibration_of
 from ship_replay.calibration.session import run_session
 from ship_replay.calibration.tables import json_text, print_calibration
-
-_WIDTH_WITHOUT_TERMINAL = 130
+from ship_replay.evaluation.tables import table_console
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -72,8 +69,7 @@ def _run(options: argparse.Namespace) -> int:
     session = run_session(options.bag, options.config, options.prior_sigma, options.namespace, watch=watched)
     calibration = calibration_of(session)
     alignment_file.save(options.out, calibration.prior)
-    console = Console()
-    print_calibration(calibration, console if console.is_terminal else Console(width=_WIDTH_WITHOUT_TERMINAL))
+    print_calibration(calibration, table_console())
     for warning in calibration.warnings:
         sys.stdout.write(f"warning: {warning}\n")
     sys.stdout.write(f"alignment: {options.out}\n")

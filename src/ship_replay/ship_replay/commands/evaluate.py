@@ -4,15 +4,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import add_force, check_file, write_whole
 from ship_replay.evaluation.bounds import Bounds, judge, read_bounds
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
-from ship_replay.evaluation.tables import print_evaluation
-
-_WIDTH_WITHOUT_TERMINAL = 130
+from ship_replay.evaluation.tables import print_evaluation, table_console
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -54,8 +50,7 @@ def _run(options: argparse.Namespace) -> int:
     bounds = Bounds(0.0, {}) if options.bounds is None else read_bounds(options.bounds)
     skip_s = bounds.skip_s if options.skip is None else options.skip
     evaluation = evaluate(options.bag, options.against, skip_s, options.namespace)
-    console = Console()
-    print_evaluation(evaluation, console if console.is_terminal else Console(width=_WIDTH_WITHOUT_TERMINAL))
+    print_evaluation(evaluation, table_console())
     for problem in evaluation.problems:
         print(f"warning: {problem}")
     if options.json is not None:

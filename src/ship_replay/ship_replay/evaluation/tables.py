@@ -9,6 +9,15 @@ _SHOWN = {"arcsec": (1.0, 2, "arcsec"), "deg": (1.0, 5, "deg"), "s": (1e3, 3, "m
 """Unit of a value → factor, decimals and unit in the table."""
 
 
+_WIDTH_WITHOUT_TERMINAL = 130
+
+
+def table_console() -> Console:
+    """Where tables go: as wide as the terminal, and wide enough for all columns where there is none."""
+    console = Console()
+    return console if console.is_terminal else Console(width=_WIDTH_WITHOUT_TERMINAL)
+
+
 def print_evaluation(evaluation: Evaluation, console: Console) -> None:
     """Print the tables that the evaluation has something for."""
     if evaluation.errors:

@@ -123,16 +123,11 @@ def place_of_date(stars: StarPositions, time_ns: int) -> StarPositions:
     """Stars by nothing but their place among the axes of the ICRS at a moment, proper motion and parallax in it."""
     tt = tt_julian_date(time_ns)
     earth_au = erfa.epv00(*tt)[1]["p"]
-    direction_c = erfa.pmpx(
-        stars.right_ascension,
-        stars.declination,
-        stars.pm_right_ascension,
-        stars.pm_declination,
-        stars.parallax_arcsec,
-        0.0,
-        (tt[0] - _J2000 + tt[1]) / _JULIAN_YEAR_D,
-        earth_au,
-    )
+    place = stars.right_ascension, stars.declination
+    motion = stars.pm_right_ascension, stars.pm_declination, stars.parallax_arcsec
+    since_years = (tt[0] - _J2000 + tt[1]) / _JULIAN_YEAR_D
+    # A radial velocity of 0: the catalogue has none.
+    direction_c = erfa.pmpx(*place, *motion, 0.0, since_years, earth_au)
     right_ascension, declination = erfa.c2s(direction_c)
     return fixed_stars(np.mod(right_ascension, 2.0 * np.pi), declination)
 

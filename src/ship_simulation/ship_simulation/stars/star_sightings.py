@@ -31,6 +31,8 @@ _GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
 class ToldStars:
     """Stars as a sensor tells them, an entry a star.
 
+    The fields have the names of an estimator's exposure, which is not known here: so each is held against it.
+
     Attributes:
         hip: HIP number told, shape (k,); 0 where the sensor tells a direction, or nothing.
         directions_s: unit vectors by the centroids, in the sensor frame (forward, up, right), shape (k, 3).
