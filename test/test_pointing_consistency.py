@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.consistency import mean_nees_band, normalized_error_squared
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_replay.trials.monte_carlo import PointingErrors, feed_pointing, pointing_errors

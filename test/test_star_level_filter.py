@@ -13,7 +13,7 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_attitude_star.sky.sky_watch import ApparentStars, SkyMoment, SkyWatch
-from ship_estimation.consistency import mean_nees_band, normalized_error_squared
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.refusals import Refusal
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
 from ship_geometry.refraction import elevation_of, lifted

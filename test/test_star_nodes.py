@@ -17,7 +17,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.consistency import mean_nees_band, normalized_error_squared
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import horizon_covariance

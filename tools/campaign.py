@@ -14,7 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from ship_estimation.consistency import mean_nees_band, sigma_ratio_band
+from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC
 from ship_replay.trials.monte_carlo import FinalError, final_error
 from ship_simulation.scenario.scenario import Scenario

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.layout.installation_model import ErrorModel, Reading, combine, linearise, ship_rotation
-from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 

@@ -7,7 +7,7 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMe
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION
-from ship_estimation.consistency import mean_nees_band, normalized_error_squared
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample

@@ -10,8 +10,7 @@ import pytest
 
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_attitude_star.stars.solution import SolutionStatus
-from ship_estimation.consistency import mean_nees_band, normalized_error_squared
-from ship_estimation.gates import chi_square_gate
+from ship_estimation.gates import chi_square_gate, mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import ParameterError
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import angle_covariance, rotation_from_angles

@@ -11,7 +11,7 @@ from ship_attitude_star.measurements.readings import FieldOfView, InertialAttitu
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.sky.tracker_attitude import in_horizon
-from ship_estimation.consistency import mean_nees_band, normalized_error_squared
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation

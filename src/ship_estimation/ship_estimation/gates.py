@@ -1,11 +1,16 @@
-"""Gates: how improbable a residual may be before its measurement is refused."""
+"""What chi² says: is a residual too improbable to use its measurement, is a covariance honest?
+
+Normalised errors and their bands after Bar-Shalom, Li, Kirubarajan 2001, §5.4.
+"""
 
 from dataclasses import dataclass
 from functools import cache
 
-from scipy.special import chdtri
+import numpy as np
+from scipy.special import chdtri, gammaincinv
 
 from ship_estimation.parameters import parameter
+from ship_geometry.rotations import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,3 +35,22 @@ class GateConfig:
 def chi_square_gate(probability: float, degrees: int) -> float:
     """The chi² value that a consistent measurement of ``degrees`` components stays below with ``probability``."""
     return float(chdtri(degrees, 1.0 - probability))
+
+
+def normalized_error_squared(error: FloatArray, covariance: FloatArray) -> FloatArray:
+    """NEES, or NIS: error^T P^-1 error, shape (...), for errors (..., n) and covariances (..., n, n)."""
+    solution = np.linalg.solve(covariance, error[..., None])[..., 0]
+    return np.sum(error * solution, axis=-1)
+
+
+def mean_nees_band(samples: int, degrees: int, probability: float = 0.999) -> tuple[float, float]:
+    """Two-sided band of the mean of ``samples`` independent chi² values with ``degrees`` each."""
+    tail, half_degrees = 0.5 * (1.0 - probability), 0.5 * samples * degrees
+    low, high = (2.0 * float(gammaincinv(half_degrees, p)) for p in (tail, 1.0 - tail))
+    return low / samples, high / samples
+
+
+def sigma_ratio_band(samples: int, probability: float = 0.999) -> tuple[float, float]:
+    """Two-sided band of RMS error / predicted sigma over ``samples`` independent errors of one component."""
+    low, high = mean_nees_band(samples, 1, probability)
+    return float(np.sqrt(low)), float(np.sqrt(high))

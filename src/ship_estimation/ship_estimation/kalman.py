@@ -1,8 +1,12 @@
-"""Kalman steps on a covariance that is kept as a sum over the sources of error.
+"""The state vector by names, and Kalman steps on a covariance that is kept as a sum over the sources of error.
 
-The covariance P of a state is carried as ``parts``, shape (n_sources, n, n), with P = parts.sum(axis=0). Both
-steps are linear in P (the update in Joseph's form), so each part goes through with the filter's own gain and
-the sum stays exact: this is the error budget.
+A state vector is made of named blocks (:class:`StateBlock`, :class:`StateModel`): which slice is which quantity, how it
+evolves, which source its noise is booked to. Its covariance P is carried as ``parts``, shape (n_sources, n, n), with
+P = parts.sum(axis=0). All steps are linear in P (the update in Joseph's form), so each part goes through with the
+filter's own gain and the sum stays exact: this is the error budget.
+
+:func:`predict` and :meth:`StateModel.booked_noise` are written along the last axes alone, so that leading axes of
+``parts`` (a bank of hypotheses) need no other formulas.
 """
 
 from collections.abc import Mapping
@@ -10,8 +14,121 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg.lapack as lapack
+from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
+
+_BEYOND_SIGMAS = 5.0
+_NO_TIME_S = 1e-200
+
+
+@dataclass(frozen=True)
+class StateBlock:
+    """One named part of the state with the process that drives it.
+
+    Every element is a first-order Gauss–Markov process x' = -x / T + noise with steady standard deviation
+    ``sigma``, or, where ``time_s`` is infinite, a constant that starts with ``sigma`` and walks by ``walk``
+    per square root of a second. ``time_s`` = 0 is white noise: independent at every new moment.
+
+    Attributes:
+        name: for example ``ins.attitude`` or ``star.fore.installation``.
+        sigma: standard deviation of each element before any measurement, shape (n,).
+        time_s: correlation time of each element in seconds, shape (n,).
+        walk: random walk per square root of a second, shape (n,); only where ``time_s`` is infinite.
+        source: the error source its noise is booked to.
+    """
+
+    name: str
+    sigma: FloatArray
+    time_s: FloatArray
+    walk: FloatArray
+    source: str
+
+
+def block(
+    name: str,
+    sigma: FloatArray | list[float],
+    source: str,
+    time_s: FloatArray | list[float] | float = np.inf,
+    walk: FloatArray | list[float] | float = 0.0,
+) -> StateBlock:
+    """A :class:`StateBlock` with scalars broadcast to the length of ``sigma``."""
+    sigma = np.asarray(sigma, dtype=float)
+    return StateBlock(
+        name,
+        sigma,
+        np.broadcast_to(np.asarray(time_s, dtype=float), sigma.shape).copy(),
+        np.broadcast_to(np.asarray(walk, dtype=float), sigma.shape).copy(),
+        source,
+    )
+
+
+class StateModel:
+    """Blocks laid end to end, with the transition of the whole vector.
+
+    Args:
+        blocks: the parts, in order.
+        noise_sources: sources of measurement noise, booked beside the blocks' own.
+    """
+
+    def __init__(self, blocks: list[StateBlock], noise_sources: list[str]) -> None:
+        self.blocks = {b.name: b for b in blocks}
+        self.slices: dict[str, slice] = {}
+        start = 0
+        for b in blocks:
+            self.slices[b.name] = slice(start, start + b.sigma.size)
+            start += b.sigma.size
+        self.size = start
+        self.sources = list(dict.fromkeys([b.source for b in blocks] + noise_sources))
+        time_s = np.concatenate([b.time_s for b in blocks])
+        # White noise decays to nothing in any time but 0, and without a division by zero.
+        self._time_s = np.where(time_s == 0.0, _NO_TIME_S, time_s)
+        sigma = np.concatenate([b.sigma for b in blocks])
+        walk = np.concatenate([b.walk for b in blocks])
+        self._steady_variance = np.where(np.isfinite(self._time_s), sigma**2, 0.0)
+        self._walk_variance = np.where(np.isfinite(self._time_s), 0.0, walk**2)
+        self._source_rows = np.zeros((len(self.sources), self.size))
+        for b in blocks:
+            self._source_rows[self.sources.index(b.source), self.slices[b.name]] = 1.0
+        self._initial_variance = sigma**2
+
+    def rows(self, name: str) -> NDArray[np.intp]:
+        """Indices of a block in the state."""
+        return np.arange(self.slices[name].start, self.slices[name].stop)
+
+    def initial_parts(self) -> FloatArray:
+        """Covariance parts before any measurement, shape (n_sources, n, n)."""
+        return self.booked(np.diag(self._initial_variance))
+
+    def booked(self, covariance: FloatArray) -> FloatArray:
+        """A covariance split by the sources of the blocks, shape (n_sources, n, n).
+
+        Cross terms between blocks of different sources must be zero.
+        """
+        rows = self._source_rows
+        return rows[:, :, None] * covariance * rows[:, None, :]
+
+    def transition(self, dt_s: float) -> tuple[FloatArray, FloatArray]:
+        """Diagonal of the transition matrix and of the process noise over ``dt_s`` >= 0, shapes (n,), (n,)."""
+        if dt_s == 0.0:
+            return np.ones(self.size), np.zeros(self.size)
+        decay = np.exp(-dt_s / self._time_s)
+        return decay, self._steady_variance * (1.0 - decay * decay) + self._walk_variance * dt_s
+
+    def booked_noise(self, noise_diagonal: FloatArray) -> FloatArray:
+        """Process noise diagonals by source, shape (n_sources, n)."""
+        return self._source_rows * noise_diagonal
+
+
+def slow_error_later(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
+    """A slow error after some time, shape (n,): it dies out; what is far beyond its sigma, as after a jump, stays."""
+    return np.where(lasting(error, sigma), error, decay * error)
+
+
+def lasting(error: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
+    """Which elements of a slow error are far beyond their sigma, and so do not die out, shape (n,)."""
+    beyond: NDArray[np.bool_] = np.abs(error) > _BEYOND_SIGMAS * sigma
+    return beyond
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
-"""Measurements applied in the order of their own times, whatever the order of their arrival.
+"""What is kept in the order of its own stamps, whatever the order of arrival.
 
-The log keeps, for a window of time, every measurement with the state after it. One that arrives late takes its
-place, and everything after it is applied again from the state before it. Any order of arrival inside the
+:class:`TimeOrderedLog` keeps, for a window of time, every measurement with the state after it. One that arrives late
+takes its place, and everything after it is applied again from the state before it. Any order of arrival inside the
 window therefore ends in the same state, to the last bit. One on which the step raises changes no state and holds up
-no other.
+no other. :class:`StampedValues` keeps values without a state.
 """
 
 import bisect
@@ -11,9 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from ship_estimation.refusals import Content, Refusal, same_stamp
+
 State = TypeVar("State")
 Measurement = TypeVar("Measurement")
 Decision = TypeVar("Decision")
+Value = TypeVar("Value", bound=Content)
 
 MOST_REPEATS_PER_S = 400
 """Measurements applied again in a second of data: ten in ordinary data, two hundred where every input of a ship comes
@@ -152,3 +155,50 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
         state = self._entries[index - 1].state_after
         assert state is not None  # entries before the applied mark always carry their state
         return state
+
+
+class StampedValues(Generic[Value]):
+    """A window of values; of two with the same stamp the one whose bytes sort first is kept.
+
+    Attributes:
+        times: stamps, increasing.
+        values: of the same length.
+    """
+
+    def __init__(self) -> None:
+        self.times: list[int] = []
+        self.values: list[Value] = []
+
+    def refusal(self, time_ns: int, value: Value) -> Refusal | None:
+        """DUPLICATE or CONFLICT where there is a value of that stamp."""
+        known = self._at(time_ns)
+        return None if known is None else same_stamp(known, value)[1]
+
+    def insert(self, time_ns: int, value: Value) -> int | None:
+        """Put a value in its place; returns its index, None where another one of its stamp is kept."""
+        index = bisect.bisect_left(self.times, time_ns)
+        known = self._at(time_ns)
+        if known is None:
+            self.times.insert(index, time_ns)
+            self.values.insert(index, value)
+            return index
+        if known.content() <= value.content():
+            return None
+        self.values[index] = value
+        return index
+
+    def last_before(self, time_ns: int) -> int:
+        """Index of the last value at or before a moment; -1 where there is none."""
+        return bisect.bisect_right(self.times, time_ns) - 1
+
+    def drop_before(self, time_ns: int, keep: int = 1) -> None:
+        """Forget old values, but keep the last ``keep`` at or before a moment and all after it."""
+        count = bisect.bisect_right(self.times, time_ns) - keep
+        if count > 0:
+            del self.times[:count]
+            del self.values[:count]
+
+    def _at(self, time_ns: int) -> Value | None:
+        index = bisect.bisect_left(self.times, time_ns)
+        found = index < len(self.times) and self.times[index] == time_ns
+        return self.values[index] if found else None

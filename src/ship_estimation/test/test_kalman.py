@@ -5,8 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
-from ship_estimation.state import StateModel, block
+from ship_estimation.kalman import LinearMeasurement, StateModel, block, innovation, predict, update
 
 SOURCES = ["drift", "white", "installation", "star_noise", "reference_noise"]
 

@@ -9,7 +9,7 @@ import pytest
 from ship_attitude_star.ros import alignment_file
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.parameters import build
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_estimation.consistency import mean_nees_band, sigma_ratio_band
+from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 from ship_geometry.time_scales import SECOND_NS

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_estimation.consistency import sigma_ratio_band
+from ship_estimation.gates import sigma_ratio_band
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import arrival_times, gauss_markov, random_stream, stamps
 from ship_simulation.scenario.scenario import start_of

@@ -9,7 +9,7 @@ import pytest
 import skyfield_data
 from skyfield.api import Loader, wgs84
 
-from ship_estimation.consistency import sigma_ratio_band
+from ship_estimation.gates import sigma_ratio_band
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.geodetic import GeodeticPosition, vector_between
 from ship_geometry.refraction import elevation_of

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from ship_estimation.consistency import mean_nees_band, sigma_ratio_band
+from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.refraction import refraction
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation

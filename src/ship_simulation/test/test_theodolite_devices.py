@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ship_estimation.consistency import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import SlowError, random_stream

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from ship_estimation.consistency import mean_nees_band
+from ship_estimation.gates import mean_nees_band
 from ship_estimation.kalman import predict
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_testing.simulated_session import LIGHTS_DEG, config, session, sweep

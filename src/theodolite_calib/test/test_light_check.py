@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.consistency import mean_nees_band
+from ship_estimation.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation
 from ship_testing.simulated_sightings import (
     CAMERA,

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ship_estimation.consistency import normalized_error_squared
+from ship_estimation.gates import normalized_error_squared
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
 from ship_testing.paper_method import angles, mean_of_two_triads

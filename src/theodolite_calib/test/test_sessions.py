@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from ship_estimation.consistency import sigma_ratio_band
+from ship_estimation.gates import sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_testing.simulated_session import LIGHTS_DEG, Session, config, session, sweep
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation

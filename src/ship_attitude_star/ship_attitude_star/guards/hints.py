@@ -6,8 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ship_estimation.consistency import normalized_error_squared
-from ship_estimation.gates import chi_square_gate
+from ship_estimation.gates import chi_square_gate, normalized_error_squared
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
 

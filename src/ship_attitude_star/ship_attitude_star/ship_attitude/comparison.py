@@ -6,15 +6,15 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
-from ship_attitude_star.ship_attitude.measurement_models import PredictedAttitude, attitude_measurement
+from ship_attitude_star.ship_attitude.model import PredictedAttitude, sky_rows
 from ship_attitude_star.ship_attitude.star_update import attitude_by_stars, star_residuals
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure
+from ship_estimation.kalman import StateModel
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Refusal
-from ship_estimation.state import StateModel
-from ship_geometry.rotations import FloatArray
+from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
 
 
 @dataclass(frozen=True)
@@ -125,3 +125,17 @@ def attitude_alone(
     assert isinstance(measurement, StarExposure)
     by_stars = attitude_by_stars(measurement, watch, untold_acceleration)
     return None if isinstance(by_stars, Refusal) else by_stars
+
+
+def attitude_measurement(
+    predicted: PredictedAttitude, measurement: AttitudeMeasurement, model: StateModel, mean: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Measured minus predicted attitude, rotation vector in the device frame, rad, (3,), and its Jacobian, (3, n)."""
+    rotation_nv, jacobian_v = predicted.rotation_nv, predicted.jacobian_v
+    if measurement.shared_n is not None:
+        rows = sky_rows(model)
+        turn = -measurement.shared_n @ mean[rows]
+        rotation_nv = exp_rotation(turn) @ rotation_nv
+        jacobian_v = jacobian_v.copy()
+        jacobian_v[:, rows] = -rotation_nv.T @ left_jacobian(turn) @ measurement.shared_n
+    return log_rotation(rotation_nv.T @ measurement.rotation_nv), jacobian_v

@@ -15,13 +15,14 @@ from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.comparison import Compared, compare
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.measurement_models import ins_time_of, predict_attitude
 from ship_attitude_star.ship_attitude.model import (
     SOURCE_INS,
     SOURCE_INTERPOLATION,
     SOURCE_STAR_COMMON,
     Device,
     devices,
+    ins_time_of,
+    predict_attitude,
     state_model,
 )
 from ship_attitude_star.sky.sky_watch import SkyWatch
@@ -29,10 +30,9 @@ from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, at_middle
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.ins_jump import InsJump
-from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
+from ship_estimation.kalman import LinearMeasurement, innovation, predict, slow_error_later, update
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal
-from ship_estimation.state import slow_error_later
 from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.rotations import FloatArray, log_rotation

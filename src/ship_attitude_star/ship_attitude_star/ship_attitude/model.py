@@ -1,4 +1,4 @@
-"""Which states the ship-attitude filter has, built from its configuration (models.md §4).
+"""Which states the ship-attitude filter has, and the attitude of a device as they predict it (models.md §4).
 
 ==============================  =======  ====================================================================
 state                           frame    meaning
@@ -18,6 +18,13 @@ reference.<name>.installation   device   as for a star sensor, from the INS's de
 reference.<name>.slow           device   its own slow error; only where it has a sigma
 reference.<name>.time_offset             stamp of the reference - stamp of the INS for the same attitude
 ==============================  =======  ====================================================================
+
+With R_i the attitude of the INS at the moment of a device, the device measures
+
+    R_measured = exp(-z) exp(c) exp(a) exp(w) R_i exp(f) R0 exp(m) exp(s) exp(noise)        horizon from device
+
+with c the common error of a star sensor, f its flexure, m the installation error, s the slow error of a reference; z is
+the turn of the sky that all star sensors share, a sum over its causes.
 """
 
 from dataclasses import dataclass
@@ -26,9 +33,10 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.sky.config import SkyConfig
-from ship_estimation.state import StateBlock, StateModel, block
+from ship_estimation.kalman import StateBlock, StateModel, block
+from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, left_jacobian
 
 SOURCE_INS = "ins_drift"
 SOURCE_INS_NOISE = "ins_noise"
@@ -185,3 +193,59 @@ def _reference_blocks(name: str, reference: ReferenceConfig) -> list[StateBlock]
         slow_sigma = np.array(slow) * ARCSEC
         blocks.append(block(f"{name}.slow", slow_sigma, SOURCE_REFERENCE_SLOW, time_s=reference.slow_time_s))
     return blocks
+
+
+@dataclass(frozen=True)
+class PredictedAttitude:
+    """A device's attitude as the state predicts it.
+
+    Attributes:
+        rotation_nv: horizon from device, shape (3, 3).
+        jacobian_v: rotation vector in the device frame per state error, shape (3, n).
+        interpolation_v: covariance of the error of the INS's attitude between its samples, rotation vector in the
+            device frame, rad², shape (3, 3).
+    """
+
+    rotation_nv: FloatArray
+    jacobian_v: FloatArray
+    interpolation_v: FloatArray
+
+
+def ins_time_of(device: Device, model: StateModel, mean: FloatArray, time_ns: int) -> int:
+    """Stamp (ns) of the INS for the attitude that a device stamped ``time_ns``."""
+    shift_s = device.ins_time_s
+    for name, sign in device.ins_time_states:
+        shift_s += sign * mean[model.slices[name]][0]
+    return time_ns + round(shift_s * 1e9)
+
+
+def predict_attitude(
+    device: Device, model: StateModel, mean: FloatArray, ins: InterpolatedAttitude
+) -> PredictedAttitude:
+    """The attitude of a device at the moment of an (interpolated) INS attitude.
+
+    The chain is multiplied from the device outwards; an error of a factor exp(v) is a small rotation
+    J_left(v) dv in the frame on its left, which everything multiplied so far brings into the device frame.
+    """
+    jacobian = np.zeros((3, model.size))
+
+    def turned(name: str, rotation: FloatArray, scale: float = 1.0) -> FloatArray:
+        """Multiply ``rotation`` from the left by exp(state ``name``), where there is such a state."""
+        if name not in model.slices:
+            return rotation
+        vector = scale * mean[model.slices[name]]
+        rotation = exp_rotation(vector) @ rotation
+        jacobian[:, model.slices[name]] = scale * rotation.T @ left_jacobian(vector)
+        return rotation
+
+    rotation_dv = turned(f"{device.name}.slow", np.eye(3))
+    rotation_dv = device.rotation_dv0 @ turned(f"{device.name}.installation", rotation_dv)
+    rotation_dv = turned(f"{device.name}.flexure", rotation_dv)
+    rate_v = rotation_dv.T @ ins.rate_d
+    for name, sign in device.ins_time_states:
+        jacobian[:, model.slices[name]] = sign * rate_v[:, None]
+    rotation_nv = turned("ins.noise", ins.rotation_nd @ rotation_dv, float(np.sqrt(ins.noise_gain)))
+    rotation_nv = turned("ins.attitude", rotation_nv)
+    rotation_nv = turned(f"{device.name}.common", rotation_nv)
+    interpolation_v = rotation_dv.T @ ins.error_covariance_d @ rotation_dv
+    return PredictedAttitude(rotation_nv, jacobian, interpolation_v)

@@ -8,8 +8,8 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMe
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
 from ship_attitude_star.ship_attitude.model import SOURCE_INS_NOISE, SOURCE_INTERPOLATION
+from ship_estimation.kalman import lasting
 from ship_estimation.outcome import Status
-from ship_estimation.state import lasting
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
 from ship_geometry.sample_track import SECOND_NS

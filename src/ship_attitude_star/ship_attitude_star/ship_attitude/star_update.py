@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
-from ship_attitude_star.ship_attitude.measurement_models import PredictedAttitude
-from ship_attitude_star.ship_attitude.model import sky_rows
+from ship_attitude_star.ship_attitude.model import PredictedAttitude, sky_rows
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.camera import tangent_basis
 from ship_attitude_star.stars.exposure import StarExposure
@@ -22,8 +21,8 @@ from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.identification import visible_stars
 from ship_attitude_star.stars.selection import AttitudePrior, select
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
+from ship_estimation.kalman import StateModel
 from ship_estimation.refusals import Reason, Refusal
-from ship_estimation.state import StateModel
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, skew
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.consistency import normalized_error_squared
+from ship_estimation.gates import normalized_error_squared
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_replay.offline.orientations import Orientation

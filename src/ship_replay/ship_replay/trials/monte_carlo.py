@@ -14,7 +14,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
-from ship_estimation.consistency import normalized_error_squared
+from ship_estimation.gates import normalized_error_squared
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample

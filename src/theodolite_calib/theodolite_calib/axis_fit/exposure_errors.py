@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ship_estimation.state import StateModel
+from ship_estimation.kalman import StateModel
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.axis_fit.sightings import right_and_up
 from theodolite_calib.chain.axes import direction_change

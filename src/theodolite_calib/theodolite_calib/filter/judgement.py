@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.consistency import normalized_error_squared
-from ship_estimation.gates import GateConfig, chi_square_gate
+from ship_estimation.gates import GateConfig, chi_square_gate, normalized_error_squared
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.config import OpticalAxisConfig

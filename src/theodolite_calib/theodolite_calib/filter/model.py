@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_estimation.state import StateBlock, StateModel, block, slow_error_later
+from ship_estimation.kalman import StateBlock, StateModel, block, slow_error_later
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
-from ship_estimation.state import StateModel, block
+from ship_estimation.kalman import LinearMeasurement, StateModel, block, innovation, predict, update
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.filter.model import ShipErrorStep, add_steady_noise, with_step

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_estimation.state import StateModel
+from ship_estimation.kalman import StateModel
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.chain.axes import AxisErrors
 from theodolite_calib.chain.axis_chain import (

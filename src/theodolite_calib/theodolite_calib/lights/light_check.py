@@ -12,8 +12,7 @@ from itertools import combinations, permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.consistency import normalized_error_squared
-from ship_estimation.gates import chi_square_gate
+from ship_estimation.gates import chi_square_gate, normalized_error_squared
 from ship_geometry.rotations import FloatArray, angle_between, log_rotation
 from theodolite_calib.lights.image import Camera, Image
 from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_source

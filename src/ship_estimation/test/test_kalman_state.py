@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ship_estimation.kalman import predict
-from ship_estimation.state import StateModel, block
+from ship_estimation.kalman import StateModel, block, predict
 
 DRIFT, WHITE, CONSTANT, WALK = slice(0, 2), slice(2, 3), slice(3, 5), slice(5, 6)
 
