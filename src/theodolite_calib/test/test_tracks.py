@@ -7,7 +7,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_testing.simulated_session import config
 from theodolite_calib.measured.samples import BaselineSample, EncoderSample, ShipSample
-from theodolite_calib.measured.tracks import MeasuredTracks, insert
+from theodolite_calib.measured.tracks import MeasuredTracks
 
 STEP_NS, SECOND_NS = 400_000_000, 1_000_000_000
 ENCODER_SIGMA = 1.0 * ARCSEC
@@ -34,11 +34,11 @@ def inputs() -> MeasuredTracks:
     slow = MeasuredTracks(config(encoder__max_gap_s=0.5, ship__max_gap_s=0.5, beacons__alpha__rtk__max_gap_s=0.5))
     for k in range(60):
         time_ns, time_s = k * STEP_NS, k * STEP_NS / SECOND_NS
-        insert(slow.encoder, EncoderSample(time_ns, encoder_angles(time_s), ENCODER_SIGMA))
-        insert(slow.ship, ShipSample(time_ns, ship_attitude(time_s)))
-        insert(slow.baselines["alpha"], BaselineSample(time_ns, baseline(time_s), BASELINE_VARIANCE * np.eye(3)))
+        slow.encoder.insert(EncoderSample(time_ns, encoder_angles(time_s), ENCODER_SIGMA))
+        slow.ship.insert(ShipSample(time_ns, ship_attitude(time_s)))
+        slow.baselines["alpha"].insert(BaselineSample(time_ns, baseline(time_s), BASELINE_VARIANCE * np.eye(3)))
         if "alpha" in slow.drones:
-            insert(slow.drones["alpha"], AttitudeSample(time_ns, ship_attitude(time_s)))
+            slow.drones["alpha"].insert(AttitudeSample(time_ns, ship_attitude(time_s)))
     return slow
 
 

@@ -12,11 +12,11 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
 
 _LONGEST_M = 200.0
-"""No ship has a longer one: more are millimetres, or another mistake."""
+"""No ship has a longer lever: a larger number is in millimetres, or another mistake."""
 
 
 def _axis_error(doc: str) -> Any:
-    """What is known of an axis error beforehand; zero points beyond a degree are for ``fit_axes``."""
+    """The value of an axis error that is known beforehand; zero points beyond a degree are for ``fit_axes``."""
     return parameter(0.0, doc=doc, unit="arcsec", minimum=-3600.0, maximum=3600.0)
 
 

@@ -6,7 +6,8 @@ models.md §5, the exact form of [W18] (1)(2). Main frame m is (optical axis, up
 
 T turns about the horizontal rotation vector (βy, 0, -βx) with βx = βm cos Am, βy = βm sin Am: regular at βm = 0.
 
-Encoder angles and errors are floats or arrays (rad) that broadcast with each other; results get their shape in front.
+Encoder angles and errors are floats or arrays (rad) that broadcast with each other. Their common shape becomes the
+leading axes of the results.
 """
 
 import math
@@ -25,7 +26,7 @@ _FLEXURE_STEPS = 3
 
 @dataclass(frozen=True)
 class AxisErrors:
-    """What is wrong with the axes (rad), zero where nothing is.
+    """The errors of the axes, rad; 0 means no error.
 
     Attributes:
         g: zero point of the azimuth encoder; the axis points at A - g.
@@ -75,7 +76,7 @@ _AZIMUTH, _ELEVATION = range(2)
 
 @dataclass(frozen=True)
 class MainAxis:
-    """The main frame in the deck and how it turns, to first order: rotation vector in the deck frame (rad) per rad.
+    """The main frame in the deck, and how errors turn it to first order: rotation vector in the deck, rad per rad.
 
     Attributes:
         rotation_dm: shape (..., 3, 3); its first column is the optical axis.
@@ -127,7 +128,7 @@ def encoder_angles(
     """Encoder angles at which the optical axis looks along a direction.
 
     Two pairs do: the ordinary one, and the plunged one with the telescope tipped over the zenith and the azimuth about
-    half a turn away. No pair does closer to the vertical axis than c + I, where the axes do not reach.
+    half a turn away. The axes do not reach directions closer to the vertical axis than about c + I: no pair does there.
 
     Args:
         errors: axis errors.
@@ -135,14 +136,14 @@ def encoder_angles(
         plunged: give the plunged pair.
 
     Returns:
-        Azimuth in [0, 2 pi) and elevation, in [-pi/2, pi/2] or plunged in [pi/2, 3 pi/2] but for the errors (rad); NaN
-        where the axes do not reach.
+        Azimuth in [0, 2 pi) and elevation (rad), shape (...) each; NaN where the axes do not reach. Up to the errors,
+        the elevation is in [-pi/2, pi/2], and plunged in [pi/2, 3 pi/2].
     """
     unit_d = direction_d / np.linalg.norm(direction_d, axis=-1, keepdims=True)
     # Seen from the vertical axis: x, y (up), z.
     x, y, z = np.moveaxis((unit_d[..., None, :] @ errors.rotation_of_tilt)[..., 0, :], -1, 0)
     sin_c, cos_i, sin_i = np.sin(errors.c), np.cos(errors.I), np.sin(errors.I)
-    # The azimuth turned what was `left` and `forward`; up it left as it is.
+    # The turn by the azimuth changed the components `forward` and `left`, and kept the one up.
     left = (y * sin_i + sin_c) / cos_i
     horizontal = np.hypot(x, z)
     square = (horizontal - left) * (horizontal + left)
@@ -189,7 +190,7 @@ def _about_elevation_and_collimation(errors: AxisErrors, elevation: Angle) -> Fl
 
 
 def _cos_sin(angle: Angle) -> tuple[Angle, Angle]:
-    """For a single angle several times faster than by arrays: a live node has single ones."""
+    """Cosine and sine. A live node has single angles: these take several times longer through arrays."""
     if isinstance(angle, float):
         return math.cos(angle), math.sin(angle)
     return np.cos(angle), np.sin(angle)
@@ -204,5 +205,5 @@ def _matrix(elements: list[Angle]) -> FloatArray:
 
 
 def _column(factor: Angle) -> FloatArray:
-    """A factor per rotation as one per vector, shape (..., 1)."""
+    """A factor for each rotation, shape (...), as a factor for each vector, shape (..., 1)."""
     return np.asarray(factor)[..., None]

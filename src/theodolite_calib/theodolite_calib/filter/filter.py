@@ -1,6 +1,7 @@
-"""The calibration filter: one sighting in, one decision and the next state out. No time, no memory of its own.
+"""The calibration filter: how a state is carried in time, compared with a sighting and changed by it.
 
-A :class:`CalibrationState` is never changed in place, so that the time-ordered log can keep and return to any of them.
+The filter itself remembers nothing. A :class:`CalibrationState` is never changed in place, so that the time-ordered log
+can keep each of them and return to it.
 """
 
 from collections.abc import Callable
@@ -22,7 +23,7 @@ from theodolite_calib.measured.sighting import Sighting
 Jump = EncoderJump | InsJump
 
 _STEPS = 5
-# A step of this size (rad) leaves its square of what is not linear: nothing.
+# What a step of this size (rad) leaves of the equations that is not linear is its square: below rounding.
 _SMALL_STEP = 1e-5
 
 
@@ -34,7 +35,7 @@ class CalibrationState:
         time_ns: moment of the state; None before the first sighting.
         mean: estimated errors, shape (..., n); the leading axis may be one of hypotheses.
         parts: covariance by source, shape (..., n_sources, n, n).
-        unaided: the covariance by the sightings alone.
+        unaided: the covariance by the sightings alone (:mod:`theodolite_calib.filter.observability`).
         ship_steady_n: stated covariance that the ship's error follows, rad²; None where none is stated.
         refusals: sightings in a row that disagreed with the encoders and the ship.
         used_ns: moment of the last sighting used; None before it.

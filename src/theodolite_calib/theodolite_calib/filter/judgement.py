@@ -1,9 +1,9 @@
-"""May a sighting be used? By its lights among themselves, and by what is known of the telescope.
+"""Which sightings are used, and what a sighting that is used or refused makes of the state.
 
-Two tests, each with the gate's probability: all residuals together, and the part of them that no attitude of the
-telescope explains: the angles between the lights. What fails is looked at more closely
-(:mod:`theodolite_calib.lights.light_check`), so that the refusal says what is wrong: lights with exchanged names are
-used with the right ones, one wrong light among three or more is left out.
+A sighting must pass two tests, each with the gate's probability: of all residuals together, and of the part of them
+that no attitude of the telescope explains, which is the angles between the lights. A sighting that fails is looked at
+more closely (:mod:`theodolite_calib.lights.light_check`), so that the refusal says what is wrong: lights with exchanged
+names are used with the right names, and one wrong light among three or more is left out.
 """
 
 from dataclasses import dataclass, replace
@@ -25,12 +25,12 @@ from theodolite_calib.measured.sighting import Sighting
 
 @dataclass(frozen=True)
 class Judgement:
-    """What may be used of a sighting, or why nothing.
+    """What may be used of a sighting, or why nothing may.
 
     Attributes:
         decision: about its exposure.
-        sighting: what may be used of it; None where nothing.
-        comparison: of that with the predicted state.
+        sighting: with the lights that may be used, under their right names; None where none may.
+        comparison: of this sighting with the predicted state.
     """
 
     decision: ExposureDecision
@@ -68,7 +68,7 @@ class SightingJudge:
             return False
         if len(residual) == 2:
             return True
-        # What is left in the residuals beside the columns of the attitude's Jacobian.
+        # Columns across those of the attitude's Jacobian: no attitude moves the residuals along them.
         across = np.linalg.qr(comparison.prediction.by_attitude_n, mode="complete")[0][:, 3:].T
         chi2 = normalized_error_squared(across @ residual, across @ covariance @ across.T)
         return bool(chi2 <= chi_square_gate(self._gate.probability, len(across)))
@@ -76,7 +76,7 @@ class SightingJudge:
     def _look_closer(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure, comparison: Comparison
     ) -> Judgement:
-        """Two or more lights that do not fit as they are."""
+        """Judge two or more lights that do not fit as they are named."""
         prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_parts(state, comparison))
         check = check_lights(sighting.image, camera, prediction.lines, self._gate.probability, prior)
@@ -109,7 +109,7 @@ class SightingJudge:
         return replace(comparison.prediction.camera, focal_length_sigma_m=float(np.sqrt(state.covariance[row, row])))
 
     def _without_one(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> Judgement | None:
-        """Three or more lights of which one is wrong: the others, the best of the choices that pass."""
+        """Judge three or more lights without one of them: the best of the choices that pass; None where none does."""
         rows = range(len(sighting.names))
         if len(rows) < 3:
             return None
@@ -138,7 +138,7 @@ class SightingJudge:
         return Judgement(decision, sighting, comparison)
 
     def _disagreement(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
-        """The lights may fit among themselves, but not with the encoders and the ship."""
+        """The decision about lights that may fit among themselves, but not with the encoders and the ship."""
         decision = self._decision(exposure, sighting, comparison)
         return replace(decision, text=f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}")
 
@@ -156,7 +156,7 @@ class SightingJudge:
 
 
 class SightingStep:
-    """The step from state to state.
+    """The step from a state to the next by one sighting.
 
     Args:
         config: the node's parameters.
@@ -184,13 +184,13 @@ class SightingStep:
             return state, ExposureDecision(exposure, Reason.BAD_COVARIANCE, text=str(error))
         if judgement.sighting is not None and judgement.comparison is not None:
             return self._filter.used(predicted, judgement.sighting, judgement.comparison), judgement.decision
-        # Not even the prediction is kept: the state stays, to the last bit, as without this sighting.
+        # The state stays, to the last bit, as without this sighting: not even the prediction is kept.
         if judgement.decision.reason is Reason.LIGHT_CONFLICT:
             return state, judgement.decision
         return self._held(state, judgement.decision)
 
     def _held(self, state: CalibrationState, decision: ExposureDecision) -> tuple[CalibrationState, ExposureDecision]:
-        """After a run of disagreements say so and, where configured, re-open the gate."""
+        """Count a disagreement; after a run of them say so and, where configured, re-open the gate."""
         run = state.refusals + 1
         reason, text = decision.reason, decision.text
         if run >= self._gate.conflict_after:
@@ -214,7 +214,7 @@ def _focal_length_m(comparison: Comparison) -> float:
 
 
 def _angles_text(sighting: Sighting, camera: Camera, lines: LinesOfSight) -> str:
-    """The angle between lights that is furthest off."""
+    """Words for the angle between two lights that is furthest off."""
     angles = angle_residuals(sighting.image, camera, lines)
     worst = int(np.argmax(angles.chi2))
     first, second = (sighting.names[row] for row in angles.pairs[worst])

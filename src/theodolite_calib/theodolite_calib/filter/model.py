@@ -1,4 +1,4 @@
-"""Which states the calibration filter has, built from its configuration (models.md §5).
+"""The states of the calibration filter, built from its configuration, and how the ship's error evolves (models.md §5).
 
 =========================  =========  =================================================================================
 state                      frame      meaning; errors are true minus used
@@ -16,7 +16,7 @@ refraction (1)                        of the coefficient k, the same for all lig
 light.<id>.rtk (3)         horizon    slow error of this baseline, m
 light.<id>.lever (3)       drone      from the drone's antenna to its light, m
 light.<id>.attitude (3)    horizon    of the drone's attitude, rad
-light.<id>.refraction (1)             what k differs by on the way to this light
+light.<id>.refraction (1)             further error of k on the way to this light
 =========================  =========  =================================================================================
 """
 
@@ -100,7 +100,7 @@ def _theodolite_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
 
 
 def _path_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
-    """What all lines of sight have in common."""
+    """States of errors that all lines of sight have in common."""
     antenna, air = config.ship_antenna, config.air
     return [
         block("ship_antenna", [antenna.sigma_m] * 3, SOURCE_RTK, time_s=antenna.time_s),

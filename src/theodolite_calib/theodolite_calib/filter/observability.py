@@ -1,8 +1,9 @@
 """Which combinations of axis errors and deformation the sightings cannot tell apart, as the live filter sees it.
 
-Beside the filter runs a covariance that knows next to nothing beforehand: of the axis errors, and of the deformation,
-which walks from an unknown start as fast as the filter's process does, but to no mean. All else is as in the filter,
-slow errors included, so what it leaves open is what the sightings leave open, however many there are of the same kind.
+A second covariance runs beside the filter's. At its start the axis errors and the deformation are as good as unknown,
+and the deformation is a random walk as fast as the filter's process, without a mean to return to. All other states are
+as in the filter, slow errors included. A combination that this covariance leaves open is therefore one that the
+sightings leave open, however many of the same kind there are.
 """
 
 from dataclasses import dataclass, replace
@@ -17,19 +18,20 @@ from theodolite_calib.filter.model import ShipErrorStep, add_steady_noise, with_
 DEFORMATION_NAMES = ("deformation_bow", "deformation_up", "deformation_starboard")
 
 _LEADING = (*DEFORMATION_NAMES, "c", "I", "h", "flexure", "beta_x", "beta_y", "g")
-"""Of two combinations the one is freed of what leads the other: what pairs with the deformation comes last."""
+"""In this order errors lead the combinations that are told. The error that leads one combination is eliminated from all
+others; the errors that pair with the deformation come last."""
 
 _ONLY_SOURCE = 0
 """Index of the source of error that all states here share."""
 
 _UNKNOWN = 1000.0
-"""Sigmas beforehand, in those of the configuration."""
+"""Sigma of an unknown error at the start, in sigmas of the configuration."""
 
 _OPEN = 0.5
-"""From this share of the configured sigma on, the sightings do not tell."""
+"""A combination with a larger share of the configured sigma left counts as open."""
 
 _TAKES_PART = 0.1
-"""Of a combination, in configured sigmas and as a share of the largest."""
+"""Errors with a smaller share of the largest one, in configured sigmas, take no part in a combination."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Unaided:
 
 
 class Observability:
-    """What the sightings tell, for the states of a filter.
+    """What the sightings tell of the states of a filter.
 
     Args:
         model: states of the filter.
@@ -63,7 +65,7 @@ class Observability:
         names = (*NAMES, *DEFORMATION_NAMES)
         sigma = np.concatenate([model.blocks["axes"].sigma, deformation.sigma])
         rows = np.concatenate([model.rows("axes"), model.rows("deformation")])
-        # What is held is no question.
+        # An error with a sigma of 0 is held, and need not be told.
         order = [names.index(name) for name in _LEADING if sigma[names.index(name)] > 0.0]
         self._names, self._sigma, self._rows = [names[i] for i in order], sigma[order], rows[order]
 
@@ -92,12 +94,12 @@ class Observability:
         """Combinations of names that the sightings so far cannot tell apart, as ``g - deformation_up``."""
         covariance = unaided.parts[_ONLY_SOURCE][np.ix_(self._rows, self._rows)] / np.outer(self._sigma, self._sigma)
         values, vectors = np.linalg.eigh(covariance)
-        # Rows: directions in configured sigmas that may run so far.
+        # Rows: open combinations, in configured sigmas.
         runs = _sparse(vectors[:, values > _OPEN**2].T)
         return tuple(self._words(run * self._sigma) for run in runs)
 
     def _words(self, run: FloatArray) -> str:
-        """A combination by its errors; sizes where they do not run alike, the largest being one."""
+        """A combination in words: its errors, with a factor where they are not as large as the first one."""
         scaled = run / self._sigma
         taking_part = np.flatnonzero(np.abs(scaled) > _TAKES_PART * np.max(np.abs(scaled)))
         part = sorted(taking_part.tolist(), key=lambda index: (*NAMES, *DEFORMATION_NAMES).index(self._names[index]))
@@ -110,7 +112,7 @@ class Observability:
 
 
 def _sparse(runs: FloatArray) -> FloatArray:
-    """The same space of rows, each with as few elements as can be: Gauss–Jordan, leading columns in order."""
+    """Rows that span the same space, each with as few elements as possible: Gauss–Jordan, leading columns in order."""
     runs = runs.copy()
     done = 0
     for column in range(runs.shape[1]):

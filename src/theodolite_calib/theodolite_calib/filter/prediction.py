@@ -1,8 +1,8 @@
-"""What a state of the calibration filter predicts of an exposure, with the Jacobian by all states.
+"""What a state of the calibration filter predicts of a sighting, with the Jacobian by all states.
 
 The lights' points on the detector are predicted from the attitude of the telescope
 (:mod:`theodolite_calib.chain.axis_chain`) and from the lines of sight
-(:mod:`theodolite_calib.lights.line_of_sight`), both with the errors as now known taken out.
+(:mod:`theodolite_calib.lights.line_of_sight`). From both the errors are taken out as far as they are now known.
 """
 
 from dataclasses import dataclass
@@ -43,18 +43,19 @@ from theodolite_calib.measured.sighting import Sighting
 
 @dataclass(frozen=True)
 class Prediction:
-    """An exposure as the state predicts it; N lights, n states.
+    """A sighting as a state predicts it; N lights, n states.
 
     Attributes:
         rotation_nt: horizon from telescope, shape (3, 3).
         turn_n: rotation vector of the telescope in n per state, shape (3, n).
-        noise_n: covariance of the same that is new with each exposure, by source, rad², shape (3, 3).
+        noise_n: covariance of the telescope's rotation vector that is new with each exposure, by source, rad²,
+            shape (3, 3).
         camera: with the focal length as now known.
         lines: where the lights should be seen.
         residual: measured minus predicted, m, shape (2 N,); NaN for a light behind the telescope.
-        by_attitude_n: of the points by the telescope's rotation vector, m/rad, shape (2 N, 3).
-        jacobian: by all states, shape (2 N, n).
-        noise_by_source: covariance of what is new with each exposure, m², shape (2 N, 2 N).
+        by_attitude_n: change of the points by the telescope's rotation vector in n, m/rad, shape (2 N, 3).
+        jacobian: change of the points by all states, shape (2 N, n).
+        noise_by_source: covariance of the points that is new with each exposure, by source, m², shape (2 N, 2 N).
     """
 
     rotation_nt: FloatArray
@@ -100,7 +101,7 @@ class SightingModel:
         return self._config.telescope.focal_length_m + float(self._of(mean, "focal_length")[0])
 
     def predict(self, mean: FloatArray, sighting: Sighting) -> Prediction:
-        """The exposure, and how it follows from the states."""
+        """A sighting as a state has it, and how it follows from the states."""
         ship, encoder = sighting.ship, sighting.encoder
         chain = axis_chain(self.chain_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
         rotation_nt, by_parallelism = telescope_from_main(self.parallelism(mean), chain.rotation_nm)

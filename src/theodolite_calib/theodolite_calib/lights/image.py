@@ -26,7 +26,7 @@ class Camera:
         focal_length_m: shape (...), one for each exposure.
         focal_length_sigma_m: its standard deviation, shape (...); zero where it is held.
         principal_point_m: detector point (x0, z0) of the telescope's axis, shape (..., 1, 2) or (2,). It has no error
-            of its own: it is what defines the axis, whose angles to the main axis have theirs.
+            of its own, because it defines the telescope's axis; the angles from there to the main axis have theirs.
     """
 
     focal_length_m: FloatArray | float
@@ -114,7 +114,7 @@ class Image:
         return covariance if self.smear_m2 is None else covariance + block_diagonal(self.smear_m2)
 
     def chosen(self, rows: Sequence[int]) -> "Image":
-        """The same lights, some of them or in another order."""
+        """Some of the lights, or all of them in another order."""
         chosen = list(rows)
         smear_m2 = None if self.smear_m2 is None else self.smear_m2[chosen]
         return Image(self.point_m[chosen], np.asarray(self.sigma_m)[chosen], smear_m2)
@@ -140,6 +140,9 @@ class PredictedPoints:
 def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatArray) -> PredictedPoints:
     """Detector points of lights seen along ``direction_n`` by a telescope of the attitude ``rotation_nt``.
 
+    With R the attitude "horizon from telescope" and R_true = exp(δ) R, a light seen along w (in n) is at Rᵀ w in the
+    telescope, and δ moves it there by Rᵀ (w × δ).
+
     Args:
         camera: its geometry.
         rotation_nt: horizon from telescope, shape (..., 3, 3).
@@ -158,6 +161,11 @@ def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatAr
 @dataclass(frozen=True)
 class LightStreaks:
     """N lights as found on the detector, and how telescope and lights moved over the exposure.
+
+    A found point is the mean of the light's way over the detector. Encoders, ship and baselines tell that way, and so
+    how far its mean is off the point at the middle of the exposure. A streak of length L spreads the light by L²/12
+    more than the image s² of a light at rest, and the point is known worse by as much along it: σ² (1 + L²/(12 s²))
+    (docs/optical_axis.md).
 
     Attributes:
         image: as found.
@@ -180,9 +188,9 @@ class LightStreaks:
     moved_n: FloatArray
 
     def at_middle(self) -> Image:
-        """The lights where they stood at the middle, with what their streaks add to their errors."""
+        """The lights where they stood at the middle of the exposure, with what their streaks add to their errors."""
         image, distance_m = self.image, np.linalg.norm(self.path_n, axis=-1, keepdims=True)
-        # A light is where it is seen; how it moves, its path tells.
+        # The detector says where a light is, and the path says how it moves.
         seen_n = distance_m * (self.camera.directions(image.point_m) @ self.middle_nt.T)
         way_m = self.camera.points((seen_n + self.moved_n) @ self.rotation_nt)
         off_m = self.nodes.mean(way_m) - image.point_m

@@ -1,8 +1,8 @@
 """Are these lights what they are taken for? By the angles between them, and by what is known of the telescope.
 
-The angle between two lights does not depend on the attitude: it checks baselines, identification and scale. It is the
-same when the two change names, which turns the image by half a turn: that only a prior attitude, or a third light,
-can tell. A principal point N' off its place shifts all lights alike: nothing here sees it.
+The angle between two lights does not depend on the attitude: it checks baselines, identification and scale. When the
+two lights change names, the angle stays and the image turns by half a turn: only a prior attitude or a third light can
+tell that. An error of the principal point N' shifts all lights alike, and no check here can find it.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_so
 from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve, total
 
 _MOST_LIGHTS = 4
-"""Of more lights not all exchanges are tried: their number grows as the factorial."""
+"""With more lights no exchanges are tried, for their number grows as the factorial."""
 
 
 class Verdict(Enum):
@@ -27,11 +27,11 @@ class Verdict(Enum):
 
     CONSISTENT = "consistent"
     SWAPPED = "swapped"
-    """They do not fit as named, and fit far better with names exchanged, in one way only."""
+    """The lights do not fit as named, and fit far better with names exchanged, in one way only."""
     CONFLICT = "conflict"
-    """Their angles fit under no exchange of names, or under several: one of them is not where it is said to be."""
+    """The angles fit under no exchange of names, or under several: a light is not where it is said to be."""
     PRIOR_CONFLICT = "prior_conflict"
-    """Their angles fit, but under no names an attitude that agrees with the prior."""
+    """The angles fit under some names, but under none of these the attitude agrees with the prior."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class LightCheck:
 
     Attributes:
         verdict: as :class:`Verdict` explains.
-        order: sighting ``order[i]`` is light i; as named unless SWAPPED.
+        order: the point ``order[i]`` of the image is light i; as named unless SWAPPED.
         pointing: attitude by the lights alone in that order.
-        prior_chi2: what is between it and the prior, 3 degrees of freedom; None without a prior.
+        prior_chi2: of the difference between that attitude and the prior, 3 degrees of freedom; None without a prior.
     """
 
     verdict: Verdict
@@ -110,7 +110,7 @@ def check_lights(
     exchanges = [order for order in permutations(range(count)) if order != named] if count <= _MOST_LIGHTS else []
     trials = [_trial(image, camera, lines, order, prior) for order in exchanges]
     fitting = [trial for trial in trials if _fits(trial, probability)]
-    # What fits a little better is no proof: two lights without a prior fit alike both ways.
+    # To fit a little better is no proof: without a prior two lights fit both ways alike.
     if len(fitting) == 1 and as_named.chi2 > fitting[0].chi2 + chi_square_gate(probability, 3):
         return fitting[0].check(Verdict.SWAPPED)
     angles_fit = any(_angles_fit(trial.pointing, probability) for trial in [as_named, *trials])
@@ -145,7 +145,7 @@ def _trial(
 
 
 def _angles_fit(pointing: TelescopeAttitude, probability: float) -> bool:
-    # Not solved is NaN, and fits nothing.
+    # An attitude that is not solved has chi2 NaN, and fits nothing.
     return bool(pointing.chi2 <= chi_square_gate(probability, pointing.degrees))
 
 
@@ -166,7 +166,7 @@ def _angle_gradients(direction: FloatArray, pairs: NDArray[np.intp]) -> FloatArr
         first, second = direction[..., i, :], direction[..., j, :]
         cosine = np.sum(first * second, axis=-1, keepdims=True)
         sine = np.linalg.norm(np.cross(first, second), axis=-1, keepdims=True)
-        # Along the arc, away from the other light; there is no such direction for lights in one place.
+        # Along the arc, away from the other light. Lights in one place have no such direction.
         sine = np.where(sine > 0.0, sine, np.nan)
         gradients[..., p, i, :] = (first * cosine - second) / sine
         gradients[..., p, j, :] = (second * cosine - first) / sine

@@ -20,7 +20,7 @@ from ship_geometry.rotations import FloatArray, skew
 from theodolite_calib.lights.image import block_diagonal, unit_vector_jacobian
 
 EARTH_RADIUS_M = 6_371_000.0
-"""Mean radius; its error is nothing beside that of the refraction coefficient."""
+"""Mean radius; its error is negligible beside that of the refraction coefficient."""
 
 _UP = np.array([0.0, 1.0, 0.0])
 
@@ -84,7 +84,7 @@ class Survey:
         rtk_bias_sigma_m: error of a baseline (N, U, E) of its own that lasts, shape (3,).
         refraction_coefficient: k of the air near the sea, about 0.13; one, or one for each light, shape (..., N).
         refraction_sigma: of k, common to all lights.
-        refraction_light_sigma: of what k differs by on the way to each light, in the same shapes.
+        refraction_light_sigma: of the further error of k on the way to each light, in the same shapes.
     """
 
     theodolite_lever: LeverArm
@@ -99,13 +99,15 @@ class Survey:
 
 @dataclass(frozen=True)
 class ErrorTerm:
-    """One error of the lines of sight: what is true is what was used plus this, and so are the directions.
+    """One error of the lines of sight: true value minus used value, in the natural axes of the quantity.
+
+    The true direction is the one used plus ``jacobian_n`` times the error.
 
     Attributes:
         name: of the error.
         source: its part of the error budget.
-        common: one error moves all lights; otherwise each light has its own.
-        slow: the error lasts from epoch to epoch; otherwise it is new at each.
+        common: True where one error moves all lights; False where each light has its own.
+        slow: True where the error lasts from epoch to epoch; False where it is new at each.
         jacobian_n: change of the unit directions by the error, rad per unit, shape (..., N, 3, k).
         covariance: of the error, shape (..., k, k) where common, (..., N, k, k) where not; or (k, k) in either.
     """
@@ -149,7 +151,7 @@ def lines_of_sight(lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
     light_lever_n = (lights.rotation_nb @ survey.light_lever.vector_m[..., None])[..., 0]
     path_n = lights.baseline_n + light_lever_n - lens_n[..., None, :]
     distance_m = np.linalg.norm(path_n, axis=-1)
-    # What a coefficient of one raises the light by, in metres.
+    # A coefficient of 1 raises the light by so many metres.
     raised_n = (distance_m**2 / (2.0 * EARTH_RADIUS_M))[..., None] * _UP
     seen_n = path_n + np.asarray(survey.refraction_coefficient, dtype=float)[..., None] * raised_n
 

@@ -103,8 +103,8 @@ class TelescopeAttitude:
 def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrior | None = None) -> TelescopeAttitude:
     """The most likely attitude of the telescope.
 
-    Not solved (NaN) is what has too little to go by: without a prior, lights so near to each other that the rotation
-    of the image is known no better than a degree (:data:`ship_geometry.wahba.WORST_SIGMA`).
+    The attitude is not solved (NaN) where the lights tell too little: where, without a prior, they are so near to each
+    other that the rotation of the image is known no better than a degree (:data:`ship_geometry.wahba.WORST_SIGMA`).
 
     Args:
         image: N lights on the detector.
@@ -127,7 +127,7 @@ def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrio
         step = (gain @ equations.residual[..., None])[..., 0]
         rotation_nt = exp_rotation(step) @ rotation_nt
         converged = np.all(np.abs(step) < _CONVERGED, axis=-1)
-        # NaN, not solved, never gets any smaller.
+        # A step of NaN, not solved, never becomes small.
         if np.all(converged | np.isnan(step[..., 0])):
             break
     misfit = equations.residual - (equations.jacobian @ step[..., None])[..., 0]
@@ -151,7 +151,7 @@ def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrio
 def _start(
     image: Image, camera: Camera, lines: LinesOfSight, line_covariance: FloatArray, prior: AttitudePrior | None
 ) -> FloatArray:
-    """First attitude: Wahba's of the lights, the prior's where that refuses."""
+    """The attitude to begin with: Wahba's of the lights; the prior where that is not solved."""
     diagonal = np.einsum("...ii->...i", line_covariance).reshape(*line_covariance.shape[:-2], -1, 3)
     # Two components across the line of sight share the trace.
     line_variance = 0.5 * diagonal.sum(axis=-1)
@@ -165,7 +165,7 @@ def _start(
 def _focal_length(
     equations: Equations, camera: Camera, gain: FloatArray, misfit: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Focal length with its standard deviation, given all: prior and what the attitude leaves of the residuals."""
+    """Focal length and its standard deviation, by its prior and by what the attitude leaves of the residuals."""
     variance = np.asarray(camera.focal_length_sigma_m, dtype=float) ** 2
     rows = equations.by_focal_length.shape[-1]
     weighted = (equations.by_focal_length[..., None, :] @ equations.inverse[..., :rows, :])[..., 0, :]

@@ -43,8 +43,8 @@ class ShipSample(AttitudeSample):
     """The ship's attitude at one moment.
 
     Attributes:
-        slow_covariance_n: of the part of its error that lasts, rotation vector in n, rad², shape (3, 3); None where
-            the configuration says what it is.
+        slow_covariance_n: covariance of the part of its error that lasts, rotation vector in n, rad², shape (3, 3);
+            None where the configuration states it.
         status: what the source says that it is worth.
     """
 
@@ -63,7 +63,8 @@ class BaselineSample(VectorSample):
 
     Attributes:
         covariance_n: of what is new in it, m², shape (3, 3).
-        refusal: why it must not be used; the moment is known not to have a better one.
+        refusal: why it must not be used; None where it may. A refused baseline is kept all the same, so that no
+            exposure waits for a better one of its moment.
     """
 
     covariance_n: FloatArray
@@ -96,7 +97,7 @@ class Exposure:
     Attributes:
         time_ns: middle of the exposure.
         lights: in the order of their names, each name once.
-        exposure_s: how long it lasted; 0 where nobody said so.
+        exposure_s: how long it lasted; 0 where the message does not say.
         covariance_known: False where the configured sigma stands in for that of a light.
     """
 
@@ -108,12 +109,12 @@ class Exposure:
 
     @cached_property
     def nodes(self) -> Nodes | None:
-        """Moments by which the mean over it is found; None where its length is not known."""
+        """Moments over which a mean over the exposure is formed; None where its length is not known."""
         return exposure_nodes(self.exposure_s) if self.exposure_s > 0.0 else None
 
     @cached_property
     def reach_ns(self) -> int:
-        """How far from the middle it must be known how telescope and ship turned."""
+        """So far from the middle of the exposure the turn of telescope and ship must be known."""
         return 0 if self.nodes is None else self.nodes.reach_ns
 
     def content(self) -> bytes:

@@ -6,10 +6,10 @@ not, can spoil it. After a jump that was believed, pointings are in doubt until 
 
 from ship_estimation.ins_config import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard, JudgedIns
+from ship_estimation.refusals import same_stamp
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.sample_track import SECOND_NS
 from theodolite_calib.measured.samples import ShipSample
-from theodolite_calib.measured.tracks import insert
 
 
 class ShipWatch:
@@ -35,7 +35,9 @@ class ShipWatch:
         if judged.rates_wrong_after_ns is not None:
             self._taken.forget_rates(judged.rates_wrong_after_ns)
         if judged.refusal is None:
-            insert(self._taken, judged.sample)
+            known = self._taken.get(sample.time_ns)
+            if known is None or same_stamp(known, judged.sample)[0]:
+                self._taken.insert(judged.sample)
         return judged
 
     def jumped(self, time_ns: int) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason, Refusal, same_stamp
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
@@ -70,30 +70,6 @@ class LightAt:
     baseline_n: FloatArray
     covariance_n: FloatArray
     rotation_nb: FloatArray
-
-
-@dataclass(frozen=True)
-class Inserted:
-    """What became of a sample.
-
-    Attributes:
-        taken: whether it is in the track.
-        refusal: DUPLICATE or CONFLICT where there was one of its stamp.
-        changed_after_ns: the stamp after which interpolated values may have changed; None where none has.
-    """
-
-    taken: bool
-    refusal: Refusal | None = None
-    changed_after_ns: int | None = None
-
-
-def insert(track: SampleTrack[Any], sample: Any) -> Inserted:
-    """Put a sample into a track; of two with the same stamp the one whose bytes sort first is kept."""
-    known = track.get(sample.time_ns)
-    if known is None:
-        return Inserted(True, None, track.insert(sample))
-    taken, refusal = same_stamp(known, sample)
-    return Inserted(True, refusal, track.insert(sample)) if taken else Inserted(False, refusal)
 
 
 class BaselineTrack(VectorTrack[BaselineSample]):

@@ -1,8 +1,8 @@
-"""The calibration: axis errors, focal length and deformation as the filter now has them, and what outlasts the session.
+"""The calibration in two views of the filter's state: for people now, and for the start of the next session.
 
-Two views of the same state: :class:`Calibration`, named values for people and for the calibration topic, and
-:class:`CalibrationPrior`, what the next session starts from: the constants, without the deformation, which is another
-by then.
+:class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation.
+:class:`CalibrationPrior` is what is saved: the constants. The deformation is not saved, for it will have changed by
+then.
 """
 
 from dataclasses import dataclass, replace
