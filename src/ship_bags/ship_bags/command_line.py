@@ -52,7 +52,7 @@ class CommandParser(argparse.ArgumentParser):
 def run_command(
     parser: CommandParser, command: Callable[[argparse.Namespace], int], arguments: Sequence[str] | None
 ) -> int:
-    """Exit code of a command whose bad input, or interruption, becomes one line on stderr.
+    """Run a command; its bad input, or its interruption, becomes one line on stderr. Returns the exit code.
 
     Args:
         parser: parser of the command's arguments.
@@ -96,7 +96,7 @@ def with_bar(
 
 @contextlib.contextmanager
 def _one_interrupt() -> Iterator[None]:
-    """The first Ctrl-C ends the work; those of an impatient user do not end the tidying up, which is short."""
+    """Let the first Ctrl-C end the work, and ignore further ones: the tidying up is short and must be finished."""
     ours = threading.current_thread() is threading.main_thread()
     if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield

@@ -10,7 +10,7 @@ class BadInput(InputError):
 
 
 def one_line(text: str) -> str:
-    """A text for the terminal in one line of bounded length: what a file holds may be in it, control characters too."""
+    """A text for the terminal in one line of bounded length: it may quote a file, and so hold control characters."""
     line = " ".join(text.split())
     if len(line) > _LONGEST_LINE:
         line = f"{line[:_LONGEST_LINE]} … ({len(line)} characters)"

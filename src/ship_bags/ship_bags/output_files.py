@@ -103,7 +103,7 @@ def open_new(path: Path) -> BinaryIO:
     try:
         _hold(number)
         if os.fstat(number).st_nlink == 0:
-            # Another program took it for one that was left.
+            # Another program took this part for one that a killed program had left, and removed it.
             raise _refusal(errno.EBUSY, path)
         return os.fdopen(number, "wb")
     except OSError:
@@ -133,7 +133,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def named(problem: OSError, path: Path) -> OSError:
-    """The problem with the name of the file that the user knows."""
+    """The same problem, with the name of the file that the user knows."""
     return OSError(problem.errno, problem.strerror or str(problem), str(path))
 
 
@@ -236,7 +236,7 @@ def _hold(number: int) -> None:
     except BlockingIOError:
         raise
     except OSError:
-        # There are disks without locks; exclusive opening alone has to do there.
+        # Some disks know no locks: there the exclusive opening must be enough.
         return
 
 
@@ -245,8 +245,8 @@ def _refusal(number: int, path: Path) -> OSError:
 
 
 def _text(value: Any) -> Any:
-    """Five decimals hide no digit that counts, and make the same table the same file on every machine."""
+    """A number with five decimals: none that counts is lost, and every machine writes the same file."""
     if not isinstance(value, (float, np.floating)):
         return value
-    # A rounding to zero keeps no sign.
+    # Adding zero takes the sign from a negative number that was rounded to zero.
     return "" if np.isnan(value) else f"{round(float(value), 5) + 0.0:.5f}"

@@ -1,4 +1,4 @@
-"""YAML from files that nobody vouches for: what is too long, too deep or unfolds without end is refused."""
+"""YAML from files that may hold anything: a text that is too long, too deep or unfolds without end is refused."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ import yaml
 from ship_bags.errors import BadInput
 
 LONGEST_TEXT = 4_000_000
-"""Characters. The parser takes minutes for more."""
+"""Longest text that is parsed, characters: the parser takes minutes for more."""
 
 DEEPEST_NESTING = 50
 MOST_NODES = 1_000_000
@@ -19,7 +19,7 @@ _TOO_DEEP = "nested too deeply, or a group that holds itself by an alias"
 
 
 class _DataLoader(yaml.SafeLoader):
-    """Whole numbers have 64 bits: larger ones fail wherever they are used or shown, each in another way."""
+    """Takes whole numbers of 64 bits only: a larger one would fail later, wherever it is used or shown."""
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
         if len(node.value) <= _LONGEST_INTEGER:
@@ -95,7 +95,7 @@ def _size(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int
     elif isinstance(node, yaml.SequenceNode):
         children = node.value
     elif any("\ud800" <= character <= "\udfff" for character in node.value):
-        # Half of a character, by an escape: it can be neither written nor shown.
+        # An escape can give half of a character, which can be neither written nor shown.
         raise ValueError(f"a character that is none, in line {node.start_mark.line + 1}")
     known[id(node)] = 1 + sum(_size(child, known, above) for child in children)
     return known[id(node)]

@@ -18,25 +18,26 @@ from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
 from ship_bags.stamps import NS_PER_S
 
 CLOCK_PERIOD_NS = 10_000_000
-"""/clock goes out on this grid of bag time, so it is never further than this behind the message just sent."""
+"""Grid of bag time on which /clock goes out, ns: it is never further than this behind the message just sent."""
 
 # Steady time for which /clock runs before the first message, so that every consumer's clock is set (or has jumped
 # back, in a loop) when the first message comes.
 _LEAD_S = 0.1
-# At a high rate that would be days of the bag, at /clock's period millions of messages; so many minutes of them take
-# about as long as the lead is to be.
+# At a high rate the lead would be days of the bag, and millions of messages of /clock; one minute of them takes about
+# as long as the lead is to be.
 _LONGEST_LEAD_S = 60.0
 # A hundred thousand ticks in a second of steady time, which nobody can send.
 _FASTEST_WITH_ALL_TICKS = 1000.0
-# Where some topics have subscribers and others none: so long after the last match nobody else is expected. Discovery
-# on one machine takes 0.06 s to 1.6 s.
+# Where some topics have subscribers and others none, nobody else is expected so long after the last match. Discovery on
+# one machine takes 0.06 s to 1.6 s.
 _SETTLED_S = 2.0
 _POLL_S = 0.01
 _ACKNOWLEDGE_S = 10.0
-# What a reader missed must still be there when it says so; at Fast DDS's default heartbeat (3 s) this does for 1 kHz.
+# A message that a reader missed must still be there when the reader asks for it: this is enough for 1 kHz at the
+# default heartbeat of Fast DDS (3 s).
 _DEPTH = 5000
 
-# A recording of these would contradict those that the playing node itself puts out.
+# The playing node itself publishes these: what a recording holds of them would contradict it.
 _OWN_TOPICS = ("/clock", "/rosout", "/parameter_events")
 
 
@@ -113,7 +114,7 @@ class Player:
                     message_count += 1
                     latest_s = max(latest_s, self._clock.behind_s(record.log_time_ns))
                 problems = bag.problems
-            # Before a loop too: nothing of this lap may come after the clock has jumped back.
+            # Also before the next loop: no message of this one may arrive after the clock has jumped back.
             if not self._clock.stopped:
                 unacknowledged = self._acknowledge()
         for problem in problems:

@@ -1,6 +1,6 @@
-"""A playback's clock — when the next event is due, with rate, pause, steps and stop — and the hands on it.
+"""The clock of a playback, and what steers it: services of the playing node, and keys on a terminal.
 
-The hands are the services of the playing node, and keys on a terminal.
+The clock says when the next event is due; it has a rate, can be paused, stepped and stopped.
 """
 
 import contextlib
@@ -20,9 +20,9 @@ from std_srvs.srv import Trigger
 
 from ship_bags.stamps import NS_PER_S
 
-# A wait of years, at a tiny rate or over a gap, is no time that a lock can be given.
+# A lock cannot wait for years, as it would have to at a tiny rate or over a long gap: it waits anew after so long.
 _LONGEST_WAIT_S = 3600.0
-# What is faster is as fast as it goes all the same, and a product with it may not be a number any more.
+# A higher rate plays no faster, and its product with a time may overflow.
 _FASTEST = 1e9
 # While paused, the time is said again this often: a consumer that starts then needs it too.
 _PAUSED_CLOCK_PERIOD_S = 0.1
@@ -192,7 +192,7 @@ def served(node: Node, clock: PlaybackClock, publish_clock: Callable[[], None]) 
 
 @contextlib.contextmanager
 def keyboard(clock: PlaybackClock) -> Iterator[None]:
-    """Space pauses and goes on, s steps, + and - double and halve the rate, while a terminal listens to us."""
+    """Listen to a terminal: space pauses and goes on, s steps, + and - double and halve the rate."""
     if not sys.stdin.isatty() or not _is_ours(sys.stdin.fileno()):
         yield
         return
@@ -232,5 +232,5 @@ def _is_ours(terminal: int) -> bool:
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()
     except OSError:
-        # It is not the one that controls this process, and stops nobody.
+        # It is not the terminal that controls this process, and stops nobody.
         return True

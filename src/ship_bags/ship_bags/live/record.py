@@ -18,7 +18,7 @@ from ship_bags.message_store import use_installed_definition
 from ship_bags.stamps import NS_PER_S, utc_text
 
 _DISCOVERY_PERIOD_S = 0.1
-# Publishers that go on past the end must not hold it up.
+# Longest times to take what had arrived at the end, and to wait for answers: publishers that go on must not hold it up.
 _DRAIN_S = 1.0
 _HEAR_OUT_S = 1.0
 # A flush begins after this share of its period, so that its writing is over within it.
@@ -27,7 +27,7 @@ _FLUSH_SHARE = 0.7
 _MOST_BEFORE_CLOCK = 50_000
 # A clock that is slewed (500 ppm at most) changes by less between two looks; a step below it disturbs no filter.
 STEP_NS = 50_000_000
-# Longer between the readings of the two clocks, and the comparison says nothing.
+# Where more time lies between the readings of the two clocks, their comparison says nothing.
 _LONGEST_READING_NS = 5_000_000
 
 
@@ -115,7 +115,7 @@ class Recorder:
             if now_s >= next_flush_s:
                 self._look_at_clock()
                 self._bag.flush()
-                # A disk that takes longer than the period for a flush must leave as much time to receive.
+                # Where a flush takes longer than its period, as much time must be left to receive.
                 spent_s = time.monotonic() - now_s
                 next_flush_s = now_s + max(_FLUSH_SHARE * self._options.flush_period_s, 2.0 * spent_s)
             executor.spin_once(timeout_sec=max(0.0, min(next_discovery_s, next_flush_s) - now_s))
@@ -131,7 +131,7 @@ class Recorder:
         if duration_s is not None and time.monotonic() - start_s >= duration_s:
             return True
         if self._is_idle():
-            # Where a slow disk held everything up, that was no silence: first what has come meanwhile.
+            # A slow disk that held everything up is no silence: first take what has come meanwhile.
             self._drain(executor)
         return self._is_idle()
 
@@ -172,7 +172,7 @@ class Recorder:
             return
         self._bag.add_topic(topic, type_name, latched, qos_profiles)
         if self._only_reports and type_name not in REPORTS:
-            # From now on reports are no activity, and those heard until now were none.
+            # From now on reports are no activity, and those received until now were none either.
             self._only_reports, self._last_activity_s = False, None
         events = SubscriptionEventCallbacks(
             message_lost=lambda info: self._note_loss(topic, info.total_count_change)
@@ -201,7 +201,7 @@ class Recorder:
         self.counts[topic] += 1
         now_ns = self._node.get_clock().now().nanoseconds
         if now_ns == 0:
-            # With use_sim_time there is no time before the first /clock; what came before it was not later.
+            # With use_sim_time there is no time before the first /clock: messages wait for it, and get its time.
             if len(self._before_clock) == _MOST_BEFORE_CLOCK:
                 oldest = self._before_clock.popleft()[0]
                 self.counts[oldest] -= 1

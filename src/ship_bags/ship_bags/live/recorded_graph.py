@@ -21,11 +21,11 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from ship_bags.mcap.bag_writer import qos_text
 from ship_bags.parameter_yaml import full_name, is_shell_parameter, sections_text
 
-# Deep enough for ten seconds at 100 Hz, or one at 1 kHz, of a recorder that the disk holds up.
 DEPTH = 1000
+"""Messages of a topic that may wait while the disk holds the recorder up: ten seconds at 100 Hz, one at 1 kHz."""
 
 _LEFT_OUT = ("/clock",)
-"""Left out unless named: /clock is the time of the log itself, which a player gives again."""
+"""Topics that are recorded only where they are named: /clock is the time of the log, which a player gives again."""
 
 REPORTS = frozenset(
     {
@@ -35,16 +35,17 @@ REPORTS = frozenset(
         "ship_msgs/msg/PointingErrorArcsec",
     }
 )
-"""Types by which a node tells of itself, on its own clock, for as long as it lives: whether anything comes or not."""
+"""Types by which a node tells of itself for as long as it lives, on its own clock, whether anything comes or not."""
 
 _RESULTS = ("ship_msgs/msg/ShipAttitude", "ship_msgs/msg/OpticalAxisPointing")
-"""Types of results, which a node without input goes on to put out as INVALID."""
+"""Types of results: a node without input goes on to publish them, as INVALID."""
 
 ANSWER_S = 5.0
 """A node that has not answered so long after it was seen is named and left, s."""
 
 MOST_NODES = 200
 MOST_PARAMETERS = 5000
+"""Nodes that are asked at most, and parameters that are taken of each."""
 
 
 def is_activity(type_name: str, kind: Any, data: bytes) -> bool:
@@ -124,7 +125,7 @@ class HeardParameters:
 
     Args:
         node: the recording node, which is not asked.
-        attach: takes the suite file whenever it has grown and nobody is being asked.
+        attach: takes the suite file whenever it has grown and no node is being asked.
     """
 
     def __init__(self, node: Node, attach: Callable[[str], None]) -> None:
@@ -137,11 +138,11 @@ class HeardParameters:
 
     @property
     def pending(self) -> bool:
-        """Whether somebody is being asked."""
+        """Whether a node is being asked."""
         return bool(self._asked)
 
     def look(self) -> None:
-        """Ask nodes that are new, take answers, give up on those that are too late."""
+        """Ask nodes that are new, take answers, give up nodes that answer too late."""
         for name, namespace in self._node.get_node_names_and_namespaces():
             full = full_name(name, namespace)
             if full not in self._seen and not name.startswith("_") and len(self._seen) <= MOST_NODES:
@@ -158,7 +159,7 @@ class HeardParameters:
             self._attach(sections_text(self._found))
 
     def close(self) -> None:
-        """Ask no more: who is being asked did not answer."""
+        """Ask no more: nodes that are still being asked did not answer."""
         for full in list(self._asked):
             self.unanswered.append(full)
             self._leave(full)
@@ -171,7 +172,7 @@ class HeardParameters:
         return _Asked(time.monotonic() + ANSWER_S, clients)
 
     def _step(self, full: str, asked: _Asked) -> bool:
-        """Go on with a node as far as it goes; True when it is done."""
+        """Ask a node the next question if it has answered the last one; True when it has answered all."""
         by_name, by_value = asked.clients
         if asked.answer is None:
             if by_name.service_is_ready() and by_value.service_is_ready():
@@ -181,7 +182,7 @@ class HeardParameters:
             return False
         answer = asked.answer.result()
         if not asked.names:
-            # How a node was run (clock, black box) is not what it computes.
+            # How a node was run (clock, black box) is left out: it does not change what the node computes.
             asked.names = [name for name in answer.result.names[:MOST_PARAMETERS] if not is_shell_parameter(name)]
             if not asked.names:
                 return True
@@ -201,5 +202,5 @@ class HeardParameters:
 
 
 def _has_bytes(value: Any) -> bool:
-    """Whether no parameter file could hold it."""
+    """Whether a value holds bytes, which no parameter file can."""
     return isinstance(value, (bytes, list)) and any(isinstance(element, bytes) for element in value)

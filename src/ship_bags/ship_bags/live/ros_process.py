@@ -29,7 +29,7 @@ ENABLE, STRATEGY = "ROS_SECURITY_ENABLE", "ROS_SECURITY_STRATEGY"
 _NOT_DEMANDED = ("", "0", "false", "no", "off")
 _LIBRARY = "libfastrtps."
 _WITH, _WITHOUT = b"process_data_message_with_security", b"process_data_message_without_security"
-"""Parts of names that the library exports: the second always, the first where it was built with security."""
+"""Parts of names that the library exports: the second always, the first only where it was built with security."""
 
 _PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
@@ -70,7 +70,7 @@ def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]
 
 @contextlib.contextmanager
 def command_node(name: str, ros_arguments: list[str], use_sim_time: bool = False) -> Iterator[Node]:
-    """The node of a command; ROS leaves the signals alone and ends with it.
+    """The node of a command. ROS installs no signal handlers, and ends with the node.
 
     Raises:
         BadInput: DDS security is demanded and not there.
@@ -121,7 +121,7 @@ def require_demanded_security() -> None:
 
 
 def is_demanded(environment: Mapping[str, str]) -> bool:
-    """Whether an environment asks for DDS security: anything that is not clearly a no."""
+    """Whether an environment asks for DDS security: by any text that is not clearly a no."""
     return environment.get(ENABLE, "").strip().lower() not in _NOT_DEMANDED
 
 
@@ -163,7 +163,7 @@ def dds_has_security(libraries: Iterable[Path]) -> bool | None:
 
 
 def loaded_libraries() -> list[Path]:
-    """Where this process has its Fast DDS from, if it has one."""
+    """Files from which this process has loaded Fast DDS; empty where it uses another middleware."""
     get_rmw_implementation_identifier()  # which loads it
     lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     return sorted({Path(line[line.index("/") :]) for line in lines if f"/{_LIBRARY}" in line})

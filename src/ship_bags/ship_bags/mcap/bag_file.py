@@ -65,7 +65,7 @@ class McapFile:
                 f"{self.path.name}: the chunk at byte {place.offset} is damaged ({damage}): messages from "
                 f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)} are lost"
             )
-            # A place may be read more than once.
+            # A place may be read more than once, and its damage is told once.
             if problem not in self.problems:
                 self.problems.append(problem)
             return []
@@ -106,7 +106,7 @@ def _summary(file: McapFile) -> Summary | None:
     try:
         summary = SeekingReader(file.data.stream).get_summary()
     except Exception:
-        # Damaged bytes make the parser fail in any way; the walk does without the summary.
+        # The parser may fail in any way over damaged bytes; the file is then walked through instead.
         return None
     return summary if summary is not None and _is_complete(summary) else None
 
@@ -208,10 +208,10 @@ def _take_chunk(file: McapFile, chunk: WalkedRecord) -> int:
         return 0  # messages() will say so, with the time range
     times = [record.log_time for record in records if isinstance(record, Message)]
     if times:
-        # Those in its head are not under its checksum.
+        # The times of the messages: those in the head of the chunk are protected by no checksum.
         file.chunks.append(ChunkPlace(chunk.offset, chunk.length, min(times), max(times)))
     for record in records:
-        # Under a checksum here, and so right, whatever stood outside a chunk.
+        # These are protected by the checksum of the chunk: they rule over what stood outside a chunk.
         if isinstance(record, Schema):
             file.schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -227,7 +227,7 @@ def _loose_place(messages: list[tuple[int, int, int]]) -> ChunkPlace:
 
 
 def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
-    """Keep a schema, channel, attachment or metadata record; others are of no use here."""
+    """Keep a schema, channel, attachment or metadata record; other records are not needed."""
     try:
         if opcode == Opcode.SCHEMA:
             schema = parsed(Schema.read, body)

@@ -27,15 +27,16 @@ from ship_bags.stamps import utc_text
 _LATCHED = re.compile(r"durability: (transient_local|1)\b")
 
 MAX_HELD_MB = 512
-"""So much of a bag is held at once. Of an ordinary one it is a chunk or two: others begin when these have ended."""
+"""At most so much of a bag is held in memory. Of an ordinary bag that is a chunk or two: the next one begins in time
+when these have ended."""
 
 _RECORD_BYTES = 250
-"""What a message takes in memory besides its bytes."""
+"""Memory that a message takes besides its own bytes."""
 
 
 @dataclass(slots=True)
 class BagRecord:
-    """One message as it lies in the bag; ``sequence`` is what its writer counted, the publish time what it said."""
+    """One message as it lies in the bag; sequence number and publish time are those that its writer noted."""
 
     topic: str
     type_name: str
@@ -54,7 +55,7 @@ class BagRecord:
         try:
             return self.store.deserialize_cdr(self.data, self.type_name)
         except Exception as problem:
-            # Whatever the generated decoder stumbles on, the bytes are to blame.
+            # The generated decoder may fail in any way over bytes that are no such message.
             raise BadInput(
                 f"topic '{self.topic}' at {utc_text(self.log_time_ns)}: not a {self.type_name}: {problem}"
             ) from problem

@@ -205,7 +205,7 @@ class BagWriter:
                 self._sync.finish()
                 os.fsync(self._file.fileno())
                 if self._written_path != self.path:
-                    # Before it is closed: until then it is held against other programs.
+                    # The file gets its name before it is closed, for until then other programs cannot write it.
                     self._written_path.replace(self.path)
                 self._file.close()
         except BaseException:
@@ -227,7 +227,7 @@ class BagWriter:
 
     def _release(self) -> None:
         """Close all that is open."""
-        # Closing tries once more to write what is in the buffers, and fails again on a full disk.
+        # Closing writes what is left in the buffers, and fails once more on a full disk.
         with contextlib.suppress(OSError):
             self._writer.discard()
         self._sync.finish()
@@ -236,7 +236,7 @@ class BagWriter:
 
     @contextlib.contextmanager
     def _naming(self) -> Iterator[None]:
-        """Give what the system refuses the name of the file."""
+        """Name the file in an error of the system."""
         try:
             yield
         except OSError as problem:

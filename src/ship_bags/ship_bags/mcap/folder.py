@@ -52,7 +52,7 @@ class TopicInformation:
 
 
 class SplitLimits(NamedTuple):
-    """When a new file begins; None is never. A file goes beyond by what one flush period brings, at most."""
+    """When a new file begins; None means never. A file exceeds a limit by what one flush period brings, at most."""
 
     size_bytes: int | None = None
     time_s: float | None = None
@@ -145,7 +145,7 @@ class FolderWriter:
     def _begin_file(self) -> None:
         self.files.append(FileInformation(f"{self.path.name}_{len(self.files)}.mcap"))
         self._bag = BagWriter(self.path / self.files[-1].name, atomic=False)
-        # Named once it is there and begins as an MCAP file does: a crash in between costs neither file nor folder.
+        # The information file names a file that is there and begins as MCAP does: a crash here costs nothing.
         self._bag.flush()
         self._write_information()
         self._begun_s = time.monotonic()
@@ -195,7 +195,7 @@ def file_names(information_path: Path) -> list[str]:
     if not isinstance(names, list) or not names:
         raise BadInput("relative_file_paths names no file", file=information_path)
     for name in names:
-        # Another folder's file is not of this bag, whoever wrote this.
+        # A file of another folder is no part of this bag, whatever the information file says.
         if not isinstance(name, str) or "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
             raise BadInput(
                 f"relative_file_paths: '{name!s:.80}' is no file of this folder",

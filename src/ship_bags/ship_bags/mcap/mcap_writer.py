@@ -1,7 +1,7 @@
 """Writes the records of an MCAP file, byte for byte as the mcap project's own writer does when it ends its chunks so.
 
-That one keeps an object for every chunk until the end, and takes several times as long for a message. A black box or a
-recorder begins fifteen chunks a second, for weeks, beside an estimator that needs the processor.
+That writer keeps an object for every chunk until the end, and takes several times as long for a message. A black box or
+a recorder begins fifteen chunks a second, for weeks, beside an estimator that needs the processor.
 """
 
 import struct
@@ -35,7 +35,7 @@ CHUNK_BYTES = 1024 * 1024
 """A chunk ends when it is longer, before compression."""
 
 CHUNK_NS = 1_000_000_000
-"""A chunk ends before its messages lie further apart in log time: so much is lost by one wrong bit."""
+"""A chunk ends before its messages lie further apart in log time, ns: one wrong bit costs no more than that."""
 
 _MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -44,7 +44,7 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 _INDEX_ENTRY = struct.Struct("<QQ")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 _FOOTER_BYTES = 8 + 8 + 4
-# So much of the index of chunks, a hundred bytes each, stays in memory; the rest waits on the disk.
+# The index takes a hundred bytes for each chunk: so much of it stays in memory, the rest waits on the disk.
 _INDEX_IN_MEMORY_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 20
 

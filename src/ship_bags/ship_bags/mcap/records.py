@@ -22,19 +22,19 @@ from mcap.stream_reader import breakup_chunk
 from ship_bags.stamps import END_OF_TIME_NS
 
 COMPRESSIONS = ("", "zstd", "lz4")
-"""Known here; the empty one is none."""
+"""Compressions that can be read; the empty name means none."""
 
 HEADER = struct.Struct("<BQ")
 """Opcode and length, before the body of each record."""
 
 MAX_CHUNK_MB = 256
-"""So much a chunk may hold, before compression. Writers make chunks of a few megabytes."""
+"""The most that a chunk may hold, before compression. Writers make chunks of a few megabytes."""
 
 MAX_CHUNK_RECORDS = 1_000_000
-"""So many records: one without content takes twenty times its bytes in memory."""
+"""The most records that a chunk may hold: a record without content takes twenty times its bytes in memory."""
 
 _BYTES_PER_MB = 1_000_000
-# A day of ticks may follow.
+# Log times end a day earlier than stamps do: the ticks of a replay may go on for so long.
 _LATEST_NS = END_OF_TIME_NS - 86_400_000_000_000
 _MAX_CHUNK_BYTES = MAX_CHUNK_MB * _BYTES_PER_MB
 
@@ -42,8 +42,9 @@ _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _ATTACHMENT_LEAST = 8 + 8 + 4 + 4 + 8 + 4
 _MESSAGE_LEAST = 2 + 4 + 8 + 8
-# Where a walk may go on. Schemas, channels and messages are left out: inside an uncompressed damaged chunk they look
-# sound, but nothing vouches for them. The length's upper bytes are zero in any file below a tebibyte.
+# The head of a record at which a walk may go on. Schemas, channels and messages are left out: inside a damaged chunk
+# that is not compressed they look sound, but no checksum protects them. The upper bytes of a length are zero in any
+# file below a tebibyte.
 _RESTART = re.compile(rb"[\x06\x07\x09\x0c\x0f].{5}\x00\x00\x00", re.DOTALL)
 _WINDOW_BYTES = 1 << 20
 
@@ -197,7 +198,7 @@ def _of_our_time(records: list[McapRecord]) -> list[McapRecord]:
 
 
 def _unfolded(chunk: Chunk) -> bytes:
-    """Content of a chunk; what its header and the compressed bytes say of its size is not believed.
+    """Content of a chunk, decompressed. The sizes that its header and its bytes state are not trusted.
 
     Raises:
         DamagedChunk: it cannot be decompressed, or holds more than it may.
@@ -209,7 +210,7 @@ def _unfolded(chunk: Chunk) -> bytes:
     if len(content) > _MAX_CHUNK_BYTES:
         raise DamagedChunk(f"it unfolds to more than {MAX_CHUNK_MB} MB")
     if chunk.uncompressed_crc == 0 and len(content) != chunk.uncompressed_size:
-        # Compressed bytes that are cut end without an error; a checksum would tell.
+        # Compressed bytes that are cut end without an error; here no checksum tells.
         raise DamagedChunk(f"it unfolds to {len(content)} bytes and says {chunk.uncompressed_size}")
     if _record_count(content) > MAX_CHUNK_RECORDS:
         raise DamagedChunk(f"it holds more than {MAX_CHUNK_RECORDS} records")
@@ -239,7 +240,7 @@ def _guarded(parse: Callable[[], Result]) -> Result:
     try:
         return parse()
     except Exception as problem:
-        # Damaged bytes make decompressor and parser fail in any way.
+        # Decompressor and parser may fail in any way over damaged bytes.
         raise DamagedChunk(str(problem) or type(problem).__name__) from problem
 
 
@@ -249,7 +250,7 @@ def _sound_record(data: RecordFile, offset: int) -> WalkedRecord | None:
 
 
 def _restart(data: RecordFile, damaged: int) -> int | None:
-    """Offset of the next sound record after a damaged one, whose own length may be what is wrong."""
+    """Offset of the next sound record after a damaged one, whose stated length may itself be wrong."""
     window_start = damaged + 1
     while window_start < data.size:
         data.stream.seek(window_start)
@@ -284,7 +285,7 @@ def _is_sound(opcode: int, body: bytes) -> bool:
         if opcode == Opcode.MESSAGE_INDEX:
             return _is_message_index(body)
         if opcode == Opcode.MESSAGE:
-            # One wrong bit makes a message of an index.
+            # One wrong bit turns an index into what looks like a message.
             return len(body) >= _MESSAGE_LEAST and not _is_message_index(body)
         if opcode == Opcode.SCHEMA:
             return _end_of(body, _U16.size, (_U32, _U32, _U32)) == len(body)

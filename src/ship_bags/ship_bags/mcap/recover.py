@@ -90,7 +90,7 @@ def _recover_folder(source: Path, target: Path) -> Recovery:
         try:
             recovery, information = _recover_file(part, target / part.name, topics, written)
         except BadInput as problem:
-            # A file without a single message, as the last one may be, costs nothing.
+            # The last file of a folder may be without a single message; it is left out and named.
             whole.problems.append(str(problem))
             continue
         files.append(information)
@@ -105,7 +105,7 @@ def _recover_folder(source: Path, target: Path) -> Recovery:
 
 
 def _number(path: Path) -> tuple[int, str]:
-    """voyage_10.mcap comes after voyage_9.mcap."""
+    """Key by which files are sorted: voyage_10.mcap comes after voyage_9.mcap."""
     digits = path.stem.rpartition("_")[2]
     return (int(digits) if digits.isdigit() else 0, path.name)
 
@@ -241,7 +241,7 @@ def _read_back(path: Path, name: Path, reader: str, read: Callable[[Path], _Tall
     try:
         found = read(path)
     except Exception as problem:
-        # Whatever it stumbles on, the result is not what was meant to be written.
+        # A reader may fail in any way: the result is then not what was meant to be written.
         raise BadInput(f"is not written, reading it back by {reader} failed: {problem}", file=name) from problem
     for topic in sorted(found.counts.keys() | written.counts.keys()):
         if (found.counts[topic], found.digests[topic]) != (written.counts[topic], written.digests[topic]):

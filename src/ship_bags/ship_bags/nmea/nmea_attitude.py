@@ -20,7 +20,7 @@ LONGEST_GAP_S = 3.0
 """Attitudes further apart are not joined by a spline, s."""
 
 _BURST_NS = NS_PER_S
-"""A PSXN,23 that comes later than this after a ZDA does not belong to its burst."""
+"""A PSXN,23 that comes later than this after a ZDA does not belong to the burst of that ZDA, ns."""
 
 _INVALID_QUALITY = 2
 

@@ -155,14 +155,14 @@ def _parsed(number: int, text: str, report: LogReport) -> LogLine | None:
         report.reject("checksum failed", number, text)
         return None
     except Exception:
-        # pynmea2 lets an IndexError or worse escape on sentences that are cut short.
+        # Over sentences that are cut short pynmea2 raises IndexError and others, which it does not declare.
         report.reject("unparsed", number, text)
         return None
     return _of_interest(number, receive_ns, text, content, report)
 
 
 def _of_interest(number: int, receive_ns: int, text: str, content: Any, report: LogReport) -> LogLine | None:
-    """The line if its sentence is one of those used, whole and made of numbers."""
+    """The line if its sentence is one of those used, complete, and its fields are numbers; otherwise None."""
     kind = type(content).__name__
     needed = {
         "ZDA": ("timestamp", "day", "month", "year"),
@@ -175,7 +175,7 @@ def _of_interest(number: int, receive_ns: int, text: str, content: Any, report: 
     if needed is None:
         report.unused[text.split(" ", 1)[1].split(",")[0].lstrip("$") + kind.removeprefix("SXN") * ("SXN" in kind)] += 1
         return None
-    # pynmea2 hands out the text itself where a field is no number.
+    # Where a field is no number pynmea2 gives its text.
     is_whole = all(not isinstance(getattr(content, name), (str, type(None))) for name in needed)
     if kind == "ZDA" and is_whole and not 1970 < content.year < 2038:
         report.reject("no year of ours", number, text)
@@ -202,7 +202,7 @@ def _receive_ns(text: str) -> int | None:
         time_ns = datetime_ns(moment) + (int(fraction[:9].ljust(9, "0")) if fraction else 0)
     except ValueError:
         return None
-    # The time of day of a sentence may lead a day further.
+    # The time of day in a sentence may lie on the day before or after: both must be times that a stamp can carry.
     return time_ns if _DAY_NS <= time_ns < END_OF_TIME_NS - 2 * _DAY_NS else None
 
 

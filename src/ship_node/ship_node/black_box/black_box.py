@@ -39,16 +39,16 @@ from ship_node.edge.topics import OutputTopic
 from ship_node.parameters.parameter_file import parameter_text
 
 FLUSH_PERIOD_S = 0.07
-"""With the time that the writing takes, what is older than a tenth of a second is on the disk."""
+"""Period of the flushes, s: with the time that a flush takes, all that is older than 0.1 s is on the disk."""
 
 LONGEST_QUEUE = 50_000
-"""Entries that wait for a slow disk, about a minute of a node at 200 Hz; what comes then is lost, and said."""
+"""Entries that may wait for a slow disk, about a minute of a node at 200 Hz; further ones are lost, which is told."""
 
 LARGEST_QUEUE_BYTES = 64 * 2**20
-"""Likewise of their contents; the files that the node read and wrote aside."""
+"""Bytes of the entries that wait; the files that the node read and wrote are not counted."""
 
 MOST_BEFORE_TIME = 1000
-"""Entries kept while there is no time for them yet; of more, the newest."""
+"""Entries that are kept while the node has no time yet; of more, the newest are kept."""
 
 
 class _Message(NamedTuple):
@@ -167,7 +167,7 @@ class BlackBox:
             return
         self._stopping.set()
         self._thread.join()
-        # Where there never was a time, what waits for one must not wait longer.
+        # Where the node never had a time, the entries that wait for one are written now.
         self.put_event(Closed(), max(self._last_ns, 1))
         self._guarded(self._write_all)
         self._guarded(self._writer.close)
@@ -202,7 +202,7 @@ class BlackBox:
             if isinstance(entry, _Attachment):
                 self._writer.add_attachment(entry.name, entry.content, "application/octet-stream")
             else:
-                # Counted over all topics: where one is missing, that shows at the very next.
+                # Entries of all topics are counted together: one that is missing shows at the next one.
                 number = self._writer.message_count + 1
                 kind = self._types[entry.topic]
                 self._bytes_written += len(entry.data)
@@ -224,7 +224,7 @@ class BlackBox:
 
 
 def free_path(path: Path) -> Path:
-    """The path itself, or with a number that was never used beside it: ``box.mcap``, ``box_2.mcap``, ``box_3.mcap``."""
+    """The path itself, or with the number after all that are there: ``box.mcap``, ``box_2.mcap``, ``box_3.mcap``."""
     pattern = re.compile(re.escape(path.stem) + r"_(\d+)" + re.escape(path.suffix))
     matches = [pattern.fullmatch(other.name) for other in path.parent.iterdir()]
     newest = max((int(match[1]) for match in matches if match), default=1 if path.exists() else 0)
@@ -247,7 +247,7 @@ def _open(text: str, node_name: str) -> BagWriter:
                     free, atomic=False, define=installed_definition, library="ship_node", exclusive=True
                 )
             except BadInput:
-                # Another node may have taken the name in the meantime.
+                # Another node may have taken the name meanwhile.
                 if not free.exists():
                     raise
     except (OSError, BadInput) as error:

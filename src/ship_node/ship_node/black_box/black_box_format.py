@@ -116,7 +116,7 @@ _NAMES = {kind: name for name, kind in _KINDS.items()}
 
 def event_text(event: Event) -> str:
     """The event as it lies in the box."""
-    # What was asked for and refused may be anything: bytes, too.
+    # A value that was refused may be of any type, bytes too.
     return json.dumps({"event": _NAMES[type(event)], **asdict(event)}, default=repr)
 
 
@@ -134,7 +134,7 @@ def event_from_text(text: str) -> Event:
 
 
 def versions(own_package: str, type_hashes: dict[str, str]) -> dict[str, Any]:
-    """Everything that must be the same for the same bits.
+    """The versions of everything that must be the same for the same bits.
 
     Args:
         own_package: package of the node.

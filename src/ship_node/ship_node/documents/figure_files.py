@@ -1,4 +1,4 @@
-"""The figures of a study as PNG, in one style. Loading matplotlib takes longer than most studies: import this late."""
+"""The figures of a study as PNG, in one style. Import it late: loading matplotlib takes longer than most studies."""
 
 import io
 from collections.abc import Iterable
@@ -41,7 +41,7 @@ def settled(sigma: FloatArray) -> slice:
     known = sigma[np.isfinite(sigma)]
     if not len(known):
         return slice(None)
-    # The least tenth: at its best it was for a while, not for a moment.
+    # The least tenth and not the minimum, which sigma may have had for a moment only.
     return slice(int(np.argmax(sigma <= _SETTLED * np.percentile(known, 10.0))), None)
 
 

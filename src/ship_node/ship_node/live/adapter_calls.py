@@ -1,4 +1,4 @@
-"""Every use of an adapter by a live node: its results published, all of it noted in the black box if there is one."""
+"""Every use of an adapter by a live node: what it gives is published, and a black box notes the use and the results."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -24,7 +24,7 @@ from ship_node.live.node_report import StatusLog
 
 
 class AdapterCalls:
-    """Calls an adapter. What it raises is let out, after the call was noted.
+    """Calls an adapter. What the adapter raises is raised here too, after the call was noted.
 
     A message and a tick come with the node's time and the time of waiting (:class:`ship_node.edge.adapter.Adapter`).
 
@@ -110,7 +110,7 @@ class AdapterCalls:
         self._note(ChangeRefused(dict(changes), reason), now_ns)
 
     def publish(self, published: list[Published], now_ns: int) -> None:
-        """Publish messages; with a box they are serialised once, for the subscribers and for it."""
+        """Publish messages; where there is a box they are serialised once, for the subscribers and for the box."""
         if self._box is None:
             for topic, message in published:
                 self._publishers[topic].publish(message)
@@ -127,7 +127,7 @@ class AdapterCalls:
             self._box.put_event(event, now_ns, waiting_ns)
 
     def _note_files(self, now_ns: int) -> None:
-        """Note what files the call just made used, or the construction of the adapter."""
+        """Note the files that the last call, or the construction of the adapter, has used."""
         for use in self._files.uses:
             if self._box is not None:
                 self._box.put_file(use, now_ns)
@@ -135,7 +135,7 @@ class AdapterCalls:
 
 
 def _told_in_the_log(message: Any) -> Iterator[DiagnosticStatus]:
-    """The statuses of a DiagnosticArray but its inputs: these change often, and what is grave shows in the others."""
+    """The statuses of a DiagnosticArray but those of inputs, which change often: what is grave shows in the others."""
     for status in message.status:
         name = status.name.partition(": ")[2]
         if not name.startswith("input "):

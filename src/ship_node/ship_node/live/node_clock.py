@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 DEAD_AFTER_NS = 2_000_000_000
-"""/clock comes many times a second, from a paused `play` too: after so long a silence it is dead, ns."""
+"""After so long a silence /clock is dead, ns: a player sends it many times a second, paused too."""
 
 _START_NS = 5_000_000_000
-"""The first /clock may take longer: who sends it is still to be found, ns."""
+"""The first /clock may take so long, ns: its publisher is still to be found."""
 
 CLOCK_DEPTH = 1000
 """Messages of /clock that may wait for the node: ten seconds of a bag's time at the usual 100 Hz."""
@@ -26,7 +26,7 @@ class NodeClock:
     """Both times that an adapter is given (:class:`ship_node.edge.adapter.Adapter`).
 
     Where /clock rules, the two are one as long as it comes. When it is dead, the node's time stands, and the time of
-    waiting goes on by a steady clock, whole ticks at a time: what is then claimed no more is told as for any silence.
+    waiting goes on by a steady clock, whole ticks at a time, so that this silence is judged as any other.
 
     Args:
         node: has its subscriptions still to come, so that /clock can be queued beside them.
@@ -68,7 +68,7 @@ class NodeClock:
         return self._was_heard and self._silence_ns() >= DEAD_AFTER_NS
 
     def status(self) -> DiagnosticStatus:
-        """What there is to say about it."""
+        """State of the clock."""
         if not self.is_simulated():
             return DiagnosticStatus("clock", Level.OK, "running")
         silence_ns = self._silence_ns()
@@ -82,11 +82,11 @@ class NodeClock:
         return DiagnosticStatus("clock", Level.OK, "running by /clock")
 
     def _silence_ns(self) -> int:
-        """How long the node has listened since the last /clock."""
+        """For how long the node has listened since the last /clock, ns."""
         return self._listening.now_ns(0) - self._heard_ns
 
     def _stood_still_ns(self) -> int:
-        """For how long the time of waiting went on without the node's, whole ticks."""
+        """For how long the time of waiting went on while the node's time stood, whole ticks, ns."""
         silence_ns = self._silence_ns()
         ticks = silence_ns // TICK_PERIOD_NS if silence_ns >= DEAD_AFTER_NS else 0
         return self._stood_still_before_ns + ticks * TICK_PERIOD_NS
@@ -100,17 +100,17 @@ class NodeClock:
 
 
 class WaitingClock:
-    """The time in which a node was listening: what judges silence where no /clock rules.
+    """The time in which a node was listening, by which silence is judged where no /clock rules.
 
-    It goes with a clock that nobody sets, whatever becomes of the system's time. It begins at the node's time, so that
-    the two are near one another in a black box.
+    It runs with a steady clock, whatever happens to the system's time. It begins at the node's time, so that both are
+    near one another in a black box.
 
     Args:
         steady_ns: a clock that never jumps.
     """
 
     LONGEST_STEP_NS = 2 * TICK_PERIOD_NS
-    """A standstill of the node counts as no more: what came meanwhile lies unread, and that is no silence."""
+    """A standstill of the node counts as this at most, ns: messages that came meanwhile wait, which is no silence."""
 
     def __init__(self, steady_ns: Callable[[], int]) -> None:
         self._steady_ns = steady_ns
@@ -144,7 +144,7 @@ class TickGrid:
             self.restart(now_ns)
 
     def restart(self, now_ns: int) -> None:
-        """The clock jumped to ``now_ns``: the grid starts there anew, nothing is made up for."""
+        """The clock jumped to ``now_ns``: the grid starts there anew, and the ticks between are left out."""
         self._newest = now_ns // self._period_ns
 
 

@@ -34,11 +34,11 @@ _SHOWN_NS = 10_000_000_000
 class NodeEvents:
     """The events executor of one node.
 
-    It takes half the processor time of the single-threaded one, and hears of messages of all topics in the order in
-    which they came. But it queues an event for each message, still there or not, without bound. So callbacks must be
-    quick, and where more comes than even they can take, the queue is thrown away: the newest messages of each topic
-    are still in the middleware and are told anew. A timer that waits in the queue like all the rest tells how far the
-    node is behind.
+    The events executor of rclpy takes half the processor time of the single-threaded one, and learns of messages of all
+    topics in the order in which they came. But it queues an event for each message, without bound, even where the
+    message has been displaced meanwhile. So callbacks must be quick, and where more comes than even they can take, the
+    queue is thrown away: the newest messages of each topic are still in the middleware, which tells of them anew. How
+    far the node is behind is told by a timer, whose event waits in the queue like all others.
 
     Args:
         context: of the node.
@@ -74,7 +74,7 @@ class NodeEvents:
         self._executor.shutdown()
 
     def came(self) -> None:
-        """A callback calls this: there may be more."""
+        """Every callback calls this: another event may wait."""
         self._event_came = True
 
     def take(self, timeout_s: float) -> None:

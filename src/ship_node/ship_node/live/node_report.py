@@ -28,7 +28,7 @@ _FILE = "_file"
 
 
 def start_line(adapter: Adapter, config: Any, is_simulated_time: bool, black_box: str) -> str:
-    """Devices by kind, files, clock and black box of a node.
+    """The line of a node about its set-up: devices by kind, files, clock, black box.
 
     Args:
         adapter: of the node, as configured.
@@ -139,7 +139,7 @@ class StatusLog:
         before, now = self._levels, {}
         for status in statuses:
             now[status.name] = status.level
-            # A status that was not there before, as of a conflict, was well.
+            # A status that is new, as of a conflict, counts as well before.
             was = Level.OK if before is None else before.get(status.name, Level.OK)
             if status.level is not was and (before is not None or status.level is Level.ERROR):
                 self._say(status.level, f"{status.name}: {status.message}")
@@ -149,7 +149,7 @@ class StatusLog:
         self._levels = now
 
     def _say(self, level: Level, text: str) -> None:
-        # Three calls: a logger of rclpy takes no other severity from a line that it has heard before.
+        # Three calls, because a logger of rclpy lets a line of code keep the severity with which it first logged.
         if level is Level.OK:
             self._logger.info(text)
         elif level is Level.WARN:

@@ -31,9 +31,9 @@ _LEAST_INTEGER, _GREATEST_INTEGER = -(2**63), 2**63 - 1
 
 
 class ParameterNode(Node):
-    """A node whose live changes all pass through one hand.
+    """A node that passes every live change of parameters through one function.
 
-    What rclpy itself refuses (by range, type, read-only, unknown name) no callback hears of.
+    rclpy calls no callback for a change that it refuses itself (by range, type, read-only, unknown name).
 
     Attributes:
         change: what takes a request, given rclpy's own way to do so; None for that way alone.

@@ -1,4 +1,4 @@
-"""ROS 2 parameter files read without ROS, with the line of each parameter.
+"""The parameters of one node out of a ROS 2 parameter file, and a configuration as such a file; without ROS.
 
 A file holds sections ``node: {ros__parameters: {...}}``. Node names may be written with namespace, nested in
 namespaces or with wildcards (``/**``, ``/**/name``, ``/*/name``). A section without any fits the node without namespace
@@ -144,7 +144,7 @@ def _misfits(sections: list[Section], node: str) -> list[Section]:
 
 
 def _likeness(one: str, other: str) -> float:
-    """1 for names that differ in capitals and underscores alone, 0 for such that share nothing."""
+    """Likeness of two names: 1 where only capitals and underscores differ, 0 where they share nothing."""
     bare_one, bare_other = (name.replace("_", "").lower() for name in (one, other))
     return difflib.SequenceMatcher(None, bare_one, bare_other).ratio()
 
