@@ -124,21 +124,23 @@ def innovation(factory: MessageFactory, decision: AttitudeDecision) -> Any:
 def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str) -> Any:
     """ship_msgs/StarHorizonAttitude; all NaN where there is no attitude."""
     solution = solved.solution
+    covariance_n, noise_n, residual_rms = solution.covariance_n, solution.noise_n, solution.residual_rms
+    star_count = solution.star_count
     azimuth, elevation, roll = angles_from_rotation(solution.rotation_nb).tolist()
-    covariance_n = solution.covariance_n
+    covariance = angle_covariance(covariance_n, azimuth, elevation)
     return factory.make(
         "ship_msgs/msg/StarHorizonAttitude",
-        header=make_header(factory, solved.time_ns, frame_id),
+        header={"stamp": solved.time_ns, "frame_id": frame_id},
         sensor_id=solved.sensor_id,
         azimuth=azimuth,
         elevation=elevation,
         roll=roll,
-        covariance=angle_covariance(covariance_n, azimuth, elevation).ravel(),
+        covariance=covariance.ravel(),
         rotation_covariance=enu_covariance(covariance_n).ravel(),
-        noise_covariance=enu_covariance(solution.noise_n).ravel(),
-        star_count=solved.star_count,
-        rejected_count=solved.rejected_count,
-        residual_rms=solution.residual_rms if solved.valid else float("nan"),
+        noise_covariance=enu_covariance(noise_n).ravel(),
+        star_count=star_count,
+        rejected_count=len(solved.refused),
+        residual_rms=residual_rms,
         status=int(solution.status),
     )
 

@@ -66,8 +66,8 @@ def _status(id_: str, last: tuple[Solved, int] | None, how: str, waiting_ns: int
     if solved.text:
         level, text = Level.WARN, f"{text}; {solved.text}"
     values = {
-        "stars used": str(solved.star_count),
-        "stars refused": str(solved.rejected_count),
+        "stars used": str(solved.solution.star_count),
+        "stars refused": str(len(solved.refused)),
         "sensors": ", ".join(solved.sources),
         'residual rms (")': f"{solved.solution.residual_rms / ARCSEC:.2f}",
     }

@@ -8,6 +8,7 @@ parameters stand in. Whatever the order of arrival, the answers are the same.
 import math
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -147,6 +148,8 @@ class Surroundings:
             "temperature": _Quantity(temperature, config.measured_temperature_sigma_k, max_age_s),
             "humidity": _Quantity(humidity, 0.0, max_age_s),
         }
+        readings = [quantity.readings for quantity in self._air.values()]
+        self._stamped: tuple[StampedValues[Any], ...] = (self._fixes, *readings)
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
@@ -202,11 +205,9 @@ class Surroundings:
         error that the straight line leaves out grows with the time to its two fixes. The air is that of the last
         readings at or before the moment.
         """
-        quantities = tuple(self._air.values())
-        last_fix = self._fixes.last_before(time_ns)
-        last = [quantity.readings.last_before(time_ns) for quantity in quantities]
+        last_fix, *last = [values.last_before(time_ns) for values in self._stamped]
         pressure, temperature, humidity = [
-            quantity.at(index, time_ns) for quantity, index in zip(quantities, last, strict=True)
+            quantity.at(index, time_ns) for quantity, index in zip(self._air.values(), last, strict=True)
         ]
         place = self._place(last_fix, time_ns)
         if isinstance(place, Refusal):

@@ -64,16 +64,6 @@ class Solved:
     text: str = ""
 
     @property
-    def star_count(self) -> int:
-        """Number of stars used."""
-        return int(self.solution.members.sum()) if self.valid else 0
-
-    @property
-    def rejected_count(self) -> int:
-        """Number of stars that had no part in it, for whatever reason."""
-        return len(self.refused)
-
-    @property
     def valid(self) -> bool:
         """Whether there is an attitude."""
         return self.solution.status is not SolutionStatus.INVALID

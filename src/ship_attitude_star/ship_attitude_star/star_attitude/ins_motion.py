@@ -74,10 +74,11 @@ class InsMotion:
         slow = np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec]) * ARCSEC
         white_variance = found.noise_gain * (config.white_sigma_arcsec * ARCSEC) ** 2
         shifted_n = config.time_offset_sigma_s * (found.rotation_nd @ found.rate_d)
-        interpolated_n, jumped_n = found.error_covariance_n, self._jumped_n(time_ns)
         covariance_n = np.diag(slow**2 + white_variance) + np.outer(shifted_n, shifted_n)
-        covariance_n += np.outer(jumped_n, jumped_n)
-        return AttitudePrior(found.rotation_nd, covariance_n + interpolated_n)
+        if self._jumps:
+            jumped_n = self._jumped_n(time_ns)
+            covariance_n += np.outer(jumped_n, jumped_n)
+        return AttitudePrior(found.rotation_nd, covariance_n + found.error_covariance_n)
 
     def turn(self, to_ns: int, from_ns: int) -> tuple[FloatArray, FloatArray] | None:
         """The deck's turn between two moments.

@@ -82,6 +82,11 @@ class StarSolution:
         return replace(self, parts_n=parts_n)
 
     @property
+    def star_count(self) -> int:
+        """Number of stars used; 0 where INVALID."""
+        return 0 if self.status is SolutionStatus.INVALID else int(self.members.sum())
+
+    @property
     def residual_rms(self) -> float:
         """Root mean square of the angle between used stars and their places, rad; NaN where INVALID."""
         squares = np.sum(self.residual_n[self.members] ** 2, axis=-1)
