@@ -7,7 +7,7 @@ import pytest
 
 from ship_attitude_star.guards.stream_guards import StreamGuards
 from ship_attitude_star.star_attitude.ins_motion import InsMotion
-from ship_estimation.ins_config import GuardedInsConfig
+from ship_estimation.ins import GuardedInsConfig
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation

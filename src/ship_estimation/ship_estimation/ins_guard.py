@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from ship_estimation.ins_config import GuardedInsConfig
-from ship_estimation.ins_jump import InsJump
+from ship_estimation.ins import GuardedInsConfig, InsJump
 from ship_estimation.rate_guard import Integrated, RateGuard, Rates, missed_by_mean_rad
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.value_guards import (

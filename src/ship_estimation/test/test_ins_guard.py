@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.ins_config import GuardedInsConfig
+from ship_estimation.ins import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard
 from ship_estimation.rate_guard import Rates
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack

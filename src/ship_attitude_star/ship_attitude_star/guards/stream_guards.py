@@ -5,7 +5,7 @@ import numpy as np
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_estimation.ins_config import GuardedInsConfig
+from ship_estimation.ins import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from ship_attitude_star.sky.config import InertialConfig, SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, check_sensor_ids
 from ship_estimation.gates import GateConfig
-from ship_estimation.ins_config import InsErrorConfig, StarInsConfig
+from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameters import arcsec, degrees, mapping_of, parameter, section, stamp_age
 
 

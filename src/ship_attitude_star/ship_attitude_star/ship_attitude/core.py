@@ -29,7 +29,7 @@ from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
 from ship_attitude_star.ship_attitude.output import CorrectedIns, estimate_from_star, no_estimate
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.estimator_shell import SECOND_NS, EstimatorShell, Model
-from ship_estimation.ins_jump import InsJump
+from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Measurement
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Refusal

@@ -29,7 +29,7 @@ from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, at_middle
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.ins_jump import InsJump
+from ship_estimation.ins import InsJump
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, slow_error_later, update
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, check_sensor_ids
-from ship_estimation.ins_config import StarInsConfig
+from ship_estimation.ins import StarInsConfig
 from ship_estimation.parameters import mapping_of, parameter, section, stamp_age
 
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from ship_attitude_star.guards.stream_guards import StreamGuards
 from ship_attitude_star.stars.selection import AttitudePrior
-from ship_estimation.ins_config import GuardedInsConfig
-from ship_estimation.ins_jump import InsJump
+from ship_estimation.ins import GuardedInsConfig, InsJump
 from ship_estimation.refusals import Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import Nodes, Turning, turning_over

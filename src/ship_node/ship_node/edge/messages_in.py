@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ship_bags.stamps import duration_text, ns_from_stamp
-from ship_estimation.ins_config import InsInputConfig
+from ship_estimation.ins import InsInputConfig
 from ship_estimation.refusals import Reason, Refusal, shortened
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles

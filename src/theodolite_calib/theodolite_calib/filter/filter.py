@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.ins_jump import InsJump
+from ship_estimation.ins import InsJump
 from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES

@@ -49,10 +49,6 @@ class EncoderJump:
     jump: FloatArray
     sigma_rad: float
 
-    def content(self) -> bytes:
-        """All values as bytes."""
-        return self.jump.tobytes()
-
 
 class JudgedReading(NamedTuple):
     """What is to be done with a reading.

@@ -4,7 +4,7 @@ Its rates only judge the attitudes and are judged by them: the pointing rests on
 not, can spoil it. After a jump that was believed, pointings are in doubt until lights have confirmed one.
 """
 
-from ship_estimation.ins_config import GuardedInsConfig
+from ship_estimation.ins import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard, JudgedIns
 from ship_estimation.refusals import same_stamp
 from ship_geometry.attitude_track import AttitudeTrack

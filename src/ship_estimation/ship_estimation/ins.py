@@ -1,9 +1,13 @@
-"""Parameters of the INS that more than one node has."""
+"""What more than one estimator knows of an INS: its parameters, and a jump of its attitude that is believed."""
 
+import math
 from dataclasses import dataclass
+
+import numpy as np
 
 from ship_estimation.parameters import arcsec, degrees, parameter
 from ship_estimation.value_guards import JUMP_SAMPLES
+from ship_geometry.rotations import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +37,7 @@ class InsInputConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class GuardedInsConfig(InsInputConfig):
-    """The same of an INS whose attitudes are watched for jumps."""
+    """The parameters of an INS whose attitudes are watched for jumps."""
 
     jump_samples: int = parameter(
         JUMP_SAMPLES,
@@ -46,7 +50,7 @@ class GuardedInsConfig(InsInputConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class StarInsConfig(GuardedInsConfig):
-    """The same of an INS beside stars: it tells how their exposures turned."""
+    """The parameters of an INS beside stars: it tells how the ship turned during their exposures."""
 
     untold_acceleration_deg_per_s2: float = parameter(
         2.0,
@@ -60,7 +64,7 @@ class StarInsConfig(GuardedInsConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class InsErrorConfig(InsInputConfig):
-    """The same, and how long its slow errors last."""
+    """The parameters of an INS whose slow errors are estimated: how long these last besides."""
 
     tilt_time_s: float = parameter(
         1800.0, doc="correlation time of the tilt error", unit="s", minimum=1.0, maximum=1e7
@@ -68,3 +72,33 @@ class InsErrorConfig(InsInputConfig):
     heading_time_s: float = parameter(
         10800.0, doc="correlation time of the heading error", unit="s", minimum=1.0, maximum=1e7
     )
+
+
+@dataclass(frozen=True)
+class InsJump:
+    """An attitude of the INS that has jumped for good.
+
+    Attributes:
+        time_ns: just before the first sample after the jump.
+        jump_n: the jump, rotation vector in the horizon frame, rad, shape (3,).
+        sigma_rad: standard deviation of the jump about each axis.
+
+    >>> jump = InsJump(time_ns=0, jump_n=np.array([0.0, 0.1, 0.0]), sigma_rad=0.001)
+    >>> [round(float(sigma), 3) for sigma in np.sqrt(np.diagonal(jump.covariance_n))]
+    [0.005, 0.1, 0.005]
+    """
+
+    time_ns: int
+    jump_n: FloatArray
+    sigma_rad: float
+
+    @property
+    def covariance_n(self) -> FloatArray:
+        """Covariance of what the INS's slow error may have become by the jump, rad², shape (3, 3).
+
+        Along the jump it is the square of the jump. About every axis it is the jump's own variance and, because two
+        large turns do not commute, the square of half the squared jump.
+        """
+        across_rad = math.hypot(self.sigma_rad, 0.5 * float(self.jump_n @ self.jump_n))
+        covariance_n: FloatArray = np.outer(self.jump_n, self.jump_n) + across_rad**2 * np.eye(3)
+        return covariance_n
