@@ -14,12 +14,12 @@ import enum
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.witnesses import RECENT_NS, Witness, WitnessRecord
+from ship_estimation.witnesses import RECENT_NS, TurnWatch, Witness
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 JUMP_SAMPLES = 5
@@ -30,11 +30,7 @@ _ACROSS = 1.8
 
 
 def size(vector: FloatArray) -> float:
-    """Length of one vector. For a few numbers this takes a fifth of the time of an array's norm.
-
-    >>> size(np.array([3.0, 0.0, 4.0]))
-    5.0
-    """
+    """Length of one vector: for a few numbers this takes a fifth of the time of an array's norm."""
     return math.hypot(*vector.tolist())
 
 
@@ -59,12 +55,9 @@ class StuckGuard:
 
     >>> guard = StuckGuard()
     >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> for ms, witnessed in ((0, np.eye(3)), (300, turned), (600, turned)):
-    ...     witness = Witness(ms * 1_000_000, witnessed, sigma_rad=ARCSEC)
-    ...     print(guard.observe(ms * 1_000_000, np.eye(3), ARCSEC, {"another": witness}))
-    False
-    False
-    True
+    >>> said = [Witness(0, np.eye(3), ARCSEC), *(Witness(n * 300_000_000, turned, ARCSEC) for n in (1, 2))]
+    >>> [guard.observe(one.time_ns, np.eye(3), ARCSEC, {"another": one}) for one in said]
+    [False, False, True]
     """
 
     def __init__(self) -> None:
@@ -94,13 +87,16 @@ class StuckGuard:
         if held is not None and _same(value, held.value):
             held.repeats += 1
         else:
-            held = self._changed(time_ns, value)
-        if self._turned(held, sigma_rad, witnesses) and time_ns - held.since_ns >= _LEAST_NS:
-            held.stuck = True
+            held = self._changed(time_ns, value, witnesses)
         self.repeated = held.repeats > 0
+        if self.repeated:
+            if held.watch is None:
+                held.watch = TurnWatch(held.since_ns, held.first_said)
+            turned = held.watch.turned(witnesses, sigma_rad, _ACROSS * self._resolution_rad)
+            held.stuck = held.stuck or (turned and time_ns - held.since_ns >= _LEAST_NS)
         return held.stuck
 
-    def _changed(self, time_ns: int, value: FloatArray) -> "_Held":
+    def _changed(self, time_ns: int, value: FloatArray, witnesses: Mapping[str, Witness]) -> "_Held":
         """Take a value that differs from the one before: a new value, or the frozen value again."""
         before, former = self._held, self._former
         if former is not None and time_ns - self._left_ns <= RECENT_NS and _same(value, former.value):
@@ -113,7 +109,7 @@ class StuckGuard:
                 self._repeated.append(before.repeats > 0)
                 self._learn(before.value, value)
                 self.coarseness_rad = self._resolution_rad if any(self._repeated) or not self._steps else 0.0
-        self._held = _Held(value, time_ns)
+        self._held = _Held(value, time_ns, dict(witnesses))
         return self._held
 
     def _learn(self, before: FloatArray, value: FloatArray) -> None:
@@ -126,32 +122,17 @@ class StuckGuard:
                 self._steps.append(max(sizes))
                 self._resolution_rad = min(self._steps)
 
-    def _turned(self, held: "_Held", sigma_rad: float, witnesses: Mapping[str, Witness]) -> bool:
-        """Whether a witness has turned too far for the value to stand."""
-        turned = False
-        for name, now in witnesses.items():
-            # What a witness said before the value stood still says nothing of the time since.
-            if now.time_ns < held.since_ns:
-                continue
-            first = held.first_said.setdefault(name, now)
-            if first is now:
-                continue
-            if name not in held.records:
-                held.records[name] = WitnessRecord(first)
-            turned = held.records[name].add(now, sigma_rad, _ACROSS * self._resolution_rad) or turned
-        return turned
-
 
 @dataclass
 class _Held:
-    """A value, since when the source says it, and what witnesses said meanwhile."""
+    """A value, since when the source says it, and what the witnesses said then."""
 
     value: FloatArray
     since_ns: int
+    first_said: Mapping[str, Witness]
     repeats: int = 0
     stuck: bool = False
-    first_said: dict[str, Witness] = field(default_factory=dict)
-    records: dict[str, WitnessRecord] = field(default_factory=dict)
+    watch: TurnWatch | None = None
 
 
 def _same(value: FloatArray, other: FloatArray) -> bool:
@@ -162,8 +143,11 @@ def _same(value: FloatArray, other: FloatArray) -> bool:
 _SIGMAS = 7.0
 """At 100 samples a second, good ones must not be refused once in a voyage."""
 _TYPICAL = 6.0
+"""A good difference is at most so many times the typical one."""
 _MEMORY = 100
+"""The typical difference is a mean over about so many."""
 _LEARNING = 20
+"""Before so many differences were met, the typical one is not known and the bound is wider by the next constant."""
 _UNKNOWN_RAD = math.radians(0.1)
 _BIAS_RAD_PER_S = 60.0 * ARCSEC
 """The Earth's own turn, and the bias of a gyroscope."""

@@ -1,6 +1,7 @@
 """What other sources say of the ship's motion while one source repeats its value, and whether that is a turn."""
 
 from collections import deque
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -31,16 +32,47 @@ class Witness(NamedTuple):
     drift_rad_per_s: float = 0.0
 
 
-class WitnessRecord:
+class TurnWatch:
+    """Tells when one of the witnesses has turned while a value stood.
+
+    Args:
+        since_ns: since when the value stands. What a witness said of an earlier moment says nothing of the time since.
+        first_said: by name, what the witnesses said when the value came.
+
+    >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> watch = TurnWatch(0, {"another": Witness(0, np.eye(3), sigma_rad=1e-5)})
+    >>> [watch.turned({"another": Witness(time_ns, turned, 1e-5)}, 1e-5, 0.0) for time_ns in (1, 2)]
+    [False, True]
+    """
+
+    def __init__(self, since_ns: int, first_said: Mapping[str, Witness]) -> None:
+        self._since_ns = since_ns
+        self._records: dict[str, _Record] = {}
+        self.turned(first_said, 0.0, 0.0)
+
+    def turned(self, witnesses: Mapping[str, Witness], sigma_rad: float, resolution_rad: float) -> bool:
+        """Whether a witness has turned too far for the value to stand.
+
+        Args:
+            witnesses: by name, what the witnesses say now.
+            sigma_rad: noise of the value that stands, about its worst axis.
+            resolution_rad: the largest turn that the value cannot show.
+        """
+        turned = False
+        for name, now in witnesses.items():
+            if now.time_ns < self._since_ns:
+                continue
+            if name not in self._records:
+                self._records[name] = _Record(now)
+            turned = self._records[name].add(now, sigma_rad, resolution_rad) or turned
+        return turned
+
+
+class _Record:
     """What one witness said while a value stood.
 
     Args:
         first: the first attitude that the witness gave.
-
-    >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> record = WitnessRecord(Witness(0, np.eye(3), sigma_rad=1e-5))
-    >>> [record.add(Witness(time_ns, turned, 1e-5), sigma_rad=1e-5, resolution_rad=0.0) for time_ns in (1, 2)]
-    [False, True]
     """
 
     def __init__(self, first: Witness) -> None:
@@ -52,12 +84,8 @@ class WitnessRecord:
         """Take what the witness says now; True where it has turned, in two attitudes running.
 
         A turn is more than five sigma of all noise, the drift of the witness and the resolution of the value. It takes
-        two in a row because a witness that is asked for hours is five sigma off now and then.
-
-        Args:
-            now: the attitude; one that is no later than the last one says nothing new.
-            sigma_rad: noise of the value that stands, about its worst axis.
-            resolution_rad: the largest turn that the value cannot show.
+        two in a row because a witness that is asked for hours is five sigma off now and then. An attitude that is no
+        later than the last one says nothing new.
         """
         if now.time_ns > self._last.time_ns:
             moved = any(_moved(then, now, sigma_rad, resolution_rad) for then in (self._first, *self._recent))
