@@ -162,6 +162,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
     def reset(self, state: State, clock_jumped: bool = False) -> None:
         """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
         self.state = state
+        self._jumped = False
         self.window = LagWindow(self._lag_s)
         self._log: TimeOrderedLog[State, Measured | _Opening[Jump], Judged | _Opening[Jump]] = TimeOrderedLog(state)
         if clock_jumped:
@@ -198,6 +199,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
     def add_jump(self, time_ns: int, source: str, jump: Jump) -> None:
         """A source has jumped at a moment: the state after it is open by as much."""
         self._log.insert((time_ns, source), _Opening(jump))
+        self._jumped = True
 
     def data_changed(self, after_ns: int) -> None:
         """Samples after a stamp have changed: at the next :meth:`apply`, compare anew what they matter to."""
@@ -275,7 +277,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
 
     def _state_now(self) -> State:
         """The state for outputs: jumps count at once, also where measurements of before them still wait."""
-        if not self._log.waiting:
+        if not (self._jumped and self._log.waiting):
             return self.state
         openings = [item for item in self._log.not_applied() if isinstance(item, _Opening)]
         return functools.reduce(lambda state, opening: self._model.opened(state, opening.jump), openings, self.state)
