@@ -19,19 +19,22 @@ from ship_geometry.interpolation_error import (
     by_third_derivative,
 )
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
-from ship_geometry.sample_track import RECENT, SECOND_NS, SampleTrack, hermite_weights
+from ship_geometry.sample_track import RECENT, SampleTrack, hermite_weights
+from ship_geometry.time_scales import SECOND_NS
 
 _EVERY_NS = 100_000_000
-"""Samples nearer to one another tell more of their noise than of the motion."""
+"""Spacing of the samples that tell the newest one's motion: closer ones tell more of their noise than of the motion."""
 
 _RATES = 4
-"""So many measured rates tell how the rate changes, and how that does."""
+"""How many measured rates, at most, tell the angular acceleration and how that changes."""
 
 _WORST_OF_DIFFERENCED = 0.0962
-"""Greatest s (1 - s) (1 - 2 s): error of a cubic with differenced rates per step³ and third divided difference."""
+"""Greatest value of s (1 - s) (1 - 2 s), 0 < s < 1.
+
+The error of a cubic with differenced rates is at most this times step³ times the third divided difference."""
 
 _LARGEST_VARIANCE = np.pi**2
-"""No attitude is off by more than half a turn, whatever rates say, rad²."""
+"""Bound of an estimated error, rad²: no attitude is off by more than half a turn."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,8 @@ class InterpolatedAttitude:
         rotation_nd: horizon from deck, shape (3, 3).
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         noise_gain: variance of the result per variance of the samples' independent noise.
-        error_covariance_d: of the interpolation's own error, as the samples around tell it: rotation vector in the deck
-            frame, rad², shape (3, 3).
+        error_covariance_d: covariance of the interpolation's own error, estimated from the samples around: rotation
+            vector in the deck frame, rad², shape (3, 3).
     """
 
     rotation_nd: FloatArray
@@ -72,13 +75,13 @@ class InterpolatedAttitude:
 
     @property
     def error_covariance_n(self) -> FloatArray:
-        """The same in the horizon frame."""
+        """Covariance of the interpolation's own error about the horizon's axes, rad², shape (3, 3)."""
         covariance_n: FloatArray = self.rotation_nd @ self.error_covariance_d @ self.rotation_nd.T
         return covariance_n
 
 
 class AttitudeTrack(SampleTrack[AttitudeSample]):
-    """Attitudes of one source.
+    """Attitudes of one source, joined by a cubic of the rotation vector.
 
     Example:
         A ship that turns by 10° in a second, halfway between two samples:
@@ -106,14 +109,18 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
 
     @property
     def newest_rate_known(self) -> bool:
-        """Whether there is a rate at the newest sample: measured, or by the sample before."""
+        """Whether the newest sample has a rate: a measured one, or the difference from the sample before."""
         index = len(self._samples) - 1
         return self._has_rate(index) or (index > 0 and self._joined(index - 1))
 
     def newest_moved(self, ahead_s: float) -> InterpolatedAttitude:
-        """The attitude ``ahead_s`` (small, either sign) from the newest sample, by its rate and rate of change.
+        """The newest sample's attitude moved by a short time, by its rate and its angular acceleration.
 
-        Used to move a sample by a clock offset: one sample gives one attitude, whatever the sign of the offset.
+        A sample is moved by the offset of its source's clock. Moved so, one sample gives one attitude, whatever the
+        sign of the offset; interpolation would have to wait for the next sample where the offset is positive.
+
+        Args:
+            ahead_s: seconds after the newest sample, or before it where negative.
         """
         index = len(self._samples) - 1
         if self._samples[index].rate_d is None:
@@ -121,10 +128,10 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._moved_by_rates(index, ahead_s)
 
     def forget_rates(self, after_ns: int) -> int | None:
-        """Take the rates from all samples stamped after a moment: they were none.
+        """Forget the measured rates of all samples stamped after a moment, because they turned out to be wrong.
 
         Returns:
-            The stamp after which interpolated values may have changed; None where no sample had one.
+            The stamp after which interpolated values may have changed; None where no sample had a rate.
         """
         start = bisect.bisect_right(self._times, after_ns)
         if all(sample.rate_d is None for sample in self._samples[start:]):
@@ -133,7 +140,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._times[start - 1] if start > 0 else self._times[0] - 1
 
     def rate(self, index: int) -> FloatArray:
-        """Angular velocity in the deck frame at sample ``index``: measured, or by differences; rad/s."""
+        """Angular velocity in the deck frame at sample ``index``, rad/s: measured, or the neighbours' difference."""
         sample = self._samples[index]
         if sample.rate_d is not None:
             return sample.rate_d
@@ -144,30 +151,30 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return turn * (SECOND_NS / (self._times[after] - self._times[before]))
 
     def _moved_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
-        """The newest sample moved by its measured rate and the change of that since the sample before."""
+        """The newest sample moved by its measured rate and by the change of the rate since the sample before."""
         rotation_nd, rates = self._samples[index].rotation_nd, self._recent_rates(index)
-        # At the INS's rate, hence step by step: arrays of arrays take three times as long.
+        # This runs for each INS sample, so step by step: on arrays it takes three times as long.
         times = self._times
         steps_s = [(times[k] - times[k - 1]) / SECOND_NS for k in range(index, index - len(rates) + 1, -1)]
         changes = [(later - rate) / step_s for later, rate, step_s in zip(rates, rates[1:], steps_s, strict=False)]
         if not changes:
             return InterpolatedAttitude(rotation_nd @ exp_rotation(ahead_s * rates[0]), rates[0], 1.0)
         vector = ahead_s * rates[0] + 0.5 * ahead_s * ahead_s * changes[0]
-        # As large as it can be where no third rate tells: all of the change came within the step.
+        # With two rates alone the jerk is taken as large as it can be: all of the change came within the step.
         jerks = [changes[0] / steps_s[0]]
         if len(changes) > 1:
             jerks = [
                 (changes[back] - changes[back + 1]) * (2.0 / (steps_s[back] + steps_s[back + 1]))
                 for back in range(len(changes) - 1)
             ]
-        # The acceleration is that of half a step ago.
+        # The difference of two rates is the acceleration half a step ago: what it lacks acts over that time too.
         lacking = (ahead_s**3 / 6.0 + ahead_s * ahead_s * steps_s[0] / 4.0) / math.sqrt(len(jerks))
         covariance_d = as_covariance(lacking * np.array(jerks), _LARGEST_VARIANCE)
         rotation_nd = rotation_nd.dot(exp_rotation(vector))
         return InterpolatedAttitude(rotation_nd, rates[0] + ahead_s * changes[0], 1.0, covariance_d)
 
     def _recent_rates(self, index: int) -> list[FloatArray]:
-        """Measured rates of the newest sample and of those before it, four at most, as far as nothing is between."""
+        """Measured rates, rad/s, newest first: four at most, none from beyond a gap, a jump or a sample without one."""
         recent: list[FloatArray] = []
         for sample in reversed(self._samples[max(index + 1 - _RATES, 0) : index + 1]):
             if sample.rate_d is None or (recent and not self._joined(index - len(recent))):
@@ -176,7 +183,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return recent
 
     def _moved_by_differences(self, index: int, ahead_s: float) -> InterpolatedAttitude:
-        """The same without measured rates: by a parabola through the newest sample and two before it."""
+        """The newest sample moved, where no rates are measured, by a parabola through it and two samples before."""
         sample = self._samples[index]
         recent = self._recent(index)
         if len(recent) == 1:
@@ -204,7 +211,10 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return InterpolatedAttitude(sample.rotation_nd @ exp_rotation(vector), rate, float(gain), error)
 
     def _recent(self, index: int) -> list[int]:
-        """The newest sample, the one before, and from there on every so often back: what its motion is told from."""
+        """Indices of the samples that tell the newest one's motion, newest first.
+
+        They are the newest sample, the one before it, and from there on one every tenth of a second back.
+        """
         recent = [index]
         oldest = self._recent_from()
         if index == 0 or not self._joined(index - 1):
@@ -266,17 +276,20 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
 
 
 def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: float) -> FloatArray:
-    """Covariance of the error of a parabola, and of what interpolation does to an estimated clock offset.
+    """Covariance of the error of a parabola, and of the error that interpolation causes in an estimated clock offset.
 
-    The third derivative comes from all samples given, as mean square: a single one is some way back in the wave, where
-    it may happen to be zero. Between samples without rates the error of interpolation goes with that derivative, in a
-    swell with the rate itself, exactly as a clock offset does: whoever estimated one by such comparisons has this error
-    in it, and it comes back here.
+    Both follow from the third derivative of the motion. It is the root mean square over all samples given, because a
+    single value lies somewhere in the wave, where it may happen to be zero.
+
+    The second error arises as follows. Without measured rates the error of interpolation is proportional to the third
+    derivative, which in a swell is proportional to the rate. The effect of a clock offset is proportional to the rate
+    too. A filter that estimates the offset from interpolated attitudes therefore takes the one for the other, and the
+    sample that is moved by this offset here has that error.
 
     Args:
-        nodes_s: times of the samples after the newest one, which is the first, shape (n,).
-        second: their second divided differences, shape (n - 2, 3).
-        ahead_s: where the parabola through the first three is used.
+        nodes_s: times of the samples relative to the newest one, which comes first: 0, then negative, shape (n,).
+        second: second divided differences of the attitudes at these times, rad/s², shape (n - 2, 3).
+        ahead_s: time relative to the newest sample at which the parabola through the first three is used.
     """
     step_s = -float(nodes_s[1])
     if len(nodes_s) == 3:

@@ -1,7 +1,7 @@
 """Earth orientation: UT1 − UTC and the pole from the IERS's finals2000A, measured and predicted, with their errors.
 
-One second of UT1 is 15″ of azimuth and elevation. The table is that of `astropy-iers-data`: measured up to its issue,
-predicted for a year from there, and silent beyond: then there is a reason in place of a value.
+One second of UT1 is 15″ of azimuth and elevation. The table comes with `astropy-iers-data`. It holds measured values up
+to its issue and predictions for a year from there. Beyond, a reason is given in place of a value.
 """
 
 from __future__ import annotations
@@ -56,7 +56,9 @@ class EarthOrientation:
 
 
 def prediction_sigma_s(days_ahead: FloatArray | float) -> FloatArray:
-    """Error of a predicted UT1 − UTC: 5 ms · (days ahead / 30)^1.2, models.md §2, two to four times the file's own.
+    """Standard deviation of a predicted UT1 − UTC, s: 5 ms · (days ahead / 30)^1.2.
+
+    It was measured over six past issues of the table, and is two to four times what the table itself states.
 
     Example:
         A month ahead the Earth's rotation is known to 5 ms, which is 0.075″:
@@ -109,7 +111,7 @@ class EarthOrientationTable:
         return min(_ns_from_mjd(self.mjd[-1]), self.leap_seconds.known_until_ns)
 
     def reason_against(self, time_ns: TimeNs) -> str | None:
-        """Why there is no value for a moment (any of several), None where there is one for each."""
+        """Why there is no value for a moment, or for one of several; None where there is a value for each."""
         times = np.asarray(time_ns, dtype=np.int64)
         outside = times[(times < self.first_ns) | (times > self.last_ns)]
         if not outside.size:
@@ -131,7 +133,7 @@ class EarthOrientationTable:
             raise OutsideEarthOrientation(reason)
         mjd = UNIX_EPOCH_MJD + np.asarray(time_ns, dtype=np.int64) / DAY_NS
         days_predicted = np.maximum(mjd - self.measured_until_mjd, 0.0)
-        # The file's own error counts for what is measured; the prediction starts from the last of that.
+        # A measured value has the file's own error, a prediction that of the last measurement and its own.
         own_sigma_s = np.interp(np.minimum(mjd, self.measured_until_mjd), self.mjd, self.ut1_sigma_s)
         variance_s2 = own_sigma_s**2 + _UT1_FLOOR_S**2 + prediction_sigma_s(days_predicted) ** 2
         return EarthOrientation(
@@ -205,6 +207,7 @@ def _numbers(characters: np.ndarray, columns: tuple[int, int]) -> FloatArray:
 
 
 def _better(final: FloatArray, rapid: FloatArray) -> FloatArray:
+    """The final values of Bulletin B, and where they are not there yet the rapid ones of Bulletin A."""
     return np.where(np.isnan(final), rapid, final)
 
 

@@ -1,11 +1,13 @@
-"""The mean of what a turning camera sees over an exposure, from samples of how its body turned.
+"""The mean of what a turning camera sees over an exposure, from attitudes of the body that carries it.
 
-A centroid is the mean of the image's positions p(t) over the exposure T, and so off the position at the middle by
+A star's image moves over the detector while the camera exposes. Its centroid is the mean of its positions p(t) over the
+exposure T. It differs from the position at the middle, and the light is spread along the way:
 
     mean of p - p(0) = p̈ T²/24 + p⁗ T⁴/1920 + ...          spread of p about its mean = ṗ ṗᵀ T²/12 + ...
 
-Both follow from p at a few nodes: two beside the middle for a short exposure, Simpson's rule for a long one. The nodes
-stay a tenth of a second off the middle where the exposure is shorter: p̈ from closer ones would be noise of the samples.
+Both follow from p at a few moments, the nodes: two beside the middle for a short exposure, Simpson's rule for a long
+one. The nodes beside the middle stay a tenth of a second away from it even where the exposure is shorter, because
+closer ones would give a p̈ that is mostly noise of the samples.
 """
 
 import math
@@ -15,10 +17,10 @@ import numpy as np
 
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray
-from ship_geometry.sample_track import SECOND_NS
+from ship_geometry.time_scales import SECOND_NS
 
 LONGEST_EXPOSURE_S = 10.0
-"""Nothing that moves is exposed for longer."""
+"""Longest exposure that is corrected for motion, s."""
 
 _STEP_S = 0.1
 
@@ -28,8 +30,8 @@ class Nodes:
     """Moments whose weighted mean is the mean over an exposure.
 
     Attributes:
-        offset_ns: from the middle of the exposure, increasing, the middle among them, shape (m,).
-        weight: their sum is 1, none is negative, shape (m,).
+        offset_ns: time of each from the middle of the exposure, increasing; the middle is one of them; shape (m,).
+        weight: weight of each in the mean, none negative, their sum 1, shape (m,).
     """
 
     offset_ns: tuple[int, ...]
@@ -37,11 +39,11 @@ class Nodes:
 
     @property
     def reach_ns(self) -> int:
-        """How far from the middle the outermost are."""
+        """Time from the middle of the exposure to the outermost nodes."""
         return self.offset_ns[-1]
 
     def moments(self, middle_ns: int) -> list[tuple[int, float]]:
-        """Each node of an exposure about a moment: when, ns, and its weight."""
+        """Time (ns) and weight of each node of an exposure whose middle is at ``middle_ns``."""
         offsets = zip(self.offset_ns, self.weight.tolist(), strict=True)
         return [(middle_ns + offset_ns, weight) for offset_ns, weight in offsets]
 
@@ -58,7 +60,10 @@ class Nodes:
 
 
 def exposure_nodes(exposure_s: float) -> Nodes:
-    """The nodes of an exposure of a length above 0 and up to :data:`LONGEST_EXPOSURE_S`.
+    """The nodes of an exposure.
+
+    Args:
+        exposure_s: length, above 0 and up to :data:`LONGEST_EXPOSURE_S`.
 
     Example:
         A tenth of a second is told by the attitudes a tenth of a second before and after its middle:
@@ -72,9 +77,10 @@ def exposure_nodes(exposure_s: float) -> Nodes:
         beside = (exposure_s / _STEP_S) ** 2 / 24.0
         weight, half_s = np.array([beside, 1.0 - 2.0 * beside, beside]), _STEP_S
     else:
-        # Simpson's rule, which has a node at the middle whatever the number of its pairs of steps.
+        # Simpson's rule, weights 1 4 2 4 ... 4 1: whatever the number of pairs of steps, one node is at the middle.
         weight = np.full(2 * pairs + 1, 2.0)
-        weight[1::2], weight[[0, -1]] = 4.0, 1.0
+        odd_nodes, end_nodes = slice(1, None, 2), [0, -1]
+        weight[odd_nodes], weight[end_nodes] = 4.0, 1.0
         weight, half_s = weight / weight.sum(), 0.5 * exposure_s
     offset_s = np.linspace(-half_s, half_s, len(weight))
     return Nodes(tuple(np.rint(offset_s * SECOND_NS).astype(int).tolist()), weight)
@@ -85,12 +91,14 @@ class Turning:
     """How a body turned over an exposure.
 
     Attributes:
-        nodes: of the exposure.
-        turns: the body at each node from the body at the middle, shape (m, 3, 3).
+        nodes: nodes of the exposure.
+        turns: rotations "body at the node from body at the middle", shape (m, 3, 3).
         noise_gain: variance of the mean attitude over the exposure per variance of the samples' independent noise.
-        correction_gain: the same of the mean attitude against the one at the middle.
-        error_covariance: of the mean by the interpolation's own error, rotation vector in the body, rad², shape (3, 3).
-        correction_error: variance by the same, of the mean against the middle, the sum of all axes, rad².
+        correction_gain: variance of (mean attitude - attitude at the middle) per variance of that noise.
+        error_covariance: covariance of the mean attitude's error by interpolation, as a rotation vector in the body's
+            frame, rad², shape (3, 3).
+        correction_error: variance of (mean attitude - attitude at the middle) by interpolation, the sum over the three
+            axes, rad².
     """
 
     nodes: Nodes
@@ -101,7 +109,11 @@ class Turning:
     correction_error: float
 
     def mounted(self, rotation_ds: FloatArray) -> "Turning":
-        """The same of a device: ``rotation_ds`` is the body from the device, shape (3, 3)."""
+        """How a device on the body turned, in the device's axes.
+
+        Args:
+            rotation_ds: rotation "body from device", shape (3, 3).
+        """
         return replace(
             self,
             turns=rotation_ds.T @ self.turns @ rotation_ds,
@@ -110,7 +122,12 @@ class Turning:
 
 
 def turning_over(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Turning | None:
-    """How the body of a track turned about the middle of an exposure; None where the track does not tell.
+    """How the body of a track turned over an exposure; None where the track has a gap, or ends, within it.
+
+    Args:
+        track: attitudes of the body.
+        time_ns: middle of the exposure, in the track's own stamps.
+        nodes: nodes of the exposure.
 
     Example:
         >>> from ship_geometry.attitude_track import AttitudeSample
@@ -125,7 +142,8 @@ def turning_over(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Turning | 
     around = [found for found in (track.at(moment_ns) for moment_ns, _ in moments) if found is not None]
     if middle is None or len(around) < len(moments):
         return None
-    # No mean of errors is larger than the mean of their sizes; those at and beside the middle may be opposite.
+    # The errors at the nodes are not independent. The mean of their covariances bounds the covariance of their mean. In
+    # the difference from the middle, the errors there and beside it are taken as opposite: the largest it can be.
     errors = np.array([found.error_covariance_d for found in around])
     beside = np.where(np.array(nodes.offset_ns) == 0, 0.0, nodes.weight)
     share, variances = float(beside.sum()), np.trace(errors, axis1=-2, axis2=-1)

@@ -1,6 +1,6 @@
 """A device frame (forward, up, right) in its parent frame: three angles, one matrix, one covariance.
 
-models.md §1; [Z14] eq. (1)-(3), [P15] eq. (17)-(19). Angles are azimuth (clockwise seen from above, from the
+[Z14] (1)-(3), [P15] (17)-(19), docs/explanation/frames.md. Angles are azimuth (clockwise seen from above, from the
 parent's forward axis), elevation (up positive) and roll (right side down positive). All functions take
 leading dimensions.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from ship_geometry.rotations import FloatArray, wrap_two_pi
 
 SINGULAR_ELEVATION = np.deg2rad(89.9)
-"""Beyond this elevation (rad) azimuth and roll are no longer told apart; their covariance is NaN."""
+"""Beyond this elevation (rad) azimuth and roll can no longer be told apart, and their covariance is NaN."""
 
 
 def rotation_from_angles(azimuth: FloatArray, elevation: FloatArray, roll: FloatArray) -> FloatArray:
@@ -44,8 +44,8 @@ def rotation_from_angles(azimuth: FloatArray, elevation: FloatArray, roll: Float
 def angles_from_rotation(rotation: FloatArray) -> FloatArray:
     """Azimuth in [0, 2 pi), elevation in [-pi/2, pi/2], roll in [-pi, pi] (rad), shape (..., 3).
 
-    At the zenith and nadir only azimuth + roll, or their difference, is defined; the value returned there still
-    gives the rotation back.
+    At the zenith and the nadir only the sum, or the difference, of azimuth and roll is defined. The angles returned
+    there are one choice of them, and :func:`rotation_from_angles` makes the same rotation of them.
 
     Example:
         >>> rotation_nd = rotation_from_angles(*np.deg2rad([359.0, 5.0, -3.0]))
@@ -58,7 +58,7 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
     # atan2 keeps full precision near the zenith, where an arcsine would not.
     horizontal = np.hypot(rotation[..., 0, 0], rotation[..., 2, 0])
     elevation = np.arctan2(rotation[..., 1, 0], horizontal)
-    # The roll that belongs to this azimuth, not -R23/R22 alone: the two vanish together at the zenith.
+    # The roll that belongs to this azimuth. -R23/R22 would do elsewhere, but both vanish at the zenith.
     ca, sa = np.cos(azimuth), np.sin(azimuth)
     sine = ca * rotation[..., 2, 1] - sa * rotation[..., 0, 1]
     cosine = ca * rotation[..., 2, 2] - sa * rotation[..., 0, 2]
@@ -66,7 +66,7 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def _angles_of_one(rotation: FloatArray) -> FloatArray:
-    """The same for one matrix, as a live node has it."""
+    """:func:`angles_from_rotation` of one matrix, several times faster: a live node has one at a time."""
     (r00, r01, r02), (r10, _, _), (r20, r21, r22) = rotation.tolist()
     azimuth = float(wrap_two_pi(math.atan2(r20, r00)))
     ca, sa = math.cos(azimuth), math.sin(azimuth)
@@ -75,7 +75,7 @@ def _angles_of_one(rotation: FloatArray) -> FloatArray:
 
 
 def rotation_vector_from_angle_errors(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
-    """Matrix B, shape (..., 3, 3): ``delta = B @ [dA, dE, droll]`` in the parent frame (models.md §1).
+    """Matrix B, shape (..., 3, 3): ``delta = B @ [dA, dE, droll]`` in the parent frame.
 
     Example:
         One degree more of azimuth is a turn by -1° about Up, whatever the elevation:

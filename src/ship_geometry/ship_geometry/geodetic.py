@@ -1,7 +1,7 @@
 """Positions on the WGS 84 ellipsoid, the horizon there, and the way from one position to another.
 
 ECEF is the Earth-fixed frame of WGS 84 (x to Greenwich on the equator, z to the north pole). The horizon's Up is the
-ellipsoid normal (models.md §1), so a level instrument differs from it by the deflection of the vertical.
+ellipsoid normal, so a level instrument differs from it by the deflection of the vertical.
 All functions take arrays of positions.
 """
 
@@ -97,9 +97,9 @@ def vector_between(start: GeodeticPosition, end: GeodeticPosition) -> FloatArray
 
 
 def horizon_radii_m(position: GeodeticPosition) -> tuple[FloatArray, FloatArray]:
-    """Metres per radian of the horizon's turn for a way to the north and for one to the east at some positions.
+    """Metres on the way north, and on the way east, for each radian by which the horizon turns.
 
-    The radii of curvature in the meridian and in the prime vertical, each plus the height.
+    They are the radii of curvature in the meridian and in the prime vertical, each plus the height.
 
     Example:
         >>> north_m, east_m = horizon_radii_m(GeodeticPosition(latitude=0.0, longitude=0.0, height_m=0.0))

@@ -1,9 +1,12 @@
-"""How far interpolation may be off, told from the samples around: an estimate of the error itself, as a covariance.
+"""How far interpolation may be off, estimated from the samples around, as a covariance.
 
-The samples do not fall on one cubic. How far another sample is from the cubic of an interval, or how far the polynomial
-through all samples around is from it, is what the cubic lacks, and scales to the moment asked for. Divided differences
-carry the noise of the samples as they are, never divided by a step, so that at high rates the estimate is a small part
-of that noise. docs/explanation/interpolation.md has the derivation and the numbers.
+A cubic joins two samples. It misses the other samples around by some amount, and that amount tells what the cubic lacks
+between the two. With measured rates the miss at one other sample is scaled to the moment asked for
+(:func:`by_miss`). Without them the polynomial through all samples around is compared with the cubic
+(:func:`by_polynomial`).
+
+The noise of the samples is in these estimates, but it is never divided by a step. So at high rates the estimate is a
+small part of the noise that the samples have anyway. docs/explanation/interpolation.md has derivation and numbers.
 """
 
 import math
@@ -14,21 +17,25 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 
 MOST_SAMPLES = 5
-"""A polynomial through more samples would gain nothing over the noise of the samples."""
+"""Most samples that a polynomial is drawn through: with more of them the samples' noise hides what is gained."""
 
 BESIDE = 0.5
-"""Share of a term of another order, and so of another phase of the wave, by which an estimated error may be off."""
+"""Share of the next term of the error that is added to an estimate.
+
+In a wave the terms of successive orders are out of phase: where one happens to be zero, the next one is largest."""
 
 _ANY_DIRECTION = 0.3
-"""Share of an estimated error by which it may be off, in any direction: the estimate lags and lacks higher orders."""
+"""Share of an estimated error by which the estimate itself may be off, in any direction."""
 
 
 def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = math.inf) -> FloatArray:
-    """Covariance of an error that is the sum of estimated ones, and of what these may lack, shape (k, k).
+    """Covariance of an error from estimates of it, shape (k, k).
+
+    The estimates count as independent of one another, and each may itself be off, by a third, in any direction.
 
     Args:
-        errors: shape (k,) each.
-        largest: sum of their squares is taken for no more than this.
+        errors: one estimate a row, shape (k,) each.
+        largest: bound of the sum of their squares; larger ones are scaled down to it.
 
     Example:
         An estimated error of 2, which may be off by 0.3 of it in any direction:
@@ -40,17 +47,20 @@ def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = ma
     rows = np.asarray(errors)
     squares = float(np.vdot(rows, rows))
     covariance: FloatArray = rows.T.dot(rows)
-    covariance.ravel()[:: rows.shape[1] + 1] += _ANY_DIRECTION**2 * squares
+    every_diagonal_element = slice(None, None, rows.shape[1] + 1)
+    covariance.ravel()[every_diagonal_element] += _ANY_DIRECTION**2 * squares
     return covariance if squares <= largest else covariance * (largest / squares)
 
 
 def by_miss(miss: FloatArray, missed_at: float, at: float) -> FloatArray:
-    """Error of a cubic with the right values and slopes at 0 and 1, by another value that it misses.
+    """Error of a cubic with the right values and slopes at 0 and 1, told by how far it misses another sample.
+
+    That error is the fourth derivative / 24 times t² (1 - t)², so one miss gives it everywhere.
 
     Args:
-        miss: value minus cubic, shape (k,).
-        missed_at: where that is, in intervals; not 0 or 1.
-        at: where the error is wanted.
+        miss: the other sample minus the cubic there, shape (k,).
+        missed_at: where the other sample is, in units of the interval; not 0 or 1.
+        at: where the error is wanted, in units of the interval.
 
     Example:
         The cubic with the values 0, 1 and the slopes 0, 4 of t⁴ at 0 and 1 is 2 t³ - t². At -1 it is -3, which misses
@@ -63,7 +73,13 @@ def by_miss(miss: FloatArray, missed_at: float, at: float) -> FloatArray:
 
 
 def by_third_derivative(change: FloatArray, at: float) -> FloatArray:
-    """The same by the cubic's own third derivative (per interval³), where no other sample tells: at most so much.
+    """Bound of the error of a cubic with the right values and slopes, told by its own third derivative.
+
+    It serves where there is no other sample: as if the third derivative could grow from zero within the interval.
+
+    Args:
+        change: third derivative of the cubic per interval³, shape (k,).
+        at: where the error is wanted, in units of the interval.
 
     Example:
         >>> print(by_third_derivative(np.array([384.0]), 0.5))
@@ -88,13 +104,17 @@ def divided_differences(nodes: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def by_polynomial(nodes: FloatArray, values: FloatArray, at: float, found: FloatArray) -> tuple[FloatArray, ...]:
-    """Errors of a value drawn between the first two of some samples, which add up, shape (k,) each.
+    """Errors of a value that was interpolated between two samples, told by the polynomial through all samples around.
 
     Args:
-        nodes: where the samples are, the two around the value first: 0 and 1.
+        nodes: where the samples are, in units of the interval, its two ends first: 0 and 1; shape (n,).
         values: the samples, shape (n, k).
-        at: where the value is.
-        found: the value, shape (k,).
+        at: where the value is, in units of the interval.
+        found: the interpolated value, shape (k,).
+
+    Returns:
+        Estimates for :func:`as_covariance`, shape (k,) each: the difference from the polynomial, and what may stand
+        for the terms that the polynomial lacks. Of two samples alone, half of the change between them at most.
 
     Example:
         Half way between the values 0 and 1 of t² at 0 and 1, a straight line gives 0.5; -0.25 of that is wrong:
@@ -105,11 +125,11 @@ def by_polynomial(nodes: FloatArray, values: FloatArray, at: float, found: Float
         [-0.25]
     """
     if len(nodes) == 2:
-        # Nothing to tell it from: as if the whole change could begin, or end, within the interval.
+        # No other sample is there: as if the whole change could begin, or end, within the interval.
         return (0.5 * at * (1.0 - at) * (values[1] - values[0]),)
     coefficients = divided_differences(nodes, values)
     products = np.cumprod(np.append(1.0, at - nodes[:-1]))
     terms = coefficients * products[:, None]
     error = terms.sum(axis=0) - found
-    # The last term stands for the terms left out: the next one, or, of fewer samples, one as large as itself.
+    # The last term stands for those left out: for a share of the next one, and with fewer samples for one like itself.
     return error, (BESIDE if len(nodes) == MOST_SAMPLES else 1.0) * terms[-1]

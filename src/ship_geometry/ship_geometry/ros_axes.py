@@ -1,4 +1,4 @@
-"""The one place where ROS axes meet the suite's: ENU <- FLU quaternions against horizon <- deck matrices.
+"""The one place where the axes of ROS meet the suite's: quaternions ENU <- FLU, and matrices horizon <- device.
 
 ROS (REP-103) speaks East, North, Up and forward, left, up; the suite speaks North, Up, East and forward, up,
 right. Both pairs are fixed permutations with signs. ROS yaw = 90° - heading, ROS pitch = -pitch, ROS roll = roll.
@@ -26,7 +26,7 @@ FRD_FROM_DEVICE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu") -> FloatArray:
-    """Rotation "horizon from device", shape (..., 3, 3), of quaternions x, y, z, w (normalised here).
+    """Rotation "horizon from device", shape (..., 3, 3), of quaternions x, y, z, w, which need not be normalised.
 
     Args:
         quaternion: shape (..., 4), ENU <- FLU, or NED <- FRD where ``convention`` is ``"ned_frd"``.

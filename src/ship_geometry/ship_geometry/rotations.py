@@ -77,7 +77,7 @@ def _sinc_coefficients(angle_squared: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _sinc_coefficients_of_one(angle_squared: float) -> tuple[float, float, float]:
-    """The same for a single angle, forty times faster than by arrays: most calls of a live node are single."""
+    """The three ratios for a single angle, forty times faster than by arrays: most calls of a live node are single."""
     if angle_squared < _SMALL_ANGLE**2:
         return 1.0 - angle_squared / 6.0, 0.5 - angle_squared / 24.0, 1.0 / 6.0 - angle_squared / 120.0
     t = math.sqrt(angle_squared)
@@ -146,8 +146,8 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
 def log_rotation(rotation: FloatArray) -> FloatArray:
     """Rotation vector (rad, norm at most pi) of a rotation matrix, shape (..., 3).
 
-    Accurate over the whole range: by the antisymmetric part for small and medium angles, by the largest
-    diagonal element of the symmetric part near half a turn.
+    It is accurate over the whole range. For small and medium angles it comes from the antisymmetric part, near half a
+    turn from the largest diagonal element of the symmetric part.
 
     Example:
         >>> vector = np.deg2rad([10.0, -20.0, 30.0])

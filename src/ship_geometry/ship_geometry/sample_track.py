@@ -7,11 +7,10 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from ship_geometry.rotations import FloatArray
-
-SECOND_NS = 1_000_000_000
+from ship_geometry.time_scales import SECOND_NS
 
 RECENT = 8
-"""So many samples, and those of the last second, tell how the newest one moves."""
+"""How many samples are kept to tell the motion of the newest one, beside all of the last second."""
 
 
 class Stamped(Protocol):
@@ -27,7 +26,7 @@ Sample = TypeVar("Sample", bound=Stamped)
 
 
 def hermite_weights(fraction: float) -> tuple[float, float, float, float]:
-    """Weights of value 0, slope 0, value 1, slope 1 of a cubic on [0, 1] at ``fraction``.
+    """Weights, in the value of a cubic at a fraction of [0, 1], of its value at 0, slope at 0, value at 1, slope at 1.
 
     Example:
         >>> print(hermite_weights(0.5))
@@ -84,8 +83,8 @@ class SampleTrack(Generic[Sample]):
         """Put a sample in its place; one with the same stamp is replaced.
 
         Returns:
-            The stamp after which interpolated values may have changed; None where the sample is the newest
-            and so none that :meth:`covers` held for can have.
+            The stamp after which interpolated values may have changed; None where the sample is the newest one. Then
+            no value has changed for which :meth:`covers` was true.
         """
         if not self._times or sample.time_ns > self._times[-1]:
             self._times.append(sample.time_ns)
@@ -97,17 +96,17 @@ class SampleTrack(Generic[Sample]):
         else:
             self._times.insert(index, sample.time_ns)
             self._samples.insert(index, sample)
-        # Differenced rates reach one sample beyond the interval itself; near the start, the first sample's own
-        # rate, or its being there at all, is new.
+        # A differenced rate uses one sample beyond the interval itself. Near the start of the track the first sample's
+        # own rate changes, or there was no value at all before.
         return self._times[index - 2] if index >= 2 else self._times[0] - 1
 
     def cut(self, time_ns: int) -> None:
-        """Join no samples across a moment: the quantity has jumped there."""
+        """Do not interpolate across a moment, because the quantity has jumped there."""
         self._cuts_ns.append(time_ns)
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed to interpolate at or after ``time_ns``, or to move the newest sample."""
-        # Before the moment: the start of its interval, and two more that tell how good the interpolation is.
+        # Three samples before the moment stay: the start of its interval, and two that tell the interpolation's error.
         keep_from = min(bisect.bisect_right(self._times, time_ns) - 3, self._recent_from())
         if keep_from > 0:
             del self._times[:keep_from]
@@ -123,7 +122,7 @@ class SampleTrack(Generic[Sample]):
         return self._times[-2] if len(self._times) > 1 else None
 
     def covers(self, time_ns: int) -> bool:
-        """True once later samples can no longer change the value at a moment, arriving in order."""
+        """Whether no sample that is still to come, in order, can change the value at a moment."""
         until_ns = self.covered_until_ns
         return until_ns is not None and time_ns <= until_ns
 
@@ -138,9 +137,10 @@ class SampleTrack(Generic[Sample]):
         return max(min(bisect.bisect_left(self._times, self._times[-1] - SECOND_NS), len(self._times) - RECENT), 0)
 
     def _around(self, left: int) -> list[int]:
-        """The samples that tell how good a cubic without measured rates is in the interval that begins at ``left``.
+        """Indices of the samples that tell the error of a cubic without measured rates.
 
-        The two ends of the interval first; none that could still change once the interval is covered.
+        The two ends of the interval that begins at sample ``left`` come first. A sample that could still change once
+        the interval is covered (:meth:`covers`) is not among them.
         """
         around = [left, left + 1]
         earlier = left > 0 and self._joined(left - 1)
@@ -153,15 +153,15 @@ class SampleTrack(Generic[Sample]):
         return around
 
     def _fractions(self, indices: list[int], left: int) -> FloatArray:
-        """Where samples are, in units of the interval that begins at ``left``, from its begin."""
+        """Where samples are, in units of the interval that begins at sample ``left``, from its start."""
         start_ns = self._times[left]
         since_ns = np.array([self._times[index] - start_ns for index in indices], dtype=float)
         return since_ns / (self._times[left + 1] - start_ns)
 
     def _interval(self, time_ns: int) -> tuple[int, float] | None:
-        """Index of the sample before a moment, and how far towards the next it is; None outside or in a gap.
+        """Index of the sample before a moment, and the fraction of the way to the next; None outside or in a gap.
 
-        At the stamp of a sample the fraction is 0, also for the last one.
+        At the stamp of a sample the index is its own and the fraction is 0.
         """
         if not self._times or not self._times[0] <= time_ns <= self._times[-1]:
             return None
@@ -179,7 +179,7 @@ class SampleTrack(Generic[Sample]):
         return (self._times[second] - self._times[first]) / SECOND_NS
 
     def _neighbours(self, index: int) -> tuple[int, int]:
-        """The samples whose difference gives the rate at sample ``index``: itself where there is no other."""
+        """Indices of the samples whose difference gives the rate at sample ``index``; itself where one is missing."""
         before = index - 1 if index > 0 and self._joined(index - 1) else index
         after = index + 1 if index + 1 < len(self._samples) and self._joined(index) else index
         return before, after

@@ -1,11 +1,11 @@
 """Where a catalogue star stands in the horizon of a moving ship: ICRS → (North, Up, East), without refraction.
 
-The chain of models.md §2, all of it ERFA's: proper motion and parallax, light deflection by the Sun, annual
-aberration, bias-precession-nutation (IAU 2006/2000A), Earth rotation with UT1, polar motion, diurnal aberration. The
-ship's own velocity comes last (10 mas at 15 m/s). :mod:`ship_geometry.refraction` adds the air.
+The chain is that of docs/explanation/stars.md, all of it ERFA's: proper motion and parallax, light deflection by the
+Sun, annual aberration, bias-precession-nutation (IAU 2006/2000A), Earth rotation with UT1, polar motion, diurnal
+aberration. The ship's own velocity comes last (10 mas at 15 m/s). :mod:`ship_geometry.refraction` adds the air.
 
-Two ways: :func:`directions` does all at each moment; :class:`RefreshedSky` does the slow part once for ten seconds
-and is several times faster, within 0.1 mas as long as the Sun is more than 5° away.
+There are two ways. :func:`directions` does all steps at each moment. :class:`RefreshedSky` does the slow steps once for
+ten seconds; it is several times faster, and within 0.1 mas as long as the Sun is more than 5° away.
 """
 
 from __future__ import annotations
@@ -50,12 +50,16 @@ class StarPositions:
     parallax_arcsec: FloatArray
 
     def __getitem__(self, index: Any) -> StarPositions:
-        """Some of the stars."""
+        """The stars at an index or slice, or where a mask is true."""
         return StarPositions(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
 def fixed_stars(right_ascension: FloatArray, declination: FloatArray) -> StarPositions:
-    """Stars of which only the place is known (ICRS, J2000.0, rad).
+    """Stars without motion and parallax.
+
+    Args:
+        right_ascension: ICRS, J2000.0, rad.
+        declination: ICRS, J2000.0, rad.
 
     Example:
         >>> vega = fixed_stars(np.deg2rad(279.2347), np.deg2rad(38.7837))
@@ -68,7 +72,9 @@ def fixed_stars(right_ascension: FloatArray, declination: FloatArray) -> StarPos
 
 
 def stars_from_epoch(stars: StarPositions, epoch_year: float) -> StarPositions:
-    """Stars at J2000.0 from the same at another Julian epoch (Hipparcos: 1991.25); radial velocity taken as zero.
+    """Stars at J2000.0 from their places at another Julian epoch (Hipparcos: 1991.25).
+
+    Radial velocities are taken as zero.
 
     Args:
         stars: places and motions at ``epoch_year``; parallaxes may be negative, as measured ones are.
@@ -117,13 +123,13 @@ class Observer:
 
 
 def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orientation: EarthOrientation) -> FloatArray:
-    """Unit vectors (N, U, E) without refraction, all steps at each moment.
+    """Unit vectors (North, Up, East) to stars, without refraction, by all steps at each moment.
 
     Args:
-        stars: shape (...).
-        time_ns: one moment or several; it and all that follows broadcast against the stars.
-        observer: where.
-        orientation: of the Earth at these moments.
+        stars: arrays of shape (...).
+        time_ns: one moment or several. Moments, places and orientations broadcast against the stars.
+        observer: where the sensor is at these moments.
+        orientation: orientation of the Earth at these moments.
 
     Returns:
         Shape (..., 3).
@@ -165,7 +171,7 @@ def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orient
 
 @dataclass(frozen=True)
 class _Epoch:
-    """What changes slowly: the sky seen from the Earth's centre, and the Earth's orientation."""
+    """What changes slowly: the sky seen from the Earth's centre, and the orientation of the Earth."""
 
     to_cirs: Any
     orientation: EarthOrientation
@@ -173,14 +179,16 @@ class _Epoch:
 
 
 class RefreshedSky:
-    """Directions moment by moment: the slow part once per 10 s, Earth rotation and the ship's place each time.
+    """Directions moment by moment: the slow steps once per 10 s, Earth rotation and the ship's place each time.
 
-    An old ``apco13`` refreshed by ``aper13`` would forget that the ship moves (150 m: 6″).
-    The slow part belongs to the middle of fixed intervals of time, so that the result does not depend on what was asked
+    The slow steps are done for the middle of fixed intervals of time, so the result does not depend on what was asked
     before. Leap seconds fall between intervals.
 
+    ERFA has a short cut, ``apco13`` refreshed by ``aper13``. It is not used, because it keeps the place of the first
+    moment: a ship that has moved by 150 m is 6″ off.
+
     Args:
-        table: Earth orientation.
+        table: orientation of the Earth.
     """
 
     def __init__(self, table: EarthOrientationTable) -> None:
@@ -209,7 +217,9 @@ class RefreshedSky:
         return _horizon_directions(stars, epoch.to_cirs, to_horizon, observer)
 
     def rotation_horizon_from_icrs(self, time_ns: int, position: GeodeticPosition) -> FloatArray:
-        """The horizon's axes (N, U, E) from those of the ICRS, shape (3, 3): how bodies turn, aberration left out.
+        """Rotation "horizon (North, Up, East) from ICRS", shape (3, 3).
+
+        It turns axes, as those of a body; aberration, which bends directions, is not in it.
 
         Raises:
             OutsideEarthOrientation: the table has no value for this moment.
@@ -242,7 +252,7 @@ def _ut1(time_ns: TimeNs, orientation: EarthOrientation) -> JulianDate:
 
 
 def _horizon_directions(stars: StarPositions, to_cirs: Any, to_horizon: Any, observer: Observer) -> FloatArray:
-    """ICRS → CIRS → (N, U, E) → aberration by the ship's own velocity."""
+    """Unit vectors: ICRS → intermediate frame CIRS → (North, Up, East) → aberration by the ship's own velocity."""
     # atciq, not atciqz: only the former knows proper motion and parallax.
     cirs_alpha, cirs_delta = erfa.atciq(
         stars.right_ascension,
@@ -260,6 +270,6 @@ def _horizon_directions(stars: StarPositions, to_cirs: Any, to_horizon: Any, obs
     direction[..., 0] = np.cos(azimuth) * horizontal
     direction[..., 1] = np.cos(zenith_distance)
     direction[..., 2] = np.sin(azimuth) * horizontal
-    # First order: the square is 1e-15, and the product with the Earth's velocity 1 µas.
+    # Aberration to first order: the square of beta is 1e-15, its product with the Earth's velocity 1 µas.
     direction += beta
     return direction / np.sqrt(np.einsum("...i,...i->...", direction, direction))[..., None]

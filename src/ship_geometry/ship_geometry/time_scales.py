@@ -1,7 +1,7 @@
 """Time scales: POSIX UTC in integer nanoseconds to TAI, TT and two-part Julian dates for ERFA.
 
-Leap seconds come from the table in `astropy-iers-data`. POSIX time has no name for a leap second: 23:59:60 carries
-the same number as the 00:00:00 after it and is taken as the latter.
+Leap seconds come from the table in `astropy-iers-data`. POSIX time has no number for a leap second: 23:59:60 has the
+number of the 00:00:00 after it, and is taken for that.
 """
 
 from __future__ import annotations
@@ -91,9 +91,14 @@ def read_leap_seconds(path: Path) -> LeapSeconds:
 
 
 def julian_date(time_ns: TimeNs, offset_s: FloatArray | float = 0.0) -> JulianDate:
-    """Two-part Julian date of a moment plus an offset: UTC + (scale − UTC) gives the date in that scale.
+    """Two-part Julian date of a moment plus an offset.
 
-    The nanoseconds are split as integers: in one double a Julian date is good to 40 µs (0.6″ of Earth rotation) only.
+    With the offset (scale − UTC) it is the date in that time scale. Day and rest are split while the nanoseconds are
+    integers, because a Julian date in one double is good to 40 µs only, which is 0.6 mas of Earth rotation.
+
+    Args:
+        time_ns: moment, or moments.
+        offset_s: added to it, s.
 
     Example:
         >>> whole, fraction = julian_date(1_404_906_607_800_000_000)  # 2014-07-09 11:50:07.8 UTC

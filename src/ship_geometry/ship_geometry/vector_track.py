@@ -1,4 +1,4 @@
-"""Vectors between samples: baselines, encoder angles. A cubic whose slopes are differences of the neighbours."""
+"""Vectors between samples, such as baselines and encoder angles: cubics whose slopes are differences of neighbours."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -32,9 +32,10 @@ class InterpolatedVector:
     """The vector at a moment of the track.
 
     Attributes:
-        vector: shape (k,); of periodic components any of the values that mean the same.
+        vector: shape (k,). A periodic component may differ from its principal value by whole periods.
         noise_gain: variance of the result per variance of the samples' independent noise.
-        errors: of the interpolation itself, as the samples around tell them; they add up, shape (k,) each.
+        errors: estimates of the interpolation's own error, for
+            :func:`ship_geometry.interpolation_error.as_covariance`, shape (k,) each.
     """
 
     vector: FloatArray
@@ -55,7 +56,7 @@ class VectorTrack(SampleTrack[Sample]):
 
     Args:
         max_gap_ns: neighbours further apart than this are not joined.
-        period: after which all components repeat: 2 pi for angles; infinite where they do not.
+        period: after which all components repeat: 2 pi for angles, infinite for lengths.
 
     Example:
         An azimuth that passes north, between 359° and 1°:
@@ -94,7 +95,7 @@ class VectorTrack(SampleTrack[Sample]):
         return self._change(before, after) * (self._seconds(left, left + 1) / self._seconds(before, after))
 
     def _change(self, first: int, second: int) -> FloatArray:
-        """From one sample to another, either way, through those between, each time the short way round."""
+        """Change from one sample to another, summed over the steps between them, each step the short way round."""
         if second < first:
             return -self._change(second, first)
         change = np.zeros_like(self._samples[first].vector)

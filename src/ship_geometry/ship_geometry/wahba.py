@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 from ship_geometry.rotations import FloatArray
 
 WORST_SIGMA = np.deg2rad(1.0)
-"""An attitude whose worst axis is known no better than this (rad) is refused: nothing here holds for large errors."""
+"""Largest standard deviation of the worst axis, rad, of an attitude that counts as solved.
+
+The covariance holds for small errors only."""
 
 _IDENTITY = np.eye(3)
 
-TOO_FEW = "too_few_stars"
-NEARLY_PARALLEL = "nearly_parallel"
+_DIAGONAL_OF_3_BY_3 = slice(None, None, 4)
+"""The diagonal of a matrix (3, 3) that is laid out flat."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +32,18 @@ class WahbaSolution:
     """Rotations with their covariance; shapes with the leading dimensions of the input.
 
     Attributes:
-        rotation_nd: "n from d", shape (..., 3, 3); NaN where refused.
-        covariance_n: of the rotation vector δ in n, ``R_true = exp(δ) R``, rad², shape (..., 3, 3); NaN where refused.
-        information_n: Σ σ⁻² (I − v vᵀ), rad⁻², shape (..., 3, 3): what the directions do tell, refused or not.
-        solved: False where refused, shape (...).
-        reason: why something is refused: TOO_FEW or NEARLY_PARALLEL; None if all are solved.
+        rotation_nd: "n from d", shape (..., 3, 3); NaN where not solved.
+        covariance_n: covariance of the rotation vector δ in n, ``R_true = exp(δ) R``, rad², shape (..., 3, 3); NaN
+            where not solved.
+        information_n: Σ σ⁻² (I − v vᵀ), rad⁻², shape (..., 3, 3): what the directions tell, be it enough or not.
+        solved: whether the directions determine all three axes, shape (...). One direction, or nearly parallel ones,
+            leave the turn about their line open.
     """
 
     rotation_nd: FloatArray
     covariance_n: FloatArray
     information_n: FloatArray
     solved: NDArray[np.bool_] | np.bool_
-    reason: str | None
 
 
 def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | float) -> WahbaSolution:
@@ -50,7 +52,11 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
     Args:
         reference_n: unit vectors, shape (..., k, 3).
         measured_d: unit vectors, shape (..., k, 3).
-        sigma: error across the line of sight, rad per axis, shape (..., k) or one for all; infinite leaves one out.
+        sigma: error across the line of sight, rad per axis, shape (..., k) or one for all. An infinite one leaves its
+            direction out.
+
+    Raises:
+        numpy.linalg.LinAlgError: directions or sigmas that are not finite.
 
     Example:
         Two stars, each good to 3″, that stand at right angles; the deck is turned by 90° against the horizon:
@@ -74,19 +80,17 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
 
     left, singular, right = np.linalg.svd(weighted @ measured_d)
     rotation_nd = left @ right
-    # -1 where only a reflection fits best: that is no attitude, the best rotation turns its weakest axis round.
+    # Where the best fit is a reflection (-1), which is no attitude, the best rotation has its weakest axis reversed.
     handedness = np.copysign(1.0, np.linalg.det(rotation_nd))
     if np.any(handedness < 0.0):
         left[..., :, 2] *= handedness[..., None]
         rotation_nd = left @ right
-    # The information about the worst axis. From the data and not from the model: it vanishes with parallel directions,
-    # and also where inconsistent ones leave two rotations that fit alike.
+    # The information about the worst axis, from the singular values of the data. It vanishes where directions are
+    # parallel, and also where they are so inconsistent that two rotations fit alike, which information_n does not see.
     worst_information = singular[..., 1] + handedness * singular[..., 2]
     solved = worst_information > WORST_SIGMA**-2.0
     if np.all(solved):
-        return WahbaSolution(rotation_nd, np.linalg.inv(information_n), information_n, solved, None)
-    counts = np.count_nonzero(np.broadcast_to(weight, reference_n.shape[:-1]), axis=-1)
-    reason = TOO_FEW if np.any((counts < 2) & ~solved) else NEARLY_PARALLEL
+        return WahbaSolution(rotation_nd, np.linalg.inv(information_n), information_n, solved)
     refused = ~solved[..., None, None]
     covariance_n = np.linalg.inv(np.where(refused, _IDENTITY, information_n))
     return WahbaSolution(
@@ -94,16 +98,15 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
         covariance_n=np.where(refused, np.nan, covariance_n),
         information_n=information_n,
         solved=solved,
-        reason=reason,
     )
 
 
 def _solve_one(reference_n: FloatArray, measured_d: FloatArray, weight: FloatArray) -> WahbaSolution:
-    """The same for one attitude, as a live node has it: several times faster."""
+    """:func:`solve` for one attitude, several times faster: a live node solves one at a time."""
     weighted = (weight[:, None] * reference_n).T
     information_n = weighted @ -reference_n
     # The trace of Σ w v vᵀ is Σ w.
-    information_n.ravel()[::4] -= information_n.trace()
+    information_n.ravel()[_DIAGONAL_OF_3_BY_3] -= information_n.trace()
     left, singular, right, failed = lapack.dgesdd(weighted @ measured_d)
     if failed:
         raise np.linalg.LinAlgError("SVD did not converge: directions or sigmas that are not finite")
@@ -114,19 +117,18 @@ def _solve_one(reference_n: FloatArray, measured_d: FloatArray, weight: FloatArr
         left[:, 2] *= handedness
         rotation_nd = left @ right
     if singular[1] + handedness * singular[2] > WORST_SIGMA**-2.0:
-        return WahbaSolution(rotation_nd, _inverse(information_n), information_n, np.True_, None)
-    reason = TOO_FEW if np.count_nonzero(weight) < 2 else NEARLY_PARALLEL
+        return WahbaSolution(rotation_nd, _inverse(information_n), information_n, np.True_)
     unknown = np.full((3, 3), np.nan)
-    return WahbaSolution(unknown, unknown, information_n, np.False_, reason)
+    return WahbaSolution(unknown, unknown, information_n, np.False_)
 
 
 def _inverse(information: FloatArray) -> FloatArray:
-    """Of one symmetric positive definite matrix, (3, 3)."""
+    """Inverse of one symmetric positive definite matrix, shape (3, 3)."""
     lower, failed = lapack.dpotrf(information, lower=1)
     if failed:
         raise np.linalg.LinAlgError("information is not positive definite")
     inverse, _ = lapack.dpotri(lower, lower=1)
-    # Only the lower triangle is filled.
+    # dpotri fills the lower triangle only.
     inverse[0, 1], inverse[0, 2], inverse[1, 2] = inverse[1, 0], inverse[2, 0], inverse[2, 1]
     return inverse
 
@@ -134,7 +136,7 @@ def _inverse(information: FloatArray) -> FloatArray:
 def residual_angles(solution: WahbaSolution, reference_n: FloatArray, measured_d: FloatArray) -> FloatArray:
     """Residuals as small rotations R u × v that would bring each measured direction to its reference, rad, (..., k, 3).
 
-    Each has two components, across its line of sight; the third, along v, is zero.
+    A residual has two components, across its line of sight; along v it is zero.
 
     Example:
         >>> directions = np.eye(3)

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
-from ship_geometry.wahba import NEARLY_PARALLEL, TOO_FEW, residual_angles, solve
+from ship_geometry.wahba import residual_angles, solve
 
 
 def unit(vectors):
@@ -31,7 +31,7 @@ def test_scipy_finds_the_same_rotation(count):
         measured_d = noisy(rng, measured_d, sigma)
         ours = solve(reference_n, measured_d, sigma)
         theirs, _ = Rotation.align_vectors(reference_n, measured_d, weights=sigma**-2)
-        assert ours.reason is None
+        assert ours.solved
         assert np.linalg.norm(log_rotation(ours.rotation_nd @ theirs.as_matrix().T)) < 1e-9
 
 
@@ -118,7 +118,6 @@ def test_residuals_are_across_the_line_of_sight_and_put_the_star_right():
 def test_one_star_is_refused_but_tells_two_components():
     star = np.array([[0.6, 0.8, 0.0]])
     solution = solve(star, star, 1e-5)
-    assert solution.reason == TOO_FEW
     assert not solution.solved
     assert np.all(np.isnan(solution.rotation_nd))
     assert np.all(np.isnan(solution.covariance_n))
@@ -133,7 +132,7 @@ def test_two_stars_nearly_in_line_are_refused(second):
         stars = np.array([[1.0, 0.0, 0.0], second * (turn @ [1.0, 0.0, 0.0])])
         solution = solve(stars, stars, 3.0 * ARCSEC)
         assert bool(solution.solved) is solved
-        assert solution.reason == (None if solved else NEARLY_PARALLEL)
+        assert np.all(np.isfinite(solution.rotation_nd)) == solved
 
 
 def test_a_refused_one_does_not_disturb_its_batch():

@@ -12,7 +12,7 @@ from ship_estimation.kalman import lasting
 from ship_estimation.outcome import Status
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
-from ship_geometry.sample_track import SECOND_NS
+from ship_geometry.time_scales import SECOND_NS
 
 _ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
 """Columns of the states that correct an INS attitude: its slow error (north, up, east) and its time offset."""

@@ -8,7 +8,7 @@ from ship_estimation.ins import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard, JudgedIns
 from ship_estimation.refusals import same_stamp
 from ship_geometry.attitude_track import AttitudeTrack
-from ship_geometry.sample_track import SECOND_NS
+from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.measured.samples import ShipSample
 
 

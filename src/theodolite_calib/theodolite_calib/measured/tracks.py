@@ -14,7 +14,8 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
-from ship_geometry.sample_track import SECOND_NS, SampleTrack
+from ship_geometry.sample_track import SampleTrack
+from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Exposure, ShipSample

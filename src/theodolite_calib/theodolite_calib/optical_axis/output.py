@@ -7,7 +7,7 @@ import numpy as np
 from ship_estimation.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
-from ship_geometry.sample_track import SECOND_NS
+from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axis_chain import CHAIN_STATES, DEFORMATION, SHIP, ChainErrors, axis_chain
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
