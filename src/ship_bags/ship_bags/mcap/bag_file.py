@@ -16,6 +16,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.summary import Summary
 
 from ship_bags.errors import BadInput
+from ship_bags.mcap.mcap_writer import MAGIC
 from ship_bags.mcap.records import (
     COMPRESSIONS,
     ChunkPlace,
@@ -29,8 +30,17 @@ from ship_bags.mcap.records import (
 )
 from ship_bags.stamps import utc_text
 
-MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = struct.Struct("<BQQQI8s")
+_CHUNK_TIMES = struct.Struct("<QQ")
+"""Earliest and latest log time, with which the body of a chunk begins."""
+
+_LOG_TIME = struct.Struct("<Q")
+_LOG_TIME_OFFSET = 2 + 4
+"""In the body of a message: behind the numbers of its channel and its sequence."""
+
+_CHECKSUM = struct.Struct("<I")
+"""With which the summary and the body of an attachment end."""
+
 _LOOSE_MESSAGES_PER_PLACE = 5000
 
 
@@ -132,7 +142,7 @@ def _has_whole_footer(file: McapFile) -> bool:
     if opcode != Opcode.FOOTER or magic != MAGIC or not 0 < summary_start < file.data.size:
         return False
     file.data.stream.seek(summary_start)
-    summary = file.data.stream.read(file.data.size - summary_start - len(MAGIC) - 4)
+    summary = file.data.stream.read(file.data.size - summary_start - _CHECKSUM.size - len(MAGIC))
     return checksum in (0, zlib.crc32(summary))
 
 
@@ -174,7 +184,7 @@ def _walk(file: McapFile) -> None:
         elif part.opcode == Opcode.CHUNK:
             message_count += _take_chunk(file, part)
         elif is_message:
-            loose.append((part.offset, part.length, struct.unpack_from("<Q", part.body, 6)[0]))
+            loose.append((part.offset, part.length, _LOG_TIME.unpack_from(part.body, _LOG_TIME_OFFSET)[0]))
             message_count += 1
         else:
             _take_side_record(file, part.opcode, part.body)
@@ -200,7 +210,7 @@ def _gap_text(file: McapFile, gap: Gap, place_number: int) -> str:
 
 def _take_chunk(file: McapFile, chunk: WalkedRecord) -> int:
     """Note a chunk met on the walk and the channels it announces; returns its number of messages."""
-    announced = ChunkPlace(chunk.offset, chunk.length, *struct.unpack_from("<QQ", chunk.body))
+    announced = ChunkPlace(chunk.offset, chunk.length, *_CHUNK_TIMES.unpack_from(chunk.body))
     try:
         records = file.data.records_of(announced, check_times=False)
     except DamagedChunk:
@@ -240,8 +250,8 @@ def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
             file.metadata[metadata.name] = metadata.metadata
             file.side_records.append(metadata)
         elif opcode == Opcode.ATTACHMENT:
-            checksum = struct.unpack("<I", body[-4:])[0]
-            if checksum not in (0, zlib.crc32(body[:-4])):
+            checksum = _CHECKSUM.unpack_from(body, len(body) - _CHECKSUM.size)[0]
+            if checksum not in (0, zlib.crc32(body[: -_CHECKSUM.size])):
                 raise DamagedChunk("its checksum is wrong")
             attachment = parsed(Attachment.read, body)
             file.attachments[attachment.name] = attachment.data

@@ -37,10 +37,13 @@ CHUNK_BYTES = 1024 * 1024
 CHUNK_NS = 1_000_000_000
 """A chunk ends before its messages lie further apart in log time, ns: one wrong bit costs no more than that."""
 
-_MAGIC = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
+"""The first and the last bytes of every MCAP file."""
+
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_HEAD_BYTES = 2 + 4 + 8 + 8
 _INDEX_HEAD = struct.Struct("<BQHI")
+_INDEX_HEAD_BYTES = 2 + 4
 _INDEX_ENTRY = struct.Struct("<QQ")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 _FOOTER_BYTES = 8 + 8 + 4
@@ -75,7 +78,7 @@ class McapWriter:
         self._indexes: dict[int, bytearray] = {}
         self._start_ns: int | None = None
         self._end_ns = 0
-        stream.write(_MAGIC + _bytes_of(Header(profile, library)))
+        stream.write(MAGIC + _bytes_of(Header(profile, library)))
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add a message type; returns its number."""
@@ -143,7 +146,7 @@ class McapWriter:
         self._stream.write(b"".join(offsets))
         crc = zlib.crc32(b"".join(offsets), crc)
         crc = zlib.crc32(_FOOTER_HEAD.pack(Opcode.FOOTER, _FOOTER_BYTES, start, position), crc)
-        self._stream.write(_bytes_of(Footer(start, position, crc)) + _MAGIC)
+        self._stream.write(_bytes_of(Footer(start, position, crc)) + MAGIC)
         self.discard()
 
     def discard(self) -> None:
@@ -181,7 +184,8 @@ class McapWriter:
         indexes = bytearray()
         for channel_id, entries in self._indexes.items():
             offsets[channel_id] = offset + length + len(indexes)
-            indexes += _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 2 + 4 + len(entries), channel_id, len(entries))
+            length_of_body = _INDEX_HEAD_BYTES + len(entries)
+            indexes += _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, length_of_body, channel_id, len(entries))
             indexes += entries
         self._stream.write(indexes)
         index = ChunkIndex(
