@@ -33,24 +33,52 @@ class GateConfig:
 
 @cache
 def chi_square_gate(probability: float, degrees: int) -> float:
-    """The chi² value that a consistent measurement of ``degrees`` components stays below with ``probability``."""
+    """The chi² value that a consistent measurement of ``degrees`` components stays below with ``probability``.
+
+    Example:
+        An attitude (three components) passes with 99.99 % up to a normalised innovation squared of 21.1:
+
+        >>> print(round(chi_square_gate(0.9999, 3), 2))
+        21.11
+    """
     return float(chdtri(degrees, 1.0 - probability))
 
 
 def normalized_error_squared(error: FloatArray, covariance: FloatArray) -> FloatArray:
-    """NEES, or NIS: error^T P^-1 error, shape (...), for errors (..., n) and covariances (..., n, n)."""
+    """NEES, or NIS: error^T P^-1 error, shape (...), for errors (..., n) and covariances (..., n, n).
+
+    Example:
+        Errors of 3″ and 4″ where 3″ and 2″ were claimed, independent of one another:
+
+        >>> print(normalized_error_squared(np.array([3.0, 4.0]), np.diag([9.0, 4.0])))
+        5.0
+    """
     solution = np.linalg.solve(covariance, error[..., None])[..., 0]
     return np.sum(error * solution, axis=-1)
 
 
 def mean_nees_band(samples: int, degrees: int, probability: float = 0.999) -> tuple[float, float]:
-    """Two-sided band of the mean of ``samples`` independent chi² values with ``degrees`` each."""
+    """Two-sided band of the mean of ``samples`` independent chi² values with ``degrees`` each.
+
+    Example:
+        The mean NEES of 200 honest attitudes, three angles each, lies near 3:
+
+        >>> low, high = mean_nees_band(samples=200, degrees=3)
+        >>> print(f"{low:.2f} to {high:.2f}")
+        2.46 to 3.60
+    """
     tail, half_degrees = 0.5 * (1.0 - probability), 0.5 * samples * degrees
     low, high = (2.0 * float(gammaincinv(half_degrees, p)) for p in (tail, 1.0 - tail))
     return low / samples, high / samples
 
 
 def sigma_ratio_band(samples: int, probability: float = 0.999) -> tuple[float, float]:
-    """Two-sided band of RMS error / predicted sigma over ``samples`` independent errors of one component."""
+    """Two-sided band of RMS error / predicted sigma over ``samples`` independent errors of one component.
+
+    Example:
+        >>> low, high = sigma_ratio_band(samples=200)
+        >>> print(f"RMS error / sigma of 200 honest angles: {low:.2f} to {high:.2f}")
+        RMS error / sigma of 200 honest angles: 0.84 to 1.17
+    """
     low, high = mean_nees_band(samples, 1, probability)
     return float(np.sqrt(low)), float(np.sqrt(high))

@@ -8,12 +8,23 @@ def key_rows(kind: type) -> list[str]:
 
     Args:
         kind: the dataclass that the file is read into.
+
+    Example:
+        >>> from ship_estimation.gates import GateConfig
+        >>> key_rows(GateConfig)[1].split()[:4]
+        ['conflict_after*', '-', '10', '[1,']
     """
     return in_columns([parameter_row(description) for description in describe(kind)])
 
 
 def parameter_row(description: ParameterDescription) -> tuple[str, ...]:
-    """Name, unit, default, range and meaning of a parameter; a star marks one that may change while the node runs."""
+    """Name, unit, default, range and meaning of a parameter; a star marks one that may change while the node runs.
+
+    Example:
+        >>> from ship_estimation.gates import GateConfig
+        >>> parameter_row(next(iter(describe(GateConfig))))[:4]
+        ('probability*', '-', '0.9999', '[0.5, 0.999999999]')
+    """
     default = "must be given" if description.default is None else f"{description.default!r}"
     allowed = " | ".join(description.choices)
     if description.minimum is not None or description.maximum is not None:
@@ -25,7 +36,12 @@ def parameter_row(description: ParameterDescription) -> tuple[str, ...]:
 
 
 def in_columns(rows: list[tuple[str, ...]]) -> list[str]:
-    """The cells of rows as lines of text with aligned columns; the last column is not padded."""
+    """The cells of rows as lines of text with aligned columns; the last column is not padded.
+
+    Example:
+        >>> in_columns([("heading", "deg"), ("sigma", "arcsec")])
+        ['  heading  deg', '  sigma    arcsec']
+    """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)) for row in rows]
     return ["  " + line.rstrip() for line in lines]

@@ -67,6 +67,13 @@ def parameter(
         maximum: greatest value allowed (of each element of a tuple).
         choices: the only texts allowed.
         live: changeable while the node runs (noise and gates; never geometry).
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Camera:
+        ...     focal_length_m: float = parameter(0.1, doc="focal length", unit="m", minimum=0.001, maximum=10.0)
+        >>> Camera().focal_length_m
+        0.1
     """
     metadata = {
         "doc": doc,
@@ -80,17 +87,41 @@ def parameter(
 
 
 def degrees(default: Any = dataclasses.MISSING, *, doc: str) -> Any:
-    """An angle of the geometry; without a default it must be given."""
+    """An angle of the geometry; without a default it must be given.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Mount:
+        ...     azimuth_deg: float = degrees(doc="from the bow, to starboard")
+        >>> Mount(azimuth_deg=90.0).azimuth_deg
+        90.0
+    """
     return parameter(default, doc=doc, unit="deg", minimum=-360.0, maximum=360.0)
 
 
 def arcsec(default: float, *, doc: str, live: bool = False) -> Any:
-    """A standard deviation."""
+    """A standard deviation.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Noise:
+        ...     sigma_arcsec: float = arcsec(3.0, doc="across the boresight", live=True)
+        >>> Noise().sigma_arcsec
+        3.0
+    """
     return parameter(default, doc=doc, unit="arcsec", minimum=0.0, maximum=360_000.0, live=live)
 
 
 def stamp_age() -> Any:
-    """The parameter ``max_age_s`` of every node: how old a stamp may be without a word, s."""
+    """The parameter ``max_age_s`` of every node: how old a stamp may be without a word, s.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Node:
+        ...     max_age_s: float = stamp_age()
+        >>> Node().max_age_s
+        10.0
+    """
     return parameter(
         10.0,
         doc="stamps further than this before the node's clock are an error of the input, although they are used",
@@ -101,12 +132,29 @@ def stamp_age() -> Any:
 
 
 def mapping_of(doc: str) -> Any:
-    """A field of type ``dict[str, Dataclass]``, empty by default."""
+    """A field of type ``dict[str, Dataclass]``, empty by default.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Ship:
+        ...     star_sensors: dict[str, Any] = mapping_of(doc="star sensors by their ids")
+        >>> Ship().star_sensors
+        {}
+    """
     return dataclasses.field(default_factory=dict, metadata={"doc": doc})
 
 
 def section(kind: type) -> Any:
-    """A field that is itself a configuration dataclass, by default with its own defaults."""
+    """A field that is itself a configuration dataclass, by default with its own defaults.
+
+    Example:
+        >>> from ship_estimation.gates import GateConfig
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Filter:
+        ...     gate: GateConfig = section(GateConfig)
+        >>> Filter().gate.conflict_after
+        10
+    """
     return dataclasses.field(default_factory=kind)
 
 
@@ -121,6 +169,14 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
 
     Raises:
         ParameterError: names the parameter, its value, its unit and what is allowed.
+
+    Example:
+        >>> from ship_estimation.gates import GateConfig
+        >>> build(GateConfig, {"conflict_after": 3}).conflict_after
+        3
+        >>> build(GateConfig, {"conflict_after": 0})
+        Traceback (most recent call last):
+        ship_estimation.parameters.ParameterError: parameter 'conflict_after' = 0 is out of its range [1, inf]
     """
     if not isinstance(values, Mapping):
         raise ParameterError(
@@ -157,7 +213,13 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
 
 
 def describe(kind: type, prefix: str = "") -> Iterator[ParameterDescription]:
-    """Every parameter of a configuration dataclass, in order of declaration."""
+    """Every parameter of a configuration dataclass, in order of declaration.
+
+    Example:
+        >>> from ship_estimation.gates import GateConfig
+        >>> [(one.name, one.default) for one in describe(GateConfig)][:2]
+        [('probability', 0.9999), ('conflict_after', 10)]
+    """
     hints = typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
         name = prefix + field.name
@@ -172,7 +234,13 @@ def describe(kind: type, prefix: str = "") -> Iterator[ParameterDescription]:
 
 
 def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
-    """Dotted name → value of a configuration; tuples become lists."""
+    """Dotted name → value of a configuration; tuples become lists.
+
+    Example:
+        >>> from ship_estimation.gates import GateConfig
+        >>> flatten(GateConfig(), prefix="gate.")["gate.reopen_factor"]
+        100.0
+    """
     flat: dict[str, Any] = {}
     for field in dataclasses.fields(config):
         value, name = getattr(config, field.name), prefix + field.name
@@ -191,6 +259,11 @@ def changed(config: Config, changes: Mapping[str, Any]) -> Config:
 
     Raises:
         ParameterError: a parameter is unknown, out of range, or can be set only at the start.
+
+    Example:
+        >>> from ship_estimation.gates import GateConfig
+        >>> changed(GateConfig(), {"probability": 0.999}).probability
+        0.999
     """
     flat = flatten(config)
     live = _live_names(config)
@@ -219,7 +292,12 @@ def _live_names(config: Any, prefix: str = "") -> set[str]:
 
 
 def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """The nested mapping of dotted names."""
+    """The nested mapping of dotted names.
+
+    Example:
+        >>> nest({"gate.probability": 0.999, "gate.reopen_after": 5})
+        {'gate': {'probability': 0.999, 'reopen_after': 5}}
+    """
     nested: dict[str, Any] = {}
     for name, value in flat.items():
         *groups, leaf = name.split(".")

@@ -9,7 +9,12 @@ LONGEST_TEXT = 200
 
 
 def shortened(text: str, most: int = LONGEST_TEXT) -> str:
-    """The text itself, or where it has more characters its beginning with an ellipsis, ``most`` in all."""
+    """The text itself, or where it has more characters its beginning with an ellipsis, ``most`` in all.
+
+    Example:
+        >>> shortened("star_fore_of_a_very_long_name", most=12)
+        'star_fore_o…'
+    """
     return text if len(text) <= most else text[: most - 1] + "…"
 
 
@@ -65,7 +70,12 @@ class Refusal:
 
 
 def failure(error: Exception) -> Refusal:
-    """The refusal of an input on which our own code stumbled: a defect, told as such, that must harm nothing else."""
+    """The refusal of an input on which our own code stumbled: a defect, told as such, that must harm nothing else.
+
+    Example:
+        >>> failure(ZeroDivisionError("division by zero"))
+        Refusal(reason=<Reason.FAILED: 29>, text='ZeroDivisionError: division by zero (nowhere)')
+    """
     return Refusal(Reason.FAILED, f"{type(error).__name__}: {shortened(str(error))} ({_place_of(error)})")
 
 
@@ -89,6 +99,16 @@ def same_stamp(known: Content, new: Content) -> tuple[bool, Refusal]:
     """Of two inputs with the same stamp: whether the new one takes the place of the known one, and what to say of it.
 
     The one whose bytes sort first is kept, so that the order of arrival does not matter.
+
+    Example:
+        >>> from ship_geometry.vector_track import VectorSample
+        >>> import numpy as np
+        >>> known, other = VectorSample(1, np.array([1.0])), VectorSample(1, np.array([2.0]))
+        >>> takes_its_place, refusal = same_stamp(known, known)
+        >>> takes_its_place, refusal.reason.name
+        (False, 'DUPLICATE')
+        >>> same_stamp(known, other)[1].reason.name
+        'CONFLICT'
     """
     known_bytes, new_bytes = known.content(), new.content()
     if known_bytes == new_bytes:
