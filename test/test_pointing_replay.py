@@ -12,8 +12,8 @@ from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.evaluation.evaluate import evaluate
-from ship_replay.evaluation.innovations import reason_name
 from ship_replay.evaluation.sources import Truth
+from ship_replay.evaluation.statistics import reason_name
 from ship_replay.offline.orientations import POINTING
 from ship_replay.offline.replay import replay
 from ship_simulation.run import simulate

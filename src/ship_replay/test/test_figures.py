@@ -8,9 +8,8 @@ import pytest
 
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.figure_files import settled
-from ship_replay.evaluation.attitude_errors import AttitudeErrors
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
-from ship_replay.evaluation.innovations import Judged, SourceInnovations
+from ship_replay.evaluation.statistics import AttitudeErrors, Judged, SourceInnovations
 
 COUNT = 200
 CHANNELS = ("heading", "pitch", "roll")

@@ -33,7 +33,7 @@ from ship_simulation.stars.star_sightings import (
 from ship_simulation.theodolite.run import TheodoliteRun, simulate_theodolite
 
 SKY_SOURCES = ("fix", "pressure", "temperature", "humidity")
-"""What arrives besides measurements where a star sensor looks at the real sky."""
+"""Sources of a run whose star sensors look at the real sky, besides the measurements."""
 
 StarSamples = DeviceSamples | StarSightings | InertialSamples
 """Horizon attitudes, single stars, or attitudes among the stars."""
@@ -41,7 +41,7 @@ StarSamples = DeviceSamples | StarSightings | InertialSamples
 
 @dataclass(frozen=True)
 class VoyageTruth:
-    """What the devices should have said.
+    """What the devices would have said without their errors.
 
     Attributes:
         ins_index: the samples of the INS at whose stamps the true attitude is given: each first one of a tenth of
@@ -50,7 +50,7 @@ class VoyageTruth:
         rate_d: true angular velocity there, rad/s, shape (m, 3).
         ins: errors of the INS.
         stars: mounting and timing of each star sensor.
-        sightings: what the stars are, of each sensor that gives single stars.
+        sightings: of each sensor that gives single stars, which stars they are.
         references: mounting and timing of each other attitude system.
         track: where the ship is.
         sky: the sky over it; None where no sensor looks at it.
@@ -88,10 +88,10 @@ class SimulatedRun:
     truth: VoyageTruth
 
     def arrivals(self) -> list[tuple[int, str, int]]:
-        """(log time, source, index of the sample) of what ``ship_attitude`` is for, in order of arrival.
+        """(log time, source, index of the sample) of each input of ``ship_attitude``, in order of arrival.
 
         A source is ``ins``, ``star.<id>`` or ``reference.<name>``, or, where a star sensor looks at the real sky, one
-        of SKY_SOURCES. What arrives at the same nanosecond comes in this order, then by stamp.
+        of SKY_SOURCES. Samples that arrive at the same nanosecond come in this order of sources, then by stamp.
         """
         sources = {"ins": self.ins.log_time_ns}
         sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.stars.items()}
@@ -102,7 +102,7 @@ class SimulatedRun:
         return _in_order(sources)
 
     def pointing_arrivals(self) -> list[tuple[int, str, int]]:
-        """The same of what ``optical_axis`` is for.
+        """(log time, source, index of the sample) of each input of ``optical_axis``, in order of arrival.
 
         A source is ``ins``, ``fused``, ``encoder``, ``drone.<id>``, ``baseline.<id>`` or ``image``.
         """

@@ -57,7 +57,7 @@ def _keys() -> str:
 
 
 def _faults() -> str:
-    """The kinds as the module that does them explains them, one line each."""
+    """The kinds of faults, one line each, as the module that makes them explains them."""
     lines = (inspect.getdoc(faults) or "").splitlines()
     return "\n".join(f"  {line}" for line in lines[1:] if line)
 

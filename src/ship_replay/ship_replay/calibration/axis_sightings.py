@@ -37,7 +37,7 @@ _LEAST_EFFECT_ARCSEC = 0.01
 
 @dataclass
 class _Sink:
-    """Takes what the node publishes: only its judgements are wanted."""
+    """Takes what the node publishes and keeps nothing of it: only the judgements of the node are wanted."""
 
     count: int = 0
 
@@ -51,7 +51,7 @@ class _Sink:
 
 @dataclass(frozen=True)
 class AxisSighting:
-    """One row of the table.
+    """What one exposure says of the axes: one row of the table.
 
     Attributes:
         angles_deg: encoder azimuth, encoder elevation, offsets of the true direction from them.
@@ -65,7 +65,7 @@ class AxisSighting:
 
 @dataclass
 class AxisSightings:
-    """The table.
+    """The table of sightings.
 
     Attributes:
         rows: by stamp, ns.
@@ -84,7 +84,7 @@ class AxisSightings:
         return [stamps[i] for i in np.linspace(0, len(stamps) - 1, MOST_SIGHTINGS).round().astype(int)]
 
     def write(self, path: Path) -> None:
-        """As CSV, in order of time."""
+        """Write the table as CSV, in order of time."""
         chosen = self.chosen
         slow = [key for key in self._slow_errors() if self._moves(key, chosen)]
         names = [slow_column(side, *key) for key in slow for side in (0, 1)]

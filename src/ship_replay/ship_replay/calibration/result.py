@@ -43,10 +43,10 @@ DECK_AXES = ("bow", "up", "starboard")
 
 @dataclass(frozen=True)
 class JointTurn:
-    """One way in which the installations may be wrong at the same time.
+    """A turn of several sensors at the same time: one way in which all installations may be wrong together.
 
     Attributes:
-        axis: of the deck, about which all sensors are turned together; None of sensors turned against each other.
+        axis: of the deck, about which all sensors are turned together; None where they turn against each other.
         run_s: how far each sensor is turned for one sigma of it, rotation vector in its axes (forward, up, right), rad,
             shape (N, 3).
         sigma_before: known beforehand, rad.
@@ -62,7 +62,7 @@ class JointTurn:
 
     @property
     def ratio(self) -> float:
-        """Sigma after / beforehand."""
+        """Sigma after the session over sigma beforehand."""
         return self.sigma / self.sigma_before
 
     @property
@@ -74,7 +74,9 @@ class JointTurn:
 def combinations(
     prior_sigma: FloatArray, parts: FloatArray, rotations_ds: FloatArray, ins_sigma_d: FloatArray
 ) -> list[JointTurn]:
-    """The three turns together, and what of the sensors against each other was not well observed, worst first.
+    """The three turns of all sensors together, then the turns against each other that were not well observed.
+
+    The latter come worst first.
 
     Args:
         prior_sigma: of each sensor's installation about its axes, rad, not zero, shape (N, 3).
@@ -156,12 +158,12 @@ class InstalledAngle:
 
     @property
     def correction_arcsec(self) -> float:
-        """Installed minus configured."""
+        """Installed minus configured angle, arcsec."""
         return float(wrap_pi(self.installed - self.configured)) / ARCSEC
 
     @property
     def observed(self) -> str:
-        """yes, partly or no; empty where the angle is none of its own."""
+        """yes, partly or no; empty where the angle cannot be told from another."""
         if not np.isfinite(self.sigma):
             return ""
         observed = verdict(self.sigma / self.sigma_before)
@@ -170,7 +172,7 @@ class InstalledAngle:
 
 @dataclass(frozen=True)
 class InstallationCalibration:
-    """The result of a session.
+    """What a session says of all installations.
 
     Attributes:
         angles: of all star sensors.
@@ -198,7 +200,7 @@ class InstallationCalibration:
 
 
 def calibration_of(session: Session) -> InstallationCalibration:
-    """The result of a session.
+    """What a session says of all installations.
 
     Raises:
         BadInput: nothing was measured.

@@ -39,7 +39,7 @@ class InputCount:
     Attributes:
         used: messages that the filter used.
         refused: messages that it did not use.
-        reasons: why not, or what is to be noted of those used (single stars refused, for example) → how often.
+        reasons: word of a reason → how often; also of messages that were used with a note (single stars refused).
     """
 
     used: int
@@ -48,7 +48,7 @@ class InputCount:
 
     @property
     def improbable(self) -> int:
-        """Messages too improbable to use."""
+        """Number of messages that were too improbable to use."""
         return min(self.refused, sum(self.reasons.get(reason, 0) for reason in _IMPROBABLE))
 
     @property
@@ -205,7 +205,7 @@ def _check_used(bag: Bag, core: ShipAttitudeCore, counts: Mapping[str, InputCoun
 
 @dataclass
 class Course:
-    """Takes a replay's outputs and keeps how the alignment came about."""
+    """The alignments over a session; takes the outputs of its replay."""
 
     times_ns: list[int] = field(default_factory=list)
     names: tuple[str, ...] = ()
@@ -219,7 +219,7 @@ class Course:
             self.add(log_time_ns, tuple(message.names), np.array(message.values), covariance)
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """The truth is not for a calibration."""
+        """Pass over the truth: a calibration must not see it."""
 
     def add(self, time_ns: int, names: tuple[str, ...], values: FloatArray, covariance: FloatArray) -> None:
         """Take an alignment."""

@@ -152,20 +152,20 @@ def combination_words(combination: JointTurn, sensors: tuple[str, ...]) -> str:
 
 
 def remedy(combination: JointTurn) -> str:
-    """What would have told it."""
+    """What would have told the turn."""
     if combination.axis is None:
         return _APART_REMEDY
     return _AZIMUTH_REMEDY if combination.axis == "up" else _TILT_REMEDY
 
 
 def limit_words(calibration: InstallationCalibration, combination: JointTurn) -> str:
-    """The source of error that most of what is left comes from."""
+    """The source of error with the largest share in the variance that is left."""
     largest = int(np.argmax(combination.shares))
     return f"{calibration.sources[largest].replace('_', ' ')} {combination.shares[largest]:.0%}"
 
 
 def statements(calibration: InstallationCalibration) -> list[str]:
-    """One line for each combination that the session did not observe well; one in all where there is none."""
+    """One line for each turn that the session did not observe well; a single line where there is no such turn."""
     lines = []
     for label, combination in calibration.combinations.items():
         if combination.observed != "yes":

@@ -133,7 +133,7 @@ def _print(summary: ReplaySummary) -> None:
 
 
 def _judge(verification: Verification, decides: bool) -> int:
-    """Print what a comparison came to; returns the exit code, on which it decides only where it was asked for."""
+    """Print the result of a comparison and return the exit code: a difference is one only if --verify was given."""
     print(f"used:  {_counts(verification.used)}")
     print(f"equal: {_counts(verification.equal)}")
     for note in verification.notes:

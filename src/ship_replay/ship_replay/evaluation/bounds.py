@@ -30,7 +30,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class JudgedBound:
-    """A quantity held against its limits; NaN never meets a bound."""
+    """A quantity held against its limits. NaN never meets a bound."""
 
     quantity: str
     value: float
@@ -76,7 +76,7 @@ def read_bounds(path: Path) -> Bounds:
 
 
 def judge(values: Mapping[str, float], bounds: Bounds, name: str) -> list[JudgedBound]:
-    """Each bound with the value it limits.
+    """Each bound with the value that it limits.
 
     Raises:
         BadInput: a quantity with bounds was not evaluated.

@@ -12,7 +12,6 @@ import numpy as np
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
-from ship_bags.errors import BadInput as BadNodeInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import anywhere
@@ -20,9 +19,8 @@ from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import relative_topics
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_node.parameters.parameter_file import has_section, load_config
-from ship_replay.evaluation.attitude_errors import AttitudeErrors
-from ship_replay.evaluation.innovations import InnovationBook, SourceInnovations
 from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, sources
+from ship_replay.evaluation.statistics import AttitudeErrors, InnovationBook, SourceInnovations
 from ship_replay.offline.orientations import ORIENTATIONS
 from theodolite_calib.config import OpticalAxisConfig
 
@@ -33,7 +31,7 @@ _ESTIMATES = {"ship/alignment": "alignment", "theodolite/calibration": "calibrat
 """Topics of what filters estimate besides → what it is called here."""
 _RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)
 _OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), JOINT_SOLUTION, *_RESULTS)
-"""Topics that another bag than the run's own may have as inputs, or of another run."""
+"""Topics that are taken from the run's own bag alone: in another they are its inputs, or results of another run."""
 
 _INSTALLED = "star.", "reference."
 """How names of installation angles begin."""
@@ -162,7 +160,7 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
 
 
 def _left_out(collectors: Mapping[str, AttitudeSource], errors: list[AttitudeErrors]) -> list[str]:
-    """One line for each sensor that is configured and in no table."""
+    """One line for each sensor that is configured but stands in no table."""
     shown = {series.label for series in errors}
     return [
         f"{source.label} is left out: no attitude on {topic} while the truth is known"
@@ -203,7 +201,7 @@ def _truths(bags: list[Bag], namespace: str) -> dict[str, Truth]:
 
 
 def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | None:
-    """The configuration of a node in the suite's, which is attached to one of the bags."""
+    """The configuration of a node in the suite file that is attached to one of the bags; None where there is none."""
     for bag in reversed(bags):
         if SUITE_ATTACHMENT in bag.attachments:
             text = bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
@@ -212,7 +210,7 @@ def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | Non
                 node = anywhere(node_name)
                 named = has_section(text, node, wildcards=kind is ShipAttitudeConfig)
                 return load_config(kind, text, node) if named else None
-            except BadNodeInput as problem:
+            except BadInput as problem:
                 raise BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}") from problem
     return None
 

@@ -18,9 +18,8 @@ from ship_bags.output_files import write_whole
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.figure_files import settled
-from ship_replay.evaluation.attitude_errors import AttitudeErrors
 from ship_replay.evaluation.evaluate import Evaluation
-from ship_replay.evaluation.innovations import SourceInnovations
+from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 
 _STYLE = {
     "font.size": 12,
@@ -128,7 +127,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def _by_orientation(series: Sequence[AttitudeErrors]) -> list[list[AttitudeErrors]]:
-    """Series of the same channels together, without those that are parts of the first of them."""
+    """Series with the same channels, group by group; parts of a group's first series are left out."""
     groups: dict[tuple[str, str, str], list[AttitudeErrors]] = {}
     for errors in series:
         group = groups.setdefault(errors.channels, [])
@@ -170,7 +169,7 @@ def _draw_together(axes: Axes, series: Sequence[AttitudeErrors], column: int, st
 
 
 def _limit(axes: Axes, values: FloatArray, percentile: float = 98.0) -> None:
-    """Symmetric limits; by default without the rare large values of a start, which would flatten all the rest."""
+    """Set symmetric limits. By default the rare large values of a start, which would flatten the rest, lie outside."""
     values = np.abs(values[np.isfinite(values)])
     top = float(np.percentile(values, percentile)) * _ROOM if len(values) else 0.0
     if top > 0.0:

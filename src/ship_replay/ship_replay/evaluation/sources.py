@@ -15,7 +15,7 @@ from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
-from ship_replay.evaluation.attitude_errors import AttitudeErrors, attitude_errors
+from ship_replay.evaluation.statistics import AttitudeErrors, attitude_errors
 from ship_replay.offline.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import AxesConfig, OpticalAxisConfig
@@ -27,7 +27,7 @@ _TRUTH_GAP_NS = 1_000_000_000
 
 
 class Truth:
-    """True attitudes by stamp, and between stamps."""
+    """True attitudes at their stamps and, interpolated, between them."""
 
     def __init__(self, orientation: Orientation) -> None:
         self.orientation = orientation
@@ -95,11 +95,11 @@ class AttitudeSource(ABC):
 
 
 class PublishedAttitude(AttitudeSource):
-    """What the suite publishes, where an attitude is claimed, at the stamps of the truth.
+    """The attitudes that the suite publishes, at the stamps of the truth; INVALID ones claim nothing and are counted.
 
     Attributes:
         seen: whether there was any message.
-        invalid_count: of those that claimed nothing.
+        invalid_count: messages that claimed no attitude.
     """
 
     def __init__(self, truth: Truth) -> None:
@@ -153,7 +153,7 @@ class InsAttitude(AttitudeSource):
 
 
 class StarAttitude(AttitudeSource):
-    """One star sensor by itself, carried to the deck by its nominal installation; or the deck by all of them.
+    """One star sensor by itself, carried to the deck by its configured installation; or the deck by all sensors.
 
     Args:
         sensor_id: names the source.
@@ -183,7 +183,7 @@ class StarAttitude(AttitudeSource):
 
 
 class PublishedPointing(PublishedAttitude):
-    """``theodolite/pointing``, all of it and by mode."""
+    """``theodolite/pointing`` as a whole, and mode by mode."""
 
     MODES = ("two_lights", "one_light", "encoder")
 
@@ -238,7 +238,7 @@ def sources(
     star: StarAttitudeConfig | None,
     theodolite: OpticalAxisConfig | None,
 ) -> dict[str, AttitudeSource]:
-    """Relative topic → what collects its attitudes.
+    """Relative topic → the source that collects its attitudes.
 
     A star sensor is one source: by its horizon attitudes where those feed ``ship_attitude``, else by its solutions.
 
@@ -269,7 +269,7 @@ def sources(
 
 
 def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> FloatArray:
-    """Covariance of the rotation vector (North, Up, East), rad², which may be given by that of the angles alone."""
+    """Covariance of the rotation vector (North, Up, East), rad²; from that of the angles where nothing else is given."""
     rotation_covariance = message.rotation_covariance.reshape(3, 3)
     if rotation_covariance.any():
         return horizon_covariance(rotation_covariance)

@@ -19,7 +19,7 @@ def table_console() -> Console:
 
 
 def print_evaluation(evaluation: Evaluation, console: Console) -> None:
-    """Print the tables that the evaluation has something for."""
+    """Print each table that the evaluation has values for."""
     if evaluation.errors:
         console.print(attitude_table(evaluation))
         for label, count in evaluation.invalid_counts.items():

@@ -18,7 +18,7 @@ from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.parameters.parameter_file import has_section, load_config, misfit
 
 _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
-"""Topics of devices: without any of its own a node has nothing to do."""
+"""How topics of devices begin. A node whose devices are all missing in a bag has nothing to do."""
 
 
 def suite_text(bag: Bag, config_path: Path | None) -> str:
@@ -144,7 +144,7 @@ class AdapterChain:
         return self._handle(0, topic, message, receive_ns)
 
     def tick(self, now_ns: int) -> list[Published]:
-        """Tick all adapters, each after it was given what those before it had to give."""
+        """Tick all adapters; each has then been given what those before it gave at this tick."""
         published: list[Published] = []
         for index, adapter in enumerate(self.adapters):
             published += self._passed_on(index, adapter.tick(now_ns), now_ns)
@@ -159,7 +159,7 @@ class AdapterChain:
         return published
 
     def _passed_on(self, index: int, given: list[Published], now_ns: int) -> list[Published]:
-        """What an adapter gave, and what came of it in those after it."""
+        """What an adapter gave, and what the adapters after it made of that."""
         published = list(given)
         if self._linked:
             for topic, message in given:
@@ -175,7 +175,7 @@ def suite_chain(
     namespace: str = "",
     linked: bool = True,
 ) -> tuple[AdapterChain, list[str]]:
-    """The nodes that a suite configuration is about, those left out that have nothing to do with the bag.
+    """The nodes that a suite configuration is about, without those that have nothing to do with the bag.
 
     Args:
         bag: the bag.
@@ -206,7 +206,7 @@ def suite_chain(
 
 
 def _in_order_of_flow(adapters: Sequence[Adapter]) -> tuple[Adapter, ...]:
-    """Each adapter after those that give it something."""
+    """The adapters in an order in which each stands after those that give it something."""
     ordered, rest = [], list(adapters)
     while rest:
         free = [

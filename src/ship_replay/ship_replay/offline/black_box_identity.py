@@ -43,7 +43,7 @@ def box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapter]:
 
 
 def box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, notes: list[str]) -> Any:
-    """The configuration to replay a box with: its own, or that of a file, which is then said in ``notes``.
+    """The configuration to replay a box with: its own, or that of a file; the latter is noted in ``notes``.
 
     Raises:
         BadInput: the box is of another version of the suite or lacks an attachment, and no file was given; or the
@@ -61,7 +61,7 @@ def box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None,
 
 
 def check_definitions(bag: Bag) -> None:
-    """All messages that count are defined as here.
+    """Check that all messages that are compared are defined as here.
 
     Raises:
         BadInput: names the fields that are not.
@@ -75,7 +75,7 @@ def check_definitions(bag: Bag) -> None:
 
 
 def check_topics(bag: Bag, adapter: Adapter, notes: list[str], other_config: bool) -> None:
-    """All topics of the box are the adapter's, of the same types.
+    """Check that all topics of the box are topics of the adapter, with the same types.
 
     Raises:
         BadInput: names the topic; with another configuration this is said in ``notes`` instead.
@@ -120,7 +120,7 @@ def _differing(there: dict[str, Any], here: dict[str, Any]) -> str:
 
 
 def _changes(bag: Bag, config: Any, adapter_class: type[Adapter]) -> str:
-    """The parameters that are not those of the box, where it still holds them."""
+    """The parameters whose values are not those of the box, as text; empty where the box does not hold its own."""
     try:
         own, now = flatten(suite_config(bag, adapter_class, None, anywhere(adapter_class.node_name))), flatten(config)
     except BadInput:

@@ -39,7 +39,7 @@ Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
 
 class AnotherFileUse(Exception):
-    """The replay did with a file what the node had not done."""
+    """The replay used a file in another way than the node did."""
 
     def __init__(self, difference: Difference) -> None:
         super().__init__(difference.line)
@@ -47,7 +47,10 @@ class AnotherFileUse(Exception):
 
 
 class RecordedFiles:
-    """Reads give what the node read; writes are compared with what it wrote, and nothing reaches the disk."""
+    """The files of a node as its box holds them.
+
+    A read gives what the node read. A write is compared with what the node wrote; nothing reaches the disk.
+    """
 
     def __init__(self) -> None:
         self._uses: deque[FileUse] = deque()
@@ -129,7 +132,7 @@ def replay_black_box(
 
 
 class _BoxReplay:
-    """One adapter given what the node's was given."""
+    """Gives an adapter what the node's own was given, entry by entry, and compares what comes out."""
 
     def __init__(
         self,
@@ -206,7 +209,7 @@ class _BoxReplay:
             self._closed = True
 
     def _use(self, what: str, time_ns: int, call: Callable[[], list[Published]]) -> None:
-        """Use the adapter; what it gives waits for its record."""
+        """Use the adapter; its outputs wait for their records in the box."""
         published = self._call(what, time_ns, call) or []
         for topic, message in published:
             if self._writer is not None:
@@ -215,7 +218,7 @@ class _BoxReplay:
                 self._awaited.append((topic, message))
 
     def _call(self, what: str, time_ns: int, call: Callable[[], Any]) -> Any:
-        """The result of a call, None where it raised: for the node, too, that was no end."""
+        """The result of a call; None where it raised an error, which did not end the node either."""
         self._expect_nothing_left(time_ns)
         self._result.used[what] += 1
         try:
@@ -227,7 +230,7 @@ class _BoxReplay:
             return None
 
     def _ready_adapter(self) -> Adapter:
-        """The adapter, made once it is known which files it read at the start."""
+        """The adapter. It is made at its first use: then the files that the node read at its start are known."""
         if self._adapter is None:
             self._adapter = self._make_adapter()
             self._inputs = {topic.topic for topic in self._adapter.inputs}
@@ -259,7 +262,7 @@ class _BoxReplay:
             self._differ(Difference(what, time_ns, field, repr(recorded), repr(replayed)))
 
     def _expect_nothing_left(self, time_ns: int) -> None:
-        """All that the last use gave, and all files used before it, were matched."""
+        """Check that the box holds all outputs of the last use."""
         if self._awaited:
             topic, message = self._awaited.popleft()
             self._differ(Difference(topic, stamp_of(message, time_ns), "", "nothing", "a message"))

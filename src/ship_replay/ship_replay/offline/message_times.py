@@ -61,7 +61,7 @@ class GapLimit:
 
 @dataclass(frozen=True)
 class Exceeded:
-    """A limit that the messages of its topic do not keep.
+    """A limit that is exceeded by the gaps between the messages of its topic.
 
     Attributes:
         limit: which one.
@@ -83,7 +83,7 @@ class Gaps:
         self._counts: Counter[int] = Counter()
 
     def add(self, time_ns: int) -> None:
-        """Note a time; one that comes more than _REACH others too late is left out."""
+        """Note a time. A time that comes later than _REACH others that it belongs before is left out."""
         heappush(self._waiting, time_ns)
         if len(self._waiting) > _REACH:
             self._take(heappop(self._waiting))
@@ -124,7 +124,7 @@ def stamp_of_bytes(data: bytes) -> int | None:
 
 
 def gap_limits(config: Any) -> Iterator[GapLimit]:
-    """What bounds the gaps of a node's inputs.
+    """The parameters that bound the gaps between a node's inputs.
 
     Args:
         config: of one of the suite's nodes; for one of another node there are none.
@@ -143,7 +143,7 @@ def gap_limits(config: Any) -> Iterator[GapLimit]:
 
 
 def exceeded(config: Any, times: dict[str, MessageTimes], source: str) -> Iterator[Exceeded]:
-    """The limits of a node that its inputs do not keep.
+    """The limits of a node that are exceeded by the gaps between its inputs.
 
     Args:
         config: of the node.

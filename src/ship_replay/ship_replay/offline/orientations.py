@@ -22,7 +22,7 @@ _PATIENCE_NS = 2_000_000_000
 
 @dataclass(frozen=True)
 class Orientation:
-    """Something with three angles in the horizon frame, its truth and its errors.
+    """A quantity with three angles in the horizon frame: where it is published, where its truth and its errors are.
 
     Attributes:
         label: name of the published one in an evaluation.
@@ -31,7 +31,7 @@ class Orientation:
         error_topic: where the errors go.
         angles: fields of the three angles: azimuth, elevation, roll, whatever they are called.
         channels: names of the three errors.
-        on_sky: the first error is that of the azimuth times the cosine of the elevation: an angle on the sky.
+        on_sky: whether the first error, times the cosine of the elevation, is to be an angle on the sky.
     """
 
     label: str
@@ -59,7 +59,7 @@ class Orientation:
         )
 
     def scale(self, angles: FloatArray) -> FloatArray:
-        """What errors of angles (..., 3) are multiplied by, same shape."""
+        """The factors that turn errors of angles into errors of the channels, shape (..., 3)."""
         scale = np.ones_like(angles)
         if self.on_sky:
             scale[..., 0] = np.cos(angles[..., 1])
@@ -111,7 +111,7 @@ class TruthErrors:
         self._truth.insert(self.orientation.sample(message))
 
     def add_attitude(self, message: Any) -> None:
-        """The same as published."""
+        """A message of the orientation as published."""
         self._attitudes[ns_from_stamp(message.header.stamp)] = self.orientation.angles_of(message)
 
     def add_error(self, message: Any, log_time_ns: int) -> None:

@@ -28,8 +28,8 @@ from ship_replay.offline.status_course import STATUS_TOPICS, StatusCourse, reaso
 Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
 _LONGEST_SILENCE_NS = 600 * NS_PER_S
-"""Ticks stop this long after the last message: what a silence has to tell is told by then, and a log time
-decades ahead (a damaged file, a clock set wrongly) must not tick for hours."""
+"""Ticks stop this long after the last message. By then the nodes have said all that they say of a silence. A log time
+decades ahead, of a damaged file or of a clock set wrongly, must not lead to hours of ticks."""
 
 
 @dataclass
@@ -199,7 +199,7 @@ def _truth_names(bag: Bag, namespace: str) -> dict[str, str]:
 
 
 def _announce(writer: BagWriter, bag: Bag, chain: AdapterChain, config_text: str) -> None:
-    """Write what stands at the head of the output."""
+    """Write the head of the output: attachments, metadata, topics."""
     writer.add_attachment(SUITE_ATTACHMENT, config_text)
     if SCENARIO_ATTACHMENT in bag.attachments:
         writer.add_attachment(SCENARIO_ATTACHMENT, bag.attachments[SCENARIO_ATTACHMENT])
@@ -256,11 +256,11 @@ class ReplayRun:
         self._write_errors(record.log_time_ns)
 
     def finish(self) -> None:
-        """Write what was held back."""
+        """Write the messages that still wait for the truth."""
         self._write_errors(None)
 
     def _tick_until(self, time_ns: int) -> None:
-        """Tick on every multiple of the period that the time has passed since the last message."""
+        """Tick at each multiple of the period between the last message and a time, both in ns."""
         if self.last_time_ns is not None:
             end_ns = min(time_ns, self.last_time_ns + _LONGEST_SILENCE_NS)
             first_ns = (self.last_time_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS

@@ -67,7 +67,7 @@ class StatusCourse:
 
     @property
     def spans(self) -> list[Span]:
-        """In order of time; each lasts until the next begins. INVALID has the time of the tick that said so."""
+        """The spans in order of time. Each lasts until the next begins; INVALID begins with the tick that said so."""
         # Stamps of INVALID are not in the order of the others: what stands together is found by the stamps.
         groups = [list(group) for _, group in groupby(sorted(self._runs), key=lambda run: run[2])]
         last_ns = max((run[1] for run in self._runs), default=0)
@@ -121,14 +121,14 @@ def reasons_for(
 
 
 def _no_stars(config: Any) -> list[str]:
-    """Another attitude system makes an attitude better, but never VALID."""
+    """That there are references but no stars: other attitude systems make an attitude better, but never VALID."""
     if isinstance(config, ShipAttitudeConfig) and config.references and not config.star_sensors:
         return ["no star_sensors are configured: by references alone the attitude stays DEGRADED, horizon GRAVITY"]
     return []
 
 
 def hardly_used(health: Any) -> str:
-    """What became of an input of which half or more was not used; empty where more was."""
+    """What became of an input of which at most half was used, as one line; empty where more was used."""
     if not health.received:
         return f"nothing came on '{health.topic}'"
     if 2 * health.accepted > health.received:

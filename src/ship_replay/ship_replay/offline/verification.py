@@ -89,7 +89,7 @@ def _first_difference(name: str, one: Any, other: Any) -> tuple[str, Any, Any] |
 
 
 def _bits(value: Any) -> Any:
-    """What is equal only for the same bits: NaN equals itself, 0.0 is not -0.0."""
+    """A value that equals another only if all bits do: NaN equals itself, 0.0 does not equal -0.0."""
     return struct.pack("<d", value) if isinstance(value, (float, np.floating)) else value
 
 
@@ -99,7 +99,7 @@ def _text(value: Any) -> str:
 
 @dataclass
 class Verification:
-    """What was compared.
+    """The result of a comparison.
 
     Attributes:
         used: input topic or kind of event → how many the adapter was given.
@@ -119,7 +119,7 @@ class Verification:
 
     @property
     def holds(self) -> bool:
-        """Whether all outputs are the same, up to a cut at most."""
+        """Whether all outputs are the same, at least up to the sudden end of a file."""
         return self.difference is None and (self.cut or not self.unverified)
 
 
@@ -145,7 +145,7 @@ def verify_bag(
     Raises:
         BadInput: the bag, its topics or the configuration do not serve, or it holds no outputs.
     """
-    # Each node is given what was recorded, also of what another one gave it: that is what it met.
+    # Each node is given the recorded messages, those of other nodes too: these are what it was given at sea.
     chain, left_out = suite_chain(bag, adapter_classes, RosbagsFactory(), config_path, namespace, linked=False)
     inputs = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
     outputs = _recorded_outputs(bag, chain, namespace)
@@ -184,7 +184,7 @@ def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str
 
 
 class _Comparison:
-    """Pairs what was recorded with what is replayed, per topic in order; takes a replay's outputs as a bag would."""
+    """Pairs recorded with replayed messages, topic by topic in order; takes the outputs of a replay as a bag does."""
 
     def __init__(self, topics: set[str]) -> None:
         self.result = Verification()
@@ -199,7 +199,7 @@ class _Comparison:
             self._compare(topic)
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """The truth is no output."""
+        """Pass over the truth, which no node gives."""
 
     def add_recorded(self, topic: str, message: Any, log_time_ns: int) -> None:
         """Take what was recorded."""
@@ -207,7 +207,7 @@ class _Comparison:
         self._compare(topic)
 
     def finish(self) -> None:
-        """What is left over on one side only is a difference."""
+        """End the comparison: a message that is left over on one side is a difference."""
         left = [
             (rest[0][1], topic, rest[0][0], values)
             for side, values in ((self._recorded, ("a message", "nothing")), (self._replayed, ("nothing", "a message")))

@@ -24,7 +24,7 @@ from ship_replay.offline.adapter_chain import nodes_of
 
 @dataclass
 class Findings:
-    """What was found.
+    """What the checks have found.
 
     Attributes:
         errors: one line each: with these the node would not start, or would refuse what the bag holds.
@@ -82,11 +82,11 @@ class BagCheck:
 
     @property
     def usable(self) -> dict[str, str]:
-        """The same of topics whose messages are defined as here."""
+        """Relative topic → name in the bag, of topics whose messages are defined as here."""
         return {topic: name for topic, name in self.found.items() if self.bag.topics[name] not in self.bag.differences}
 
     def say(self, is_error: bool, text: str) -> None:
-        """Take a finding, once: two nodes may have the same parameter."""
+        """Note a finding, but only once: two nodes may share a parameter."""
         lines = self.findings.errors if is_error else self.findings.warnings
         if text not in lines:
             lines.append(text)
@@ -132,7 +132,7 @@ def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:
 
 
 def _misfit(path: Path, name: str) -> list[str]:
-    """The section that does not fit a node but was hardly meant for another: the node would not start."""
+    """What is wrong with a section that does not fit a node but was probably meant for it: it would not start."""
     try:
         misfit(path, name)
     except BadInput as problem:
@@ -169,7 +169,7 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
 
 
 def _different_mountings(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
-    """Sensors that two nodes take to be bolted elsewhere, or to be known otherwise."""
+    """Sensors whose mounting two nodes are told differently."""
     names = [field.name for field in dataclasses.fields(MountingConfig) if field.name != "frame_id"]
     sensors = [(node, id_, star) for node in nodes for id_, star in getattr(node.config, "star_sensors", {}).items()]
     for (node, id_, star), (other, other_id, other_star) in itertools.combinations(sensors, 2):

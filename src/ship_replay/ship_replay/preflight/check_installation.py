@@ -40,7 +40,7 @@ _IMAGE_TOPIC = "theodolite/beacons"
 
 @dataclass(frozen=True)
 class _Residual:
-    """An installation that is not the configured one.
+    """How far a measured installation is from the configured one.
 
     Attributes:
         mounting: what was measured.
@@ -76,7 +76,7 @@ def check_installation(check: BagCheck) -> None:
 def _contradictions(
     mountings: Sequence[MeasuredMounting], config: Any, bag: Bag
 ) -> Iterator[tuple[bool, str, str]]:
-    """Whether it is an error, the parameter, and what to say."""
+    """For each contradiction: whether it is an error, the parameter, and what to say."""
     residuals = []
     for mounting in mountings:
         yield from _focal_length(mounting, bag)
@@ -124,7 +124,7 @@ def _residual(mounting: MeasuredMounting, config: Any) -> _Residual:
 
 
 def _mean(rotations: FloatArray) -> FloatArray:
-    """The rotation nearest to all of some, shape (3, 3)."""
+    """The mean of rotations of shape (n, 3, 3): the rotation nearest to all of them, shape (3, 3)."""
     left, _, right = np.linalg.svd(rotations.sum(axis=0))
     sign = np.linalg.det(left @ right)
     mean: FloatArray = left @ np.diag([1.0, 1.0, sign]) @ right
@@ -140,7 +140,7 @@ def _configured(device: Any) -> tuple[FloatArray, FloatArray]:
 
 
 def _common_turn(far: Sequence[_Residual]) -> FloatArray | None:
-    """The turn of the deck that all devices show alike; None where they do not, or are not several."""
+    """The turn of the deck that all of two or more devices show alike, rad, shape (3,); None where there is none."""
     if len(far) < 2:
         return None
     turns = np.array([residual.turn_d for residual in far])
@@ -205,7 +205,7 @@ def check_telescope(check: BagCheck) -> None:
 
 
 def _focal_length_m(config: OpticalAxisConfig, bag: Bag, usable: dict[str, str]) -> float | None:
-    """Median over pairs of lights; None where there are too few."""
+    """Focal length by the median over pairs of lights, m; None where there are too few."""
     images, baselines = _collected(config, bag, usable)
     ratios_m: list[float] = []
     for time_ns, points_m in images:

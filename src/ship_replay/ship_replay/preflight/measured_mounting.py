@@ -41,7 +41,7 @@ Device = StarSensorConfig | MountingConfig | ReferenceConfig
 
 @dataclass(frozen=True)
 class MeasuredMounting:
-    """One device.
+    """How one device is mounted by the data of a bag.
 
     Attributes:
         section: dotted name of its parameters.
@@ -115,7 +115,10 @@ def _epochs(bag: Bag, topics: dict[str, str]) -> dict[str, list[int]]:
 def _collected(
     config: Any, bag: Bag, found: dict[str, str], epochs: dict[str, list[int]], watch: SkyWatch | None
 ) -> tuple[AttitudeTrack, dict[str, list[tuple[Any, int]]]]:
-    """The INS around the epochs, and the messages (with their arrival) at them; the watch is told of place and air."""
+    """The INS's attitudes around the epochs, and the messages (with their arrival) at them.
+
+    On the way the watch of the sky is told of place and air.
+    """
     wanted = {topic: set(stamps) for topic, stamps in epochs.items()}
     all_epochs = sorted(stamp for stamps in epochs.values() for stamp in stamps)
     # Clocks may differ by a second (the range of time_offset_s), and an interpolation needs samples on both sides.
@@ -139,7 +142,7 @@ def _collected(
 def _tell(
     topic: str, record: BagRecord, stamp_ns: int, config: Any, track: AttitudeTrack, watch: SkyWatch | None
 ) -> None:
-    """Give a message of the INS, of place or air to those who keep them; one that a node would refuse is left out."""
+    """Give a message of the INS to the track, and one of place or air to the watch, unless a node would refuse it."""
     receive_ns = max(record.log_time_ns, stamp_ns)
     try:
         message = record.decode()
@@ -199,7 +202,7 @@ def _solved(exposures: list[StarExposure], watch: SkyWatch) -> list[tuple[int, F
 def _exposures(
     camera: CameraConfig, messages: list[tuple[Any, int]], topic: str, watch: SkyWatch
 ) -> list[StarExposure]:
-    """Of the messages that can be placed in the sky."""
+    """The exposures of those messages whose moment and place are known well enough for a sky."""
     sensor_id, exposures = topic.split("/")[1], []
     for message, receive_ns in messages:
         try:
@@ -216,7 +219,7 @@ def _exposures(
 def _fitted_camera(
     camera: CameraConfig, messages: list[tuple[Any, int]], topic: str, watch: SkyWatch
 ) -> tuple[CameraConfig | None, list[StarExposure]]:
-    """The camera with the focal length that makes angles between stars those of the sky, and its exposures.
+    """The camera whose focal length makes the angles between stars those of the sky, and the exposures by it.
 
     Returns:
         None for the camera where too few stars have names: the exposures are then by the camera as configured.
@@ -239,7 +242,7 @@ def _with_focal_length(camera: CameraConfig, focal_length_m: float) -> CameraCon
 
 
 def _scale(exposures: list[StarExposure], watch: SkyWatch) -> float | None:
-    """Median of angles between stars as measured, by those between their places; None for too few pairs."""
+    """Median ratio of measured to true angles between stars; None where there are too few pairs."""
     ratios: list[float] = []
     for exposure in exposures:
         named = exposure[exposure.identified]

@@ -166,7 +166,7 @@ class _Sender:
 
 
 def _shared_memory(pid: int) -> list[Path]:
-    """What a process has in shared memory that nobody takes away after a kill; ports, which others may use, aside."""
+    """The files that a process has in shared memory and that stay after a kill; not the ports, which others may use."""
     mapped = {line.split(maxsplit=5)[-1] for line in Path(f"/proc/{pid}/maps").read_text(encoding="utf-8").splitlines()}
     segments = [path for path in mapped if path.startswith("/dev/shm/fast") and "fastrtps_port" not in path]
     return [Path(path + suffix) for path in segments for suffix in ("", "_el")]

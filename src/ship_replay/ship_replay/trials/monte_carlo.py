@@ -60,7 +60,7 @@ class FinalError:
 
 
 def final_error(scenario: Scenario, seed: int) -> FinalError:
-    """Simulate, filter, compare at the last INS sample."""
+    """Simulate a run, filter it, and compare with the truth at the last INS sample."""
     run = simulate(scenario, seed)
     estimate, refused = feed_attitude(core_for(scenario), run)
     rotation_true = run.truth.rotation_nd[-1]
@@ -80,7 +80,7 @@ def core_for(scenario: Scenario) -> ShipAttitudeCore:
 
 
 def feed_attitude(core: ShipAttitudeCore, run: SimulatedRun) -> tuple[AttitudeEstimate, int]:
-    """A whole run into a core, in order of arrival; the last estimate and the number of measurements refused."""
+    """Feed a whole run into a core, in order of arrival; returns the last estimate and the number of refusals."""
     last_ins = len(run.ins.time_ns) - 1
     estimate, refused = None, 0
     for _, source, index in run.arrivals():
@@ -168,13 +168,13 @@ class PointingErrors:
 
     @property
     def sigma_on_sky(self) -> FloatArray:
-        """What it is claimed to be (RMS), rad, shape (k,)."""
+        """The claimed standard deviation of that angle (root mean square over directions), rad, shape (k,)."""
         along = np.einsum("ki,kij,kj->k", self.axis_n, self.covariance_n, self.axis_n)
         return np.sqrt(np.trace(self.covariance_n, axis1=-2, axis2=-1) - along)
 
 
 def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
-    """Simulate, filter, compare."""
+    """Simulate a session, filter it, and compare with the truth wherever a pointing is claimed."""
     run = simulate(scenario, seed)
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
     estimates, sightings, refused = feed_pointing(core, run)
@@ -210,7 +210,7 @@ def _ins_encoder(run: SimulatedRun) -> FloatArray:
 
 
 def feed_pointing(core: OpticalAxisCore, run: SimulatedRun) -> tuple[list[PointingEstimate], int, int]:
-    """A whole run into a core, in order of arrival; all pointings, exposures used, and what was refused."""
+    """Feed a whole run into a core, in order of arrival; returns pointings, exposures used, and number of refusals."""
     estimates: list[PointingEstimate] = []
     sightings = refused = 0
     for _, source, index in run.pointing_arrivals():

@@ -27,7 +27,7 @@ _FEWEST_NODES, _NODES_PER_SECOND = 7, 5.0
 
 
 def random_stream(seed: int, component: str) -> np.random.Generator:
-    """The generator of one component, the same whatever other components there are."""
+    """The generator of one component. It gives the same numbers whatever other components a run has."""
     key = zlib.crc32(component.encode())
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(key,))))
 
@@ -35,7 +35,7 @@ def random_stream(seed: int, component: str) -> np.random.Generator:
 def gauss_markov(
     rng: np.random.Generator, count: int, period_s: float, sigma: FloatArray, time_s: FloatArray
 ) -> FloatArray:
-    """First-order Gauss–Markov processes in their steady state, sampled exactly, shape (count, n).
+    """First-order Gauss–Markov processes in their steady state, each sampled exactly, shape (count, n).
 
     Args:
         rng: source of the noise.
@@ -54,13 +54,13 @@ def gauss_markov(
 
 
 class SlowError:
-    """Gauss–Markov processes, all with the same correlation time, that can be asked at any moment.
+    """Gauss–Markov processes with one correlation time, whose values can be asked at any moment.
 
-    They are drawn on a grid far finer than their correlation time, and straight in between.
+    The processes are drawn on a grid far finer than the correlation time. Between the grid's moments they are straight.
 
     Args:
         rng: source of the noise.
-        duration_s: they reach from zero to here.
+        duration_s: the processes reach from zero to here.
         sigma: steady standard deviation of each process, shape (n,).
         time_s: correlation time.
     """
@@ -91,7 +91,7 @@ def arrival_times(stamp_ns: np.ndarray, latency_s: float, jitter_s: float, rng: 
 
 
 def outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray:
-    """True where a moment lies in no outage, shape (n,)."""
+    """Whether each moment (seconds after the start) lies outside of all outages, shape (n,)."""
     keep = np.ones(since_start_s.size, dtype=bool)
     for outage in outages.values():
         keep &= (since_start_s < outage.start_s) | (since_start_s >= outage.end_s)
@@ -127,7 +127,7 @@ class ExposureTimes:
 
 
 def exposure_times(exposure_s: float) -> ExposureTimes:
-    """The moments of an exposure: the middle alone where its length is 0."""
+    """The moments by which an exposure is summed; an exposure of length 0 has its middle alone."""
     if exposure_s == 0.0:
         return ExposureTimes(np.zeros(1), np.ones(1))
     count = _FEWEST_NODES + math.ceil(_NODES_PER_SECOND * exposure_s)
@@ -136,12 +136,12 @@ def exposure_times(exposure_s: float) -> ExposureTimes:
 
 
 def centroids(times: ExposureTimes, way: FloatArray, psf_sigma: float, sigma: float, noise: FloatArray) -> FloatArray:
-    """Centroids of streaks, shape (..., 2).
+    """Centroids of points that move during an exposure, with their errors, shape (..., 2).
 
     Args:
         times: of the exposure.
-        way: where the point was at them, shape (m, ..., 2).
-        psf_sigma: spread of its image at rest, each axis.
+        way: where the points were at these times, shape (m, ..., 2).
+        psf_sigma: spread of the image of a point at rest, each axis.
         sigma: error of the centroid of an image at rest, each axis.
         noise: standard normal numbers, shape (..., 2).
     """

@@ -1,4 +1,6 @@
-"""Messages of the devices from the arrays of a run; each function returns a maker of single messages.
+"""Messages of the ship's devices, from the arrays of a run: INS, other attitude systems, satellite receiver, weather.
+
+Each function returns a maker of single messages.
 
 A maker takes the sample whose stamp a message bears and the sample whose values it bears: the same, unless a
 fault says otherwise.
@@ -22,7 +24,7 @@ from ship_simulation.ship.ship_track import FixSamples
 Maker = Callable[[int, int], Any]
 
 NOT_GIVEN = np.array([-1.0, *[0.0] * 8])
-"""A covariance that says so."""
+"""A covariance by which a message says that it gives none."""
 
 _FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
 """NavSatStatus.STATUS_FIX, NavSatStatus.SERVICE_GPS, NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN."""
@@ -46,7 +48,7 @@ def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Make
 
 
 def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) -> Maker:
-    """Maker of reference/<name>/imu. The orientation's covariance is the white part; it gives no rate."""
+    """Maker of reference/<name>/imu. Its covariance is that of the white noise alone; it gives no rate."""
     quaternions = quaternion_from_rotation(samples.rotation_nv).tolist()
     covariances = enu_covariance(white_in_horizon(samples)).reshape(-1, 9)
 
@@ -120,7 +122,7 @@ def _maker(
     told: dict[str, Any],
     factory: MessageFactory,
 ) -> Maker:
-    """Maker of ShipAttitude; ``told`` are the fields that all messages have alike."""
+    """Maker of ShipAttitude; ``told`` holds the fields that are the same in all messages."""
     angles = angles_from_rotation(rotation_nd).tolist()
     quaternions = quaternion_from_rotation(rotation_nd).tolist()
     rates = flu_from_device_vector(rate_d).tolist()

@@ -130,7 +130,7 @@ def truth_alignments(run: SimulatedRun, factory: MessageFactory) -> Iterator[tup
 
 
 def _constant_values(run: SimulatedRun) -> dict[str, float]:
-    """Name → true value of what does not change during the run."""
+    """Name → true value of each quantity that does not change during the run."""
     values = {"ins.time_offset": run.truth.ins.time_offset_s}
     for key, device in run.truth.stars.items():
         azimuth, elevation, roll = angles_from_rotation(device.rotation_dv).tolist()

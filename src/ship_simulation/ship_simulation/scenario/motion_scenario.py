@@ -21,7 +21,7 @@ _LENGTH: dict[str, Any] = {"doc": "hull length that averages the slope", "unit":
 
 @dataclass(frozen=True)
 class Outage:
-    """A time without something."""
+    """A span of time, in seconds after the start, in which something is missing."""
 
     start_s: float = parameter(doc="from, after the start", **MOMENT)
     end_s: float = parameter(doc="to, after the start", **MOMENT)

@@ -224,7 +224,7 @@ FAULT_KINDS = (
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that goes wrong with one topic for a time."""
+    """A fault of one topic that lasts for a time."""
 
     topic: str = parameter(doc="topic, for example ins/imu")
     kind: str = parameter(doc="what goes wrong", choices=FAULT_KINDS)

@@ -27,7 +27,7 @@ from ship_simulation.ship.motion import Carrier
 
 @dataclass(frozen=True)
 class InsSamples:
-    """What the INS says.
+    """The samples of the INS.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
@@ -44,7 +44,7 @@ class InsSamples:
 
 @dataclass(frozen=True)
 class InsTruth:
-    """What is wrong with the INS.
+    """The errors of the INS that last from sample to sample.
 
     Attributes:
         attitude_error_n: slow error a at each sample (north, up, east), rad, shape (n, 3).
@@ -84,14 +84,14 @@ def simulate_ins(scenario: Scenario, carrier: Carrier, start_ns: int, seed: int)
 
 @dataclass(frozen=True)
 class DeviceSamples:
-    """What a device says.
+    """The attitudes that a device tells.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
         log_time_ns: moments of arrival, in any order, shape (n,).
         rotation_nv: horizon from device (forward, up, right) as measured, shape (n, 3, 3).
-        noise_v: covariance of what is independent from sample to sample, in the device frame, rad², shape (3, 3).
-        common_n: covariance of what the samples share, about the horizon's axes, rad², shape (3, 3).
+        noise_v: covariance of the noise, independent from sample to sample, in the device frame, rad², shape (3, 3).
+        common_n: covariance of the error that the samples share, about the horizon's axes, rad², shape (3, 3).
     """
 
     time_ns: np.ndarray
@@ -103,7 +103,7 @@ class DeviceSamples:
 
 @dataclass(frozen=True)
 class DeviceTruth:
-    """How a device is really mounted and timed.
+    """How a device is truly mounted and timed.
 
     Attributes:
         installation_error_v: rotation vector m in the device frame, rad, shape (3,).
@@ -119,7 +119,7 @@ class DeviceTruth:
 
 @dataclass(frozen=True)
 class MountedMotion:
-    """A star sensor's exposures, and how it really stands at each.
+    """A star sensor's exposures, and its true attitude at each.
 
     Attributes:
         time_ns: stamps, shape (n,).
@@ -127,7 +127,7 @@ class MountedMotion:
         valid_ns: the moments that they belong to: the stamps plus the sensor's time offset, shape (n,).
         rotation_nv: horizon from sensor, shape (n, 3, 3).
         times: moments of each exposure.
-        passing_nv: the same at these, shape (m, n, 3, 3).
+        passing_nv: horizon from sensor at these moments, shape (m, n, 3, 3).
         truth: mounting and time offset.
     """
 
@@ -235,7 +235,7 @@ def _samples(
     common_sigma: float,
     config: StarSensor | Reference,
 ) -> DeviceSamples:
-    """Samples of an attitude that lacks only the white noise."""
+    """Samples of true attitudes, with the white noise of the device put on."""
     noise_v = sigma_v * random_stream(seed, name + ".white").standard_normal((time_ns.size, 3))
     arrival = random_stream(seed, name + ".arrival")
     return DeviceSamples(
@@ -255,14 +255,14 @@ def _kept(samples: DeviceSamples, keep: np.ndarray) -> DeviceSamples:
 
 @dataclass(frozen=True)
 class FusedSamples:
-    """What ``ship/attitude`` says.
+    """The samples of ``ship/attitude``.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
         log_time_ns: moments of arrival, shape (n,).
         rotation_nd: horizon from deck as estimated, shape (n, 3, 3).
         rate_d: angular velocity (bow, up, starboard), rad/s, shape (n, 3).
-        covariance_n: of its rotation vector (North, Up, East), in all, rad², shape (3, 3).
+        covariance_n: of the total error as a rotation vector (North, Up, East), rad², shape (3, 3).
     """
 
     time_ns: np.ndarray

@@ -61,7 +61,7 @@ class SteadyTurn:
         return self._sum_over_corners(0.5 * self._since_corners(t_s) ** 2)
 
     def heading_rate(self, t_s: FloatArray) -> FloatArray:
-        """Its derivative, rad/s."""
+        """Rate of that change, rad/s."""
         return self._sum_over_corners(self._since_corners(t_s))
 
     def _since_corners(self, t_s: FloatArray) -> FloatArray:
@@ -84,7 +84,7 @@ class HarmonicMotion:
         angular_frequency: of each component, rad/s, shape (n,).
         phasor: complex amplitude of each component in each angle, rad, shape (n, 3):
             the angle is Re(phasor * exp(i w t)).
-        turns: changes of heading.
+        turns: changes of heading, added to it.
     """
 
     def __init__(
@@ -204,7 +204,7 @@ def carrier_of(motion: CarrierMotion, seed: int) -> Carrier:
 
 
 def sea_responses(sea: Sea) -> tuple[Response, Response, Response]:
-    """How (heading, pitch, roll) answer the waves: pitch to the slope along the ship, roll to that across."""
+    """How (heading, pitch, roll) answer the waves: pitch answers the slope along the ship, roll the slope across."""
     along, across = np.cos(np.deg2rad(sea.direction_deg)), np.sin(np.deg2rad(sea.direction_deg))
     return (
         Response(along * across, sea.heading_gain, sea.heading_period_s, sea.heading_damping, sea.heading_length_m),

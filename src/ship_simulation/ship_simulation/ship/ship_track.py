@@ -1,4 +1,4 @@
-"""Where the ship really is, and what its satellite receiver says about it."""
+"""Where the ship truly is, and the fixes of its satellite receiver."""
 
 from dataclasses import dataclass
 
@@ -58,14 +58,14 @@ class ShipTrack:
 
 @dataclass(frozen=True)
 class FixSamples:
-    """What the satellite receiver says; it arrives at its stamps.
+    """The fixes of the satellite receiver, which arrive at their stamps.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
         latitude_deg: shape (n,).
         longitude_deg: shape (n,).
         height_m: shape (n,).
-        covariance_m2: of each fix in (North, Up, East), the slow error included, shape (3, 3).
+        covariance_m2: of the total error of each fix in (North, Up, East), shape (3, 3).
     """
 
     time_ns: np.ndarray
@@ -86,7 +86,7 @@ class FixSamples:
 
 
 def simulate_fixes(scenario: Scenario, track: ShipTrack, seed: int) -> FixSamples:
-    """Fixes along the track with a white and a slow error."""
+    """Fixes along the track, each with a white and a slow error."""
     place = scenario.position
     time_ns = stamps(track.start_ns, place.rate_hz, 0.0, scenario.duration_s)
     white_m = place.sigma_m * random_stream(seed, "gnss.white").standard_normal((time_ns.size, 3))

@@ -1,8 +1,8 @@
-"""The sky as it really stands over the ship: what an estimator believes, and what that has wrong.
+"""The true sky over the ship: air, turn of the Earth and places of the stars, each a little off what is told.
 
-Drawn once a run: the air is not what the weather station says, the Earth not turned quite as the table says, each star
-a little beside its place in the catalogue. Directions take ERFA's exact path at every moment; the estimator's
-refreshed one is not used here.
+The sky is drawn once a run. The air is not quite what the weather station says, the Earth is not turned quite as the
+table says, and each star stands a little beside its place in the catalogue. Directions take ERFA's exact path at every
+moment; the path of the estimator, which is refreshed now and then, is not used here.
 """
 
 import dataclasses
@@ -39,7 +39,7 @@ class TrueSky:
         weather: the true air at the ship.
         ut1_error_s: true UT1 − UTC minus that of the table.
         catalogue: what is known of the stars.
-        positions: where the stars of the catalogue really are, J2000.0, a row each.
+        positions: where the stars of the catalogue truly are, J2000.0, a row each.
     """
 
     track: ShipTrack
@@ -50,7 +50,7 @@ class TrueSky:
     positions: StarPositions
 
     def orientation(self, time_ns: np.ndarray) -> EarthOrientation:
-        """True orientation of the Earth."""
+        """True orientation of the Earth at moments in ns."""
         told = earth_orientation_table().at(time_ns)
         return dataclasses.replace(told, ut1_minus_utc_s=told.ut1_minus_utc_s + self.ut1_error_s)
 
@@ -88,9 +88,9 @@ class TrueSky:
         return turn
 
     def sun_elevation(self, time_ns: np.ndarray) -> FloatArray:
-        """Elevation of the Sun's centre without air, rad, shape (n,), from one minute to the next in a straight line.
+        """Elevation of the Sun's centre without air, rad, shape (n,).
 
-        At the horizon the line is less than an arcsecond off.
+        It is interpolated from minute to minute: at the horizon the error is less than an arcsecond.
         """
         minutes = np.unique(np.concatenate([time_ns // _MINUTE_NS, time_ns // _MINUTE_NS + 1]))
         to_sun_i = -erfa.epv00(*tt_julian_date(minutes * _MINUTE_NS))[0]["p"]
@@ -120,7 +120,7 @@ def year_of(time_ns: int) -> float:
 
 
 def place_of_date(stars: StarPositions, time_ns: int) -> StarPositions:
-    """Stars by nothing but their place among the axes of the ICRS at a moment, proper motion and parallax in it."""
+    """Stars as they stand among the axes of the ICRS at a moment: proper motion and parallax are in their places."""
     tt = tt_julian_date(time_ns)
     earth_au = erfa.epv00(*tt)[1]["p"]
     place = stars.right_ascension, stars.declination
@@ -133,7 +133,7 @@ def place_of_date(stars: StarPositions, time_ns: int) -> StarPositions:
 
 
 def _true_air(station: WeatherStation, seed: int) -> Weather:
-    """Told plus error, within what air may be."""
+    """The air that the station tells, plus its errors, within the range of the refraction models."""
     pressure, temperature = random_stream(seed, "sky.weather").standard_normal(2)
     return Weather(
         pressure_hpa=float(np.clip(station.pressure_hpa + station.pressure_sigma_hpa * pressure, 800.0, 1100.0)),
@@ -143,7 +143,7 @@ def _true_air(station: WeatherStation, seed: int) -> Weather:
 
 
 def _displaced(catalogue: StarCatalogue, year: float, rng: np.random.Generator) -> StarPositions:
-    """Positions with each star's error in that year."""
+    """The catalogue's positions, each with an error of the size that it has in that year."""
     stars = catalogue.at_j2000
     east, north = catalogue.sigma(np.arange(len(catalogue.hip)), year) * rng.standard_normal((2, len(catalogue.hip)))
     return dataclasses.replace(

@@ -22,7 +22,7 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class FieldStars:
-    """Stars as they stand on the detector, without errors of their centroids; exposure after exposure.
+    """Stars as they truly stand on the detector, exposure after exposure.
 
     Attributes:
         exposure: number of the exposure, shape (k,).
@@ -86,7 +86,7 @@ def _radius(camera: StarCamera, detector: Detector) -> float:
 def swapped_identities(
     rows: Rows, exposure: NDArray[np.int64], probability: float, rng: np.random.Generator
 ) -> Rows:
-    """Identities of which, in some exposures, two are exchanged.
+    """Identities of stars as a sensor tells them: in some exposures two are exchanged.
 
     Args:
         rows: rows of the catalogue, a star each, shape (k,).

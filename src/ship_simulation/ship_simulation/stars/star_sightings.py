@@ -59,7 +59,7 @@ class ToldStars:
 
 @dataclass(frozen=True)
 class StarSightings:
-    """What a sensor says that gives single stars; all exposures in a row.
+    """The exposures of a sensor that gives single stars; the stars of all exposures in one row.
 
     Attributes:
         time_ns: middle of each exposure, stamp of the sensor, increasing, shape (n,).
@@ -84,13 +84,13 @@ class StarSightings:
 
 @dataclass(frozen=True)
 class SightingsTruth:
-    """What its stars really are, in the order of :class:`StarSightings`.
+    """What the stars of :class:`StarSightings` truly are, in the same order.
 
     Attributes:
         rotation_nv: horizon from sensor at each exposure, shape (n, 3, 3).
         hip: HIP number; 0 where there is no star, shape (k,).
-        direction_s: direction in the sensor frame without error of the centroid; NaN where there is no star, (k, 3).
-        swapped: whether it bears the identity of another star of its exposure, shape (k,).
+        direction_s: true direction in the sensor frame, shape (k, 3); NaN where there is no star.
+        swapped: whether a star bears the identity of another star of its exposure, shape (k,).
     """
 
     rotation_nv: FloatArray
@@ -102,7 +102,7 @@ class SightingsTruth:
 def simulate_sightings(
     sensor_id: str, scenario: Scenario, motion: MountedMotion, sky: TrueSky, seed: int
 ) -> tuple[StarSightings, SightingsTruth]:
-    """All exposures of a sensor; without stars while the Sun is up, and in an outage."""
+    """All exposures of a sensor. They are empty while the Sun is up, and in outages."""
     config, source = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
     dark = sky.sun_elevation(motion.valid_ns) < np.deg2rad(config.sun_limit_deg)
     seeing = dark & outside(motion.since_start_s, config.outages)
@@ -135,7 +135,7 @@ def simulate_sightings(
 
 @dataclass(frozen=True)
 class _Spots:
-    """What is on the detector, an entry a spot: its exposure, what it is, what it is taken for, where and how bright.
+    """The spots of light on the detector, an entry a spot.
 
     ``row`` is of the catalogue, UNKNOWN where there is no star; ``claimed`` the row of the identity given;
     ``magnitude`` as measured.
@@ -155,7 +155,7 @@ class _Spots:
 def _true_spots(
     source: str, config: StarSensor, motion: MountedMotion, sky: TrueSky, seeing: NDArray[np.bool_], seed: int
 ) -> _Spots:
-    """Stars with the errors of centroids and magnitudes, some taken for one another."""
+    """Stars with errors in their centroids and magnitudes; some are taken for one another."""
     field = stars_in_field(config, sky, motion.rotation_nv[seeing], motion.valid_ns[seeing])
     exposure = np.flatnonzero(seeing)[field.exposure]
     # Where each star goes on the detector; the sky stands still meanwhile.
@@ -196,7 +196,7 @@ def _false_spots(source: str, config: StarSensor, sky: TrueSky, seeing: NDArray[
 
 
 def _as_read_out(kinds: list[_Spots]) -> _Spots:
-    """All spots in the order in which a detector is read, row after row: it does not tell what is what."""
+    """All spots in the order in which a detector is read, row after row: the order tells nothing of their kinds."""
     spots = _Spots(*(np.concatenate([getattr(kind, field) for kind in kinds]) for field in vars(kinds[0])))
     return spots[np.lexsort((spots.pixel[:, 1], spots.exposure))]
 
@@ -204,7 +204,7 @@ def _as_read_out(kinds: list[_Spots]) -> _Spots:
 def _identities(
     config: StarSensor, sky: TrueSky, claimed: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], StarPositions, FloatArray]:
-    """What the sensor says of each star: HIP number, position, and the error of that."""
+    """What the sensor says of each star: its HIP number, its position, and the error of the position."""
     catalogue, start_ns = sky.catalogue, sky.track.start_ns
     if config.identified and not config.direction_given:
         return catalogue.hip[claimed], catalogue.at_j2000[claimed], catalogue.sigma(claimed, year_of(start_ns))
@@ -217,7 +217,7 @@ def _identities(
 
 @dataclass(frozen=True)
 class InertialSamples:
-    """What such a sensor says.
+    """The attitudes of a sensor that solves for its attitude among the stars.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).

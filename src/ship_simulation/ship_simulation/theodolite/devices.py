@@ -1,4 +1,4 @@
-"""What the encoders say."""
+"""What the devices about a theodolite say: its encoders, its telescope, satellite positioning, and the drones."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ NONE, FLOAT, FIXED = 0, 3, 4
 
 @dataclass(frozen=True)
 class EncoderSamples:
-    """Readings.
+    """Readings of the two encoders.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
@@ -58,7 +58,9 @@ def read_encoders(config: Encoder, mount: MountState, time_ns: np.ndarray, seed:
 
 @dataclass(frozen=True)
 class ImageSamples:
-    """Exposures; the lights found in exposure i are those from ``first[i]`` up to ``first[i + 1]``.
+    """Exposures of the calibration telescope.
+
+    The lights found in exposure i are those from ``first[i]`` up to ``first[i + 1]``.
 
     Attributes:
         time_ns: middles of the exposures, increasing, shape (n,).
@@ -85,7 +87,7 @@ class ImageSamples:
 
 
 def expose(config: Telescope, scene: Scene, start_ns: int, duration_s: float, seed: int) -> ImageSamples:
-    """All exposures of a run, lights or none."""
+    """All exposures of a run, also those without lights."""
     time_ns = stamps(start_ns, config.rate_hz, config.phase_s, duration_s)
     t_s = (time_ns - start_ns) / SECOND_NS
     noise = random_stream(seed, "theodolite.detection").standard_normal((time_ns.size, len(scene.lights), 2))
@@ -121,13 +123,13 @@ def in_view(config: Telescope, scene: Scene, t_s: FloatArray, point_m: FloatArra
 
 @dataclass(frozen=True)
 class BaselineSamples:
-    """Solutions.
+    """Solutions of satellite positioning for the way from the ship's antenna to a drone's.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
         log_time_ns: moments of arrival, shape (n,).
         baseline_n: (North, Up, East), m, shape (n, 3); NaN with the fix NONE.
-        covariance_n: of what is new in each solution, and of the error of FLOAT, m², shape (n, 3, 3); NaN likewise.
+        covariance_n: of the error that is new in each solution and of that of FLOAT, m², shape (n, 3, 3); NaN likewise.
         fix: NONE, FLOAT or FIXED, shape (n,).
     """
 
@@ -141,7 +143,7 @@ class BaselineSamples:
 def solve_baselines(
     beacon_id: str, scene: Scene, ship_antenna: SlowError, start_ns: int, duration_s: float, seed: int
 ) -> BaselineSamples:
-    """Solutions with white noise, a slow error of their own, and that of the ship's antenna, which all share."""
+    """Solutions with white noise, with a slow error of their own, and with the error of the ship's antenna."""
     light, name = scene.lights[beacon_id], f"beacon.{beacon_id}.rtk"
     config = light.config.rtk
     time_ns = stamps(start_ns, config.rate_hz, config.phase_s, duration_s)
@@ -153,7 +155,7 @@ def solve_baselines(
     error_n = white_n + bias.at(t_s) + ship_antenna.at(t_s) + is_float[:, None] * unfixed.at(t_s)
     true_n = light.path(t_s) + scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
     variance = config.sigma_m**2 + is_float * config.float_sigma_m**2
-    # The blank of what has no solution.
+    # NaN where there is no solution.
     unsolved = ~outside(t_s, config.no_solution_times)
     blank = np.where(unsolved, np.nan, 1.0)
     arrival = random_stream(seed, name + ".arrival")
@@ -174,7 +176,7 @@ def _slow(name: str, duration_s: float, sigma_m: float, time_s: float, seed: int
 
 @dataclass(frozen=True)
 class DroneSamples:
-    """Its attitude.
+    """The attitude that a drone tells of itself.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
@@ -194,7 +196,7 @@ class DroneSamples:
 def simulate_drone_attitude(
     beacon_id: str, light: TrueLight, start_ns: int, duration_s: float, seed: int
 ) -> DroneSamples:
-    """Samples by R_true(t) = exp(e) exp(w) R_drone(t), e Gauss–Markov, until it leaves."""
+    """Samples by R_true(t) = exp(e) exp(w) R_drone(t), e Gauss–Markov, until the drone leaves."""
     config, name = light.config.imu, f"beacon.{beacon_id}.imu"
     time_ns = stamps(start_ns, config.rate_hz, config.phase_s, duration_s)
     t_s = (time_ns - start_ns) / SECOND_NS

@@ -1,4 +1,8 @@
-"""Where a drone flies, seen from the crossing of the theodolite's axes in (North, Up, East), and how it stands."""
+"""Where the drones fly, how they stand, and where the main axis looks.
+
+Places are seen from the crossing of the theodolite's axes in (North, Up, East), m. A stabilised mount holds its line
+over the ship's motion.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -46,7 +50,7 @@ def sweep_angles(programme: Programme, t_s: FloatArray) -> tuple[FloatArray, Flo
 
 
 def smooth_step(x: FloatArray) -> FloatArray:
-    """From 0 at 0 to 1 at 1 with no rate and no acceleration at either end, constant outside."""
+    """A step from 0 (at 0) to 1 (at 1), without rate and acceleration at either end, and constant outside."""
     x = np.clip(x, 0.0, 1.0)
     return x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
 
@@ -76,7 +80,7 @@ def _orbiting(orbit: Orbit, t_s: FloatArray) -> FloatArray:
 
 
 def _on_legs(waypoints: list[Waypoint], t_s: FloatArray) -> FloatArray:
-    """Straight legs with a rest at each end; before the first and after the last it stays."""
+    """Straight legs with a rest at each end; before the first waypoint and after the last the drone stays there."""
     waypoints = sorted(waypoints, key=lambda waypoint: waypoint.time_s)
     moments_s = np.array([waypoint.time_s for waypoint in waypoints])
     places = np.array([_place(w.azimuth_deg, w.elevation_deg, w.distance_m) for w in waypoints])
@@ -114,13 +118,13 @@ class Aim:
         return directions_n
 
     def _middle_of_lights(self, t_s: FloatArray) -> FloatArray:
-        """Of all drones, also of one that left before the others: the line does not jump."""
+        """Unit vectors to the middle of all drones. One that has left still counts, so that the line does not jump."""
         places = np.stack([path(t_s) for path in self.paths])
         summed = np.sum(places / np.linalg.norm(places, axis=-1, keepdims=True), axis=0)
         return summed / np.linalg.norm(summed, axis=-1, keepdims=True)
 
     def _angles_after(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The sweep, from where the lights were last."""
+        """Azimuth and elevation of the sweep that begins where the lights were last, rad."""
         left_n = self._middle_of_lights(np.array([self.gone_s]))[0]
         since_s = t_s - self.gone_s
         swept_s = np.where(since_s < _RAMP_S, 0.5 * since_s**2 / _RAMP_S, since_s - 0.5 * _RAMP_S)

@@ -26,7 +26,7 @@ from ship_simulation.theodolite.scene import MountState, Scene, draw_scene
 
 @dataclass(frozen=True)
 class PointingTruth:
-    """What the theodolite's devices should have said.
+    """What the theodolite's devices would have said without their errors.
 
     Attributes:
         encoder_index: the encoder samples at whose stamps the truth is given: each first one of a tenth of a second,

@@ -1,4 +1,7 @@
-"""What is true of the theodolite and of the drones: drawn once about what the scenario says is known."""
+"""The theodolite and the lights as they truly are at any moment.
+
+Their constants are drawn once a run about what the scenario says is known. What the devices say is made from this.
+"""
 
 from dataclasses import dataclass
 
@@ -36,7 +39,7 @@ class TrueTheodolite:
 
 
 def draw_theodolite(config: Theodolite, seed: int) -> TrueTheodolite:
-    """Known values, each with an error of its sigma."""
+    """The constants as known, each with an error of its sigma put on."""
     telescope = config.telescope
     known, sigma = parallelism_of(telescope)
     focal_error = random_stream(seed, "theodolite.focal_length").standard_normal()
@@ -90,8 +93,8 @@ class TrueLight:
         config: its part of the scenario.
         path: of its antenna, from the crossing of the theodolite's axes.
         attitude: of the drone (nose, up, right).
-        lever_b: from its antenna to its light, m, shape (3,).
-        refraction: what k differs by on the way to it, one process.
+        lever_b: from its antenna to its light, in its own axes, m, shape (3,).
+        refraction: difference of k on the way to this light, one process.
     """
 
     config: Beacon
@@ -101,7 +104,7 @@ class TrueLight:
     refraction: SlowError
 
     def shows(self, t_s: FloatArray) -> np.ndarray:
-        """Whether it is there and not hidden, shape (k,)."""
+        """Whether the light is there and not hidden, shape (k,)."""
         return (t_s < self.config.leaves_s) & outside(t_s, self.config.hidden)
 
 
@@ -126,7 +129,7 @@ class MountState:
 
 @dataclass(frozen=True)
 class Scene:
-    """All that is true.
+    """All that is true of theodolite, lights and air in one run.
 
     Attributes:
         carrier: motion of the ship.
@@ -150,7 +153,7 @@ class Scene:
         """The mount at moments of shape (k,).
 
         Raises:
-            BadInput: it would have to look where its axes do not reach.
+            BadInput: the theodolite would have to look where its axes do not reach.
         """
         rotation_nd = self.carrier.attitude(t_s)
         deformation_d = self.deformation.at(t_s)
