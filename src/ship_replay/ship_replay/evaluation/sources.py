@@ -269,7 +269,7 @@ def sources(
 
 
 def _total_covariance_n(message: Any, azimuth: float, elevation: float) -> FloatArray:
-    """Covariance of the rotation vector (North, Up, East), rad²; from that of the angles where nothing else is given."""
+    """Covariance of the rotation vector (North, Up, East), rad²; from that of the angles where no other is given."""
     rotation_covariance = message.rotation_covariance.reshape(3, 3)
     if rotation_covariance.any():
         return horizon_covariance(rotation_covariance)
