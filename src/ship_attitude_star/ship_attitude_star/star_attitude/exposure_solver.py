@@ -14,12 +14,13 @@ from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.fit import SightedStars, square_roots
 from ship_attitude_star.stars.identification import visible_stars
 from ship_attitude_star.stars.selection import AttitudePrior
-from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_stars
+from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_in_doubt_alone
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import FloatArray
 
 _SAME_FRAME: FloatArray = np.eye(3)
 _EXACT: FloatArray = np.zeros((3, 3))
+_AGAINST_INS = "the stars agree with one another, but not with ins/imu"
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ def solve_exposure(
     exposure, stars, invisible = visible
     if invisible:
         refused += tuple(RefusedStar(source, time_ns, name, refusal) for name, refusal in invisible)
-    solution, text = _solved(stars, prior)
+    solution, against_prior = solve_in_doubt_alone(stars, prior)
     if turn_variance > 0.0:
         solution = solution.with_more_noise(turn_variance)
     placed = PlacedExposure(source, time_ns, exposure, stars, refused, turn_variance)
@@ -155,7 +156,7 @@ def solve_exposure(
         refused += tuple(_rejected(solution, [Mounted(placed, _SAME_FRAME, _EXACT)]))
         placed = replace(placed, refused=refused)
     sources = (source,) if solution.status is not SolutionStatus.INVALID else ()
-    return placed, Solved(sensor_id, time_ns, solution, refused, sources, text)
+    return placed, Solved(sensor_id, time_ns, solution, refused, sources, _AGAINST_INS if against_prior else "")
 
 
 def solve_deck(
@@ -173,7 +174,7 @@ def solve_deck(
     if not seeing:
         refusal = Refusal(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
         return Solved(JOINT, time_ns, no_attitude(np.zeros(0, dtype=bool), refusal), (), ())
-    solution, text = _solved(_in_deck(seeing, sensors), prior)
+    solution, against_prior = solve_in_doubt_alone(_in_deck(seeing, sensors), prior)
     rejected = _rejected(solution, seeing)
     known = {(star.source, star.name) for mounted in group for star in mounted.placed.refused} if rejected else set()
     refused = tuple(star for star in rejected if (star.source, star.name) not in known)
@@ -181,18 +182,7 @@ def solve_deck(
     if solution.status is not SolutionStatus.INVALID:
         members, rows = solution.members.tolist(), _rows(seeing)
         sources = tuple(m.placed.source for m, own in zip(seeing, rows, strict=True) if any(members[own]))
-    return Solved(JOINT, time_ns, solution, refused, sources, text)
-
-
-def _solved(stars: SightedStars, prior: AttitudePrior | None) -> tuple[StarSolution, str]:
-    """The solution, and a text for people where the stars agree with one another but not with the prior."""
-    solution = solve_stars(stars, prior)
-    if prior is None or solution.status is not SolutionStatus.INVALID:
-        return solution, ""
-    alone = solve_stars(stars)
-    if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
-        return solution, ""
-    return alone, "the stars agree with one another, but not with ins/imu"
+    return Solved(JOINT, time_ns, solution, refused, sources, _AGAINST_INS if against_prior else "")
 
 
 def _in_deck(group: Sequence[Mounted], sensors: dict[str, ObservingSensorConfig]) -> SightedStars:

@@ -1,12 +1,14 @@
-"""How well stars agree with one attitude once all that they share is allowed for.
+"""How well stars agree with one attitude, when the errors that they share may take any probable value.
 
-At an attitude R_nb the displacement of star i is linear in small unknowns (models.md §2, §3):
+The frame b is the frame in which the stars were measured: the deck, or the frame of one sensor. Star i was measured in
+the direction u_i (frame b), and stands in the sky in the direction v_i (horizon frame n). At an attitude R_nb near the
+truth its displacement d_i is linear in small unknowns (models.md §2, §3):
 
     d_i = v_i - R u_i = δ × v_i + (R m_s) × v_i - G_i z + noise
 
-with δ the error of the attitude, m_s the mounting error of the star's sensor, z the errors that all stars share
-(refraction, Earth rotation, position) and G_i what one sigma of each does. m and z are written as numbers of standard
-deviation 1, so their prior information is the identity.
+δ is the error of the attitude, and m_s the mounting error of the star's sensor. z are the errors that all stars share
+(refraction, Earth rotation, position), and G_i is the displacement of the star by one sigma of each of them. The
+unknowns m and z are counted in their standard deviations, so that their prior information is the identity.
 """
 
 from dataclasses import dataclass
@@ -20,18 +22,21 @@ from scipy.special import chdtrc
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, exp_rotation, skew
 
+ATTITUDE = slice(0, 3)
+"""Columns of δ among the unknowns; the columns of mounting errors come next, those of shared errors last."""
+
 
 @dataclass(frozen=True)
 class SightedStars:
-    """Identified stars of one moment, of one sensor or of several, in one frame b: the deck, or the sensor's own.
+    """Identified stars of one moment in one frame b: of one sensor in its own frame, or of several in the deck's.
 
     Attributes:
         measured_b: unit vectors, shape (k, 3).
-        reference_n: where the stars are seen, refraction included, unit vectors in the horizon frame, shape (k, 3).
+        reference_n: where the stars stand in the sky, with refraction, unit vectors in the horizon frame, shape (k, 3).
         sigma: error of a measured direction, rad per axis, shape (k,).
         position_sigma: error of the catalogue's position, rad per axis, shape (k,).
         shared_n: displacement of the reference by one sigma of each shared error, rad, shape (k, 3, n_shared).
-        sensor: which sensor saw it, shape (k,).
+        sensor: index of the sensor that saw the star, shape (k,).
         mounting_b: turn of each sensor by one sigma of each of three independent errors of its mounting, rotation
             vectors in b as columns, rad, shape (n_sensors, 3, 3); (0, 3, 3) where b is the frame of the one sensor.
         smear_b: what the motion during the exposure adds to the error of a measured direction, covariance in b, rad²,
@@ -49,12 +54,12 @@ class SightedStars:
 
     @cached_property
     def white_sigma(self) -> FloatArray:
-        """What differs from star to star: centroid and catalogue, rad per axis, shape (k,)."""
+        """Standard deviation of what differs from star to star, centroid and catalogue, rad per axis, shape (k,)."""
         return np.hypot(self.sigma, self.position_sigma)
 
     @property
     def worst_sigma(self) -> FloatArray:
-        """The same along the streak, where there is one, rad, shape (k,)."""
+        """Upper bound of the standard deviation of the same in any direction, streaks included, rad, shape (k,)."""
         if self.smear_b is None:
             return self.white_sigma
         return np.sqrt(self.white_sigma**2 + np.trace(self.smear_b, axis1=-2, axis2=-1))
@@ -68,10 +73,10 @@ class StarFit:
     """All stars linearised at one attitude.
 
     Attributes:
-        jacobian: of the displacements, each divided by its sigma, shape (k, 3, q); the first three columns are δ.
-        displacement: v - R u, divided by the sigma, shape (k, 3); of a streak, by another sigma along than across.
+        jacobian: derivative of the displacements by the q unknowns, divided by the star's sigma, shape (k, 3, q).
+        displacement: v - R u, divided by the star's sigma, shape (k, 3); along a streak that sigma is larger.
         residual_n: v - R u, rad, shape (k, 3).
-        open: how many of the unknowns nothing is known of beforehand: the first three, δ, or none.
+        open: number of unknowns without any prior: 3 (δ), or 0 after :meth:`with_prior`.
     """
 
     jacobian: FloatArray
@@ -80,18 +85,18 @@ class StarFit:
     open: int = 3
 
     def with_prior(self, covariance_n: FloatArray) -> "StarFit":
-        """The same where the attitude was predicted without these stars.
+        """The same fit where the attitude was predicted without these stars.
 
         Args:
-            covariance_n: of the prediction's δ, rad², shape (3, 3); singular where it is sure of something.
+            covariance_n: of the prediction's error δ, rad², shape (3, 3); singular where a turn is known exactly.
         """
         jacobian = self.jacobian.copy()
-        # δ too is then written as numbers of standard deviation 1.
-        jacobian[:, :, :3] = jacobian[:, :, :3] @ square_roots(covariance_n)
+        # δ is then counted in standard deviations, as the other unknowns are.
+        jacobian[:, :, ATTITUDE] = jacobian[:, :, ATTITUDE] @ square_roots(covariance_n)
         return StarFit(jacobian, self.displacement, self.residual_n, open=0)
 
     def normal_equations(self, members: NDArray[np.bool_] | None = None) -> tuple[FloatArray, FloatArray]:
-        """Information of the members without priors, (q, q), and its right side, (q,)."""
+        """Information of the members (all stars where none are named) without priors, (q, q), and right side, (q,)."""
         jacobian, displacement = self.jacobian, self.displacement
         if members is not None:
             jacobian, displacement = jacobian[members], displacement[members]
@@ -99,7 +104,11 @@ class StarFit:
         return rows.T @ rows, displacement.ravel() @ rows
 
     def judge(self, members: NDArray[np.bool_] | None = None) -> "StarJudgement":
-        """Could these stars, all or the members, be seen like this?"""
+        """The most likely unknowns by the members (all stars where none are named), and what they leave over.
+
+        Raises:
+            numpy.linalg.LinAlgError: the members leave the attitude open.
+        """
         information, right_side = self.normal_equations(members)
         displacement = self.displacement if members is None else self.displacement[members]
         constrained = information.copy()
@@ -114,24 +123,27 @@ class StarFit:
         return StarJudgement(information, constrained, solution, chi_square, degrees)
 
     def gain_by_leaving_out(self, judgement: "StarJudgement", members: NDArray[np.bool_]) -> FloatArray:
-        """By how much chi² falls without each of the members (chi² with two degrees of freedom), shape (n_members,)."""
+        """By how much chi² falls when one of the members is left out, for each of them, shape (n_members,).
+
+        Each value is distributed as chi² with two degrees of freedom where all members are what they are taken for.
+        """
         jacobian = self.jacobian[members]
         left = self.displacement[members] - jacobian @ judgement.solution
         leverage = jacobian @ np.linalg.inv(judgement.constrained) @ np.swapaxes(jacobian, -1, -2)
-        # Along the line of sight there is no displacement: there the matrix is the identity and adds nothing.
+        # Along the line of sight there is no displacement. There the matrix is the identity and adds nothing.
         return np.einsum("ki,ki->k", left, np.linalg.solve(np.eye(3) - leverage, left[..., None])[..., 0])
 
 
 @dataclass(frozen=True)
 class StarJudgement:
-    """What the best values of all unknowns leave over.
+    """The most likely unknowns of some stars, and what they leave over.
 
     Attributes:
         information: of all unknowns by the stars alone, shape (q, q).
-        constrained: the same with the priors.
+        constrained: the same with the priors, shape (q, q).
         solution: most likely values of the unknowns, shape (q,).
-        chi_square: what is left.
-        degrees: of freedom of it.
+        chi_square: squares of the displacements that the solution leaves over, and of the solution against its priors.
+        degrees: degrees of freedom of ``chi_square``.
     """
 
     information: FloatArray
@@ -142,27 +154,29 @@ class StarJudgement:
 
     @property
     def probability(self) -> float:
-        """Of a chi² as large by chance; 1 where nothing is left to disagree, NaN where chi² is."""
+        """Probability of a chi² at least as large by chance; 1 without degrees of freedom, NaN where chi² is NaN."""
         if self.degrees <= 0 and np.isfinite(self.chi_square):
             return 1.0
         return float(chdtrc(max(self.degrees, 1), np.maximum(self.chi_square, 0.0)))
 
 
 def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
-    """The stars at an attitude, shape (3, 3), no farther from the truth than a degree."""
+    """The stars linearised at an attitude (horizon from b), shape (3, 3), within a degree of the truth."""
     count, sensors, shared = len(stars), len(stars.mounting_b), stars.shared_n.shape[-1]
+    mounting_columns = slice(ATTITUDE.stop, ATTITUDE.stop + 3 * sensors)
+    shared_columns = slice(mounting_columns.stop, mounting_columns.stop + shared)
     per_sigma = 1.0 / stars.white_sigma[:, None]
     # δ × v per sigma, column by column of δ.
     about_star = -skew(stars.reference_n * per_sigma)
-    jacobian = np.zeros((count, 3, 3 + 3 * sensors + shared))
-    jacobian[:, :, :3] = about_star
+    jacobian = np.zeros((count, 3, shared_columns.stop))
+    jacobian[:, :, ATTITUDE] = about_star
     if sensors:
         mounting_n = rotation_nb @ stars.mounting_b
         turned = about_star @ mounting_n[stars.sensor]
         own = stars.sensor[:, None] == np.arange(sensors)
-        blocks = jacobian[:, :, 3 : 3 + 3 * sensors].reshape(count, 3, sensors, 3)
+        blocks = jacobian[:, :, mounting_columns].reshape(count, 3, sensors, 3)
         np.multiply(turned[:, :, None, :], own[:, None, :, None], out=blocks)
-    np.multiply(stars.shared_n, -per_sigma[..., None], out=jacobian[:, :, 3 + 3 * sensors :])
+    np.multiply(stars.shared_n, -per_sigma[..., None], out=jacobian[:, :, shared_columns])
     residual_n = stars.reference_n - stars.measured_b @ rotation_nb.T
     displacement = residual_n * per_sigma
     if stars.smear_b is not None:
@@ -178,10 +192,10 @@ class Agreement:
     """The attitude that some of the stars give, and how well they agree with it.
 
     Attributes:
-        rotation_nb: horizon from b, by Wahba's problem, shape (3, 3); most likely where stars are streaks, too.
+        rotation_nb: horizon from b, shape (3, 3): the solution of Wahba's problem, corrected where stars are streaks.
         white_covariance_n: of its error by what differs from star to star, rad², shape (3, 3).
-        fit: all stars, linearised there.
-        judgement: of the stars that gave it.
+        fit: all stars, linearised at that attitude.
+        judgement: of the stars that gave the attitude.
     """
 
     rotation_nb: FloatArray
@@ -191,7 +205,7 @@ class Agreement:
 
 
 def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> Agreement | None:
-    """What the members say, all stars where none are named; None where they leave the attitude open."""
+    """The attitude by the members, all stars where none are named; None where they leave the attitude open."""
     sigma = stars.white_sigma if members is None else np.where(members, stars.white_sigma, np.inf)
     solution = wahba.solve(stars.reference_n, stars.measured_b, sigma)
     if not solution.solved:
@@ -199,10 +213,10 @@ def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> 
     fit = linearized(stars, solution.rotation_nd)
     if stars.smear_b is None:
         return Agreement(solution.rotation_nd, solution.covariance_n, fit, fit.judge(members))
-    # Wahba's problem knows one sigma for each star. From its solution one step leads to the best attitude.
+    # Wahba's problem has one sigma a star, also along a streak. From its solution one step leads to the best attitude.
     information, right_side = fit.normal_equations(members)
-    covariance_n: FloatArray = np.asarray(np.linalg.inv(information[:3, :3]), dtype=float)
-    rotation_nb = exp_rotation(covariance_n @ right_side[:3]) @ solution.rotation_nd
+    covariance_n: FloatArray = np.asarray(np.linalg.inv(information[ATTITUDE, ATTITUDE]), dtype=float)
+    rotation_nb = exp_rotation(covariance_n @ right_side[ATTITUDE]) @ solution.rotation_nd
     fit = linearized(stars, rotation_nb)
     return Agreement(rotation_nb, covariance_n, fit, fit.judge(members))
 

@@ -1,9 +1,11 @@
-"""Which stars are what they are taken for: consensus of many, without or with an attitude known beforehand.
+"""The choice of stars that are what they are taken for, by the attitude on which most of them agree.
 
-The rule of models.md §2. Trial attitudes, from pairs of stars whose angle fits or from single stars that turn the
-prior; members of a trial by Mahalanobis² < 16; the worst one dropped while p < 1e-3; accepted with p > 1e-6 and more
-members than any rival. Without a prior three stars are the least that can be verified: two with swapped identities are
-always consistent with themselves.
+The rule is that of models.md §2. A trial is a possible attitude: one that a pair of stars gives whose angle fits, or,
+where an attitude is known beforehand (the prior), one that a single star gives by turning the prior. All stars with
+Mahalanobis² < 16 are members of the trial. The worst member is dropped as long as the members agree with a probability
+below 1e-3. A trial is accepted where its members agree with a probability above 1e-6 and are more than those of any
+rival. Without a prior at least three stars are needed to verify one another: two stars whose identities are swapped
+agree with each other in any case.
 """
 
 from dataclasses import dataclass
@@ -16,11 +18,17 @@ from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, angle_between, skew
 
 MEMBER_DISTANCE = 16.0
-"""Mahalanobis² (two degrees of freedom) up to which a star belongs to a trial."""
+"""Mahalanobis² (two degrees of freedom) up to which a star is a member of a trial."""
+
 DROP_PROBABILITY, ACCEPT_PROBABILITY = 1e-3, 1e-6
+"""The worst member is dropped below the first probability, and the last members are accepted above the second."""
+
 FEWEST_VERIFIED = 3
+"""Number of stars that verify one another without a prior."""
+
 CLEARLY_BETTER = 13.8
-"""By so much less chi² (two degrees of freedom, 1 in 1000) one of two explanations is clearly better than the other."""
+"""Difference of chi² by which one of two explanations is clearly better (two degrees of freedom, 1 in 1000)."""
+
 _TRIALS_REFINED = 3
 
 BoolArray = NDArray[np.bool_]
@@ -28,11 +36,11 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class AttitudePrior:
-    """An attitude known without these stars.
+    """An attitude that is known without these stars.
 
     Attributes:
         rotation_nb: horizon from b, shape (3, 3).
-        covariance_n: of its rotation vector in the horizon frame, rad², shape (3, 3); zero where it is exact.
+        covariance_n: of its error, rotation vector in the horizon frame, rad², shape (3, 3); zero where it is exact.
     """
 
     rotation_nb: FloatArray
@@ -41,11 +49,11 @@ class AttitudePrior:
 
 @dataclass(frozen=True)
 class Trial:
-    """A possible choice.
+    """The stars that agree on one possible attitude.
 
     Attributes:
-        members: which stars, shape (k,).
-        count: how many.
+        members: True for each of these stars, shape (k,).
+        count: number of these stars.
     """
 
     members: BoolArray
@@ -57,8 +65,8 @@ class Choice:
     """The stars that belong together.
 
     Attributes:
-        members: shape (k,); none where no set is larger than its rivals.
-        agreement: the attitude that they give, where it has been found on the way.
+        members: True for each of these stars, shape (k,); nowhere where no set is larger than its rivals.
+        agreement: the attitude that they give; None where the choice did not need it.
     """
 
     members: BoolArray
@@ -70,7 +78,8 @@ def select(stars: SightedStars, prior: AttitudePrior | None = None) -> Choice:
 
     Args:
         stars: all that were seen and have a place in the sky.
-        prior: chooses among sets and lets one star do; it has no part in what becomes of the stars.
+        prior: helps to choose among sets, and lets one star suffice. It does not enter the attitude that the chosen
+            stars give.
     """
     if prior is None:
         return _select_alone(stars)
@@ -95,7 +104,7 @@ def _select_alone(stars: SightedStars) -> Choice:
 
 
 def _refined_alone(stars: SightedStars, members: BoolArray) -> BoolArray:
-    """Members without those that do not fit the rest; none where even the rest does not."""
+    """The members without those that do not fit the rest; none where the rest does not agree either."""
     while np.count_nonzero(members) >= 2:
         refined = agreement(stars, members)
         if refined is None:
@@ -109,7 +118,11 @@ def _refined_alone(stars: SightedStars, members: BoolArray) -> BoolArray:
 
 
 def _unambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
-    """Members without those that a star left out could stand in for: which of the two is right nobody can say."""
+    """The members without the ambiguous ones.
+
+    A member is ambiguous where a star left out explains the rest as well as it does: which of the two is right cannot
+    be told.
+    """
     limit = fit.judge(members).chi_square + CLEARLY_BETTER
     kept = members.copy()
     for outsider in np.flatnonzero(~members):
@@ -117,19 +130,22 @@ def _unambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
         both[outsider] = True
         judgement = fit.judge(both)
         without_one = judgement.chi_square - fit.gain_by_leaving_out(judgement, both)
-        # Written so that NaN, which nobody can judge, leaves no star in.
+        # Written so that NaN leaves no star in.
         kept[np.flatnonzero(both)[~(without_one >= limit)]] = False
     return kept
 
 
 def _has_rival(trials: list[Trial], members: BoolArray, shared: int) -> bool:
-    """Whether another set is as large. One with ``shared`` stars in common is no other: it has the same attitude."""
+    """Whether a trial of another attitude has as many members.
+
+    Two sets with ``shared`` stars in common have the same attitude: that trial is no rival.
+    """
     count = np.count_nonzero(members)
     return any(trial.count >= count and np.count_nonzero(trial.members & members) < shared for trial in trials)
 
 
 def _pair_trials(stars: SightedStars) -> list[Trial]:
-    """Trial attitudes from all pairs of stars whose angle fits, the largest sets first."""
+    """Trials by all pairs of stars whose angle in the sky is the measured one, those with most members first."""
     first, second = np.triu_indices(len(stars), 1)
     seen = angle_between(stars.measured_b[first], stars.measured_b[second])
     expected = angle_between(stars.reference_n[first], stars.reference_n[second])
@@ -151,14 +167,14 @@ def _pair_trials(stars: SightedStars) -> list[Trial]:
         own = own + turned_basis @ stars.smear_b @ np.swapaxes(turned_basis, -1, -2)
     covariance += own
     members = distance(left, covariance) < MEMBER_DISTANCE
-    # The two stars of the trial belong to it, and only one side of the sphere does.
+    # A star on the other side of the sphere is no member. The two stars that make the trial always are.
     members &= np.einsum("tkj,kj->tk", displacement, stars.reference_n) < 0.5
     members[np.arange(len(pairs))[:, None], pairs] = True
     return _by_size(members, np.trace(covariance_n, axis1=-2, axis2=-1))
 
 
 def _common_variance(stars: SightedStars) -> FloatArray:
-    """What mounting and shared errors add to a star's direction, mean of both axes, rad², shape (k,)."""
+    """Variance that mounting and shared errors add to a star's direction, mean of both axes, rad², shape (k,)."""
     variance = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
     if len(stars.mounting_b):
         about_star = skew(stars.measured_b)
@@ -183,6 +199,7 @@ def _select_by_prior(stars: SightedStars, prior: AttitudePrior) -> BoolArray:
 
 
 def _refined_by_prior(fit: StarFit, members: BoolArray) -> BoolArray:
+    """The members without those that do not fit the rest and the prior; none where no member fits the prior."""
     while members.any():
         judgement = fit.judge(members)
         if judgement.probability >= DROP_PROBABILITY:
@@ -194,14 +211,14 @@ def _refined_by_prior(fit: StarFit, members: BoolArray) -> BoolArray:
 
 
 def _without_worst(fit: StarFit, judgement: StarJudgement, members: BoolArray) -> BoolArray:
-    """Members without the one whose absence explains most of the misfit."""
+    """The members without the one that explains most of the misfit."""
     kept = members.copy()
     kept[np.flatnonzero(members)[np.argmax(fit.gain_by_leaving_out(judgement, members))]] = False
     return kept
 
 
 def _single_trials(stars: SightedStars, fit: StarFit) -> list[Trial]:
-    """What the other stars say once the prior was turned to one of them, the largest sets first."""
+    """Trials by single stars, those with most members first: a star turns the prior, and others agree with the turn."""
     basis = across(stars.reference_n)
     left = np.einsum("kij,kj->ki", basis, fit.displacement)
     rows = basis @ fit.jacobian
@@ -221,19 +238,19 @@ def _single_trials(stars: SightedStars, fit: StarFit) -> list[Trial]:
 
 
 def _by_size(members: BoolArray, spread: FloatArray) -> list[Trial]:
-    """Trials with most members first; of as many, those whose attitude is better known."""
+    """Trials with most members first; among equals, those with the smaller spread of the attitude first."""
     counts = np.count_nonzero(members, axis=-1)
     return [Trial(members[row], int(counts[row])) for row in np.lexsort((spread, -counts)).tolist()]
 
 
 def distance(left: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Mahalanobis² of (..., 2) under (..., 2, 2)."""
+    """Mahalanobis² of residuals, shape (..., 2), under their covariances, shape (..., 2, 2)."""
     return np.einsum("...i,...i->...", left, np.linalg.solve(covariance, left[..., None])[..., 0])
 
 
 def across(direction: FloatArray) -> FloatArray:
-    """Two unit vectors across each direction, shape (k, 2, 3)."""
-    # Beside the axis that the direction is farthest from, so that no direction is special.
+    """Two unit vectors across each direction (any frame, shape (k, 3)), shape (k, 2, 3)."""
+    # The axis farthest from the direction defines the first one, so that no direction is special.
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
     first = np.cross(direction, axis)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)

@@ -1,7 +1,8 @@
-"""Attitude from all stars of all sensors: Wahba's problem, with a covariance in which every error is accounted for.
+"""The attitude from all stars of all sensors, with a covariance in which every error is accounted for.
 
-[P15] (13)-(16) gives the attitude. Its error is linear in the errors of :mod:`ship_attitude_star.stars.fit`, and one
-set of normal equations holds the sensitivity to each: star noise averages, the others are common and do not.
+[P15] (13)-(16) gives the attitude as the solution of Wahba's problem. Its error is linear in the errors of
+:mod:`ship_attitude_star.stars.fit`, and one set of normal equations holds its sensitivity to each of them. The noise of
+the stars averages; the other errors are common to all stars, and do not.
 """
 
 import enum
@@ -11,25 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_watch import SHARED_TERMS
-from ship_attitude_star.stars.fit import Agreement, SightedStars, agreement
+from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agreement
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, AttitudePrior, select
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 SOLUTION_TERMS = ("star_noise", "installation", "refraction", "earth_rotation", "ship_position", "catalogue")
-"""Error sources of :attr:`StarSolution.parts_n`, in order; only the first is independent from epoch to epoch."""
+"""Error sources of :attr:`StarSolution.parts_n`, in order. Only star_noise is independent from epoch to epoch."""
 
-
+_STAR_NOISE, _INSTALLATION, _CATALOGUE = (
+    SOLUTION_TERMS.index(term) for term in ("star_noise", "installation", "catalogue")
+)
 _SHARED_COLUMNS = {
     index: slice(SHARED_TERMS.index(term), SHARED_TERMS.index(term) + SHARED_TERMS.count(term))
     for index, term in enumerate(SOLUTION_TERMS)
     if term in SHARED_TERMS
 }
-"""Which columns of the shared errors belong to a term."""
-
+"""By index of a term, its columns among the shared errors."""
 
 _SINGULAR_UP = float(np.sin(SINGULAR_ELEVATION))
+"""Up component of the forward axis from which on azimuth and roll cannot be told from one another."""
 
 
 class SolutionStatus(enum.IntEnum):
@@ -43,14 +46,14 @@ class SolutionStatus(enum.IntEnum):
 
 @dataclass(frozen=True)
 class StarSolution:
-    """An attitude from stars.
+    """An attitude from k stars.
 
     Attributes:
         status: INVALID where there is none.
-        refusal: why it is INVALID.
+        refusal: why it is INVALID; None where it is not.
         rotation_nb: horizon from b, shape (3, 3); NaN where INVALID.
         parts_n: covariance by SOLUTION_TERMS, rotation vector in the horizon frame, rad², shape (6, 3, 3).
-        members: stars used, shape (k,).
+        members: True for each star used, shape (k,).
         residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN where INVALID.
         rejected: by row, stars that were not used because they are not what they were taken for.
     """
@@ -65,20 +68,20 @@ class StarSolution:
 
     @property
     def covariance_n(self) -> FloatArray:
-        """Of the total error, rad², shape (3, 3)."""
+        """Covariance of the total error, rotation vector in the horizon frame, rad², shape (3, 3)."""
         total: FloatArray = self.parts_n.sum(axis=0)
         return total
 
     @property
     def noise_n(self) -> FloatArray:
-        """Of the part that is independent from epoch to epoch, rad², shape (3, 3)."""
-        noise: FloatArray = self.parts_n[0]
+        """Covariance of the part that is independent from epoch to epoch, rad², shape (3, 3)."""
+        noise: FloatArray = self.parts_n[_STAR_NOISE]
         return noise
 
     def with_more_noise(self, variance: float) -> "StarSolution":
-        """The same attitude with a further error that turns all directions alike, new each time, each axis, rad²."""
+        """The same attitude with a further error, new at each epoch, of this variance about each axis, rad²."""
         parts_n = self.parts_n.copy()
-        parts_n[0] += variance * np.eye(3)
+        parts_n[_STAR_NOISE] += variance * np.eye(3)
         return replace(self, parts_n=parts_n)
 
     @property
@@ -94,11 +97,11 @@ class StarSolution:
 
 
 def solve_stars(stars: SightedStars, prior: AttitudePrior | None = None) -> StarSolution:
-    """The attitude of frame b, its covariance by source, and the stars that do not belong.
+    """The attitude of frame b (horizon from b), its covariance by source, and the stars that do not belong to it.
 
     Args:
         stars: all that were seen and have a place in the sky.
-        prior: helps to choose the stars and lets two of them count as verified; it does not enter the attitude.
+        prior: helps to choose the stars, and verifies them where they are only two. It does not enter the attitude.
     """
     choice = select(stars, prior)
     members = choice.members
@@ -123,6 +126,25 @@ def solve_stars(stars: SightedStars, prior: AttitudePrior | None = None) -> Star
     )
 
 
+def solve_in_doubt_alone(stars: SightedStars, prior: AttitudePrior | None) -> tuple[StarSolution, bool]:
+    """The solution with the help of the prior; where the stars contradict the prior, the solution by the stars alone.
+
+    Args:
+        stars: all that were seen and have a place in the sky.
+        prior: as for :func:`solve_stars`.
+
+    Returns:
+        The solution, and True where the stars verify one another but contradict the prior.
+    """
+    solution = solve_stars(stars, prior)
+    if prior is None or solution.status is not SolutionStatus.INVALID:
+        return solution, False
+    alone = solve_stars(stars)
+    if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
+        return solution, False
+    return alone, True
+
+
 def _open_turn(count: int) -> str:
     if count < 2:
         return "no star" if count == 0 else "one star: the turn about it stays open"
@@ -132,25 +154,27 @@ def _open_turn(count: int) -> str:
 def _status(count: int, prior: AttitudePrior | None, rotation_nb: FloatArray) -> SolutionStatus:
     if prior is None and count < FEWEST_VERIFIED:
         return SolutionStatus.UNVERIFIED
-    singular = abs(rotation_nb[1, 0]) > _SINGULAR_UP
+    forward_n = rotation_nb[:, 0]
+    singular = abs(forward_n[1]) > _SINGULAR_UP
     return SolutionStatus.ANGLES_SINGULAR if singular else SolutionStatus.VALID
 
 
 def _parts(stars: SightedStars, found: Agreement, members: NDArray[np.bool_]) -> FloatArray:
     """Covariance of the attitude by SOLUTION_TERMS, shape (6, 3, 3)."""
-    # The attitude is weighted by the white errors alone: this is what one sigma of each other error does to it.
-    by_sigma = found.white_covariance_n @ found.judgement.information[:3, 3:]
+    # The stars are weighted by their white errors alone. These columns are the turns of the attitude by one sigma of
+    # each other error.
+    by_sigma = found.white_covariance_n @ found.judgement.information[ATTITUDE, ATTITUDE.stop :]
     mounting = by_sigma[:, : -len(SHARED_TERMS)]
     shared = by_sigma[:, -len(SHARED_TERMS) :]
     parts = np.empty((len(SOLUTION_TERMS), 3, 3))
-    parts[1] = mounting @ mounting.T
+    parts[_INSTALLATION] = mounting @ mounting.T
     for index, columns in _SHARED_COLUMNS.items():
         parts[index] = shared[:, columns] @ shared[:, columns].T
     share = stars.position_sigma / stars.white_sigma
     share[~members] = 0.0
-    by_catalogue = (found.fit.jacobian[:, :, :3] * share[:, None, None]).reshape(-1, 3) @ found.white_covariance_n
-    parts[5] = by_catalogue.T @ by_catalogue
-    parts[0] = found.white_covariance_n - parts[5]
+    by_catalogue = (found.fit.jacobian[:, :, ATTITUDE] * share[:, None, None]).reshape(-1, 3) @ found.white_covariance_n
+    parts[_CATALOGUE] = by_catalogue.T @ by_catalogue
+    parts[_STAR_NOISE] = found.white_covariance_n - parts[_CATALOGUE]
     return parts
 
 
@@ -171,8 +195,8 @@ def no_attitude(members: NDArray[np.bool_], refusal: Refusal) -> StarSolution:
     """An INVALID solution.
 
     Args:
-        members: stars that belong together all the same, shape (k,).
-        refusal: why it is none.
+        members: True for each star that belongs to the others all the same, shape (k,).
+        refusal: why there is no attitude.
     """
     unknown = np.full((3, 3), np.nan)
     return StarSolution(
