@@ -200,7 +200,7 @@ class InsGuard:
             return None
         reach_rad = _FASTEST_RAD_PER_S * _seconds(previous.sample, sample)
         # 0.75 of the chord between two matrices is more than the turn: good samples need no logarithm.
-        chord = size((sample.rotation_nd - previous.sample.rotation_nd).ravel())
+        chord = math.hypot(*(sample.rotation_nd - previous.sample.rotation_nd).ravel().tolist())
         if not (0.75 * chord <= reach_rad <= 1.0 or self._match_by_time(previous.sample, sample).fits):
             self._rates.restart()
             return None

@@ -131,8 +131,8 @@ class RateGuard:
             self._start = None
             self._integrated = Integrated(rotation, run + 1, 0.0)
         else:
-            rotation = rotation.dot(exp_rotation((last[1] + rate_d) * ((time_ns - last[0]) * 0.5e-9)))
             missed_rad += missed_by_mean_rad(last[1], rate_d, (time_ns - last[0]) * 1e-9)
+            rotation = rotation.dot(exp_rotation((last[1] + rate_d) * ((time_ns - last[0]) * 0.5e-9)))
             self._integrated = Integrated(rotation, run, missed_rad)
         return self._integrated
 
@@ -237,6 +237,7 @@ def missed_by_mean_rad(first_rate_d: FloatArray, second_rate_d: FloatArray, seco
     >>> missed_by_mean_rad(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 0.1]), seconds=0.0)
     0.0
     """
-    change, mean = size(second_rate_d - first_rate_d), 0.5 * size(second_rate_d + first_rate_d)
+    change = math.hypot(*(second_rate_d - first_rate_d).tolist())
+    mean = 0.5 * math.hypot(*(second_rate_d + first_rate_d).tolist())
     share = (2.0 * math.pi * seconds / _SHORTEST_PERIOD_S) ** 2 / 12.0
     return seconds * (_CHANGE_SHARE * change + share * mean)

@@ -241,6 +241,9 @@ class Continuation:
     Args:
         sigma_rad: noise of a value about its worst axis.
 
+    Attributes:
+        typical_rad: root mean square of the differences met so far, one sample apart; zero before there are enough.
+
     >>> next_sample = Step(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
     >>> match = Continuation(sigma_rad=ARCSEC).match(np.array([0.0, 0.001, 0.0]), next_sample)
     >>> match.fits, round(match.bound_rad, 5)
@@ -253,13 +256,8 @@ class Continuation:
 
     def forget(self) -> None:
         """Learn the differences anew."""
-        self._mean_square = 0.0
+        self.typical_rad = self._mean_square = 0.0
         self._count = 0
-
-    @property
-    def typical_rad(self) -> float:
-        """Root mean square of the differences met so far, one sample apart; zero before there are enough."""
-        return math.sqrt(self._mean_square) if self._count >= _LEARNING else 0.0
 
     def match(self, difference: FloatArray, step: Step, led: bool = True) -> Match:
         """Compare a value with the place to which a step leads.
@@ -269,9 +267,9 @@ class Continuation:
             step: what leads there.
             led: see :class:`Match`.
         """
-        typical_rad, gain = self.typical_rad, math.sqrt(step.noise_gain)
-        noise = max(_SIGMAS * gain * self.sigma_rad, _TYPICAL * typical_rad)
-        more = typical_rad * math.sqrt(step.samples - 1)
+        gain = math.sqrt(step.noise_gain)
+        noise = max(_SIGMAS * gain * self.sigma_rad, _TYPICAL * self.typical_rad)
+        more = self.typical_rad * math.sqrt(step.samples - 1)
         unknown = _UNKNOWN_RAD if self._count < _LEARNING else 0.0
         coarse = _ACROSS * math.sqrt(0.5) * gain * step.coarseness_rad
         bound_rad = noise + more + unknown + coarse + step.uncertain_rad + _BIAS_RAD_PER_S * step.seconds
@@ -281,6 +279,8 @@ class Continuation:
         """Learn from a value that was taken, one sample after the one before: how far it was from its place."""
         self._count = min(self._count + 1, _MEMORY)
         self._mean_square += (size(difference) ** 2 - self._mean_square) / self._count
+        if self._count >= _LEARNING:
+            self.typical_rad = math.sqrt(self._mean_square)
 
 
 class JumpVerdict(enum.Enum):
