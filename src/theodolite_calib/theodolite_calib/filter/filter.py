@@ -17,8 +17,8 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import SOURCE_AXES, ShipErrorProcess, state_model
 from theodolite_calib.filter.observability import Observability, Unaided
 from theodolite_calib.filter.prediction import Prediction, SightingModel
-from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.measured.watches import EncoderJump
 
 Jump = EncoderJump | InsJump
 

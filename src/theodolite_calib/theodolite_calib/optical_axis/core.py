@@ -21,7 +21,6 @@ from ship_geometry.sample_track import SampleTrack
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.filter.judgement import SightingStep
-from theodolite_calib.measured.encoder_watch import EncoderWatch
 from theodolite_calib.measured.samples import (
     BaselineSample,
     EncoderSample,
@@ -31,9 +30,9 @@ from theodolite_calib.measured.samples import (
     PointingOutcome,
     ShipSample,
 )
-from theodolite_calib.measured.ship_watch import ShipWatch
 from theodolite_calib.measured.sighting import Sighting, SightingAssembler
 from theodolite_calib.measured.tracks import MeasuredTracks
+from theodolite_calib.measured.watches import EncoderWatch, ShipWatch
 from theodolite_calib.optical_axis.calibration import (
     Calibration,
     CalibrationPrior,
@@ -89,7 +88,9 @@ class OpticalAxisCore:
         self._tracks = MeasuredTracks(self.config)
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._watch = EncoderWatch(*_encoder_limits(self.config))
-        self._ship_watch = ShipWatch(self.config.ins) if self.config.ship.source == "ins/imu" else None
+        self._ship_watch: ShipWatch | None = None
+        if self.config.ship.source == "ins/imu":
+            self._ship_watch = ShipWatch(self.config.ins, self._tracks.ship_shift_ns)
         self._waiting: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
 
@@ -209,7 +210,6 @@ class OpticalAxisCore:
         if judged.jump is not None:
             self._tracks.ship.cut(judged.jump.time_ns)
             time_ns = judged.jump.time_ns + self._tracks.ship_shift_ns  # in the time of the exposures
-            watch.jumped(time_ns)
             self._shell.add_jump(time_ns, "ins", replace(judged.jump, time_ns=time_ns))
         return judged.refusal
 

@@ -1,9 +1,15 @@
-"""The watch over the encoders: are they alive, do they read radians, and do they move as a mount can?
+"""The watches over what a pointing rests on: the encoders and, where it alone tells the ship's attitude, the INS.
 
-A theodolite at rest reads the same for hours, and so does one that is stuck. The lights tell the two apart: when they
-say that the telescope has turned in the deck, the encoders are stuck. Readings that stopped dead in the midst of a
-motion are in doubt until lights have confirmed them. A reading that the mount could reach only with a larger
-acceleration than it has is wrong; a few such readings that agree among themselves are a slip of the encoders.
+A watch refuses readings that cannot be true, believes a jump that lasts, and doubts what comes after until lights have
+confirmed it.
+
+**The encoders.** A theodolite at rest reads the same for hours, and so does one that is stuck. The lights tell the two
+apart: when they say that the telescope has turned in the deck, the encoders are stuck. Readings that stopped dead in
+the midst of a motion are in doubt. A reading that the mount could reach only with a larger acceleration than it has is
+wrong; a few such readings that agree among themselves are a slip of the encoders.
+
+**The INS.** Its rates judge its attitudes and are judged by them. They go no further: the pointing rests on the
+attitudes alone, and no rate, true or not, can spoil it.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.ins import GuardedInsConfig
+from ship_estimation.ins_guard import InsGuard, JudgedIns
+from ship_estimation.refusals import Reason, Refusal, same_stamp
 from ship_estimation.value_guards import (
     Continuation,
     JumpGuard,
@@ -22,9 +30,11 @@ from ship_estimation.value_guards import (
     step_by_motion,
 )
 from ship_estimation.witnesses import Witness
+from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack
-from theodolite_calib.measured.samples import EncoderSample
+from theodolite_calib.measured.samples import EncoderSample, ShipSample
 
 _LIGHTS = "lights"
 _SIGMAS = 5.0
@@ -202,6 +212,52 @@ class EncoderWatch:
         elif np.max(np.abs(rate)) * interval_s > _SIGMAS * self._sigma_rad and self._in_doubt_since_ns is None:
             self._in_doubt_since_ns = sample.time_ns
         self._last = sample, step / interval_s
+
+
+class ShipWatch:
+    """Watches the INS's samples of one run in the order of their stamps.
+
+    Args:
+        config: the INS.
+        shift_ns: the attitudes are valid so much later than their stamps.
+    """
+
+    def __init__(self, config: GuardedInsConfig, shift_ns: int) -> None:
+        self._guard, self._shift_ns = InsGuard(config), shift_ns
+        # The samples used, with their rates: a sample that comes after later ones is judged by these.
+        self._used = AttitudeTrack(round(config.max_gap_s * SECOND_NS))
+        self._unconfirmed_ns: int | None = None
+
+    def reconfigure(self, config: GuardedInsConfig) -> None:
+        """Go on with another noise."""
+        self._guard.reconfigure(config)
+
+    def judge(self, sample: ShipSample) -> JudgedIns:
+        """What is to be done with a sample."""
+        judged = self._guard.judge(sample, self._used, {})
+        if judged.rates_wrong_after_ns is not None:
+            self._used.forget_rates(judged.rates_wrong_after_ns)
+        if judged.jump is not None:
+            self._unconfirmed_ns = judged.jump.time_ns + self._shift_ns
+        if judged.refusal is None:
+            known = self._used.get(sample.time_ns)
+            if known is None or same_stamp(known, judged.sample)[0]:
+                self._used.insert(judged.sample)
+        return judged
+
+    def confirm(self, time_ns: int) -> None:
+        """Lights at a moment agreed with the attitude of that moment."""
+        if self._unconfirmed_ns is not None and time_ns > self._unconfirmed_ns:
+            self._unconfirmed_ns = None
+
+    def doubt(self, time_ns: int) -> str:
+        """Why the attitude of a moment is in doubt; empty where it is not."""
+        jumped = self._unconfirmed_ns is not None and time_ns > self._unconfirmed_ns
+        return "the INS has jumped, and no light has confirmed it since" if jumped else ""
+
+    def drop_before(self, time_ns: int) -> None:
+        """Forget what no sample at or after a stamp is judged by."""
+        self._used.drop_before(time_ns)
 
 
 def _before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSample, ...]:
