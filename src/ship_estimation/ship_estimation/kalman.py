@@ -127,10 +127,11 @@ class StateModel:
         rows = self._source_rows
         return rows[:, :, None] * covariance * rows[:, None, :]
 
-    def transition(self, dt_s: float) -> tuple[FloatArray, FloatArray]:
-        """Diagonal of the transition matrix and of the process noise over ``dt_s`` >= 0, shapes (n,), (n,)."""
-        if dt_s == 0.0:
+    def transition(self, dt_s: float | FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Diagonal of the transition matrix and of the process noise over ``dt_s`` >= 0, shapes (..., n), (..., n)."""
+        if isinstance(dt_s, float) and dt_s == 0.0:
             return np.ones(self.size), np.zeros(self.size)
+        dt_s = np.asarray(dt_s)[..., None]
         decay = np.exp(-dt_s / self._time_s)
         return decay, self._steady_variance * (1.0 - decay * decay) + self._walk_variance * dt_s
 

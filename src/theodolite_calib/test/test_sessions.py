@@ -64,11 +64,12 @@ def left_alone() -> Left:
     rows = []
     for seed in range(SEEDS):
         given = session(settings, seed, times_s, sweep(times_s))
-        corrected = CorrectedAxis(filter_, filtered(settings, filter_, given, len(SWEEP_S)))
+        state = filtered(settings, filter_, given, len(SWEEP_S))
+        corrected = CorrectedAxis(filter_, state)
         ins_error_n = INS_SIGMA_N * np.random.default_rng(1000 + seed).standard_normal(3)
         for k in range(len(SWEEP_S), len(times_s)):
             sighting, truth_nm = given.sightings[k], given.rotation_nm[k]
-            axis = corrected.at(sighting.time_ns, sighting.ship, sighting.encoder)
+            axis = corrected.at((sighting.time_ns - state.time_ns) * 1e-9, sighting.ship, sighting.encoder)
             error_n = log_rotation(truth_nm @ axis.rotation_nm.T)
             encoder = sighting.encoder
             ins_nd = exp_rotation(-ins_error_n) @ sighting.ship.rotation_nd
@@ -144,7 +145,7 @@ def test_ten_seconds_of_lights_are_worth_what_is_claimed(changes: dict[str, floa
         given = session(settings, seed, times_s, encoder, ship_sigma_n=np.zeros(3), swing=0.0)
         state = filtered(settings, filter_, given, len(times_s))
         last = given.sightings[-1]
-        axis = CorrectedAxis(filter_, state).at(last.time_ns, last.ship, EncoderAt(*encoder[-1].tolist(), 0.0))
+        axis = CorrectedAxis(filter_, state).at(0.0, last.ship, EncoderAt(*encoder[-1].tolist(), 0.0))
         truth_nm = given.rotation_nm[-1]
         sigma = sigma_on_sky(axis.parts_n.sum(axis=0), truth_nm[:, 0])
         assert low < sigma < high
@@ -201,7 +202,7 @@ def test_a_principal_point_off_its_place_is_seen_by_no_innovation_but_is_in_the_
         values.append(decision.nis)
     assert np.mean(values) < 5.0  # 4 degrees of freedom
     last = given.sightings[-1]
-    axis = CorrectedAxis(filter_, state).at(last.time_ns, last.ship, last.encoder)
+    axis = CorrectedAxis(filter_, state).at((last.time_ns - state.time_ns) * 1e-9, last.ship, last.encoder)
     source = filter_.model.sources.index("principal_point")
     assert sigma_on_sky(axis.parts_n[source], axis.rotation_nm[:, 0]) > 6.0
     error = on_sky(log_rotation(given.rotation_nm[-1] @ axis.rotation_nm.T), axis.rotation_nm[:, 0])

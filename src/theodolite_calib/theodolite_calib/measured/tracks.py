@@ -26,36 +26,36 @@ _FULL_TURN = 2.0 * np.pi
 
 @dataclass(frozen=True)
 class ShipAt:
-    """The ship's attitude at one moment.
+    """The ship's attitude at one moment, or at several.
 
     Attributes:
-        rotation_nd: horizon from deck, shape (3, 3).
-        rate_d: angular velocity in the deck frame, rad/s, shape (3,).
+        rotation_nd: horizon from deck, shape (..., 3, 3).
+        rate_d: angular velocity in the deck frame, rad/s, shape (..., 3).
         slow_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
-        noise: variance of each component of what is new with each sample, and of interpolation, rad².
+        noise: variance of each component of what is new with each sample, and of interpolation, rad², shape (...).
         status: what the source says that it is worth.
     """
 
     rotation_nd: FloatArray
     rate_d: FloatArray
     slow_covariance_n: FloatArray | None
-    noise: float
+    noise: float | FloatArray
     status: Status = Status.VALID
 
 
 @dataclass(frozen=True)
 class EncoderAt:
-    """The encoders at one moment.
+    """The encoders at one moment, or at several.
 
     Attributes:
-        azimuth: rad.
-        elevation: rad.
-        noise: variance of each, that of interpolation included, rad².
+        azimuth: rad, shape (...).
+        elevation: rad, shape (...).
+        noise: variance of each, that of interpolation included, rad², shape (...).
     """
 
-    azimuth: float
-    elevation: float
-    noise: float
+    azimuth: float | FloatArray
+    elevation: float | FloatArray
+    noise: float | FloatArray
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,12 @@ from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 @dataclass(frozen=True)
 class AxisAt:
-    """The axes at one moment.
+    """The axes at one moment, or at several.
 
     Attributes:
-        rotation_nm: horizon from main frame, shape (3, 3).
-        parts_n: error covariance of the main axis by source, rotation vector in n, rad², shape (n_sources, 3, 3).
-        rotation_nt: horizon from telescope, shape (3, 3).
+        rotation_nm: horizon from main frame, shape (..., 3, 3).
+        parts_n: error covariance of the main axis by source, rotation vector in n, rad², shape (..., n_sources, 3, 3).
+        rotation_nt: horizon from telescope, shape (..., 3, 3).
     """
 
     rotation_nm: FloatArray
@@ -62,28 +62,40 @@ class CorrectedAxis:
             for source in (SOURCE_SHIP, SOURCE_DEFORMATION, SOURCE_ENCODER, SOURCE_SHIP_NOISE)
         )
 
-    def at(self, time_ns: int, ship: ShipAt, encoder: EncoderAt) -> AxisAt:
-        """The axis at a moment at or after the state's, with the ship and the encoders of that moment."""
-        since_ns = self.state.time_ns if self.state.time_ns is not None else time_ns
-        mean, parts = self._carried(max(time_ns - since_ns, 0) * 1e-9, ship)
-        errors = ChainErrors(mean[SHIP], mean[DEFORMATION], self._known.axes, self._known.ship_time_s)
+    def at(self, since_s: float | FloatArray, ship: ShipAt, encoder: EncoderAt) -> AxisAt:
+        """The axis at a moment at or after the state's.
+
+        The result depends on the arguments and the state alone. The arguments may be stacks: the leading axes (...) of
+        ``since_s`` and of every number and array in ``ship`` and ``encoder`` are the same, but for
+        ``ship.slow_covariance_n``, which is one for the whole stack. A stack gives what the single calls give, but for
+        rounding (1e-15).
+
+        Args:
+            since_s: time from the state to the moment, at least 0, s, shape (...).
+            ship: of that moment.
+            encoder: of that moment.
+        """
+        mean, parts = self._carried(since_s, ship)
+        errors = ChainErrors(mean[..., SHIP], mean[..., DEFORMATION], self._known.axes, self._known.ship_time_s)
         chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
-        by_error = chain.by_error[:, : len(self._rows)]
-        parts_n = by_error @ parts @ by_error.T
-        parts_n[self._encoder] += encoder.noise * (chain.by_encoder @ chain.by_encoder.T)
-        parts_n[self._ship_noise] += ship.noise * np.eye(3)
+        by_error = chain.by_error[..., None, :, : len(self._rows)]
+        parts_n = by_error @ parts @ np.swapaxes(by_error, -1, -2)
+        by_encoder = chain.by_encoder @ np.swapaxes(chain.by_encoder, -1, -2)
+        parts_n[..., self._encoder, :, :] += np.asarray(encoder.noise)[..., None, None] * by_encoder
+        parts_n[..., self._ship_noise, :, :] += np.asarray(ship.noise)[..., None, None] * np.eye(3)
         return AxisAt(chain.rotation_nm, parts_n, chain.rotation_nm @ self._rotation_mt)
 
-    def _carried(self, dt_s: float, ship: ShipAt) -> tuple[FloatArray, FloatArray]:
-        """Errors and covariance of the chain after ``dt_s``."""
-        whole_decay, whole_noise = self._transition(dt_s)
-        decay, noise = whole_decay[self._rows], whole_noise[self._rows]
-        mean, parts = decay * self._mean, self._parts * (decay[:, None] * decay)
-        mean[SHIP] = self._ship_error.later(self._mean[SHIP], decay[SHIP])
+    def _carried(self, since_s: float | FloatArray, ship: ShipAt) -> tuple[FloatArray, FloatArray]:
+        """Errors of the chain and their covariance by source, shapes (..., k), (..., n_sources, k, k)."""
+        whole_decay, whole_noise = self._transition(since_s)
+        decay, noise = whole_decay[..., self._rows], whole_noise[..., self._rows]
+        mean, parts = decay * self._mean, self._parts * (decay[..., None, :, None] * decay[..., None, None, :])
+        mean[..., SHIP] = self._ship_error.later(self._mean[SHIP], decay[..., SHIP])
         for source, columns in ((self._ship, SHIP), (self._deformation, DEFORMATION)):
-            np.einsum("ii->i", parts[source, columns, columns])[...] += noise[columns]
+            diagonal = np.einsum("...ii->...i", parts[..., source, columns, columns])
+            diagonal += noise[..., columns]
         steady_n, now_n = self.state.ship_steady_n, ship.slow_covariance_n
-        return self._ship_error.carried(mean, parts, SHIP, decay[SHIP], steady_n, now_n)[:2]
+        return self._ship_error.carried(mean, parts, SHIP, decay[..., SHIP], steady_n, now_n)[:2]
 
 
 class PointingOutput:
@@ -115,7 +127,8 @@ class PointingOutput:
         mode = Mode.ENCODER if not recent else Mode.ONE_LIGHT if state.light_count == 1 else Mode.TWO_LIGHTS
         status, text = self._worth(state, mode, ship.status, doubt)
         azimuth, elevation = sample.vector.tolist()
-        axis = self._corrected.at(sample.time_ns, ship, EncoderAt(azimuth, elevation, sample.sigma**2))
+        since_s = 0.0 if state.time_ns is None else max(sample.time_ns - state.time_ns, 0) * 1e-9
+        axis = self._corrected.at(since_s, ship, EncoderAt(azimuth, elevation, sample.sigma**2))
         return PointingEstimate(
             time_ns=sample.time_ns,
             rotation_nm=axis.rotation_nm,
