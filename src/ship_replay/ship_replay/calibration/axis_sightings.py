@@ -153,7 +153,7 @@ def axis_sightings(
             run.take(names[record.topic], record)
     if not found.rows:
         others = f"{found.unused} others"
-        raise BadInput(f"{bag_path}: no exposure of two lights was used ({others}): nothing to fit axes by")
+        raise BadInput(f"no exposure of two lights was used ({others}): nothing to fit axes by", file=bag_path)
     return found
 
 

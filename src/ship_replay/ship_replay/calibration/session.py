@@ -166,7 +166,7 @@ def _ship_adapter(bag: Bag, chain: AdapterChain) -> ShipAttitudeAdapter:
     for adapter in chain.adapters:
         if isinstance(adapter, ShipAttitudeAdapter):
             return adapter
-    raise BadInput(f"{bag.path}: the configuration has no section {ShipAttitudeAdapter.node_name}")
+    raise BadInput(f"the configuration has no section {ShipAttitudeAdapter.node_name}", file=bag.path)
 
 
 # -- bad input --------------------------------------------------------------------------------------------------
@@ -174,13 +174,16 @@ def _ship_adapter(bag: Bag, chain: AdapterChain) -> ShipAttitudeAdapter:
 
 def _check_installations(bag: Bag, config: ShipAttitudeConfig) -> None:
     if not config.star_sensors:
-        raise BadInput(f"{bag.path}: the configuration has no star_sensors: there is nothing to calibrate")
+        raise BadInput("the configuration has no star_sensors: there is nothing to calibrate", file=bag.path)
     for id_, star in config.star_sensors.items():
         for axis, sigma in zip(("forward", "up", "right"), star.installation_sigma_s, strict=True):
             if sigma < 1e-3 * ARCSEC:
+                name = f"star_sensors.{id_}.installation_sigma_{axis}_arcsec"
                 raise BadInput(
-                    f"parameter 'star_sensors.{id_}.installation_sigma_{axis}_arcsec' = {sigma / ARCSEC:g} holds the "
-                    "installation fixed: give what is known of it, or --prior-sigma"
+                    f"parameter '{name}' = {sigma / ARCSEC:g} holds the installation fixed: give what is known of it, "
+                    "or --prior-sigma",
+                    parameters=(name,),
+                    value=sigma / ARCSEC,
                 )
 
 
@@ -190,8 +193,9 @@ def _check_star_topics(bag: Bag, config: ShipAttitudeConfig, there: set[str]) ->
         if topic not in there:
             stars = sorted(name for name in bag.topics if "star/" in name)
             raise BadInput(
-                f"{bag.path}: topic '{topic}' of star sensor '{id_}' is missing; found "
-                f"{', '.join(stars) or 'no star data'}: record it, or take the sensor out of the configuration"
+                f"topic '{topic}' of star sensor '{id_}' is missing; found "
+                f"{', '.join(stars) or 'no star data'}: record it, or take the sensor out of the configuration",
+                file=bag.path,
             )
 
 
@@ -200,7 +204,7 @@ def _check_used(bag: Bag, core: ShipAttitudeCore, counts: Mapping[str, InputCoun
         count = counts[source]
         if device.is_star and source not in core.state.used_ns:
             hint = ": its installation is further off than its sigma: give --prior-sigma" if count.improbable else ""
-            raise BadInput(f"{bag.path}: no message of {source} was used: {count.words}{hint}")
+            raise BadInput(f"no message of {source} was used: {count.words}{hint}", file=bag.path)
 
 
 @dataclass

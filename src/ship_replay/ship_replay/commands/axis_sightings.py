@@ -39,7 +39,7 @@ def _parser() -> CommandParser:
 
 def _run(options: argparse.Namespace) -> int:
     if options.out.suffix.lower() != ".csv":
-        raise BadInput(f"{options.out}: fit_axes reads .csv: give the table such a name")
+        raise BadInput("fit_axes reads .csv: give the table such a name", file=options.out)
     check_file(options.out, options.force)
     sightings = axis_sightings(options.bag, options.config, options.namespace, watch=watched)
     sightings.write(options.out)

@@ -62,7 +62,7 @@ def _arcsec(text: str) -> float:
 
 def _run(options: argparse.Namespace) -> int:
     if options.out.resolve() == options.bag.resolve():
-        raise BadInput(f"{options.out}: the output would overwrite the input")
+        raise BadInput("the output would overwrite the input", file=options.out)
     check_file(options.out, options.force)
     if options.report is not None:
         check_folder(options.report, ("installation.json", "installation.png"), options.force)

@@ -69,7 +69,7 @@ def _run(options: argparse.Namespace) -> int:
     if by_stamps and options.verify:
         raise BadInput("--arrival stamps and --verify contradict each other: outputs are as they were by log time")
     if options.out is not None and options.out.resolve() == options.bag.resolve():
-        raise BadInput(f"{options.out}: the output would overwrite the input")
+        raise BadInput("the output would overwrite the input", file=options.out)
     if options.out is not None:
         check_file(options.out, options.force)
     if options.report is not None:
@@ -78,7 +78,7 @@ def _run(options: argparse.Namespace) -> int:
         verification = None
         is_box = is_black_box(bag)
         if is_box and by_stamps:
-            raise BadInput(f"{options.bag}: a black box holds its own order of arrival: leave out --arrival stamps")
+            raise BadInput("a black box holds its own order of arrival: leave out --arrival stamps", file=options.bag)
         if is_box:
             verification = replay_black_box(bag, ADAPTERS, options.config, options.out, watched)
         elif options.verify:

@@ -29,6 +29,37 @@ class Bounds:
 
 
 @dataclass(frozen=True)
+class _Entry:
+    """One entry of a file of bounds: where it stands, its key and its value."""
+
+    path: Path
+    line: int
+    key: str
+    value: Any
+
+    def error(self, text: str) -> BadInput:
+        return BadInput(f"'{self.key}'{text}", file=self.path, line=self.line, parameters=(self.key,), value=self.value)
+
+    def limits(self) -> tuple[float, float]:
+        """Least and greatest value allowed."""
+        if not isinstance(self.value, dict) or not self.value or not set(self.value) <= set(_LIMITS):
+            raise self.error(f": expected {{min: NUMBER, max: NUMBER}} or one of them, got {self.value!r}")
+        least, greatest = (
+            self.number(self.value[limit]) if limit in self.value else default
+            for limit, default in zip(_LIMITS, (-math.inf, math.inf), strict=True)
+        )
+        if least > greatest:
+            raise self.error(f": min {least:g} is above max {greatest:g}")
+        return least, greatest
+
+    def number(self, value: Any) -> float:
+        """A finite number."""
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise self.error(f": expected a number, got {value!r:.40}")
+        return float(value)
+
+
+@dataclass(frozen=True)
 class JudgedBound:
     """A quantity held against its limits. NaN never meets a bound."""
 
@@ -59,19 +90,19 @@ def read_bounds(path: Path) -> Bounds:
     try:
         root = composed(str(path), path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as problem:
-        raise BadInput(f"{path}: cannot be read: {problem}") from problem
+        raise BadInput(f"cannot be read: {problem}", file=path) from problem
     if not isinstance(root, yaml.MappingNode):
-        raise BadInput(f"{path}: expected lines such as 'fused.heading.rms_arcsec: {{max: 3.0}}'")
+        raise BadInput("expected lines such as 'fused.heading.rms_arcsec: {max: 3.0}'", file=path)
     skip_s, limits = 0.0, {}
     for key_node, value_node in root.value:
-        key, where = str(key_node.value), f"{path}:{key_node.start_mark.line + 1}: '{key_node.value}'"
-        value = data_of(str(path), value_node)
+        key = str(key_node.value)
+        entry = _Entry(path, key_node.start_mark.line + 1, key, data_of(str(path), value_node))
         if key in limits:
-            raise BadInput(f"{where} was given before")
+            raise entry.error(" was given before")
         if key == SKIP_KEY:
-            skip_s = _number(value, where)
+            skip_s = entry.number(entry.value)
         else:
-            limits[key] = _limits(value, where)
+            limits[key] = entry.limits()
     return Bounds(skip_s, limits)
 
 
@@ -85,21 +116,3 @@ def judge(values: Mapping[str, float], bounds: Bounds, name: str) -> list[Judged
     if missing:
         raise BadInput(f"{name}: no such quantity: {', '.join(missing)}; there are {', '.join(sorted(values))}")
     return [JudgedBound(key, values[key], *limits) for key, limits in bounds.limits.items()]
-
-
-def _limits(value: Any, where: str) -> tuple[float, float]:
-    if not isinstance(value, dict) or not value or not set(value) <= set(_LIMITS):
-        raise BadInput(f"{where}: expected {{min: NUMBER, max: NUMBER}} or one of them, got {value!r}")
-    least, greatest = (
-        _number(value[limit], where) if limit in value else default
-        for limit, default in zip(_LIMITS, (-math.inf, math.inf), strict=True)
-    )
-    if least > greatest:
-        raise BadInput(f"{where}: min {least:g} is above max {greatest:g}")
-    return least, greatest
-
-
-def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise BadInput(f"{where}: expected a number, got {value!r:.40}")
-    return float(value)

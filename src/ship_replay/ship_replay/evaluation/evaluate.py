@@ -21,6 +21,7 @@ from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, sources
 from ship_replay.evaluation.statistics import AttitudeErrors, InnovationBook, SourceInnovations
+from ship_replay.offline.adapter_chain import attached
 from ship_replay.offline.orientations import ORIENTATIONS
 from theodolite_calib.config import OpticalAxisConfig
 
@@ -120,7 +121,8 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     bags = [*others, bag]
     length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
     if not 0.0 <= skip_s <= length_s:
-        raise BadInput(f"{bag.path}: {skip_s:g} s to skip: expected from 0 to {length_s:.1f} s, the length of the bag")
+        text = f"{skip_s:g} s to skip: expected from 0 to {length_s:.1f} s, the length of the bag"
+        raise BadInput(text, file=bag.path, value=skip_s)
     ship = _config(bags, ShipAttitudeConfig, "ship_attitude")
     star = _config(bags, StarAttitudeConfig, "star_attitude")
     theodolite = _config(bags, OpticalAxisConfig, "optical_axis")
@@ -144,9 +146,10 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     problems += _left_out(collectors, errors)
     if not errors and not innovations.sources and not last:
         raise BadInput(
-            f"{bag.path}: nothing to evaluate: expected topics "
+            "nothing to evaluate: expected topics "
             + ", ".join(f"{known.topic} (with {known.truth_topic})" for known in ORIENTATIONS)
-            + f", {' or '.join(_RESULTS)}, found {', '.join(sorted(bag.topics)) or 'none'}"
+            + f", {' or '.join(_RESULTS)}, found {', '.join(sorted(bag.topics)) or 'none'}",
+            file=bag.path,
         )
     published = [source for source in collectors.values() if isinstance(source, PublishedAttitude)]
     return Evaluation(
@@ -211,7 +214,7 @@ def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | Non
                 named = has_section(text, node, wildcards=kind is ShipAttitudeConfig)
                 return load_config(kind, text, node) if named else None
             except BadInput as problem:
-                raise BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}") from problem
+                raise attached(bag, problem) from problem
     return None
 
 

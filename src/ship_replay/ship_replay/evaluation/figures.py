@@ -121,7 +121,7 @@ def save_figure(figure: Figure, path: Path) -> None:
         figure.savefig(content, dpi=110, metadata=metadata, format=path.suffix[1:] or None)
         write_whole(path, content.getvalue())
     except (ValueError, OSError) as problem:
-        raise BadInput(f"{path}: the figure cannot be written: {problem}") from problem
+        raise BadInput(f"the figure cannot be written: {problem}", file=path) from problem
     finally:
         plt.close(figure)
 

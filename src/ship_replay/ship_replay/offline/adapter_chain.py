@@ -31,9 +31,10 @@ def suite_text(bag: Bag, config_path: Path | None) -> str:
         try:
             return config_path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as problem:
-            raise BadInput(f"{config_path}: cannot be read: {problem}") from problem
+            raise BadInput(f"cannot be read: {problem}", file=config_path) from problem
     if SUITE_ATTACHMENT not in bag.attachments:
-        raise BadInput(f"{bag.path}: no configuration {SUITE_ATTACHMENT} is attached to the bag: give one by --config")
+        text = f"no configuration {SUITE_ATTACHMENT} is attached to the bag: give one by --config"
+        raise BadInput(text, file=bag.path)
     return bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
 
 
@@ -55,7 +56,7 @@ def suite_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | Non
     try:
         return load_config(adapter_class.config_type, text, node)
     except BadInput as problem:
-        raise _attached(bag, problem) from problem
+        raise attached(bag, problem) from problem
 
 
 def suite_nodes(
@@ -77,7 +78,7 @@ def suite_nodes(
     try:
         return _judged_nodes(suite_text(bag, None), adapter_classes, namespace)
     except BadInput as problem:
-        raise _attached(bag, problem) from problem
+        raise attached(bag, problem) from problem
 
 
 def nodes_of(
@@ -108,8 +109,10 @@ def _judged_nodes(
     return nodes_of(source, adapter_classes, namespace)
 
 
-def _attached(bag: Bag, problem: BadInput) -> BadInput:
-    return BadInput(f"{bag.path}: attachment {SUITE_ATTACHMENT}: {problem}")
+def attached(bag: Bag, problem: BadInput) -> BadInput:
+    """What is wrong with the suite configuration attached to a bag, as bad input that names the bag."""
+    text = f"attachment {SUITE_ATTACHMENT}: {problem}"
+    return BadInput(text, file=bag.path, parameters=problem.parameters, value=problem.value)
 
 
 class AdapterChain:

@@ -27,17 +27,19 @@ def box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapter]:
         BadInput: the box is of another format or of a node that is not known here.
     """
     if METADATA not in bag.metadata:
-        raise BadInput(f"{bag.path}: metadata record '{METADATA}' is missing: the head of the black box is damaged")
+        raise BadInput(f"metadata record '{METADATA}' is missing: the head of the black box is damaged", file=bag.path)
     entries = bag.metadata[METADATA]
     if entries.get("format") != FORMAT:
         raise BadInput(
-            f"{bag.path}: version {entries.get('format')} of the black box: expected {FORMAT}; "
-            "replay it with the release of the suite that wrote it"
+            f"version {entries.get('format')} of the black box: expected {FORMAT}; "
+            "replay it with the release of the suite that wrote it",
+            file=bag.path,
         )
     known = {adapter.node_name: adapter for adapter in adapters}
     if entries.get("node") not in known:
         raise BadInput(
-            f"{bag.path}: black box of node '{entries.get('node')}': expected one of {', '.join(sorted(known))}"
+            f"black box of node '{entries.get('node')}': expected one of {', '.join(sorted(known))}",
+            file=bag.path,
         )
     return known[entries["node"]]
 
@@ -69,9 +71,9 @@ def check_definitions(bag: Bag) -> None:
     for topic, type_name in sorted(bag.topics.items()):
         if type_name not in ASIDE and type_name in bag.differences:
             lines = "; ".join(bag.differences[type_name])
-            raise BadInput(f"{bag.path}: topic '{topic}': the message definition has changed: {lines}")
+            raise BadInput(f"topic '{topic}': the message definition has changed: {lines}", file=bag.path)
     for topic, why in sorted(bag.skipped_topics.items()):
-        raise BadInput(f"{bag.path}: topic '{topic}' is unusable: {why}")
+        raise BadInput(f"topic '{topic}' is unusable: {why}", file=bag.path)
 
 
 def check_topics(bag: Bag, adapter: Adapter, notes: list[str], other_config: bool) -> None:
@@ -86,7 +88,7 @@ def check_topics(bag: Bag, adapter: Adapter, notes: list[str], other_config: boo
             continue
         text = f"topic '{topic}' ({type_name}) is no topic of {adapter.node_name} with these parameters"
         if not other_config:
-            raise BadInput(f"{bag.path}: {text}: was the box written with others? give them by --config")
+            raise BadInput(f"{text}: was the box written with others? give them by --config", file=bag.path)
         notes.append(f"{text}: left out")
 
 
@@ -99,7 +101,7 @@ def _check_versions(bag: Bag, adapter_class: type[Adapter], config_path: Path | 
         there = json.loads(bag.attachments[VERSIONS_ATTACHMENT])
         suite, others = dict(there["suite"]), {key: there[key] for key in ("python", "machine", "libraries")}
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise BadInput(f"{bag.path}: attachment {VERSIONS_ATTACHMENT} cannot be read: {error!r}") from error
+        raise BadInput(f"attachment {VERSIONS_ATTACHMENT} cannot be read: {error!r}", file=bag.path) from error
     if differing := _differing(suite, here["suite"]):
         _refuse_or_note(bag, f"written by another version of the suite ({differing})", config_path, notes)
     if differing := _differing(others, {key: here[key] for key in others}):
@@ -108,7 +110,7 @@ def _check_versions(bag: Bag, adapter_class: type[Adapter], config_path: Path | 
 
 def _refuse_or_note(bag: Bag, text: str, config_path: Path | None, notes: list[str]) -> None:
     if config_path is None:
-        raise BadInput(f"{bag.path}: {text}: give the parameters by --config FILE to replay it nevertheless")
+        raise BadInput(f"{text}: give the parameters by --config FILE to replay it nevertheless", file=bag.path)
     notes.append(text)
 
 

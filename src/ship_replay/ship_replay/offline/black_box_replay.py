@@ -241,7 +241,8 @@ class _BoxReplay:
         if event.attachment is None:
             return None
         if event.attachment not in self._bag.attachments:
-            raise BadInput(f"{self._bag.path}: attachment {event.attachment} is missing: the content of {event.path}")
+            text = f"attachment {event.attachment} is missing: the content of {event.path}"
+            raise BadInput(text, file=self._bag.path)
         return self._bag.attachments[event.attachment]
 
     # -- comparison -----------------------------------------------------------------------------------------

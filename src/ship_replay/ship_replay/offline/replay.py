@@ -105,7 +105,7 @@ def replay(
     started_s = time.monotonic()
     with read_bag(bag_path) as bag:
         if out_path.resolve() == bag_path.resolve():
-            raise BadInput(f"{out_path}: the output would overwrite the input")
+            raise BadInput("the output would overwrite the input", file=out_path)
         factory = RosbagsFactory()
         config_text = suite_text(bag, config_path)
         chain, left_out = suite_chain(bag, adapter_classes, factory, config_path, namespace)
@@ -123,7 +123,7 @@ def replay(
                 run.take(relative_names[record.topic], record)
             if bag.last_time_ns is None or bag.start_ns is None:
                 told = "".join(f"; {problem}" for problem in bag.problems)
-                raise BadInput(f"{bag_path}: no message of {', '.join(sorted(relative_names))} could be read{told}")
+                raise BadInput(f"no message of {', '.join(sorted(relative_names))} could be read{told}", file=bag_path)
             run.finish()
         last_ns = bag.last_time_ns if run.last_time_ns is None else run.last_time_ns
         for adapter in chain.adapters:
@@ -174,16 +174,17 @@ def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> d
         advice = f" (found under the namespace '{hint}': give --namespace {hint})" if hint and hint != namespace else ""
         skipped = "".join(f"; '{topic}' is unusable: {why}" for topic, why in sorted(bag.skipped_topics.items()))
         raise BadInput(
-            f"{bag.path}: required topics {', '.join(missing)} are missing; found {', '.join(sorted(found)) or 'none'}"
-            f"{skipped}{advice}"
+            f"required topics {', '.join(missing)} are missing; found {', '.join(sorted(found)) or 'none'}"
+            f"{skipped}{advice}",
+            file=bag.path,
         )
     for topic in adapter.inputs:
         type_name = bag.topics[found[topic.topic]] if topic.topic in found else topic.type_name
         if type_name != topic.type_name:
-            raise BadInput(f"{bag.path}: topic '{found[topic.topic]}' is {type_name}: expected {topic.type_name}")
+            raise BadInput(f"topic '{found[topic.topic]}' is {type_name}: expected {topic.type_name}", file=bag.path)
         lacking = [line for line in bag.differences.get(type_name, []) if not line.endswith("unknown here")]
         if topic.topic in found and lacking:
-            raise BadInput(f"{bag.path}: topic '{found[topic.topic]}': {'; '.join(lacking)}")
+            raise BadInput(f"topic '{found[topic.topic]}': {'; '.join(lacking)}", file=bag.path)
     return {topic.topic: found[topic.topic] for topic in adapter.inputs if topic.topic in found}
 
 
@@ -194,7 +195,7 @@ def _truth_names(bag: Bag, namespace: str) -> dict[str, str]:
     for name in names.values():
         if bag.topics[name] in bag.differences:
             lines = "; ".join(bag.differences[bag.topics[name]])
-            raise BadInput(f"{bag.path}: topic '{name}' cannot be copied, its definition is another: {lines}")
+            raise BadInput(f"topic '{name}' cannot be copied, its definition is another: {lines}", file=bag.path)
     return names
 
 

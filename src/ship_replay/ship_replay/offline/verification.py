@@ -174,12 +174,12 @@ def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str
         if output.topic in found and output.type_name not in ASIDE:
             name = found[output.topic]
             if lines := bag.differences.get(bag.topics[name]):
-                raise BadInput(f"{bag.path}: topic '{name}': the message definition has changed: {'; '.join(lines)}")
+                raise BadInput(f"topic '{name}': the message definition has changed: {'; '.join(lines)}", file=bag.path)
             if bag.topics[name] != output.type_name:
-                raise BadInput(f"{bag.path}: topic '{name}' is {bag.topics[name]}: expected {output.type_name}")
+                raise BadInput(f"topic '{name}' is {bag.topics[name]}: expected {output.type_name}", file=bag.path)
             outputs[name] = output.topic
     if not outputs:
-        raise BadInput(f"{bag.path}: it holds no outputs of {chain.name}: there is nothing to verify")
+        raise BadInput(f"it holds no outputs of {chain.name}: there is nothing to verify", file=bag.path)
     return outputs
 
 

@@ -115,7 +115,7 @@ def check_file(
     strange = unknown_sections(path, names.values())
     if not misfits and not any(has_section(path, name) for name in names.values()):
         found = ", ".join(f"'{name}'" for name in strange) or "none"
-        raise BadInput(f"{path}: no section for a node of this suite: {_expected(adapter_classes)}, found {found}")
+        raise BadInput(f"no section for a node of this suite: {_expected(adapter_classes)}, found {found}", file=path)
     if not misfits:
         told = _expected(adapter_classes)
         findings.warnings += [f"{path}: section '{name}' fits no node of this suite: {told}" for name in strange]

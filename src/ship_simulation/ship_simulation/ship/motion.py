@@ -230,7 +230,7 @@ def read_recording(recording: Recording) -> tuple[FloatArray, FloatArray]:
         found = bag.topics.get(recording.topic)
         if found != _IMU:
             there = f"carries {found}" if found else f"is not there (it has: {', '.join(sorted(bag.topics))})"
-            raise BadInput(f"{recording.bag}: topic '{recording.topic}' {there}: expected {_IMU}")
+            raise BadInput(f"topic '{recording.topic}' {there}: expected {_IMU}", file=recording.bag)
         for record in bag.records([recording.topic]):
             message = record.decode()
             time_ns.append(message.header.stamp.sec * SECOND_NS + message.header.stamp.nanosec)
@@ -238,5 +238,6 @@ def read_recording(recording: Recording) -> tuple[FloatArray, FloatArray]:
             quaternions.append((q.x, q.y, q.z, q.w))
     unique_ns, first = np.unique(np.array(time_ns, dtype=np.int64), return_index=True)
     if unique_ns.size < 3:
-        raise BadInput(f"{recording.bag}: topic '{recording.topic}' has {unique_ns.size} attitudes: expected 3 or more")
+        text = f"topic '{recording.topic}' has {unique_ns.size} attitudes: expected 3 or more"
+        raise BadInput(text, file=recording.bag)
     return (unique_ns - unique_ns[0]) / SECOND_NS, rotation_from_quaternion(np.array(quaternions)[first])
