@@ -100,7 +100,8 @@ def _parameter_row(parameter: ParameterDescription) -> str:
     given = "" if parameter.default == "" else f"`{parameter.default}`"
     default = "must be given" if parameter.default is None else given
     live = " *live*" if parameter.live else ""
-    return f"| `{parameter.name}` | {default} | {parameter.unit} | {_allowed(parameter)} | {parameter.doc}{live} |\n"
+    doc = parameter.doc.replace("<", "&lt;")
+    return f"| `{parameter.name}` | {default} | {parameter.unit} | {_allowed(parameter)} | {doc}{live} |\n"
 
 
 def _allowed(parameter: ParameterDescription) -> str:
