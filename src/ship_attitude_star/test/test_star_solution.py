@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import poisson
 
 from ship_attitude_star.stars.fit import SightedStars, StarJudgement, linearized, square_roots
-from ship_attitude_star.stars.selection import AttitudePrior, select
+from ship_attitude_star.stars.selection import StarPrior, select
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.refusals import Reason
@@ -33,7 +33,7 @@ def test_mend_08_a_star_that_is_no_number_is_in_no_choice():
     measured_b[2, 1] = np.nan
     assert np.isnan(StarJudgement(np.eye(3), np.eye(3), np.zeros(3), np.nan, -1).probability)
     assert np.isnan(StarJudgement(np.eye(3), np.eye(3), np.zeros(3), np.nan, 3).probability)
-    prior = AttitudePrior(np.eye(3), np.eye(3) * ARCSEC**2)
+    prior = StarPrior(np.eye(3), np.eye(3) * ARCSEC**2)
     for given in (None, prior):
         try:
             members = select(replace(stars, measured_b=measured_b), given).members
@@ -160,7 +160,7 @@ PRIOR_SIGMA = np.array([10.0, 72.0, 10.0]) * ARCSEC
 
 def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
     """NEES of prior and chosen stars together, in one linear step; None where no star was chosen."""
-    prior = AttitudePrior(exp_rotation(-error_n) @ scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
+    prior = StarPrior(exp_rotation(-error_n) @ scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
     members = select(scene.stars, prior).members
     if not members.any():
         return None
@@ -200,7 +200,7 @@ def test_a_misidentified_star_is_named_with_its_angle():
 
 def test_a_prior_verifies_two_stars_and_does_not_enter_the_attitude():
     scene = draw_scene(np.random.default_rng(16), (1, 1))
-    prior = AttitudePrior(exp_rotation(0.5 * PRIOR_SIGMA) @ scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
+    prior = StarPrior(exp_rotation(0.5 * PRIOR_SIGMA) @ scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
     alone, helped = solve_stars(scene.stars), solve_stars(scene.stars, prior)
     assert (alone.status, helped.status) == (SolutionStatus.UNVERIFIED, SolutionStatus.VALID)
     np.testing.assert_array_equal(alone.rotation_nb, helped.rotation_nb)
@@ -208,7 +208,7 @@ def test_a_prior_verifies_two_stars_and_does_not_enter_the_attitude():
 
 def test_a_prior_tells_swapped_identities_of_two_stars():
     scene = draw_scene(np.random.default_rng(17), (0, 0), swapped_pairs=1)
-    prior = AttitudePrior(scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
+    prior = StarPrior(scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
     assert solve_stars(scene.stars).status is SolutionStatus.UNVERIFIED
     refused = solve_stars(scene.stars, prior)
     assert refused.status is SolutionStatus.INVALID

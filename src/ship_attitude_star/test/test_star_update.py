@@ -12,7 +12,7 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import predict_attitude
 from ship_attitude_star.ship_attitude.star_update import star_residuals
 from ship_attitude_star.stars.identification import identified
-from ship_attitude_star.stars.selection import AttitudePrior
+from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.geodetic import GeodeticPosition
@@ -206,7 +206,7 @@ def test_identification_leaves_out_what_is_ambiguous_or_nowhere(watch):
     nowhere[3] = exp_rotation(np.deg2rad([0.0, 0.2, 0.0])) @ nowhere[3]
     unknown = without_identity(replace(twice, directions_s=nowhere))
     device = ShipFilter(CONFIG).devices["star.fore"]
-    prior = AttitudePrior(ROTATION_ND @ device.rotation_dv0, np.diag((np.array([10.0, 72.0, 10.0]) * ARCSEC) ** 2))
+    prior = StarPrior(ROTATION_ND @ device.rotation_dv0, np.diag((np.array([10.0, 72.0, 10.0]) * ARCSEC) ** 2))
     result, reasons = identified(unknown, prior, watch.at(TIME_NS))
     assert result.hip.tolist() == [0, 0, exposure.hip[2], 0]
     assert set(reasons) == {0, 1, 3}

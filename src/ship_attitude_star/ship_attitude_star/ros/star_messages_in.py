@@ -1,17 +1,18 @@
 """From a message to the stars of one exposure: checks, directions, identities. Two adapters share it.
 
-Reads attributes only, so any message class will do. A message that cannot be used raises
-:class:`ship_node.edge.messages_in.Refused`; a star that cannot is left out, with its reason, and the others are
-used.
+Only attributes of messages are read, so any message class will do. A message that cannot be used raises
+:class:`ship_node.edge.messages_in.Refused`. A star that cannot be used is left out, with its reason, and the other
+stars of the message are used.
 """
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.catalogue import UNKNOWN, StarCatalogue
+from ship_attitude_star.sky.catalogue import UNKNOWN, CatalogueEntries, StarCatalogue
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
@@ -32,8 +33,29 @@ _LARGEST_PIXEL = 1e6
 _LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 1e-4, 100.0
 _ANGLE_TOLERANCE = 1e-9
 
-RefusedStar = tuple[int, Refusal]
+UnreadStar = tuple[int, Refusal]
 """Row of a star in its message, and why it is not used."""
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What a message tells of k stars.
+
+    Attributes:
+        pixels: centroids (u, v), shape (k, 2).
+        sigma_px: their standard deviation, each axis, shape (k,); as configured where the message gives none.
+        right_ascension: ICRS, rad, shape (k,); NaN where not given.
+        declination: ICRS, rad, shape (k,); NaN where not given.
+        hip: catalogue numbers, shape (k,); 0 where not given.
+        magnitude: shape (k,); NaN where not given.
+    """
+
+    pixels: FloatArray
+    sigma_px: FloatArray
+    right_ascension: FloatArray
+    declination: FloatArray
+    hip: NDArray[np.int64]
+    magnitude: FloatArray
 
 
 def star_exposure(
@@ -44,69 +66,54 @@ def star_exposure(
     camera_config: CameraConfig,
     catalogue: StarCatalogue,
     receive_ns: int,
-) -> tuple[StarExposure, list[RefusedStar]]:
+) -> tuple[StarExposure, list[UnreadStar]]:
     """``star/<sensor>/observations`` → directions in the sensor frame, and which stars they are.
 
-    A star with a catalogue number has its place from the catalogue, one without from the message; one with neither is
-    still to be identified.
+    A star with a catalogue number has its place from the catalogue, a star without a number from the message. A star
+    that has neither number nor place is still to be identified.
 
     Args:
         message: StarObservationArray.
-        sensor_id: whose topic it came on.
+        sensor_id: sensor on whose topic it came.
         frame_id: that it must carry; empty for any.
         camera: of the sensor.
-        camera_config: the same in parameters: the error of a centroid, the spread of a star's image.
-        catalogue: for the numbers.
+        camera_config: parameters of the camera: the error of a centroid, the spread of a star's image.
+        catalogue: in which the numbers are looked up.
         receive_ns: when it came.
 
+    Returns:
+        The exposure with the stars that can be used, and the other stars of the message.
+
     Raises:
-        Refused: the whole message.
+        Refused: the whole message cannot be used.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     device_id("sensor_id", message.sensor_id, sensor_id)
     frame(message.header.frame_id, frame_id)
     exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
-    stars = message.stars[:MOST_STARS]
-    numbers = np.array([[star.u, star.v, star.sigma_px, star.right_ascension, star.declination] for star in stars])
-    pixels, sigma_px, right_ascension, declination = _columns(numbers)
-    hip = np.array([star.catalogue_id for star in stars], dtype=np.int64)
-    not_given = ~(sigma_px > 0.0) & ~(sigma_px < 0.0)
-    sigma_px = np.where(not_given, camera_config.centroid_sigma_px, sigma_px)
+    told = _told(message.stars[:MOST_STARS], camera_config.centroid_sigma_px)
     # Squares of the largest doubles would overflow.
     directions_s, direction_sigma = camera.sighted(
-        np.where(np.abs(pixels) < _LARGEST_PIXEL, pixels, np.nan),
-        np.where(np.abs(sigma_px) <= _LARGEST_SIGMA_PX, sigma_px, np.nan),
+        np.where(np.abs(told.pixels) < _LARGEST_PIXEL, told.pixels, np.nan),
+        np.where(np.abs(told.sigma_px) <= _LARGEST_SIGMA_PX, told.sigma_px, np.nan),
     )
-    entries, given = catalogue.entries(hip, time_ns), fixed_stars(right_ascension, declination)
-    seen: dict[Hashable, FloatArray] = {}
-
-    def reason_against(row: int) -> Refusal | None:
-        """Why a star is not used; called in the order of the rows."""
-        return (
-            _pixel_refusal(pixels[row], directions_s[row])
-            or _sigma_refusal(float(sigma_px[row]))
-            or _number_refusal(int(hip[row]), int(entries.rows[row]), catalogue)
-            or _place_refusal(int(hip[row]), float(right_ascension[row]), float(declination[row]))
-            or _repeated(_identity(int(hip[row]), right_ascension[row], declination[row]), pixels[row], seen)
-        )
-
-    refusals = [reason_against(row) for row in range(len(stars))]
+    entries, given = catalogue.entries(told.hip, time_ns), fixed_stars(told.right_ascension, told.declination)
+    refusals = _refusals(told, directions_s, entries, catalogue)
     refused = [(row, refusal) for row, refusal in enumerate(refusals) if refusal is not None]
     if len(message.stars) > MOST_STARS:
         text = f"{len(message.stars)} stars in one exposure: only the first {MOST_STARS} are looked at"
         refused.append((MOST_STARS, Refusal(Reason.OVERFLOW, text)))
     kept = np.flatnonzero([refusal is None for refusal in refusals])
-    listed = hip != 0
-    position_sigma = np.where(listed, entries.sigma, _GIVEN_DIRECTION_SIGMA)
+    listed = told.hip != 0
     exposure = StarExposure(
         source=f"star.{sensor_id}",
         time_ns=time_ns,
-        hip=hip[kept],
+        hip=told.hip[kept],
         directions_s=directions_s[kept],
         sigma=direction_sigma[kept],
         positions=_either(listed, entries.positions, given, kept),
-        position_sigma=position_sigma[kept],
-        magnitude=np.array([star.magnitude for star in stars], dtype=float)[kept],
+        position_sigma=np.where(listed, entries.sigma, _GIVEN_DIRECTION_SIGMA)[kept],
+        magnitude=told.magnitude[kept],
         length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
     )
     return exposure, refused
@@ -117,10 +124,44 @@ def sigmas_given(message: Any) -> bool:
     return all(star.sigma_px != 0.0 and not np.isnan(star.sigma_px) for star in message.stars[:MOST_STARS])
 
 
-def _columns(numbers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Pixels (k, 2), sigmas, right ascensions and declinations (k,) of rows of five."""
-    numbers = numbers.reshape(-1, 5)
-    return numbers[:, :2], numbers[:, 2], numbers[:, 3], numbers[:, 4]
+def _told(stars: Sequence[Any], centroid_sigma_px: float) -> _Told:
+    """The columns of a message; ``centroid_sigma_px`` stands in where a star gives no sigma."""
+    rows = [[star.u, star.v, star.sigma_px, star.right_ascension, star.declination, star.magnitude] for star in stars]
+    u, v, sigma_px, right_ascension, declination, magnitude = np.array(rows, dtype=float).reshape(-1, 6).T
+    not_given = ~(sigma_px > 0.0) & ~(sigma_px < 0.0)
+    return _Told(
+        pixels=np.stack([u, v], axis=-1),
+        sigma_px=np.where(not_given, centroid_sigma_px, sigma_px),
+        right_ascension=right_ascension,
+        declination=declination,
+        hip=np.array([star.catalogue_id for star in stars], dtype=np.int64),
+        magnitude=magnitude,
+    )
+
+
+def _refusals(
+    told: _Told, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
+) -> list[Refusal | None]:
+    """Why each star is not used, in the order of the rows; None where it is used."""
+    seen: dict[Hashable, FloatArray] = {}
+    refusals = []
+    for row, (hip, sigma_px, right_ascension, declination) in enumerate(
+        zip(
+            told.hip.tolist(),
+            told.sigma_px.tolist(),
+            told.right_ascension.tolist(),
+            told.declination.tolist(),
+            strict=True,
+        )
+    ):
+        refusals.append(
+            _pixel_refusal(told.pixels[row], directions_s[row])
+            or _sigma_refusal(sigma_px)
+            or _number_refusal(hip, int(entries.rows[row]), catalogue)
+            or _place_refusal(hip, right_ascension, declination)
+            or _repeated(_identity(hip, right_ascension, declination), told.pixels[row], seen)
+        )
+    return refusals
 
 
 def _pixel_refusal(pixel: FloatArray, direction_s: FloatArray) -> Refusal | None:

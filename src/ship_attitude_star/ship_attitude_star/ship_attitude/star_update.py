@@ -19,7 +19,7 @@ from ship_attitude_star.stars.camera import tangent_basis
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.identification import visible_stars
-from ship_attitude_star.stars.selection import AttitudePrior, select
+from ship_attitude_star.stars.selection import StarPrior, select
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.kalman import StateModel
 from ship_estimation.refusals import Reason, Refusal
@@ -73,7 +73,7 @@ def star_residuals(
     """
     rotation_ns, to_sensor = predicted.rotation_nv, predicted.jacobian_v
     prior_s = to_sensor @ covariance @ to_sensor.T + predicted.interpolation_v
-    prior = AttitudePrior(rotation_ns, rotation_ns @ prior_s @ rotation_ns.T)
+    prior = StarPrior(rotation_ns, rotation_ns @ prior_s @ rotation_ns.T)
     visible = visible_stars(exposure, watch, prior)
     if isinstance(visible, Refusal):
         return visible
@@ -126,7 +126,7 @@ class _Chosen:
         return not self.members.any()
 
 
-def _chosen(stars: SightedStars, expected: SightedStars, prior: AttitudePrior) -> _Chosen:
+def _chosen(stars: SightedStars, expected: SightedStars, prior: StarPrior) -> _Chosen:
     """The stars that agree with the prediction; where none does, those that agree on another attitude.
 
     Args:

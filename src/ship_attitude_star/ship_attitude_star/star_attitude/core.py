@@ -29,7 +29,7 @@ from ship_attitude_star.star_attitude.ins_motion import InsMotion
 from ship_attitude_star.star_attitude.joint_window import JointWindow
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure, at_middle
-from ship_attitude_star.stars.selection import AttitudePrior
+from ship_attitude_star.stars.selection import StarPrior
 from ship_attitude_star.stars.solution import no_attitude
 from ship_estimation.estimator_shell import SECOND_NS, LagWindow
 from ship_estimation.refusals import Reason, Refusal, failure
@@ -212,14 +212,14 @@ class StarCore:
             solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
         return placed, solved
 
-    def _prior(self, exposure: StarExposure) -> AttitudePrior | None:
+    def _prior(self, exposure: StarExposure) -> StarPrior | None:
         """The attitude of a sensor by the INS and its mounting, with the errors of both."""
         deck, sensor = self._ins.deck(exposure.time_ns), self._sensor(exposure.source)
         if deck is None:
             return None
         rotation_ns = deck.rotation_nb @ sensor.rotation_ds
         mounting_n = rotation_ns * sensor.installation_sigma_s
-        return AttitudePrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
+        return StarPrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
 
     def _at_middle(self, exposure: StarExposure) -> tuple[StarExposure, float]:
         """The stars where they stood at the middle of the exposure, and the variance of this turn, each axis, rad².

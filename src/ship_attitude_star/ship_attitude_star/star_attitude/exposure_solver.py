@@ -13,7 +13,7 @@ from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.fit import SightedStars, square_roots
 from ship_attitude_star.stars.identification import visible_stars
-from ship_attitude_star.stars.selection import AttitudePrior
+from ship_attitude_star.stars.selection import StarPrior
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_in_doubt_alone
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import FloatArray
@@ -125,7 +125,7 @@ class Mounted:
 def solve_exposure(
     exposure: StarExposure,
     refused: tuple[RefusedStar, ...],
-    prior: AttitudePrior | None,
+    prior: StarPrior | None,
     watch: SkyWatch,
     turn_variance: float = 0.0,
 ) -> tuple[PlacedExposure, Solved]:
@@ -160,7 +160,7 @@ def solve_exposure(
 
 
 def solve_deck(
-    time_ns: int, group: Sequence[Mounted], sensors: dict[str, ObservingSensorConfig], prior: AttitudePrior | None
+    time_ns: int, group: Sequence[Mounted], sensors: dict[str, ObservingSensorConfig], prior: StarPrior | None
 ) -> Solved:
     """The attitude of the deck by exposures of different sensors.
 

@@ -6,7 +6,7 @@ Stars need no more of the INS: its attitude helps to choose among them, its turn
 import numpy as np
 
 from ship_attitude_star.guards.stream_guards import StreamGuards
-from ship_attitude_star.stars.selection import AttitudePrior
+from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.ins import GuardedInsConfig, InsJump
 from ship_estimation.refusals import Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
@@ -64,7 +64,7 @@ class InsMotion:
             return False
         return not self.track.covers(stamp_ns + reach_ns)
 
-    def deck(self, time_ns: int) -> AttitudePrior | None:
+    def deck(self, time_ns: int) -> StarPrior | None:
         """The attitude of the deck at a moment, with all errors that the INS may have; None where it is not known."""
         found = self._at(time_ns)
         if found is None:
@@ -77,7 +77,7 @@ class InsMotion:
         if self._jumps:
             jumped_n = self._jumped_n(time_ns)
             covariance_n += np.outer(jumped_n, jumped_n)
-        return AttitudePrior(found.rotation_nd, covariance_n + found.error_covariance_n)
+        return StarPrior(found.rotation_nd, covariance_n + found.error_covariance_n)
 
     def turn(self, to_ns: int, from_ns: int) -> tuple[FloatArray, FloatArray] | None:
         """The deck's turn between two moments.

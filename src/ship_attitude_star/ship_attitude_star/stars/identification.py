@@ -13,7 +13,7 @@ from ship_attitude_star.sky.catalogue import julian_year
 from ship_attitude_star.sky.sky_watch import SkyMoment, SkyWatch
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.fit import SightedStars
-from ship_attitude_star.stars.selection import AttitudePrior, across, distance
+from ship_attitude_star.stars.selection import StarPrior, across, distance
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, skew
@@ -34,7 +34,7 @@ _ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
 
 
 def visible_stars(
-    exposure: StarExposure, watch: SkyWatch, prior: AttitudePrior | None
+    exposure: StarExposure, watch: SkyWatch, prior: StarPrior | None
 ) -> tuple[StarExposure, SightedStars, list[tuple[str, Refusal]]] | Refusal:
     """The stars of an exposure that have a place in the sky.
 
@@ -81,7 +81,7 @@ def visible_stars(
 
 
 def identified(
-    exposure: StarExposure, prior: AttitudePrior, moment: SkyMoment
+    exposure: StarExposure, prior: StarPrior, moment: SkyMoment
 ) -> tuple[StarExposure, dict[int, Refusal]]:
     """The exposure with identities for those of its stars that had none, where one can be found.
 
@@ -119,7 +119,7 @@ def identified(
     return _filled(exposure, rows[taken], chosen[taken], moment), reasons
 
 
-def _in_field(directions_s: FloatArray, prior: AttitudePrior, moment: SkyMoment) -> NDArray[np.int64]:
+def _in_field(directions_s: FloatArray, prior: StarPrior, moment: SkyMoment) -> NDArray[np.int64]:
     """Rows of the catalogue with the bright stars that may be in the field of these detections."""
     centre_s = np.mean(directions_s, axis=0)
     centre_s /= np.linalg.norm(centre_s)
@@ -128,7 +128,7 @@ def _in_field(directions_s: FloatArray, prior: AttitudePrior, moment: SkyMoment)
 
 
 def _mahalanobis(
-    seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: AttitudePrior
+    seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: StarPrior
 ) -> FloatArray:
     """Mahalanobis² of each of k detections to each of c candidates under the prior's error, shape (k, c)."""
     basis = across(seen_n)

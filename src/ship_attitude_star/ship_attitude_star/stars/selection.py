@@ -35,7 +35,7 @@ BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class AttitudePrior:
+class StarPrior:
     """An attitude that is known without these stars.
 
     Attributes:
@@ -73,7 +73,7 @@ class Choice:
     agreement: Agreement | None = None
 
 
-def select(stars: SightedStars, prior: AttitudePrior | None = None) -> Choice:
+def select(stars: SightedStars, prior: StarPrior | None = None) -> Choice:
     """Choose the stars that are what they are taken for.
 
     Args:
@@ -183,7 +183,7 @@ def _common_variance(stars: SightedStars) -> FloatArray:
     return variance
 
 
-def _select_by_prior(stars: SightedStars, prior: AttitudePrior) -> BoolArray:
+def _select_by_prior(stars: SightedStars, prior: StarPrior) -> BoolArray:
     everything = np.ones(len(stars), dtype=bool)
     if not everything.any():
         return everything

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_watch import SHARED_TERMS
 from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agreement
-from ship_attitude_star.stars.selection import FEWEST_VERIFIED, AttitudePrior, select
+from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -96,7 +96,7 @@ class StarSolution:
         return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")
 
 
-def solve_stars(stars: SightedStars, prior: AttitudePrior | None = None) -> StarSolution:
+def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolution:
     """The attitude of frame b (horizon from b), its covariance by source, and the stars that do not belong to it.
 
     Args:
@@ -126,7 +126,7 @@ def solve_stars(stars: SightedStars, prior: AttitudePrior | None = None) -> Star
     )
 
 
-def solve_in_doubt_alone(stars: SightedStars, prior: AttitudePrior | None) -> tuple[StarSolution, bool]:
+def solve_in_doubt_alone(stars: SightedStars, prior: StarPrior | None) -> tuple[StarSolution, bool]:
     """The solution with the help of the prior; where the stars contradict the prior, the solution by the stars alone.
 
     Args:
@@ -151,7 +151,7 @@ def _open_turn(count: int) -> str:
     return f"{count} stars, all in one direction: the turn about it stays open"
 
 
-def _status(count: int, prior: AttitudePrior | None, rotation_nb: FloatArray) -> SolutionStatus:
+def _status(count: int, prior: StarPrior | None, rotation_nb: FloatArray) -> SolutionStatus:
     if prior is None and count < FEWEST_VERIFIED:
         return SolutionStatus.UNVERIFIED
     forward_n = rotation_nb[:, 0]
