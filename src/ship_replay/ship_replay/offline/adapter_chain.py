@@ -3,7 +3,7 @@
 The suite configuration, a file's or else the one attached to the bag, says which nodes take part.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -121,14 +121,19 @@ class AdapterChain:
     Args:
         adapters: in any order: data flows from those that give a topic to those that take it.
         linked: whether what one gives goes to those after it; otherwise all inputs come from outside.
+        configs: node name → its configuration; none where nobody asks for it.
 
     Attributes:
+        configs: the same.
         inputs: topics taken from outside.
         outputs: topics given.
     """
 
-    def __init__(self, adapters: Sequence[Adapter], linked: bool = True) -> None:
+    def __init__(
+        self, adapters: Sequence[Adapter], linked: bool = True, configs: Mapping[str, Any] | None = None
+    ) -> None:
         self.adapters = _in_order_of_flow(adapters)
+        self.configs = dict(configs or {})
         self._linked = linked
         self._taken = [_names(adapter.inputs) for adapter in self.adapters]
         self.outputs: tuple[OutputTopic, ...] = _by_topic(t for adapter in self.adapters for t in adapter.outputs)
@@ -195,7 +200,7 @@ def suite_chain(
         BadInput: the configuration does not serve.
     """
     meant = suite_nodes(bag, adapter_classes, config_path, namespace)
-    found, adapters, left_out = relative_topics(bag.topics, namespace), [], []
+    found, adapters, configs, left_out = relative_topics(bag.topics, namespace), [], {}, []
     for kind in meant:
         config = suite_config(bag, kind, config_path, full_name(kind.node_name, namespace))
         adapter = kind(config, factory)
@@ -205,7 +210,8 @@ def suite_chain(
             left_out.append(f"{kind.node_name} is left out: the bag has nothing of {wanted}")
         else:
             adapters.append(adapter)
-    return AdapterChain(adapters, linked), left_out
+            configs[kind.node_name] = config
+    return AdapterChain(adapters, linked, configs), left_out
 
 
 def _in_order_of_flow(adapters: Sequence[Adapter]) -> tuple[Adapter, ...]:

@@ -15,12 +15,11 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.parameter_yaml import full_name
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
 from ship_node.edge.topics import Published
-from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_config, suite_text
+from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import LogTimes, MessageTimes, in_order_of_stamps
 from ship_replay.offline.orientations import ORIENTATIONS, TruthErrors
 from ship_replay.offline.status_course import STATUS_TOPICS, StatusCourse, reasons_for
@@ -127,9 +126,8 @@ def replay(
             run.finish()
         last_ns = bag.last_time_ns if run.last_time_ns is None else run.last_time_ns
         for adapter in chain.adapters:
-            config = suite_config(bag, type(adapter), config_path, full_name(adapter.node_name, namespace))
             health = adapter.health.messages(factory, last_ns)
-            _tell_of_node(summary, adapter, config, health, is_alone=len(chain.adapters) == 1)
+            _tell_of_node(summary, adapter, chain.configs[adapter.node_name], health, is_alone=len(chain.adapters) == 1)
         summary.problems = left_out + bag.problems
         summary.duration_s = (bag.last_time_ns - bag.start_ns) / NS_PER_S
     summary.elapsed_s = time.monotonic() - started_s
