@@ -5,7 +5,7 @@ devices (:mod:`ship.attitude_device`, :mod:`stars.star_sightings`, :mod:`theodol
 :class:`run.SimulatedRun`, arrays alone → :mod:`messages`, spoilt by :mod:`faults` → bag. The suite file that fits the
 scenario (:mod:`suite`) goes into the same bag.
 
-The equations that the devices obey are those of models.md §4, which the estimators are built on:
+The equations that the devices obey are those of docs/explanation/filter.md, which the estimators are built on:
 
     R_true_nd(s + tau) = exp(a_n) exp(w_n) R_ins(s)
     R_star_ns(t + tau_s) = exp(c_n) R_true_nd(t + tau_s) exp(f_d) R0_ds exp(m_s) exp(n_s)

@@ -126,7 +126,7 @@ class Layout:
     def _joined(self, angles: FloatArray) -> tuple[JointAttitude, FloatArray, FloatArray]:
         """Joint attitude, "horizon from sensor" (..., N, 3, 3), effects of the common errors (..., N, 3, 4)."""
         rotations_ns = self._rotations_ns(angles)
-        # Noise and installation error turn about the same axes: R_star = R_ship R_0 exp(m) exp(n), models.md §4.
+        # Noise and installation error turn about the same axes: R_star = R_ship R_0 exp(m) exp(n).
         variances = self.noise_sigmas**2 + self.installation_sigmas**2
         own = (rotations_ns * variances[..., None, :]) @ np.swapaxes(rotations_ns, -1, -2)
         effects = _common_effects(rotations_ns)

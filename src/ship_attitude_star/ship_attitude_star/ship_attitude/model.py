@@ -1,4 +1,6 @@
-"""Which states the ship-attitude filter has, and the attitude of a device as they predict it (models.md §4).
+"""Which states the ship-attitude filter has, and the attitude of a device as they predict it.
+
+docs/explanation/filter.md tells the model.
 
 ==============================  =======  ====================================================================
 state                           frame    meaning

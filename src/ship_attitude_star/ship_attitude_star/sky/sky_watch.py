@@ -3,7 +3,7 @@
 :class:`SkyWatch` takes position fixes and readings of the air, and is asked for the sky at a moment: :class:`SkyMoment`
 places stars in the horizon frame (North, Up, East), with air. The errors that stars share do not average: refraction,
 Earth rotation (UT1) and the ship's position. Each direction therefore comes with its displacement by one standard
-deviation of each of them (models.md §2).
+deviation of each of them (docs/explanation/stars.md).
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,6 @@
 """A star sensor's camera: pixel ↔ direction in the sensor frame (forward, up, right), and what a centroid's error does.
 
-Pixels are (u, v), u to the right and v down as seen looking out, counted from 0, whole numbers at the pixels' centres
-(models.md §2).
+Pixels are (u, v), u to the right and v down as seen looking out, counted from 0, whole numbers at the pixels' centres.
 """
 
 from dataclasses import dataclass

@@ -2,7 +2,7 @@
 
 The frame b is the frame in which the stars were measured: the deck, or the frame of one sensor. Star i was measured in
 the direction u_i (frame b), and stands in the sky in the direction v_i (horizon frame n). At an attitude R_nb near the
-truth its displacement d_i is linear in small unknowns (models.md §2, §3):
+truth its displacement d_i is linear in small unknowns:
 
     d_i = v_i - R u_i = δ × v_i + (R m_s) × v_i - G_i z + noise
 

@@ -1,11 +1,11 @@
 """The choice of stars that are what they are taken for, by the attitude on which most of them agree.
 
-The rule is that of models.md §2. A trial is a possible attitude: one that a pair of stars gives whose angle fits, or,
-where an attitude is known beforehand (the prior), one that a single star gives by turning the prior. All stars with
-Mahalanobis² < 16 are members of the trial. The worst member is dropped as long as the members agree with a probability
-below 1e-3. A trial is accepted where its members agree with a probability above 1e-6 and are more than those of any
-rival. Without a prior at least three stars are needed to verify one another: two stars whose identities are swapped
-agree with each other in any case.
+A trial is a possible attitude: one that a pair of stars gives whose angle fits, or, where an attitude is known
+beforehand (the prior), one that a single star gives by turning the prior. All stars with Mahalanobis² < 16 are members
+of the trial. The worst member is dropped as long as the members agree with a probability below 1e-3. A trial is
+accepted where its members agree with a probability above 1e-6 and are more than those of any rival. Without a prior at
+least three stars are needed to verify one another: two stars whose identities are swapped agree with each other in any
+case.
 """
 
 from dataclasses import dataclass

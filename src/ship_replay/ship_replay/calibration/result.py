@@ -3,8 +3,8 @@
 Which combinations a session could tell follows from the covariances before and after it. What star sensors see against
 each other is free of the INS's errors. What they have together — one turn of all of them on the deck — is seen only
 against an attitude of the deck: at constant heading the INS's error and a common error of the installation look alike
-(models.md §4). So the joint error e = C t + r of all installations, C the turn of the deck in the sensors' axes, is
-split in two parts that the prior P0 holds independent of each other:
+(docs/explanation/filter.md). So the joint error e = C t + r of all installations, C the turn of the deck in the
+sensors' axes, is split in two parts that the prior P0 holds independent of each other:
 
     apart      r, with C^T P0^-1 r = 0, of 3 (N - 1) dimensions, in its principal directions
     together   t, as known once r is: (C^T P^-1 C)^-1

@@ -1,4 +1,4 @@
-"""A simulated theodolite whose calibration telescope sees the lights of drones, models.md §5.
+"""A simulated theodolite whose calibration telescope sees the lights of drones.
 
 One sighting walks one way: scenario → where the drones fly and the main axis looks (:mod:`flight`) → all that is true
 (:mod:`scene`) → what the devices say (:mod:`devices`) → together in :mod:`run`. With d the deck, m the main frame, t

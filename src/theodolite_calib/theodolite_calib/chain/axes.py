@@ -1,6 +1,6 @@
 """The axes of a theodolite: encoder angles and axis errors to the main frame in the deck, exact, and back.
 
-models.md §5, the exact form of [W18] (1)(2). Main frame m is (optical axis, up, right), deck d is (bow, up, starboard):
+This is the exact form of [W18] (1)(2). Main frame m is (optical axis, up, right), deck d is (bow, up, starboard):
 
     rotation_dm = T · Ry(A - g) · Rx(I) · Rz(-(E - h + f cos E)) · Ry(-c),   T = Ry(Am) · Rz(βm) · Ry(-Am)
 

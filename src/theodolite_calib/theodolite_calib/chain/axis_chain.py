@@ -1,6 +1,6 @@
 """From the ship's attitude and the encoders to the main axis in the horizon, and from there to the telescope and back.
 
-models.md §5, exact:
+The chain is exact:
 
     rotation_nm = exp(a) R_ship · exp(e) · R(encoder; axis errors)
     rotation_nm = rotation_nt · R(ΔA, ΔE, Δω)

@@ -1,4 +1,4 @@
-"""The states of the calibration filter, built from its configuration, and how the ship's error evolves (models.md §5).
+"""The states of the calibration filter, built from its configuration, and how the ship's error evolves.
 
 =========================  =========  =================================================================================
 state                      frame      meaning; errors are true minus used

@@ -1,6 +1,6 @@
 """From baselines and attitudes to the direction in which a light is seen, with all that is uncertain about it.
 
-models.md §5, [W18] (3)-(11) with the corrections stated there. The path from the telescope to the light, in n:
+[W18] (3)-(11) with the corrections of docs/explanation/errata.md. The path from the telescope to the light, in n:
 
     W = baseline + rotation_nb · light lever - rotation_nd · (theodolite lever + rotation_dm · N')
 
@@ -145,7 +145,7 @@ class LinesOfSight:
 
 
 def lines_of_sight(lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
-    """Directions to the lights with their errors, models.md §5."""
+    """Directions to the lights with their errors."""
     rotation_nm = ship.rotation_nd @ ship.rotation_dm
     lens_n = ship.rotation_nd @ survey.theodolite_lever.vector_m + rotation_nm @ survey.principal_point.vector_m
     light_lever_n = (lights.rotation_nb @ survey.light_lever.vector_m[..., None])[..., 0]
