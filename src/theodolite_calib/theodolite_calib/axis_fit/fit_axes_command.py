@@ -134,18 +134,20 @@ def _fitted(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFi
     if terms == 0:
         raise BadInput("every term is fixed: nothing is left to fit")
     if len(sightings.labels) < terms:
-        raise BadInput(f"{path}: {len(sightings.labels)} sightings for {terms} terms: expected at least {terms}")
+        raise BadInput(f"{len(sightings.labels)} sightings for {terms} terms: expected at least {terms}", file=path)
     fading = any(not math.isinf(error.time_s) for error in sightings.slow_errors)
     if fading and len(sightings.labels) > MOST_SIGHTINGS:
         raise BadInput(
-            f"{path}: {len(sightings.labels)} sightings with errors that fade in time: expected at most "
-            f"{MOST_SIGHTINGS}; take every so many"
+            f"{len(sightings.labels)} sightings with errors that fade in time: expected at most "
+            f"{MOST_SIGHTINGS}; take every so many",
+            file=path,
         )
     result = fit(sightings, fixed)
     if not result.scale <= _MOST_SCATTER:
         raise BadInput(
-            f"{path}: the sightings scatter by {np.rad2deg(result.scale):.1f} deg about any axis errors: expected "
-            "offsets [deg] of one theodolite, true direction minus encoder"
+            f"the sightings scatter by {np.rad2deg(result.scale):.1f} deg about any axis errors: expected offsets "
+            "[deg] of one theodolite, true direction minus encoder",
+            file=path,
         )
     return result
 

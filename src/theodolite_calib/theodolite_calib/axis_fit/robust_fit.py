@@ -9,8 +9,9 @@ as small as these there is one minimum, whatever the start. s is the median of r
 error in two components. Minimised by iteratively reweighted Gauss-Newton steps.
 
 Errors that several sightings share (:mod:`theodolite_calib.axis_fit.sightings`) are unknowns beside the axis errors,
-known to their sigma beforehand: what is left of a sighting is its own. Where none are stated, the sightings count as
-independent, and the residuals of neighbours tell whether they are: where these hang together there is no covariance.
+each known to its sigma beforehand; what is left of a sighting is its own error. Where a table states no shared errors,
+the sightings count as independent. The residuals of neighbours tell whether they are: where these are correlated, the
+fit gives no covariance.
 
 Huber, "Robust Statistics" (1981), ch. 7.
 """
@@ -32,24 +33,25 @@ OUTLIER_AT = 3.5
 """A sighting is an outlier when it is off by more scales than this: of clean ones two in a thousand are."""
 
 PRIOR_SIGMAS = np.array([np.pi, np.pi, *[3600.0 * ARCSEC] * 5])
-"""Known of each error before any sighting (rad): zero points may be anywhere, the rest is surely below some degrees.
+"""What is known of each error before any sighting, rad: zero points may be anywhere, the others are about a degree.
 
-It keeps what the sightings do not see at zero, with a sigma that says so, and does nothing to what they see.
+An error that the sightings do not see thereby stays at zero, with a sigma that says so. What they see is not changed.
 """
 
 HANG_TOGETHER = 0.3
-"""From this correlation between the residuals of neighbouring sightings on, independence would make a sigma too small
-by a third and more: none is given."""
+"""With this correlation between the residuals of neighbouring sightings, a sigma by independent sightings would be a
+third too small: from here on no sigma is given."""
 
-# Of the correlation of independent residuals, in its own sigmas.
 _CHANCE_SIGMAS = 3.0
+"""A correlation of so many of its own sigmas may be chance, though the residuals are independent."""
 _MEDIAN_OF_TWO = np.sqrt(2.0 * np.log(2.0))
-# No encoder reads finer; sightings without any error still have a scale.
+"""Median length of a vector of two normal components of sigma 1."""
 _LEAST_SCALE = 1e-4 * ARCSEC
+"""No encoder reads finer than this: sightings without any error still have a scale."""
 _ROUNDING = 1e-12
 _MOST_STEPS = 200
-# The scale is then held: what remains is convex and must converge.
 _STEPS_WITH_NEW_SCALE = 50
+"""After so many steps the scale is held: the problem that remains is convex and must converge."""
 _CONVERGED_SIGMAS = 1e-6
 
 
@@ -58,17 +60,18 @@ class AxisFit:
     """What the sightings say.
 
     Attributes:
-        errors: axis errors, fixed ones included, rad.
-        fitted: names of the fitted ones, in the order of the covariance.
-        covariance: of the fitted errors, shape (k, k), rad²; without what sightings share that nothing states.
+        errors: axis errors, rad, also those that were held.
+        fitted: names of the fitted errors, in the order of the covariance.
+        covariance: covariance of the fitted errors, rad², shape (k, k). It knows nothing of errors that the sightings
+            share and the table does not state.
         neighbours: correlation between the residuals of neighbouring sightings.
-        sigmas_known: False where that says that the sightings share errors that nothing states.
+        sigmas_known: False where that correlation says that the sightings share errors that the table does not state.
         scale: robust sigma of one component of a sighting, rad: of its own error, not of those that sightings share.
-        before: residuals without any model, to the right and up, shape (n, 2), rad.
-        shared: what the errors that sightings share are found to move them by, shape (n, 2), rad.
-        residuals: with the fitted model and without the shared errors, shape (n, 2), rad.
-        left_out: of each sighting with the model that the others alone give, shape (n, 2), rad.
-        weights: with which each sighting counted, shape (n,), at most 1.
+        before: residuals without any model, to the right and up, rad, shape (n, 2).
+        shared: what the errors that sightings share are found to move them by, rad, shape (n, 2).
+        residuals: residuals with the fitted model and without the shared errors, rad, shape (n, 2).
+        left_out: residual of each sighting with the model that the others alone give, rad, shape (n, 2).
+        weights: the weight with which each sighting counted, at most 1, shape (n,).
         design: change of direction per fitted error, shape (n, 2, k).
     """
 
@@ -87,12 +90,12 @@ class AxisFit:
 
     @property
     def sigmas(self) -> FloatArray:
-        """Of the fitted errors, shape (k,), rad."""
+        """Standard deviations of the fitted errors, rad, shape (k,)."""
         return np.sqrt(np.diagonal(self.covariance))
 
     @property
     def correlation(self) -> FloatArray:
-        """Of the fitted errors, shape (k, k)."""
+        """Correlation of the fitted errors, shape (k, k)."""
         return self.covariance / np.outer(self.sigmas, self.sigmas)
 
     @property
@@ -105,7 +108,7 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
     """Fit all axis errors but the fixed ones.
 
     Args:
-        sightings: at least as many as errors to fit.
+        sightings: the sightings, at least as many as there are errors to fit.
         fixed: errors that are not fitted, by name, with their values, rad.
     """
     free = np.array([name not in fixed for name in NAMES])
@@ -128,7 +131,7 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
         shared = shared + change[terms:]
         # A shared error that the residuals show takes a degree of freedom from them, as an axis error does.
         taken = terms + float(np.sum(1.0 - np.sum(root[terms:] ** 2, axis=1)))
-        # The step in sigmas of the result.
+        # The size of the step in sigmas of the result.
         if np.sqrt(gradient @ change) < _CONVERGED_SIGMAS:
             break
     return _result(problem, vector, shared, scale, taken)
@@ -145,7 +148,7 @@ def rms(residuals: FloatArray) -> float:
 
 
 def _start(sightings: Sightings) -> FloatArray:
-    """Zero points that fit on the average; they may be anywhere. All else is small."""
+    """Where the fit starts: a zero point of the azimuth, which may be anywhere, that fits on the average; else zero."""
     axis_d = main_axis_rotation(AxisErrors(), sightings.azimuth, sightings.elevation)[..., 0]
     seen, true = (d[..., 0] + 1j * d[..., 2] for d in (axis_d, sightings.direction_d))
     return np.array([np.angle(np.sum(seen * np.conj(true))), *[0.0] * (len(NAMES) - 1)])
@@ -230,10 +233,10 @@ def _neighbours(sightings: Sightings, residuals: FloatArray) -> float:
 def _covariance(
     residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray, taken: float
 ) -> FloatArray:
-    """Huber (1981) §7.6, for residuals of two components, and the prior.
+    """Covariance of the unknowns by Huber (1981) §7.6, for residuals of two components, with the prior.
 
-    The loss beyond k s resists a change along the residual not at all and one across it with its weight: on the average
-    over both with half the weight.
+    Beyond k s the loss does not resist a change along the residual; it resists a change across the residual with the
+    weight of the sighting. On the average over both it resists with half the weight.
     """
     stiffness = np.where(weights < 1.0, 0.5 * weights, 1.0)
     freedom = residuals.size - taken
@@ -247,20 +250,20 @@ def _root_of_inverse(seen: FloatArray, information: FloatArray) -> FloatArray:
     """Root W of (seen + information)⁻¹ = W Wᵀ; what was known beforehand is diagonal."""
     known = 1.0 / np.sqrt(np.diagonal(information))
     values, vectors = np.linalg.eigh(known[:, None] * seen * known + np.eye(len(known)))
-    # In units of what was known beforehand no direction is known worse than 1, whatever rounding says.
+    # In units of what was known beforehand every eigenvalue is 1 or more; rounding may say otherwise.
     root: FloatArray = known[:, None] * vectors / np.sqrt(np.maximum(values, 1.0))
     return root
 
 
 def _left_out(residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray) -> FloatArray:
-    """Residual of each sighting when the others alone are fitted: one Newton step of the loss without it."""
+    """Residual of each sighting when the others alone are fitted, by one Newton step of the loss without it."""
     along = residuals / np.maximum(sizes(residuals), _LEAST_SCALE)[:, None]
     flat = np.where(weights < 1.0, weights, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]
     stiffness = weights[:, None, None] * np.eye(2) - flat
     of_one = design @ _root_of_inverse(_normal(design, stiffness), information)
-    # A sighting pulls its own residual down; without it that is stretched.
+    # A sighting makes its own residual smaller: without it the residual is stretched.
     own_pull = of_one @ np.swapaxes(of_one, -1, -2)
     kept = np.eye(2) - stiffness @ own_pull
-    # What one sighting alone determines leaves nothing, and no more than rounding may be stretched.
+    # A residual that one sighting alone determines is zero but for rounding, which must not be stretched.
     stretched = own_pull @ np.linalg.inv(kept + _ROUNDING * np.eye(2))
     return residuals + (stretched @ (weights[:, None] * residuals)[..., None])[..., 0]

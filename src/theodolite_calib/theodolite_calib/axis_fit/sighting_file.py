@@ -1,18 +1,18 @@
 """Sightings from a file: a CSV table, or YAML with the same names under ``sightings``.
 
-Errors that several sightings share are stated by further columns: ``slow_right_arcsec:NAME:T`` and
-``slow_up_arcsec:NAME:T`` say what one sigma of the error NAME moves each sighting by, T being its correlation time in
-seconds (``inf`` where it lasts); or ``group`` and ``group_sigma_arcsec``, where all sightings of a group were taken
-while the base was turned about each of its axes by one error of this size.
+Further columns state the errors that several sightings share. ``slow_right_arcsec:NAME:T`` and
+``slow_up_arcsec:NAME:T`` say what one sigma of the error NAME moves each sighting by; T is its correlation time in
+seconds, ``inf`` where it lasts. ``group`` and ``group_sigma_arcsec`` say that all sightings of a group were taken while
+the base was turned about each of its axes by one error of this size.
 
-Whatever else sightings may come from ends in the same struct: :func:`read_sightings` chooses by the file's name.
+:func:`read_sightings` chooses the reader by the name of the file; every reader gives the same struct.
 """
 
 import csv
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,8 +42,22 @@ _SIDES = ("slow_right_arcsec", "slow_up_arcsec")
 _ELEVATIONS_DEG = (-90.0, 270.0)
 _YAML_KEY = "sightings"
 
-# Where a row stands, for messages, and its values by column.
-_Row = tuple[str, Mapping[str, Any]]
+
+class _Place(NamedTuple):
+    """Where values stand: the file, the line where it is known, and the name of the entry in the file."""
+
+    file: Path
+    line: int | None = None
+    entry: str = ""
+
+    def error(self, reason: str, value: Any = None) -> BadInput:
+        """The error of values that stand here."""
+        reason = f"{self.entry}: {reason}" if self.entry else reason
+        return BadInput(reason, file=self.file, line=self.line, value=value)
+
+
+_Row = tuple[_Place, Mapping[str, Any]]
+"""Where a row stands, and its values by column."""
 
 
 def read_sightings(path: Path) -> Sightings:
@@ -56,14 +70,14 @@ def read_sightings(path: Path) -> Sightings:
     readers = {".csv": _csv_rows, ".yaml": _yaml_rows, ".yml": _yaml_rows}
     if path.suffix.lower() not in readers:
         hint = "; `ship_replay axis_sightings` makes a table of a bag" if path.suffix.lower() == ".mcap" else ""
-        raise BadInput(f"{path}: sightings are read from .csv, .yaml or .yml{hint}")
+        raise BadInput(f"sightings are read from .csv, .yaml or .yml{hint}", file=path)
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: not a text in UTF-8: {error.reason} at byte {error.start}") from error
+        raise BadInput(f"not a text in UTF-8: {error.reason} at byte {error.start}", file=path) from error
     rows = list(readers[path.suffix.lower()](path, text))
     if not rows:
-        raise BadInput(f"{path}: no sightings")
+        raise BadInput("no sightings", file=path)
     numbered, repeated = _without_repeats(rows)
     labels = tuple(str(values.get(LABEL_COLUMN, number)) for number, (_, values) in numbered)
     table = [row for _, row in numbered]
@@ -74,7 +88,7 @@ def read_sightings(path: Path) -> Sightings:
     time_s = _column(table, TIME_COLUMN, "seconds") if TIME_COLUMN in table[0][1] else None
     slow = (*_slow_errors(path, table), *_group_errors(table, direction_d))
     if time_s is None and not all(np.isinf(error.time_s) for error in slow):
-        raise BadInput(f"{path}: columns missing: {TIME_COLUMN}: the table states slow errors that fade in time")
+        raise BadInput(f"columns missing: {TIME_COLUMN}: the table states slow errors that fade in time", file=path)
     return Sightings(labels, azimuth, elevation, direction_d, time_s, slow, repeated)
 
 
@@ -84,11 +98,11 @@ def slow_column(side: int, name: str, time_s: float) -> str:
 
 
 def _without_repeats(rows: list[_Row]) -> tuple[list[tuple[int, _Row]], tuple[str, ...]]:
-    """The rows with their numbers, each sighting once, and what is left out: a sighting given twice is still one."""
+    """The rows with their numbers, each sighting once, and the labels of the rows that give a sighting again."""
     kept: dict[tuple[str, ...], tuple[int, _Row]] = {}
     repeated = []
     for number, (place, values) in enumerate(rows, start=1):
-        # A sighting is what its angles and its time say, under whatever label.
+        # Two rows with the same angles and the same time are one sighting, whatever their labels.
         key = tuple(str(values.get(column)).strip() for column in (*COLUMNS, TIME_COLUMN))
         if key in kept:
             first = kept[key][1][1]
@@ -103,31 +117,33 @@ def _column(table: list[_Row], column: str, unit: str) -> np.ndarray:
 
 
 def _slow_errors(path: Path, table: list[_Row]) -> Iterator[SharedError]:
-    """Of the columns of slow errors, in pairs."""
+    """The errors that pairs of columns ``slow_right_arcsec:NAME:T``, ``slow_up_arcsec:NAME:T`` state."""
     names = [column for column in table[0][1] if str(column).startswith(tuple(f"{side}:" for side in _SIDES))]
     for key in dict.fromkeys(column.split(":", 1)[1] for column in names):
         name, _, time = key.rpartition(":")
         pair = [f"{side}:{key}" for side in _SIDES]
         if not name or any(column not in names for column in pair):
-            raise BadInput(f"{path}: slow error '{key}': expected columns {_SIDES[0]}:NAME:T and {_SIDES[1]}:NAME:T")
+            expected = f"{_SIDES[0]}:NAME:T and {_SIDES[1]}:NAME:T"
+            raise BadInput(f"slow error '{key}': expected columns {expected}", file=path)
         try:
             time_s = float(time)
         except ValueError:
             time_s = math.nan
         if not time_s >= 0.0:
-            raise BadInput(f"{path}: slow error '{key}': correlation time '{time}': expected seconds, or inf")
+            reason = f"slow error '{key}': correlation time '{time}': expected seconds, or inf"
+            raise BadInput(reason, file=path, value=time)
         effect = np.stack([_column(table, column, "arcsec") for column in pair], axis=-1)
         yield SharedError(name, time_s, ARCSEC * effect)
 
 
 def _group_errors(table: list[_Row], direction_d: np.ndarray) -> Iterator[SharedError]:
-    """A turn of the base about each of its axes for each group."""
+    """The errors that the columns of groups state: for each group a turn of the base about each of its axes."""
     group, sigma = GROUP_COLUMNS
     if group not in table[0][1]:
         return
     for place, values in table:
         if group not in values or sigma not in values:
-            raise BadInput(f"{place}: columns missing: {', '.join(GROUP_COLUMNS)} belong together")
+            raise place.error(f"columns missing: {', '.join(GROUP_COLUMNS)} belong together")
     sigmas = ARCSEC * _column(table, sigma, "arcsec")
     turned = right_and_up(direction_d) @ direction_change(direction_d, np.eye(3))
     groups = np.array([str(values[group]).strip() for _, values in table])
@@ -140,55 +156,56 @@ def _group_errors(table: list[_Row], direction_d: np.ndarray) -> Iterator[Shared
 def _csv_rows(path: Path, text: str) -> Iterator[_Row]:
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True, strict=True)
     try:
-        _refuse_missing(str(path), reader.fieldnames or [])
+        _refuse_missing(_Place(path), reader.fieldnames or [])
         for values in reader:
-            place = f"{path}:{reader.line_num}"
+            place = _Place(path, reader.line_num)
             if None in values or None in values.values():
-                raise BadInput(f"{place}: expected {len(reader.fieldnames or [])} values as in the first line")
+                raise place.error(f"expected {len(reader.fieldnames or [])} values as in the first line")
             yield place, values
     except csv.Error as error:
-        raise BadInput(f"{path}:{reader.reader.line_num}: {error}") from error
+        raise BadInput(str(error), file=path, line=reader.reader.line_num) from error
 
 
 def _yaml_rows(path: Path, text: str) -> Iterator[_Row]:
     document = plain_data(str(path), text)
     rows = document.get(_YAML_KEY) if isinstance(document, dict) else None
     if not isinstance(rows, list):
-        raise BadInput(f"{path}: expected '{_YAML_KEY}:' with a list of sightings")
+        raise BadInput(f"expected '{_YAML_KEY}:' with a list of sightings", file=path)
     for number, values in enumerate(rows, start=1):
-        place = f"{path}: sighting {number}"
+        place = _Place(path, entry=f"sighting {number}")
         if not isinstance(values, dict):
-            raise BadInput(f"{place}: expected {', '.join(COLUMNS)}, got {values!r:.40}")
+            raise place.error(f"expected {', '.join(COLUMNS)}, got {values!r:.40}", values)
         _refuse_missing(place, values)
         yield place, values
 
 
-def _refuse_missing(place: str, found: Any) -> None:
+def _refuse_missing(place: _Place, found: Any) -> None:
     missing = [column for column in COLUMNS if column not in found]
     if missing:
         listed = ", ".join(map(str, found)) or "nothing"
-        raise BadInput(f"{place}: columns missing: {', '.join(missing)} (degrees); found: {listed}")
+        raise place.error(f"columns missing: {', '.join(missing)} (degrees); found: {listed}")
 
 
-def _number(place: str, values: Mapping[str, Any], column: str, unit: str) -> float:
+def _number(place: _Place, values: Mapping[str, Any], column: str, unit: str) -> float:
     value: Any = values.get(column)
     try:
         number = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise BadInput(f"{place}: {column} is {value!r:.40}: expected a finite number of {unit}")
+        raise place.error(f"{column} is {value!r:.40}: expected a finite number of {unit}", value)
     low, high = _ELEVATIONS_DEG
     if column == "encoder_elevation_deg" and not low <= number <= high:
-        raise BadInput(f"{place}: {column} = {number:g} is out of its range [{low:g}, {high:g}] degrees")
+        raise place.error(f"{column} = {number:g} is out of its range [{low:g}, {high:g}] degrees", number)
     return number
 
 
 def _refuse_radians(path: Path, numbers: np.ndarray) -> None:
-    """Angles that all look like radians: in degrees they would be sightings of one spot near the horizon."""
+    """Refuse angles that all look like radians: in degrees they would be sightings of one spot near the horizon."""
     azimuths, elevations = np.abs(numbers[:, 0]), np.abs(numbers[:, 1])
     if np.max(azimuths) <= 2.0 * np.pi and np.max(elevations) <= np.pi:
         raise BadInput(
-            f"{path}: encoder_azimuth_deg is at most {np.max(azimuths):.3g}, encoder_elevation_deg at most "
-            f"{np.max(elevations):.3g}: these look like radians, expected degrees"
+            f"encoder_azimuth_deg is at most {np.max(azimuths):.3g}, encoder_elevation_deg at most "
+            f"{np.max(elevations):.3g}: these look like radians, expected degrees",
+            file=path,
         )
