@@ -152,16 +152,15 @@ class MeasuredTracks:
 
     def awaits(self, exposure: Exposure) -> bool:
         """True while data still to come may belong to an exposure."""
-        end_ns = exposure.time_ns + exposure.reach_ns
-        if not (self.ship.covers(end_ns - self.ship_shift_ns) and self.encoder.covers(end_ns)):
-            return True
+        # The slowest sources first: most often one of these is awaited.
         for light in exposure.lights:
             if not self.baselines[light.beacon_id].covers(exposure.time_ns):
                 return True
             drone = self.drones.get(light.beacon_id)
             if drone is not None and not drone.covers(exposure.time_ns):
                 return True
-        return False
+        end_ns = exposure.time_ns + exposure.reach_ns
+        return not (self.encoder.covers(end_ns) and self.ship.covers(end_ns - self.ship_shift_ns))
 
     @property
     def ship_covered_until_ns(self) -> int | None:
