@@ -64,51 +64,6 @@ class LagWindow:
         self.oldest_ns = self.newest_ns - self._lag_ns
 
 
-class OutputOrder:
-    """In which order outputs go out, and when it is time to say that there are none.
-
-    Outputs that claim something strictly increase in time. One that says INVALID carries the time of a tick, stands
-    outside that order and holds none back.
-    """
-
-    def __init__(self) -> None:
-        self.restart()
-
-    def restart(self) -> None:
-        """The clock jumped: outputs may start again at earlier times."""
-        self._last_claim_ns: int | None = None
-        self._silent_after_ns: int | None = None
-        self._said_invalid_ns: int | None = None
-
-    def follows(self, time_ns: int) -> bool:
-        """Whether an output for a moment may still go out: it is later than all before."""
-        return self._last_claim_ns is None or time_ns > self._last_claim_ns
-
-    def claimed(self, time_ns: int, waiting_ns: int, patience_ns: int = SECOND_NS) -> None:
-        """An output that claims something went out.
-
-        Args:
-            time_ns: its stamp.
-            waiting_ns: the time of waiting.
-            patience_ns: how long the next one may take; never less than a second.
-        """
-        self._last_claim_ns = time_ns
-        self._silent_after_ns = waiting_ns + max(patience_ns, SECOND_NS)
-        self._said_invalid_ns = None
-
-    def invalid_due(self, waiting_ns: int) -> bool:
-        """Whether to say INVALID now: no output for too long, and not yet said in the last second.
-
-        The caller that hears "yes" says it.
-        """
-        if self._silent_after_ns is not None and waiting_ns <= self._silent_after_ns:
-            return False
-        if self._said_invalid_ns is not None and waiting_ns - self._said_invalid_ns < SECOND_NS:
-            return False
-        self._said_invalid_ns = waiting_ns
-        return True
-
-
 @dataclass(frozen=True, kw_only=True)
 class Model(Generic[State, Measured, Judged, Jump]):
     """What an estimator is beside its shell; all functions leave the state that they are given as it is.
@@ -128,7 +83,7 @@ class Model(Generic[State, Measured, Judged, Jump]):
     failed: Callable[[Measured, Refusal], Judged]
     until_ns: Callable[[Judged], int]
     forget_before: Callable[[int], None]
-    decided: Callable[[Judged], None] = lambda decision: None
+    decided: Callable[[Judged], None] | None = None
 
 
 @dataclass(frozen=True)
@@ -150,14 +105,12 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
     Attributes:
         state: after the last measurement applied.
         window: the stamps that are still taken.
-        order: of the outputs.
     """
 
     def __init__(self, model: Model[State, Measured, Judged, Jump], state: State, lag_s: float, reach_ns: int) -> None:
         self._model = model
         self._lag_s, self._reach_ns = lag_s, reach_ns
-        self.order = OutputOrder()
-        self.reset(state)
+        self.reset(state, clock_jumped=True)
 
     def reset(self, state: State, clock_jumped: bool = False) -> None:
         """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
@@ -166,7 +119,9 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self.window = LagWindow(self._lag_s)
         self._log: TimeOrderedLog[State, Measured | _Opening[Jump], Judged | _Opening[Jump]] = TimeOrderedLog(state)
         if clock_jumped:
-            self.order.restart()
+            self._last_claim_ns: int | None = None
+            self._silent_after_ns: int | None = None
+            self._said_invalid_ns: int | None = None
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
@@ -213,16 +168,17 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         """Apply what can be applied now, and tell the decisions that are new or turn out otherwise."""
         if not self._log.waiting:
             return
-        window = self.window
-        for decision, previous in self._log.apply(self._step, self._failed, (window.oldest_ns, window.newest_ns)):
+        decisions = self._log.apply(self._step, self._failed, (self.window.oldest_ns, self.window.newest_ns))
+        self.state = self._log.state
+        for decision, previous in decisions:
             if isinstance(decision, _Opening):
                 continue
-            self._model.decided(decision)
+            if self._model.decided is not None:
+                self._model.decided(decision)
             if previous is None:
                 outcome.decisions.append(decision)
             elif not isinstance(previous, _Opening) and previous.accepted != decision.accepted:
                 outcome.decisions.append(replace(decision, revised=True))
-        self.state = self._log.state
 
     def _advance(self, time_ns: int, outcome: Outcome[Judged, Estimate]) -> None:
         """Apply what can be applied now, then close the window."""
@@ -245,6 +201,10 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
 
     # -- outputs --------------------------------------------------------------------------------------------
 
+    def follows(self, time_ns: int) -> bool:
+        """Whether an output for a moment may still go out: it is later than all before."""
+        return self._last_claim_ns is None or time_ns > self._last_claim_ns
+
     def put_out(
         self,
         outcome: Outcome[Judged, Estimate],
@@ -262,9 +222,9 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
             time_ns: the moment.
             waiting_ns: the time of waiting.
             estimate: computes it from the state now; None where there is none.
-            patience_ns: how long the next one may take before INVALID is said.
+            patience_ns: how long the next one may take before INVALID is said; never less than a second.
         """
-        if not self.order.follows(time_ns):
+        if not self.follows(time_ns):
             return
         try:
             found = estimate(self._state_now())
@@ -273,7 +233,8 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
             return
         if found is not None:
             outcome.estimates.append(found)
-            self.order.claimed(time_ns, waiting_ns, patience_ns)
+            self._last_claim_ns, self._said_invalid_ns = time_ns, None
+            self._silent_after_ns = waiting_ns + max(patience_ns, SECOND_NS)
 
     def _state_now(self) -> State:
         """The state for outputs: jumps count at once, also where measurements of before them still wait."""
@@ -285,6 +246,14 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
     def say_invalid(
         self, outcome: Outcome[Judged, Estimate], waiting_ns: int, nothing: Callable[[], Estimate]
     ) -> None:
-        """Say, once a second, that there is no estimate, where none went out for too long whatever came in."""
-        if self.order.invalid_due(waiting_ns):
-            outcome.estimates.append(nothing())
+        """Say, once a second, that there is no estimate, where none went out for too long whatever came in.
+
+        Such an output carries the time of a tick. It stands outside the order of those that claim something, and holds
+        none of them back.
+        """
+        if self._silent_after_ns is not None and waiting_ns <= self._silent_after_ns:
+            return
+        if self._said_invalid_ns is not None and waiting_ns - self._said_invalid_ns < SECOND_NS:
+            return
+        self._said_invalid_ns = waiting_ns
+        outcome.estimates.append(nothing())

@@ -98,7 +98,7 @@ class Outcome(Generic[Judged, Estimate]):
         refusal: why this very input was not used; None where it was, or still waits.
         decisions: measurements judged now: this one, or others that had waited for it.
         estimates: what to publish. The times of those that claim something strictly increase
-            (:class:`ship_estimation.estimator_shell.OutputOrder`).
+            (:meth:`ship_estimation.estimator_shell.EstimatorShell.put_out`).
         failures: by stamp, outputs that could not be computed: the software itself failed.
     """
 

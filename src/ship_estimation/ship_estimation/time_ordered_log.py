@@ -43,22 +43,18 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
         state: the state before any measurement.
 
     Attributes:
+        state: after the last measurement applied by :meth:`apply`.
         waiting: number of measurements not applied yet.
         oldest_ns: time of the first measurement of the window; None where there is none.
     """
 
     def __init__(self, state: State) -> None:
-        self._base = state
+        self._base = self.state = state
         self._keys: list[Key] = []
         self._entries: list[_Entry[Measurement, State, Decision]] = []
         self.waiting = 0
         self.oldest_ns: int | None = None
         self._repeats, self._repeats_since_ns = 0, 0
-
-    @property
-    def state(self) -> State:
-        """The state after the last measurement applied."""
-        return self._state_before(self._applied)
 
     def not_applied(self) -> list[Measurement]:
         """The measurements that wait, in order."""
@@ -127,6 +123,7 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
             entry.state_after, entry.decision = result
             decisions.append((entry.decision, previous))
             self.waiting -= 1
+        self.state = self._state_before(self._applied)
         return decisions
 
     def forget_before(self, time_ns: int) -> None:

@@ -1,5 +1,6 @@
 """The estimator shell with a toy model whose step rounds and does not commute: any wrong order shows in the state."""
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from ship_estimation.estimator_shell import SECOND_NS, EstimatorShell, LagWindow, Model, OutputOrder
+from ship_estimation.estimator_shell import SECOND_NS, EstimatorShell, LagWindow, Model
 from ship_estimation.outcome import Decision, Outcome
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.vector_track import VectorSample, VectorTrack
@@ -84,9 +85,10 @@ def toy(time_ms: int, value: float = 0.5, source: str = "toy") -> Toy:
 
 
 def state_for_outputs(estimator: Estimator) -> float:
-    outcome = ToyOutcome()
-    estimator.shell.order.restart()
-    estimator.shell.put_out(outcome, 0, 0, lambda state: state)
+    """What an output at the next moment rests on."""
+    outcome, moments = ToyOutcome(), itertools.count(10**15)
+    while not outcome.estimates:
+        estimator.shell.put_out(outcome, next(moments), 0, lambda state: state)
     return outcome.estimates[0]
 
 
@@ -305,17 +307,19 @@ def test_a_clock_that_jumps_back_lets_earlier_outputs_follow_and_a_reset_alone_d
     estimator.shell.put_out(outcome, 10 * MS, 0, lambda state: 1.0)
     estimator.shell.reset(START)
     assert estimator.shell.state == START
-    assert not estimator.shell.order.follows(5 * MS)
+    assert not estimator.shell.follows(5 * MS)
     estimator.shell.reset(START, clock_jumped=True)
-    assert estimator.shell.order.follows(5 * MS)
+    assert estimator.shell.follows(5 * MS)
     assert estimator.add(toy(10)).refusal is None
 
 
 def test_before_the_first_output_invalid_is_due_at_once() -> None:
-    order = OutputOrder()
-    assert order.invalid_due(0)
-    assert not order.invalid_due(SECOND_NS - 1)
-    assert order.invalid_due(SECOND_NS)
+    estimator, said = Estimator(), []
+    for waiting_ns in (0, SECOND_NS - 1, SECOND_NS):
+        outcome = ToyOutcome()
+        estimator.shell.say_invalid(outcome, waiting_ns, lambda: math.nan)
+        said.append(len(outcome.estimates))
+    assert said == [1, 0, 1]
 
 
 def test_the_window_closes_behind_the_lag_and_the_reach() -> None:

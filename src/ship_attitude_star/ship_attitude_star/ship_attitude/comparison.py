@@ -6,12 +6,12 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
-from ship_attitude_star.ship_attitude.model import PredictedAttitude, sky_rows
+from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, PredictedAttitude, sky_rows
 from ship_attitude_star.ship_attitude.star_update import attitude_by_stars, star_residuals
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_estimation.kalman import StateModel
+from ship_estimation.kalman import LinearMeasurement, StateModel
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Refusal
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
@@ -22,84 +22,90 @@ class Compared:
     """A measurement against its prediction.
 
     Attributes:
-        residual: measured minus predicted, rad, shape (m,).
-        jacobian: of the residual per state, shape (m, n).
-        noise: covariance of the white noise, rad², shape (m, m).
-        interpolation: the same of the INS's attitude between its samples.
+        linear: residual, rad, shape (m,), its Jacobian per state and its noise by source.
         components: names of the residuals.
         rotation_nv: horizon from device as measured, shape (3, 3); as predicted where single stars agree with that.
+        predicted_nv: the same as predicted, shape (3, 3).
+        attitude_noise_n: noise of a measured attitude, rotation vector in the horizon frame, rad², shape (3, 3); zero
+            for single stars.
         left_out: stars that had no part in it, by name.
     """
 
-    residual: FloatArray
-    jacobian: FloatArray
-    noise: FloatArray
-    interpolation: FloatArray
+    linear: LinearMeasurement
     components: tuple[str, ...]
     rotation_nv: FloatArray
+    predicted_nv: FloatArray
+    attitude_noise_n: FloatArray
     left_out: tuple[tuple[str, Refusal], ...] = ()
-
-    @property
-    def attitude_noise_n(self) -> FloatArray:
-        """Noise of a measured attitude, rotation vector in the horizon frame, rad², (3, 3); zero for single stars."""
-        if self.components != ATTITUDE_COMPONENTS:
-            return np.zeros((3, 3))
-        noise_n: FloatArray = self.rotation_nv @ self.noise @ self.rotation_nv.T
-        return noise_n
 
 
 def compare(
     measurement: Measurement,
+    device: Device,
     predicted: PredictedAttitude,
     model: StateModel,
     mean: FloatArray,
-    covariance: FloatArray,
+    parts: FloatArray,
     watch: SkyWatch | None,
 ) -> Compared | Refusal:
     """Compare a measurement with the attitude predicted for its device.
 
     Args:
         measurement: an attitude in the horizon, or single stars.
+        device: that measured.
         predicted: attitude of the device at the moment of the measurement.
         model: what the states are.
         mean: of the state, shape (n,).
-        covariance: of the state, shape (n, n).
+        parts: covariance of the state by source, shape (n_sources, n, n).
         watch: the sky; None where no sensor needs it.
 
     Returns:
         The refusal where it cannot be compared.
     """
+    index, between = model.sources.index, model.sources.index(SOURCE_INTERPOLATION)
     if isinstance(measurement, AttitudeMeasurement):
-        return _compare_attitude(measurement, predicted, model, mean)
+        residual, jacobian = _attitude_residual(measurement, predicted, model, mean)
+        noise, interpolation = measurement.noise_v, predicted.interpolation_v
+        return Compared(
+            linear=LinearMeasurement(residual, jacobian, {index(device.noise_source): noise, between: interpolation}),
+            components=ATTITUDE_COMPONENTS,
+            rotation_nv=measurement.rotation_nv,
+            predicted_nv=predicted.rotation_nv,
+            attitude_noise_n=measurement.rotation_nv @ noise @ measurement.rotation_nv.T,
+        )
     assert watch is not None
     assert isinstance(measurement, StarExposure)
-    stars = star_residuals(measurement, predicted, covariance, watch, model, mean)
+    stars = star_residuals(measurement, predicted, parts.sum(axis=0), watch, model, mean)
     if isinstance(stars, Refusal):
         return stars
-    rotation_ns = predicted.rotation_nv if stars.rotation_ns is None else stars.rotation_ns
+    interpolation = stars.by_turn @ predicted.interpolation_v @ stars.by_turn.T
+    noise_by_source = {index(device.noise_source): stars.noise, between: interpolation}
     return Compared(
-        residual=stars.residual,
-        jacobian=stars.jacobian,
-        noise=stars.noise,
-        interpolation=stars.by_turn @ predicted.interpolation_v @ stars.by_turn.T,
+        linear=LinearMeasurement(stars.residual, stars.jacobian, noise_by_source),
         components=stars.components,
-        rotation_nv=rotation_ns,
+        rotation_nv=predicted.rotation_nv if stars.rotation_ns is None else stars.rotation_ns,
+        predicted_nv=predicted.rotation_nv,
+        attitude_noise_n=np.zeros((3, 3)),
         left_out=stars.refused,
     )
 
 
-def _compare_attitude(
-    attitude: AttitudeMeasurement, predicted: PredictedAttitude, model: StateModel, mean: FloatArray
-) -> Compared:
-    residual, jacobian = attitude_measurement(predicted, attitude, model, mean)
-    return Compared(
-        residual=residual,
-        jacobian=jacobian,
-        noise=attitude.noise_v,
-        interpolation=predicted.interpolation_v,
-        components=ATTITUDE_COMPONENTS,
-        rotation_nv=attitude.rotation_nv,
-    )
+def _attitude_residual(
+    measurement: AttitudeMeasurement, predicted: PredictedAttitude, model: StateModel, mean: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Measured minus predicted attitude and its Jacobian per state.
+
+    The residual is log(R_predicted^T R_measured), a rotation vector in the device frame, rad, shape (3,); the Jacobian
+    has the shape (3, n).
+    """
+    rotation_nv, jacobian_v = predicted.rotation_nv, predicted.jacobian_v
+    if measurement.shared_n is not None:
+        rows = sky_rows(model)
+        turn = -measurement.shared_n @ mean[rows]
+        rotation_nv = exp_rotation(turn) @ rotation_nv
+        jacobian_v = jacobian_v.copy()
+        jacobian_v[:, rows] = -rotation_nv.T @ left_jacobian(turn) @ measurement.shared_n
+    return log_rotation(rotation_nv.T @ measurement.rotation_nv), jacobian_v
 
 
 def attitude_alone(
@@ -125,17 +131,3 @@ def attitude_alone(
     assert isinstance(measurement, StarExposure)
     by_stars = attitude_by_stars(measurement, watch, untold_acceleration)
     return None if isinstance(by_stars, Refusal) else by_stars
-
-
-def attitude_measurement(
-    predicted: PredictedAttitude, measurement: AttitudeMeasurement, model: StateModel, mean: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Measured minus predicted attitude, rotation vector in the device frame, rad, (3,), and its Jacobian, (3, n)."""
-    rotation_nv, jacobian_v = predicted.rotation_nv, predicted.jacobian_v
-    if measurement.shared_n is not None:
-        rows = sky_rows(model)
-        turn = -measurement.shared_n @ mean[rows]
-        rotation_nv = exp_rotation(turn) @ rotation_nv
-        jacobian_v = jacobian_v.copy()
-        jacobian_v[:, rows] = -rotation_nv.T @ left_jacobian(turn) @ measurement.shared_n
-    return log_rotation(rotation_nv.T @ measurement.rotation_nv), jacobian_v

@@ -160,7 +160,7 @@ class ShipAttitudeCore:
         outcome = AttitudeOutcome(refusal)
         if refusal is not None or not self._shell.add(measurement, outcome):
             return outcome
-        if self._may_carry(measurement.source) and self._shell.order.follows(measurement.time_ns):
+        if self._shell.follows(measurement.time_ns) and self._may_carry(measurement.source):
             self._newest_star = measurement, arrival_ns
         self._carry(outcome, arrival_ns)
         return outcome

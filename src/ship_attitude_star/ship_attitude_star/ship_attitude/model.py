@@ -213,14 +213,6 @@ class PredictedAttitude:
     interpolation_v: FloatArray
 
 
-def ins_time_of(device: Device, model: StateModel, mean: FloatArray, time_ns: int) -> int:
-    """Stamp (ns) of the INS for the attitude that a device stamped ``time_ns``."""
-    shift_s = device.ins_time_s
-    for name, sign in device.ins_time_states:
-        shift_s += sign * mean[model.slices[name]][0]
-    return time_ns + round(shift_s * 1e9)
-
-
 def predict_attitude(
     device: Device, model: StateModel, mean: FloatArray, ins: InterpolatedAttitude
 ) -> PredictedAttitude:
@@ -229,15 +221,22 @@ def predict_attitude(
     The chain is multiplied from the device outwards; an error of a factor exp(v) is a small rotation
     J_left(v) dv in the frame on its left, which everything multiplied so far brings into the device frame.
     """
+    noise_scale = float(np.sqrt(ins.noise_gain))
+    names = [f"{device.name}.{part}" for part in ("slow", "installation", "flexure", "common")]
+    scales = {name: 1.0 for name in names if name in model.slices} | {"ins.noise": noise_scale, "ins.attitude": 1.0}
+    factors: dict[str, tuple[FloatArray, FloatArray]] = {}
+    for name, scale in scales.items():
+        vector = scale * mean[model.slices[name]]
+        factors[name] = exp_rotation(vector), left_jacobian(vector)
     jacobian = np.zeros((3, model.size))
 
-    def turned(name: str, rotation: FloatArray, scale: float = 1.0) -> FloatArray:
+    def turned(name: str, rotation: FloatArray) -> FloatArray:
         """Multiply ``rotation`` from the left by exp(state ``name``), where there is such a state."""
-        if name not in model.slices:
+        if name not in factors:
             return rotation
-        vector = scale * mean[model.slices[name]]
-        rotation = exp_rotation(vector) @ rotation
-        jacobian[:, model.slices[name]] = scale * rotation.T @ left_jacobian(vector)
+        factor, by_vector = factors[name]
+        rotation = factor @ rotation
+        jacobian[:, model.slices[name]] = scales[name] * rotation.T @ by_vector
         return rotation
 
     rotation_dv = turned(f"{device.name}.slow", np.eye(3))
@@ -246,7 +245,7 @@ def predict_attitude(
     rate_v = rotation_dv.T @ ins.rate_d
     for name, sign in device.ins_time_states:
         jacobian[:, model.slices[name]] = sign * rate_v[:, None]
-    rotation_nv = turned("ins.noise", ins.rotation_nd @ rotation_dv, float(np.sqrt(ins.noise_gain)))
+    rotation_nv = turned("ins.noise", ins.rotation_nd @ rotation_dv)
     rotation_nv = turned("ins.attitude", rotation_nv)
     rotation_nv = turned(f"{device.name}.common", rotation_nv)
     interpolation_v = rotation_dv.T @ ins.error_covariance_d @ rotation_dv
