@@ -28,8 +28,7 @@ from ship_estimation.outcome import Estimate, Judged, Measurement, Outcome
 from ship_estimation.refusals import Reason, Refusal, failure, same_stamp
 from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.sample_track import SampleTrack
-
-SECOND_NS = 1_000_000_000
+from ship_geometry.time_scales import SECOND_NS
 
 State = TypeVar("State")
 Measured = TypeVar("Measured", bound=Measurement)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from ship_estimation.refusals import Content, Refusal, same_stamp
+from ship_geometry.time_scales import SECOND_NS
 
 State = TypeVar("State")
 Measurement = TypeVar("Measurement")
@@ -22,7 +23,6 @@ MOST_REPEATS_PER_S = 400
 """Measurements applied again in a second of data: ten in ordinary data, two hundred where every input of a ship comes
 out of order by up to two seconds. A flood of late ones would make thousands, and hold up the output."""
 
-_SECOND_NS = 1_000_000_000
 
 Key = tuple[int, Any]
 """(time_ns, tie-breaker): the order of application."""
@@ -141,7 +141,7 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
         return len(self._entries) - self.waiting
 
     def _may_repeat(self, key: Key, oldest_ns: int, newest_ns: int) -> bool:
-        if newest_ns - self._repeats_since_ns >= _SECOND_NS:
+        if newest_ns - self._repeats_since_ns >= SECOND_NS:
             self._repeats, self._repeats_since_ns = 0, newest_ns
         # What leaves the window can only now be right; it does so once.
         return self._repeats < MOST_REPEATS_PER_S or key[0] < oldest_ns

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from ship_estimation.estimator_shell import SECOND_NS, EstimatorShell, LagWindow, Model
+from ship_estimation.estimator_shell import EstimatorShell, LagWindow, Model
 from ship_estimation.outcome import Decision, Outcome
 from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorSample, VectorTrack
 
 # Fixed examples, nothing kept between runs.

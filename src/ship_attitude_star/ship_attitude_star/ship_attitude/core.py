@@ -28,13 +28,14 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
 from ship_attitude_star.ship_attitude.output import CorrectedIns, estimate_from_star, no_estimate
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_estimation.estimator_shell import SECOND_NS, EstimatorShell, Model
+from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Measurement
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
+from ship_geometry.time_scales import SECOND_NS
 
 
 class ShipAttitudeCore:

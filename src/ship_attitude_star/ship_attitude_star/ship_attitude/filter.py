@@ -33,7 +33,7 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.rotations import FloatArray, log_rotation
-from ship_geometry.sample_track import SECOND_NS
+from ship_geometry.time_scales import SECOND_NS
 
 Value = TypeVar("Value")
 

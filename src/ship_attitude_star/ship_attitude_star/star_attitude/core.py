@@ -31,12 +31,13 @@ from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure, at_middle
 from ship_attitude_star.stars.selection import StarPrior
 from ship_attitude_star.stars.solution import no_attitude
-from ship_estimation.estimator_shell import SECOND_NS, LagWindow
+from ship_estimation.estimator_shell import LagWindow
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_estimation.time_ordered_log import StampedValues
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _AT_REST: FloatArray = np.eye(3)

@@ -13,11 +13,12 @@ from collections import deque
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from ship_estimation.estimator_shell import SECOND_NS, EstimatorShell, Model
+from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SampleTrack
+from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.filter.judgement import SightingStep
