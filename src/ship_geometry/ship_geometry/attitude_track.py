@@ -66,12 +66,14 @@ class InterpolatedAttitude:
         noise_gain: variance of the result per variance of the samples' independent noise.
         error_covariance_d: covariance of the interpolation's own error, estimated from the samples around: rotation
             vector in the deck frame, rad², shape (3, 3).
+        sample: the last one of the track at or before the moment; None where the attitude is not from between samples.
     """
 
     rotation_nd: FloatArray
     rate_d: FloatArray
     noise_gain: float
     error_covariance_d: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    sample: AttitudeSample | None = None
 
     @property
     def error_covariance_n(self) -> FloatArray:
@@ -104,7 +106,8 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             return None
         left, fraction = interval
         if fraction == 0.0:
-            return InterpolatedAttitude(self._samples[left].rotation_nd, self.rate(left), 1.0)
+            sample = self._samples[left]
+            return InterpolatedAttitude(sample.rotation_nd, self.rate(left), 1.0, sample=sample)
         return self._between(left, fraction)
 
     @property
@@ -268,7 +271,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             around = self._around(left)
             values = np.array([self._turn(left, index) for index in around])
             errors = by_polynomial(self._fractions(around, left), values, fraction, vector)
-        return InterpolatedAttitude(rotation_nd, rate, gain, as_covariance(errors, _LARGEST_VARIANCE))
+        return InterpolatedAttitude(rotation_nd, rate, gain, as_covariance(errors, _LARGEST_VARIANCE), first)
 
     def _turn(self, first: int, second: int) -> FloatArray:
         """Rotation vector from one sample to another, rad."""

@@ -176,9 +176,10 @@ class MeasuredTracks:
             over: of an exposure about it that the track spans, where the noise is to be that of the mean over it.
         """
         attitude = self.ship.at(time_ns - self.ship_shift_ns)
-        sample = self.ship.last_before(time_ns - self.ship_shift_ns)
-        if attitude is None or not isinstance(sample, ShipSample):
+        if attitude is None:
             return None
+        sample = attitude.sample
+        assert isinstance(sample, ShipSample)
         gain = attitude.noise_gain
         if over is not None:
             gain = self.ship.noise_gain_of_mean(over.moments(time_ns - self.ship_shift_ns))
