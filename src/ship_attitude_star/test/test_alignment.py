@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ship_attitude_star.ros import alignment_file
+from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.errors import BadInput
 from ship_geometry.rotations import ARCSEC, log_rotation
@@ -22,7 +22,7 @@ DAY_NS = 86_400 * 10**9
 def saved(tmp_path: Path) -> Path:
     """The alignment after the voyage."""
     path = tmp_path / "alignment.yaml"
-    alignment_file.save(path, clean_run().adapter.core.alignment_to_save())
+    ALIGNMENT_FILE.save(path, clean_run().adapter.core.alignment_to_save())
     return path
 
 
@@ -76,7 +76,7 @@ def test_the_next_voyage_starts_closer_and_accepts_its_stars(saved: Path) -> Non
 
 
 def test_a_file_keeps_every_number(saved: Path) -> None:
-    prior, read = clean_run().adapter.core.alignment_to_save(), alignment_file.load(saved)
+    prior, read = clean_run().adapter.core.alignment_to_save(), ALIGNMENT_FILE.load(saved)
     assert (read.time_ns, read.serials, read.names) == (prior.time_ns, {"fore": "F1", "starboard": "S1"}, prior.names)
     assert read.time_offsets_s == prior.time_offsets_s
     assert np.array_equal(read.covariance, prior.covariance)
@@ -209,7 +209,7 @@ def test_the_services_save_and_load(tmp_path: Path) -> None:
     told = run.adapter.service("save_alignment", run.now_ns)
     assert told.success
     assert str(path) in told.message
-    assert alignment_file.load(path).time_ns == run.adapter.core.state.time_ns
+    assert ALIGNMENT_FILE.load(path).time_ns == run.adapter.core.state.time_ns
 
     later = ShipAttitudeAdapter(config(), FACTORY)
     assert not later.service("load_alignment", START_NS).success

@@ -36,7 +36,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
             for _, message in published:
                 serialize_message(message)
     assert tried > 4000
-    reasons = {message.topic: set(message.reasons) for message in adapter.health.messages(adapter._factory, START_NS)}
+    reasons = {message.topic: set(message.reasons) for message in adapter.health.messages(adapter.factory, START_NS)}
     assert reasons[FORE] | reasons[STARBOARD] >= {
         "bad_stamp", "future", "frame", "unknown_sensor", "duplicate", "conflict", "late", "non_finite", "units",
         "bad_covariance", "misidentified", "below_horizon", "covariance_unknown",

@@ -1,15 +1,12 @@
 """Messages about stars, place and air: what is used, what is left out, and what is said of it."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ship_attitude_star.ros.messages_in import humidity, position_fix, pressure, temperature
-from ship_attitude_star.ros.star_messages_in import MOST_STARS, sigmas_given, star_exposure
+from ship_attitude_star.ros.star_messages_in import MOST_STARS, star_exposure
 from ship_attitude_star.sky.catalogue import hipparcos
-from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.config import CameraConfig
 from ship_bags.message_factory import RosidlFactory
@@ -44,15 +41,21 @@ def observations(*stars: Any, sensor_id: str = "fore", frame_id: str = "star_for
     )
 
 
+def read(message: Any, **options: bool) -> Any:
+    return star_exposure(message, "fore", "star_fore", CAMERA, CAMERA_CONFIG, hipparcos(), NOW_NS, **options)
+
+
 def converted(message: Any) -> Any:
-    return star_exposure(message, "fore", "star_fore", CAMERA, CAMERA_CONFIG, hipparcos(), NOW_NS)
+    """The exposure, and the stars left out of it."""
+    reading = read(message)
+    return reading.value, reading.left_out
 
 
 def test_pixels_become_directions_and_numbers_become_places() -> None:
     # One degree to the right and half a degree up of the boresight.
     right_px, up_px = np.tan(np.deg2rad([1.0, 0.5])) * 0.05 / 10e-6
     exposure, refused = converted(observations(star(), star(DENEB, 511.5 + right_px, 511.5 - up_px, magnitude=1.3)))
-    assert refused == []
+    assert refused == ()
     assert (exposure.source, exposure.time_ns, exposure.hip.tolist()) == ("star.fore", STAMP_NS, [VEGA, DENEB])
     off = np.array([1.0, np.tan(np.deg2rad(0.5)), np.tan(np.deg2rad(1.0))])
     np.testing.assert_allclose(exposure.directions_s, [[1, 0, 0], off / np.linalg.norm(off)], atol=1e-12)
@@ -75,7 +78,7 @@ def test_mend_09_without_a_length_an_exposure_is_used_as_it_is(not_given: float)
     message = observations(star())
     message.exposure_s = not_given
     exposure, refused = converted(message)
-    assert refused == []
+    assert refused == ()
     assert exposure.length is None
     message.exposure_s = 0.25
     told = converted(message)[0]
@@ -102,7 +105,7 @@ def test_a_star_without_number_has_the_place_given_or_none_yet() -> None:
     exposure, refused = converted(
         observations(star(0, right_ascension=1.0, declination=-0.5), star(0, 600.0, 600.0), star(ALTAIR, 100.0))
     )
-    assert refused == []
+    assert refused == ()
     assert exposure.identified.tolist() == [True, False, True]
     given = exposure.positions[0]
     assert (given.right_ascension, given.declination, given.pm_declination) == (1.0, -0.5, 0.0)
@@ -112,7 +115,7 @@ def test_a_star_without_number_has_the_place_given_or_none_yet() -> None:
 def test_a_catalogue_star_is_placed_by_the_catalogue_whatever_else_is_given() -> None:
     by_number, _ = converted(observations(star()))
     with_place, refused = converted(observations(star(right_ascension=4.9, declination=0.7)))
-    assert refused == []
+    assert refused == ()
     assert with_place.content() == by_number.content()
 
 
@@ -120,15 +123,17 @@ def test_a_catalogue_star_is_placed_by_the_catalogue_whatever_else_is_given() ->
 def test_a_centroid_without_sigma_has_the_configured_one(sigma_px: float) -> None:
     message = observations(star(sigma_px=sigma_px))
     exposure, refused = converted(message)
-    assert refused == []
+    assert refused == ()
     assert exposure.sigma[0] / ARCSEC == pytest.approx(0.08 * 41.2530, rel=1e-5)
-    assert not sigmas_given(message)
-    assert sigmas_given(observations(star(), star(DENEB)))
+    assert not read(message).covariance_known
+    assert read(observations(star(), star(DENEB))).covariance_known
 
 
 def test_no_star_is_an_exposure_too() -> None:
     exposure, refused = converted(observations())
-    assert (len(exposure), refused) == (0, [])
+    assert (len(exposure), refused) == (0, ())
+    assert read(observations()).empty
+    assert not read(observations(star(u=np.nan))).empty
 
 
 STARS = [
@@ -155,22 +160,28 @@ def test_a_bad_star_is_left_out_and_the_others_are_as_without_it(bad: Any, reaso
     good = star(DENEB, 300.0, 300.0), star(ALTAIR, 700.0, 200.0)
     exposure, refused = converted(observations(*good, bad))
     assert exposure.content() == converted(observations(*good))[0].content()
-    ((row, refusal),) = refused
-    assert (row, refusal.reason) == (2, reason)
+    ((name, refusal),) = refused
+    assert (name, refusal.reason) == ("star 3 of the message", reason)
     assert text in refusal.text
 
 
 def test_the_same_given_place_twice_counts_once() -> None:
     place = {"right_ascension": 1.0, "declination": 0.5}
     exposure, refused = converted(observations(star(0, **place), star(0, 520.0, **place), star(0), star(0, 530.0)))
-    assert (len(exposure), [row for row, _ in refused]) == (3, [1])
+    assert (len(exposure), [name for name, _ in refused]) == (3, ["star 2 of the message"])
+
+
+def test_a_star_left_out_is_named_by_its_number_where_that_is_asked_for() -> None:
+    message = observations(star(DENEB, u=np.nan), star(0, u=np.nan))
+    names = [name for name, _ in read(message, named_by_number=True).left_out]
+    assert names == [f"HIP {DENEB}", "star 2 of the message"]
 
 
 def test_mend_18_a_flood_of_stars_is_cut_and_said_once() -> None:
     exposure, refused = converted(observations(*(star(0, float(u % 1000), 10.0) for u in range(100_000))))
     assert len(exposure) == MOST_STARS
-    ((row, refusal),) = refused
-    assert (row, refusal.reason) == (MOST_STARS, Reason.OVERFLOW)
+    ((name, refusal),) = refused
+    assert (name, refusal.reason) == (f"star {MOST_STARS + 1} of the message", Reason.OVERFLOW)
     assert refusal.text == f"100000 stars in one exposure: only the first {MOST_STARS} are looked at"
 
 
@@ -188,129 +199,3 @@ def test_a_bad_exposure_is_refused(message: Any, reason: str, text: str) -> None
         converted(message)
     assert caught.value.refusal.reason.word == reason
     assert text in caught.value.refusal.text
-
-
-def fix(**changes: Any) -> Any:
-    fields = {
-        "header": make_header(FACTORY, STAMP_NS, "gnss"),
-        "status": FACTORY.make("sensor_msgs/msg/NavSatStatus", status=0, service=1),
-        "latitude": 31.945213,
-        "longitude": 120.293086,
-        "altitude": 25.0,
-        "position_covariance": np.array([4.0, 1.0, 0.0, 1.0, 9.0, 0.0, 0.0, 0.0, 25.0]),
-        "position_covariance_type": 3,
-    }
-    return FACTORY.make("sensor_msgs/msg/NavSatFix", **fields | changes)
-
-
-def test_a_fix_is_a_place_with_the_error_of_each_axis() -> None:
-    taken = position_fix(fix(), SkyConfig(), NOW_NS)
-    assert (taken.time_ns, taken.sigma_known) == (STAMP_NS, True)
-    assert np.rad2deg([taken.position.latitude, taken.position.longitude]) == pytest.approx([31.945213, 120.293086])
-    assert taken.position.height_m == 25.0
-    # East 2 m, North 3 m, Up 5 m in the message; North, Up, East here.
-    np.testing.assert_array_equal(taken.covariance_m2, [[9, 0, 1], [0, 25, 0], [1, 0, 4]])
-
-
-@pytest.mark.parametrize(
-    "changes", [{"position_covariance_type": 0}, {"position_covariance": np.zeros(9)}], ids=["type", "all zero"]
-)
-def test_a_fix_without_error_has_the_configured_one(changes: dict[str, Any]) -> None:
-    taken = position_fix(fix(**changes), SkyConfig(fix_sigma_m=7.0), NOW_NS)
-    assert not taken.sigma_known
-    np.testing.assert_array_equal(taken.covariance_m2, 49.0 * np.eye(3))
-
-
-def test_a_receiver_without_height_is_at_sea_level() -> None:
-    assert position_fix(fix(altitude=np.nan), SkyConfig(), NOW_NS).position.height_m == 0.0
-
-
-def test_longitudes_count_either_way() -> None:
-    taken = position_fix(fix(longitude=190.0), SkyConfig(), NOW_NS)
-    assert np.rad2deg(taken.position.longitude) == pytest.approx(190.0)
-
-
-NO_FIX = FACTORY.make("sensor_msgs/msg/NavSatStatus", status=-1, service=1)
-FIXES = [
-    ("no fix", {"status": NO_FIX}, "no_fix", "STATUS_NO_FIX"),
-    ("latitude NaN", {"latitude": np.nan}, "non_finite", "latitude"),
-    ("longitude infinite", {"longitude": np.inf}, "non_finite", "longitude"),
-    ("latitude beyond the pole", {"latitude": 90.5}, "units", "90.5"),
-    ("longitude in minutes", {"longitude": 7217.6}, "units", "7217.6"),
-    ("altitude nonsense", {"altitude": 1e300}, "units", "altitude"),
-    ("negative variance", {"position_covariance": -np.eye(3).ravel() * 4.0}, "bad_covariance", "negative"),
-    ("covariance NaN", {"position_covariance": np.full(9, np.nan)}, "non_finite", "position_covariance"),
-    ("sigma of half the Earth", {"position_covariance": np.eye(3).ravel() * 1e13}, "bad_covariance", "is no fix"),
-    ("stamp zero", {"header": make_header(FACTORY, 0)}, "bad_stamp", "0 ns"),
-]
-
-
-@pytest.mark.parametrize(("changes", "reason", "text"), [f[1:] for f in FIXES], ids=[f[0] for f in FIXES])
-def test_a_bad_fix_is_refused(changes: dict[str, Any], reason: str, text: str) -> None:
-    with pytest.raises(Refused) as caught:
-        position_fix(fix(**changes), SkyConfig(), NOW_NS)
-    assert caught.value.refusal.reason.word == reason
-    assert text in caught.value.refusal.text
-
-
-AIR: dict[Callable[..., Any], tuple[str, str]] = {
-    pressure: ("FluidPressure", "fluid_pressure"),
-    temperature: ("Temperature", "temperature"),
-    humidity: ("RelativeHumidity", "relative_humidity"),
-}
-
-
-def air(converter: Callable[..., Any], value: float, variance: float = 0.0, stamp_ns: int = STAMP_NS) -> Any:
-    type_name, field = AIR[converter]
-    header = make_header(FACTORY, stamp_ns)
-    return FACTORY.make(f"sensor_msgs/msg/{type_name}", header=header, **{field: value}, variance=variance)
-
-
-@pytest.mark.parametrize(
-    ("converter", "value", "variance", "expected"),
-    [
-        (pressure, 100_830.0, 2500.0, (1008.3, 0.5)),
-        (pressure, 100_830.0, 0.0, (1008.3, None)),
-        (temperature, 28.2, 0.09, (28.2, 0.3)),
-        (temperature, -40.0, 0.0, (-40.0, None)),
-        (humidity, 0.82, 0.0, (0.82, None)),
-        (humidity, 1.0, 0.0, (1.0, None)),
-    ],
-)
-def test_weather_is_taken_in_its_units(
-    converter: Callable[..., Any], value: float, variance: float, expected: tuple[float, float | None]
-) -> None:
-    reading = converter(air(converter, value, variance), NOW_NS)
-    assert reading.time_ns == STAMP_NS
-    assert reading.value == pytest.approx(expected[0])
-    assert reading.sigma == (None if expected[1] is None else pytest.approx(expected[1]))
-
-
-@pytest.mark.parametrize(
-    ("converter", "value", "variance", "reason", "text"),
-    [
-        (pressure, 1008.3, 0.0, "units", "hPa, not Pa?"),
-        (pressure, 0.0, 0.0, "units", "expected 80000 to 110000 Pa"),
-        (pressure, np.nan, 0.0, "non_finite", "pressure"),
-        (temperature, 301.35, 0.0, "units", "kelvin, not °C?"),
-        (temperature, 82.8, 0.0, "units", "-60 to 60 °C"),
-        (humidity, 82.0, 0.0, "units", "percent?"),
-        (humidity, -0.1, 0.0, "units", "0 to 1"),
-        (humidity, np.inf, 0.0, "non_finite", "humidity"),
-        (temperature, 20.0, -1.0, "bad_covariance", "negative"),
-        (temperature, 20.0, np.nan, "non_finite", "variance"),
-        (temperature, 20.0, 1e300, "bad_covariance", "no measurement"),
-    ],
-)
-def test_bad_weather_is_refused(
-    converter: Callable[..., Any], value: float, variance: float, reason: str, text: str
-) -> None:
-    with pytest.raises(Refused) as caught:
-        converter(air(converter, value, variance), NOW_NS)
-    assert caught.value.refusal.reason.word == reason
-    assert text in caught.value.refusal.text
-
-
-def test_weather_without_a_stamp_is_refused() -> None:
-    with pytest.raises(Refused, match="bad_stamp"):
-        humidity(air(humidity, 0.5, stamp_ns=0), NOW_NS)

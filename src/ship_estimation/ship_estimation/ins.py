@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from ship_estimation.parameters import arcsec, degrees, parameter
 from ship_estimation.value_guards import JUMP_SAMPLES
+from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 
 
@@ -33,6 +35,12 @@ class InsInputConfig:
     max_gap_s: float = parameter(
         0.5, doc="samples further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
     )
+
+    @cached_property
+    def rotation_di(self) -> FloatArray:
+        """Deck from INS by the installation angles, shape (3, 3)."""
+        angles_deg = self.installation_heading_deg, self.installation_pitch_deg, self.installation_roll_deg
+        return rotation_from_angles(*np.deg2rad(angles_deg))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,9 +38,6 @@ def test_other_matrices_are_refused(rows, text):
         joint_covariance(rows, 2)
 
 
-FORMAT = SavedFormat("test alignment", 1, "alignment")
-
-
 def read_all(document):
     return (
         section(document, "time_ns", stamp_ns),
@@ -50,6 +47,7 @@ def read_all(document):
     )
 
 
+FORMAT = SavedFormat("test alignment", 1, "alignment", dict, read_all)
 WHOLE = {"time_ns": 5, "serials": {"fore": "A1"}, "offsets": {"fore": 0.1}, "covariance": [[1.0, 0.0], [0.0, 1.0]]}
 
 
@@ -70,7 +68,7 @@ def test_mend_25_a_tampered_document_is_one_line_that_names_file_and_section(tmp
     path = tmp_path / "saved.yaml"
     FORMAT.save(path, {**WHOLE, key: value})
     with pytest.raises(BadInput) as caught:
-        FORMAT.load(path, read_all)
+        FORMAT.load(path)
     assert str(caught.value).startswith(f"{path}: the alignment cannot be used: '{key}': ")
     assert "\n" not in str(caught.value)
 
@@ -96,7 +94,7 @@ def test_mend_25_what_is_no_document_is_one_line(tmp_path, text, complaint):
     path = tmp_path / "saved.yaml"
     path.write_text(text)
     with pytest.raises(BadInput) as caught:
-        FORMAT.load(path, read_all)
+        FORMAT.load(path)
     assert complaint in str(caught.value)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 300
@@ -104,4 +102,4 @@ def test_mend_25_what_is_no_document_is_one_line(tmp_path, text, complaint):
 
 def test_mend_25_a_file_without_end_is_not_read_to_its_end(tmp_path):
     with pytest.raises(BadInput, match="/dev/zero: the alignment cannot be read: File too large"):
-        FORMAT.load(Path("/dev/zero"), read_all)
+        FORMAT.load(Path("/dev/zero"))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ship_attitude_star.ros import alignment_file
+from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.message_store import RosbagsFactory
@@ -94,7 +94,7 @@ def test_a_turn_in_a_swell_tells_all(tmp_path, capsys):
 def test_with_a_reference_the_node_starts_from_the_true_angles(tmp_path, capsys):
     result = calibrate(tmp_path, capsys, session(STILL, reference=True))
     assert set(observed(result).values()) == {"yes"}
-    assert set(alignment_file.load(result.alignment).names) == {
+    assert set(ALIGNMENT_FILE.load(result.alignment).names) == {
         "ins.time_offset", "star.fore.installation", "star.starboard.installation", "reference.plate.installation",
         "reference.plate.time_offset",
     }  # fmt: skip
@@ -148,7 +148,7 @@ def test_a_sensor_at_the_zenith_has_no_azimuth_of_its_own(tmp_path, capsys):
     assert said["azimuth"]["sigma_arcsec"] is said["roll"]["sigma_arcsec"] is said["azimuth"]["observed"] is None
     assert set(observed(result).values()) == {"yes"}
     assert result.report.joinpath("installation.png").exists()
-    saved = alignment_file.load(result.alignment)
+    saved = ALIGNMENT_FILE.load(result.alignment)
     true_dv = result.run.truth.stars["fore"].rotation_dv
     # 100" about the boresight in 61 exposures, fractions of an arcsecond across it.
     assert np.linalg.norm(log_rotation(saved.rotations_dv["star.fore"].T @ true_dv)) < 4.0 * 12.8 * ARCSEC

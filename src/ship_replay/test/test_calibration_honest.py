@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.ros import alignment_file
+from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
@@ -112,12 +112,12 @@ def test_a_voyage_that_starts_from_it_is_better_and_honest(tmp_path: Path) -> No
     for seed in range(VOYAGES):
         run = simulate(scenario, seed)
         path = tmp_path / "alignment.yaml"
-        alignment_file.save(path, calibrated(run, core_for(scenario)).prior)
+        ALIGNMENT_FILE.save(path, calibrated(run, core_for(scenario)).prior)
         voyage = simulate(next_voyage(run), 1000 + seed)
         for name, squares in errors.items():
             core = ShipAttitudeCore(config)
             if name == "calibrated":
-                assert core.start_from(alignment_file.load(path), voyage.start_ns) == []
+                assert core.start_from(ALIGNMENT_FILE.load(path), voyage.start_ns) == []
             estimate, _ = feed_attitude(core, voyage)
             error_n = log_rotation(voyage.truth.rotation_nd[-1] @ estimate.rotation_nd.T)
             squares.append(float(error_n @ error_n))

@@ -38,11 +38,12 @@ def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
     for index, (message, log) in enumerate(entries):
         assert log == said.log_time_ns[index]
         assert message.exposure_s == pytest.approx(0.05)
-        read, refused = read_exposure(
+        reading = read_exposure(
             message, "fore", "star_fore", config.camera("camera"), config, hipparcos(), receive_ns=log
         )
         held = star_exposure(run, "fore", index)
-        assert refused == []
+        read = reading.value
+        assert reading.left_out == ()
         assert read.content() == held.content()
         assert (read.source, read.time_ns) == (held.source, held.time_ns)
         np.testing.assert_array_equal(read.sigma, held.sigma)
@@ -79,7 +80,7 @@ def test_fixes_and_weather_are_read_as_the_run_holds_them():
         "humidity": 4,
     }
     for source, index in arrivals:
-        held, found = sky_input(run, source, index), read[source][index]
+        held, found = sky_input(run, source, index), read[source][index].value
         if source == "fix":
             np.testing.assert_array_equal(found.covariance_m2, held.covariance_m2)
             assert (found.time_ns, found.position) == (held.time_ns, held.position)

@@ -15,7 +15,7 @@ from ship_testing.adapter_runs import FACTORY, SECOND_NS
 from ship_testing.small_session import AXES, BEACONS, FOCAL_LENGTH_M, clean_run, config, drive, new_adapter, session
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior, prior_of, state_from_prior
-from theodolite_calib.ros import calibration_file
+from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 NOW_NS = session()[-1].receive_ns
@@ -30,8 +30,8 @@ def saved() -> CalibrationPrior:
 
 def test_the_file_gives_back_what_was_saved(tmp_path: Path) -> None:
     path = tmp_path / "folder" / "calibration.yaml"
-    calibration_file.save(path, saved())
-    loaded = calibration_file.load(path)
+    CALIBRATION_FILE.save(path, saved())
+    loaded = CALIBRATION_FILE.load(path)
     assert (loaded.time_ns, loaded.serial, loaded.telescope_id) == (saved().time_ns, "", "main")
     assert loaded.values == pytest.approx(saved().values, rel=1e-12, abs=1e-18)
     assert loaded.covariance.tolist() == saved().covariance.tolist()
@@ -54,10 +54,10 @@ BROKEN = [
 @pytest.mark.parametrize(("old", "new", "text"), BROKEN)
 def test_a_broken_file_is_refused_by_name(tmp_path: Path, old: str, new: str, text: str) -> None:
     path = tmp_path / "calibration.yaml"
-    calibration_file.save(path, saved())
+    CALIBRATION_FILE.save(path, saved())
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(BadInput) as error:
-        calibration_file.load(path)
+        CALIBRATION_FILE.load(path)
     assert str(error.value).startswith(str(path))
     assert text in str(error.value)
 
@@ -120,7 +120,7 @@ def test_services_save_and_load(tmp_path: Path) -> None:
     assert adapter.service("reset", NOW_NS).success
     assert adapter.core.state.sighting_count == 0
     assert adapter.service("load_alignment", NOW_NS) == (True, f"calibration loaded from {path}")
-    values = dict(zip(SAVED_NAMES, calibration_file.load(path).values, strict=True))
+    values = dict(zip(SAVED_NAMES, CALIBRATION_FILE.load(path).values, strict=True))
     loaded = adapter.core.calibration()
     assert loaded.values[loaded.names.index("c")] == pytest.approx(values["c"], abs=1e-15)
     assert "calibration_file' is empty" in new_adapter().service("save_alignment", NOW_NS).message
@@ -128,7 +128,7 @@ def test_services_save_and_load(tmp_path: Path) -> None:
 
 def test_the_node_starts_from_the_file_that_is_there(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
-    calibration_file.save(path, saved())
+    CALIBRATION_FILE.save(path, saved())
     dark = tuple(a for a in session() if a.topic != BEACONS)
     with_file = drive(new_adapter(calibration_file=str(path)), dark)
     without_file = drive(new_adapter(), dark)
@@ -196,7 +196,7 @@ def test_mend_16_the_node_says_what_it_is_and_which_calibration_it_starts_from(t
     path = tmp_path / "calibration.yaml"
     absent = new_adapter(calibration_file=str(path))
     assert absent.notices == [f"no calibration at {path} yet: the filter starts as configured"]
-    calibration_file.save(path, replace(saved(), time_ns=NOW_NS - 3 * DAY_NS))
+    CALIBRATION_FILE.save(path, replace(saved(), time_ns=NOW_NS - 3 * DAY_NS))
     adapter = new_adapter(calibration_file=str(path))
     assert adapter.notices == []
     adapter.tick(NOW_NS)

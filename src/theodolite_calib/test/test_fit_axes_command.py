@@ -17,7 +17,7 @@ from theodolite_calib.axis_fit.sighting_file import COLUMNS, read_sightings
 from theodolite_calib.axis_fit.sightings import azimuth_and_elevation
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES
-from theodolite_calib.ros import calibration_file
+from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 HEADER = "observation,encoder_azimuth_deg,encoder_elevation_deg,azimuth_offset_deg,elevation_offset_deg"
 COUNT = 40
@@ -265,7 +265,7 @@ def test_mend_23_what_the_table_states_of_shared_errors_is_in_the_calibration_fi
     table.write_text("\n".join([header, *lines]) + "\n")
     assert main([str(table), "--out", str(tmp_path / "grouped"), "--serial", "T7"]) == 0
     assert main([str(write_table(tmp_path / "plain.csv")), "--out", str(tmp_path / "plain")]) == 0
-    grouped, plain = (calibration_file.load(tmp_path / name / "calibration.yaml") for name in ("grouped", "plain"))
+    grouped, plain = (CALIBRATION_FILE.load(tmp_path / name / "calibration.yaml") for name in ("grouped", "plain"))
     rows_of_tilt = [SAVED_NAMES.index(name) for name in ("beta_x", "beta_y")]
     tilt_arcsec = [np.sqrt(np.diagonal(prior.covariance))[rows_of_tilt] / ARCSEC for prior in (grouped, plain)]
     assert tilt_arcsec[0] == pytest.approx([20.0, 20.0], abs=1.0)

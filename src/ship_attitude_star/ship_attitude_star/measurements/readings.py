@@ -60,13 +60,11 @@ class PositionFix:
         time_ns: stamp.
         position: of the antenna.
         covariance_m2: of the position in (North, Up, East), m², shape (3, 3).
-        sigma_known: False where the message gave no covariance and the configured sigma stands in.
     """
 
     time_ns: int
     position: GeodeticPosition
     covariance_m2: FloatArray
-    sigma_known: bool = True
 
 
 @dataclass(frozen=True)
@@ -85,11 +83,6 @@ class AirReading:
     time_ns: int
     value: float
     sigma: float | None = None
-
-    @property
-    def sigma_known(self) -> bool:
-        """Whether the message says how good it is; True for humidity, whose error is not used anywhere."""
-        return self.sigma is not None or self.quantity == "humidity"
 
 
 SkyInput = PositionFix | AirReading

@@ -1,6 +1,5 @@
 """The saved alignment as a file: YAML that people can read, written atomically, with a version."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,45 +7,9 @@ import numpy as np
 from ship_attitude_star.ship_attitude.alignment import AlignmentPrior
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
-from ship_node.documents.saved_document import (
-    DISK,
-    Files,
-    SavedFormat,
-    finite_numbers,
-    joint_covariance,
-    section,
-    stamp_ns,
-    texts,
-)
+from ship_node.documents.saved_document import SavedFormat, finite_numbers, joint_covariance, section, stamp_ns, texts
 
-FORMAT = "ship_attitude alignment"
-VERSION = 1
-
-_SAVED = SavedFormat(FORMAT, VERSION, "alignment")
 _ANGLES = "azimuth_deg", "elevation_deg", "roll_deg"
-
-
-def save(path: Path, prior: AlignmentPrior, files: Files = DISK) -> None:
-    """Write an alignment; the file is either the old one or the new one, never a part.
-
-    Raises:
-        BadInput: the file cannot be written.
-    """
-    _SAVED.save(path, _document(prior), files)
-
-
-def load(path: Path, files: Files = DISK) -> AlignmentPrior:
-    """Read an alignment.
-
-    Raises:
-        BadInput: names the file and what is wrong with it.
-    """
-    return _SAVED.load(path, _prior, files)
-
-
-def load_if_there(path: Path, files: Files = DISK) -> AlignmentPrior | None:
-    """As :func:`load`; None where there is no such file."""
-    return _SAVED.load_if_there(path, _prior, files)
 
 
 def _document(prior: AlignmentPrior) -> dict[str, Any]:
@@ -113,3 +76,7 @@ def _rotations(installation: dict[str, Any]) -> dict[str, FloatArray]:
         angles_deg = finite_numbers({f"{name} {key}": angles[key] for key in _ANGLES})
         rotations[str(name)] = rotation_from_angles(*np.deg2rad(list(angles_deg.values())))
     return rotations
+
+
+ALIGNMENT_FILE = SavedFormat("ship_attitude alignment", 1, "alignment", _document, _prior)
+"""How an alignment is saved."""

@@ -4,8 +4,9 @@ Reads attributes only, so any message class will do. What cannot be used raises
 :class:`ship_node.edge.messages_in.Refused`.
 """
 
-from collections.abc import Callable
-from typing import Any
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from ship_attitude_star.measurements.readings import AirReading, InertialAttitud
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, StarSensorConfig
 from ship_attitude_star.sky.config import SkyConfig
+from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.geodetic import GeodeticPosition
@@ -23,6 +25,7 @@ from ship_geometry.ros_axes import (
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.messages_in import (
+    Reading,
     Refused,
     covariance_3x3,
     device_id,
@@ -32,7 +35,10 @@ from ship_node.edge.messages_in import (
     stamp_ns,
     unit_quaternion,
 )
+from ship_node.edge.reporting_adapter import Feed
 from ship_node.edge.topics import InputTopic
+
+Measured = TypeVar("Measured", bound=Measurement)
 
 _STAR_INVALID = 3
 _COVARIANCE_TOLERANCE = 1e-6
@@ -44,7 +50,9 @@ _LARGEST_POSITION_SIGMA_M = 1e5
 _LARGEST_HEIGHT_M = 20_000.0
 
 
-def star_measurement(message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int) -> AttitudeMeasurement:
+def star_measurement(
+    message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int
+) -> Reading[AttitudeMeasurement]:
     """``star/<sensor>/horizon_attitude`` or ``.../solution`` → the sensor's attitude in the horizon.
 
     Raises:
@@ -56,23 +64,21 @@ def star_measurement(message: Any, sensor_id: str, config: StarSensorConfig, rec
         raise Refused(Reason.TOO_FEW_STARS, "the sensor itself says INVALID")
     finite_numbers("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
     _radians(message)
-    rotation_ns = rotation_from_angles(message.azimuth, message.elevation, message.roll)
     total_n = _total_covariance(message)
+    rotation_ns = rotation_from_angles(message.azimuth, message.elevation, message.roll)
     if total_n is None:
         noise_s = _configured_noise(config)
-        return AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False)
+        return _read(AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False))
     noise_enu = _angular_covariance(message.noise_covariance, "noise_covariance")
     noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
-    return AttitudeMeasurement(
-        f"star.{sensor_id}",
-        time_ns,
-        rotation_ns,
-        rotation_ns.T @ noise_n @ rotation_ns,
-        _common_covariance(total_n, noise_n),
-    )
+    noise_s = rotation_ns.T @ noise_n @ rotation_ns
+    common_n = _common_covariance(total_n, noise_n)
+    return _read(AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, common_n))
 
 
-def inertial_attitude(message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int) -> InertialAttitude:
+def inertial_attitude(
+    message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int
+) -> Reading[InertialAttitude]:
     """``star/<sensor>/inertial_attitude`` → the sensor's attitude against the ICRS.
 
     Raises:
@@ -85,12 +91,14 @@ def inertial_attitude(message: Any, sensor_id: str, config: StarSensorConfig, re
     covariance_flu = _angular_covariance(message.covariance, "covariance")
     if covariance_flu is None:
         noise_s = _configured_noise(config)
-        return InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, False, config.inertial.field)
+        return _read(InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, False, config.inertial.field))
     noise_s = FLU_FROM_DEVICE.T @ covariance_flu @ FLU_FROM_DEVICE
-    return InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, field=config.inertial.field)
+    return _read(InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, field=config.inertial.field))
 
 
-def reference_measurement(message: Any, name: str, config: ReferenceConfig, receive_ns: int) -> AttitudeMeasurement:
+def reference_measurement(
+    message: Any, name: str, config: ReferenceConfig, receive_ns: int
+) -> Reading[AttitudeMeasurement]:
     """``reference/<name>/imu`` → the attitude of another system; its covariance is white.
 
     Raises:
@@ -106,10 +114,10 @@ def reference_measurement(message: Any, name: str, config: ReferenceConfig, rece
     else:
         noise_r = rotation_nr.T @ horizon_covariance(covariance_enu) @ rotation_nr
     known = covariance_enu is not None
-    return AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known)
+    return _read(AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known))
 
 
-def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> PositionFix:
+def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> Reading[SkyInput]:
     """``gnss/fix`` → the ship's place.
 
     Raises:
@@ -134,10 +142,10 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> PositionFi
         raise Refused(Reason.BAD_COVARIANCE, f"position_covariance: a sigma of {largest_m:.3g} m is no fix")
     covariance_m2 = np.eye(3) * config.fix_sigma_m**2 if covariance_enu is None else horizon_covariance(covariance_enu)
     position = GeodeticPosition(np.deg2rad(message.latitude), np.deg2rad(message.longitude), height_m)
-    return PositionFix(time_ns, position, covariance_m2, covariance_enu is not None)
+    return Reading(PositionFix(time_ns, position, covariance_m2), covariance_enu is not None)
 
 
-def pressure(message: Any, receive_ns: int) -> AirReading:
+def pressure(message: Any, receive_ns: int) -> Reading[SkyInput]:
     """``met/pressure``, in Pa → hPa.
 
     Raises:
@@ -149,7 +157,7 @@ def pressure(message: Any, receive_ns: int) -> AirReading:
     return _reading("pressure", message, pascal, (80_000.0, 110_000.0), 0.01, meaning, receive_ns)
 
 
-def temperature(message: Any, receive_ns: int) -> AirReading:
+def temperature(message: Any, receive_ns: int) -> Reading[SkyInput]:
     """``met/temperature``, in degrees Celsius.
 
     Raises:
@@ -160,7 +168,7 @@ def temperature(message: Any, receive_ns: int) -> AirReading:
     return _reading("temperature", message, celsius, (-60.0, 60.0), 1.0, f"-60 to 60 °C at a ship{hint}", receive_ns)
 
 
-def humidity(message: Any, receive_ns: int) -> AirReading:
+def humidity(message: Any, receive_ns: int) -> Reading[SkyInput]:
     """``met/humidity``, 0 to 1.
 
     Raises:
@@ -179,7 +187,7 @@ def _reading(
     scale: float,
     expected: str,
     receive_ns: int,
-) -> AirReading:
+) -> Reading[SkyInput]:
     time_ns = stamp_ns(message.header, receive_ns)
     finite_numbers(quantity, value)
     finite_numbers(f"variance of {quantity}", message.variance)
@@ -190,30 +198,37 @@ def _reading(
     if message.variance > (allowed[1] - allowed[0]) ** 2:
         raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} {message.variance:.6g}: that is no measurement")
     sigma = None if message.variance == 0.0 else scale * float(np.sqrt(message.variance))
-    return AirReading(quantity, time_ns, scale * value, sigma)
+    # The error of the humidity is not used anywhere: nothing stands in for it.
+    known = sigma is not None or quantity == "humidity"
+    return Reading(AirReading(quantity, time_ns, scale * value, sigma), known)
 
 
-_CONVERTERS: dict[str, tuple[str, Callable[[Any, SkyConfig, int], SkyInput]]] = {
-    "gnss/fix": ("sensor_msgs/msg/NavSatFix", position_fix),
-    "met/pressure": ("sensor_msgs/msg/FluidPressure", lambda message, _, receive_ns: pressure(message, receive_ns)),
-    "met/temperature": ("sensor_msgs/msg/Temperature", lambda message, _, receive_ns: temperature(message, receive_ns)),
-    "met/humidity": ("sensor_msgs/msg/RelativeHumidity", lambda message, _, receive_ns: humidity(message, receive_ns)),
+SURROUNDINGS = {
+    "gnss/fix": "sensor_msgs/msg/NavSatFix",
+    "met/pressure": "sensor_msgs/msg/FluidPressure",
+    "met/temperature": "sensor_msgs/msg/Temperature",
+    "met/humidity": "sensor_msgs/msg/RelativeHumidity",
 }
-
-TOPICS = tuple(
-    InputTopic(topic, type_name, required=topic == "gnss/fix", depth=100)
-    for topic, (type_name, _) in _CONVERTERS.items()
-)
-"""Of the place and the air; without a place no star is of use."""
+"""Topics of the place and the air, and their types; without a place no star is of use."""
 
 
-def sky_input(topic: str, message: Any, config: SkyConfig, receive_ns: int) -> SkyInput:
-    """A message of one of TOPICS as the cores take it.
+def surroundings_reader(topic: str, config: SkyConfig) -> Callable[..., Reading[SkyInput]]:
+    """What reads the messages of one of :data:`SURROUNDINGS`; it is given the message and ``receive_ns=``."""
+    if topic == "gnss/fix":
+        return functools.partial(position_fix, config=config)
+    return {"met/pressure": pressure, "met/temperature": temperature, "met/humidity": humidity}[topic]
 
-    Raises:
-        Refused: with the reason.
-    """
-    return _CONVERTERS[topic][1](message, config, receive_ns)
+
+def surroundings_feeds(config: SkyConfig, take: Callable[[Any, int], Any]) -> Iterator[Feed]:
+    """The rows of an adapter's table by which the place and the air reach the core; ``take`` is its method."""
+    for topic, type_name in SURROUNDINGS.items():
+        read = surroundings_reader(topic, config)
+        yield Feed(InputTopic(topic, type_name, required=topic == "gnss/fix", depth=100), topic, read, take)
+
+
+def _read(measurement: Measured) -> Reading[Measured]:
+    """A measurement that knows itself whether its message gave a covariance."""
+    return Reading(measurement, measurement.covariance_known)
 
 
 def _configured_noise(config: StarSensorConfig) -> FloatArray:

@@ -1,82 +1,90 @@
 """From results of both cores to messages: axes, units, field names. Sets fields only; a factory knows the classes."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeEstimate
+from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.alignment import Alignment
 from ship_attitude_star.star_attitude.exposure_solver import RefusedStar, Solved
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.solution import SOLUTION_TERMS
 from ship_bags.message_factory import MessageFactory
-from ship_bags.stamps import make_header
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason
+from ship_estimation.refusals import Refusal
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.edge.messages_out import error_budget, refused_input
+from ship_node.edge.topics import Published
 
 DECK_FRAME = "deck"
+ATTITUDE_TOPIC, IMU_TOPIC = "ship/attitude", "ship/imu"
+
+_NO_VECTOR = np.zeros(3)
 _NOT_GIVEN = np.array([-1.0] + [0.0] * 8)
 
 
-def ship_attitude(factory: MessageFactory, estimate: AttitudeEstimate) -> Any:
-    """ship_msgs/ShipAttitude; all NaN where no attitude is claimed."""
-    angles, covariance = _angles(estimate)
-    return factory.make(
+def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> list[Published]:
+    """What an attitude becomes: ship_msgs/ShipAttitude and, for standard tools, the same as sensor_msgs/Imu.
+
+    Where no attitude is claimed the first is all NaN, and the second is not made.
+    """
+    claimed = estimate.status is not Status.INVALID
+    covariance_n = estimate.covariance_n
+    heading, pitch, roll = angles_from_rotation(estimate.rotation_nd).tolist()
+    angles_covariance = angle_covariance(covariance_n, heading, pitch)
+    header = {"stamp": estimate.time_ns, "frame_id": DECK_FRAME}
+    orientation = _named("xyzw", quaternion_from_rotation(estimate.rotation_nd) if claimed else np.full(4, np.nan))
+    rotation_covariance = enu_covariance(covariance_n).ravel()
+    rate_flu = flu_from_device_vector(estimate.rate_d)
+    rate_known = bool(np.all(np.isfinite(rate_flu)))
+    attitude = factory.make(
         "ship_msgs/msg/ShipAttitude",
-        header=make_header(factory, estimate.time_ns, DECK_FRAME),
-        heading=float(angles[0]),
-        pitch=float(angles[1]),
-        roll=float(angles[2]),
-        covariance=covariance.ravel(),
-        orientation=_orientation(factory, estimate),
-        rotation_covariance=enu_covariance(estimate.covariance_n).ravel(),
-        angular_velocity=_vector(factory, flu_from_device_vector(estimate.rate_d)),
+        header=header,
+        heading=heading,
+        pitch=pitch,
+        roll=roll,
+        covariance=angles_covariance.ravel(),
+        orientation=orientation,
+        rotation_covariance=rotation_covariance,
+        angular_velocity=_named("xyz", rate_flu),
         status=int(estimate.status),
         horizon=int(estimate.horizon),
         sources=list(estimate.sources),
         star_age_s=estimate.star_age_s,
     )
-
-
-def ship_imu(factory: MessageFactory, estimate: AttitudeEstimate) -> Any:
-    """sensor_msgs/Imu: the same attitude for standard tools; no acceleration, the rate where it is known."""
-    rate_known = bool(np.all(np.isfinite(estimate.rate_d)))
-    rate = estimate.rate_d if rate_known else np.zeros(3)
-    return factory.make(
+    if not claimed:
+        return [(ATTITUDE_TOPIC, attitude)]
+    # No acceleration; the rate where it is known.
+    imu = factory.make(
         "sensor_msgs/msg/Imu",
-        header=make_header(factory, estimate.time_ns, DECK_FRAME),
-        orientation=_orientation(factory, estimate),
-        orientation_covariance=enu_covariance(estimate.covariance_n).ravel(),
-        angular_velocity=_vector(factory, flu_from_device_vector(rate)),
+        header=header,
+        orientation=orientation,
+        orientation_covariance=rotation_covariance,
+        angular_velocity=_named("xyz", rate_flu if rate_known else _NO_VECTOR),
         angular_velocity_covariance=np.zeros(9) if rate_known else _NOT_GIVEN,
-        linear_acceleration=_vector(factory, np.zeros(3)),
+        linear_acceleration=_named("xyz", _NO_VECTOR),
         linear_acceleration_covariance=_NOT_GIVEN,
     )
+    return [(ATTITUDE_TOPIC, attitude), (IMU_TOPIC, imu)]
 
 
-def error_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: list[str]) -> Any:
-    """ship_msgs/ErrorBudget of a published attitude."""
-    return factory.make(
-        "ship_msgs/msg/ErrorBudget",
-        header=make_header(factory, estimate.time_ns, DECK_FRAME),
-        quantity="ship_attitude",
-        sources=list(sources),
-        covariances=enu_covariance(estimate.covariance_parts_n).ravel(),
-        total=enu_covariance(estimate.covariance_n).ravel(),
-    )
+def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str]) -> Any:
+    """ship_msgs/ErrorBudget of a published attitude; ``sources`` name the parts of its covariance."""
+    parts_n, covariance_n = estimate.covariance_parts_n, estimate.covariance_n
+    return error_budget(factory, "ship_attitude", estimate.time_ns, DECK_FRAME, sources, parts_n, covariance_n)
 
 
 def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate) -> Any:
     """ship_msgs/AttitudeErrorArcsec: predicted sigmas; an estimator never sees the truth, so errors are NaN."""
-    _, covariance = _angles(estimate)
-    sigma = np.sqrt(np.diagonal(covariance)) / ARCSEC
+    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
+    sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, heading, pitch))) / ARCSEC
     unknown = float("nan")
     return factory.make(
         "ship_msgs/msg/AttitudeErrorArcsec",
-        header=make_header(factory, estimate.time_ns, DECK_FRAME),
+        header={"stamp": estimate.time_ns, "frame_id": DECK_FRAME},
         sigma_heading=float(sigma[0]),
         sigma_pitch=float(sigma[1]),
         sigma_roll=float(sigma[2]),
@@ -90,34 +98,11 @@ def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int) 
     """ship_msgs/AlignmentState."""
     return factory.make(
         "ship_msgs/msg/AlignmentState",
-        header=make_header(factory, now_ns, DECK_FRAME),
+        header={"stamp": now_ns, "frame_id": DECK_FRAME},
         names=list(alignment.names),
         values=alignment.values,
         covariance=alignment.covariance.ravel(),
         units=list(alignment.units),
-    )
-
-
-def innovation(factory: MessageFactory, decision: AttitudeDecision) -> Any:
-    """ship_msgs/Innovation of a measurement that was judged."""
-    reason, text = decision.reason, decision.text
-    if decision.accepted and not decision.measurement.covariance_known:
-        reason, text = Reason.COVARIANCE_UNKNOWN, "the message gives no covariance: used with the configured sigma"
-    if decision.revised:
-        verdict = "now used" if decision.accepted else f"now refused: {reason.word}"
-        reason, text = Reason.REVISED, f"judged anew after a measurement that arrived late, {verdict} {text}".rstrip()
-    return factory.make(
-        "ship_msgs/msg/Innovation",
-        header=make_header(factory, decision.measurement.time_ns, decision.measurement.source),
-        source=decision.measurement.source,
-        components=list(decision.components),
-        residual=decision.residual,
-        sigma=decision.sigma,
-        nis=float(decision.nis),
-        gate=float(decision.gate),
-        accepted=decision.accepted,
-        reason=int(reason),
-        reason_text=text,
     )
 
 
@@ -145,49 +130,23 @@ def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str
     )
 
 
-def star_error_budget(factory: MessageFactory, solved: Solved) -> Any:
+def solution_budget(factory: MessageFactory, solved: Solved) -> Any:
     """ship_msgs/ErrorBudget of a joint solution."""
-    return factory.make(
-        "ship_msgs/msg/ErrorBudget",
-        header=make_header(factory, solved.time_ns, DECK_FRAME),
-        quantity=f"star_{JOINT}",
-        sources=list(SOLUTION_TERMS),
-        covariances=enu_covariance(solved.solution.parts_n).ravel(),
-        total=enu_covariance(solved.solution.covariance_n).ravel(),
-    )
+    parts_n, covariance_n = solved.solution.parts_n, solved.solution.covariance_n
+    return error_budget(factory, f"star_{JOINT}", solved.time_ns, DECK_FRAME, SOLUTION_TERMS, parts_n, covariance_n)
 
 
 def refused_star(factory: MessageFactory, star: RefusedStar) -> Any:
     """ship_msgs/Innovation of a star that was refused, compared with its place or not."""
+    told = Refusal(star.refusal.reason, f"{star.name}: {star.refusal.text}")
+    if not star.residual:
+        return refused_input(factory, star.source, star.time_ns, told)
     residual = np.array(star.residual)
-    compared = len(residual) > 0
-    return factory.make(
-        "ship_msgs/msg/Innovation",
-        header=make_header(factory, star.time_ns, star.source),
-        source=star.source,
-        components=["up", "right"] if compared else [],
-        residual=residual,
-        sigma=np.full(len(residual), star.sigma),
-        nis=float(residual @ residual / star.sigma**2) if compared else float("nan"),
-        gate=float("nan"),
-        accepted=False,
-        reason=int(star.refusal.reason),
-        reason_text=f"{star.name}: {star.refusal.text}",
-    )
+    nis = float(residual @ residual / star.sigma**2)
+    sigma = np.full(len(residual), star.sigma)
+    return refused_input(factory, star.source, star.time_ns, told, ("up", "right"), residual, sigma, nis)
 
 
-def _angles(estimate: AttitudeEstimate) -> tuple[FloatArray, FloatArray]:
-    """Heading, pitch, roll (rad) and their covariance (rad²)."""
-    angles = angles_from_rotation(estimate.rotation_nd)
-    return angles, angle_covariance(estimate.covariance_n, angles[0], angles[1])
-
-
-def _orientation(factory: MessageFactory, estimate: AttitudeEstimate) -> Any:
-    claimed = estimate.status is not Status.INVALID
-    x, y, z, w = quaternion_from_rotation(estimate.rotation_nd).tolist() if claimed else [float("nan")] * 4
-    return factory.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-
-
-def _vector(factory: MessageFactory, vector: FloatArray) -> Any:
-    x, y, z = vector.tolist()
-    return factory.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+def _named(names: str, numbers: FloatArray) -> dict[str, float]:
+    """Numbers as the fields of a message that have one letter each."""
+    return dict(zip(names, numbers.tolist(), strict=True))

@@ -20,7 +20,7 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
-from ship_node.edge.messages_in import device_id, exposure_length_s, frame, stamp_ns
+from ship_node.edge.messages_in import Reading, device_id, exposure_length_s, frame, stamp_ns
 
 MOST_STARS = 100
 """Of one exposure; what comes after them is not looked at, so that no message can hold up the node."""
@@ -33,9 +33,6 @@ _LARGEST_PIXEL = 1e6
 _LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 1e-4, 100.0
 _ANGLE_TOLERANCE = 1e-9
 
-UnreadStar = tuple[int, Refusal]
-"""Row of a star in its message, and why it is not used."""
-
 
 @dataclass(frozen=True)
 class _Told:
@@ -44,6 +41,7 @@ class _Told:
     Attributes:
         pixels: centroids (u, v), shape (k, 2).
         sigma_px: their standard deviation, each axis, shape (k,); as configured where the message gives none.
+        sigma_known: whether the message gives that of every star.
         right_ascension: ICRS, rad, shape (k,); NaN where not given.
         declination: ICRS, rad, shape (k,); NaN where not given.
         hip: catalogue numbers, shape (k,); 0 where not given.
@@ -52,6 +50,7 @@ class _Told:
 
     pixels: FloatArray
     sigma_px: FloatArray
+    sigma_known: bool
     right_ascension: FloatArray
     declination: FloatArray
     hip: NDArray[np.int64]
@@ -66,7 +65,8 @@ def star_exposure(
     camera_config: CameraConfig,
     catalogue: StarCatalogue,
     receive_ns: int,
-) -> tuple[StarExposure, list[UnreadStar]]:
+    named_by_number: bool = False,
+) -> Reading[StarExposure]:
     """``star/<sensor>/observations`` → directions in the sensor frame, and which stars they are.
 
     A star with a catalogue number has its place from the catalogue, a star without a number from the message. A star
@@ -80,9 +80,11 @@ def star_exposure(
         camera_config: parameters of the camera: the error of a centroid, the spread of a star's image.
         catalogue: in which the numbers are looked up.
         receive_ns: when it came.
+        named_by_number: whether a star that is left out has its catalogue number as name, where it has one; otherwise
+            its place in the message is its name.
 
     Returns:
-        The exposure with the stars that can be used, and the other stars of the message.
+        The exposure with the stars that can be used; the other stars of the message are left out.
 
     Raises:
         Refused: the whole message cannot be used.
@@ -99,10 +101,6 @@ def star_exposure(
     )
     entries, given = catalogue.entries(told.hip, time_ns), fixed_stars(told.right_ascension, told.declination)
     refusals = _refusals(told, directions_s, entries, catalogue)
-    refused = [(row, refusal) for row, refusal in enumerate(refusals) if refusal is not None]
-    if len(message.stars) > MOST_STARS:
-        text = f"{len(message.stars)} stars in one exposure: only the first {MOST_STARS} are looked at"
-        refused.append((MOST_STARS, Refusal(Reason.OVERFLOW, text)))
     kept = np.flatnonzero([refusal is None for refusal in refusals])
     listed = told.hip != 0
     exposure = StarExposure(
@@ -116,12 +114,8 @@ def star_exposure(
         magnitude=told.magnitude[kept],
         length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
     )
-    return exposure, refused
-
-
-def sigmas_given(message: Any) -> bool:
-    """Whether a StarObservationArray says of every star how good its centroid is."""
-    return all(star.sigma_px != 0.0 and not np.isnan(star.sigma_px) for star in message.stars[:MOST_STARS])
+    left_out = _left_out(message.stars, refusals, named_by_number)
+    return Reading(exposure, told.sigma_known, left_out, empty=not message.stars)
 
 
 def _told(stars: Sequence[Any], centroid_sigma_px: float) -> _Told:
@@ -132,6 +126,7 @@ def _told(stars: Sequence[Any], centroid_sigma_px: float) -> _Told:
     return _Told(
         pixels=np.stack([u, v], axis=-1),
         sigma_px=np.where(not_given, centroid_sigma_px, sigma_px),
+        sigma_known=not not_given.any(),
         right_ascension=right_ascension,
         declination=declination,
         hip=np.array([star.catalogue_id for star in stars], dtype=np.int64),
@@ -162,6 +157,21 @@ def _refusals(
             or _repeated(_identity(hip, right_ascension, declination), told.pixels[row], seen)
         )
     return refusals
+
+
+def _left_out(
+    stars: Sequence[Any], refusals: Sequence[Refusal | None], named_by_number: bool
+) -> tuple[tuple[str, Refusal], ...]:
+    """Stars that are not used, by name; of those that nobody looks at, the first stands for all."""
+    rows = [(row, refusal) for row, refusal in enumerate(refusals) if refusal is not None]
+    if len(stars) > MOST_STARS:
+        text = f"{len(stars)} stars in one exposure: only the first {MOST_STARS} are looked at"
+        rows.append((MOST_STARS, Refusal(Reason.OVERFLOW, text)))
+    numbers = {row: stars[row].catalogue_id for row, _ in rows if named_by_number}
+    return tuple(
+        (f"HIP {numbers[row]}" if numbers.get(row) else f"star {row + 1} of the message", refusal)
+        for row, refusal in rows
+    )
 
 
 def _pixel_refusal(pixel: FloatArray, direction_s: FloatArray) -> Refusal | None:

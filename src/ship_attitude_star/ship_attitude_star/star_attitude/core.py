@@ -78,8 +78,8 @@ class StarCore:
         self._wait_ns = round(config.joint.wait_s * SECOND_NS)
         self.reset()
 
-    def reset(self) -> None:
-        """Forget all inputs."""
+    def reset(self, clock_jumped: bool = False) -> None:
+        """Forget all inputs; outputs may start again at earlier times, whether the clock jumped or not."""
         self._watch.reset()
         self._guards = StreamGuards(self._config.ins)
         self._ins = InsMotion(self._config.ins, self._guards)
@@ -131,14 +131,15 @@ class StarCore:
         self._advance(exposure.time_ns, outcome)
         return outcome
 
-    def tick(self, waiting_ns: int) -> StarOutcome:
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> StarOutcome:
         """Solve what has waited long enough.
 
         Args:
-            waiting_ns: the time of waiting now.
+            now_ns: the time now.
+            waiting_ns: the same in the time of waiting; None where the two are one.
         """
         outcome = StarOutcome()
-        self._solve(outcome, waiting_ns)
+        self._solve(outcome, now_ns if waiting_ns is None else waiting_ns)
         return outcome
 
     def not_measured(self) -> list[str]:

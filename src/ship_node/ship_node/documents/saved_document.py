@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,7 @@ LONGEST_FILE_BYTES = 16_000_000
 _ROUNDING = 1e-6
 
 Content = TypeVar("Content")
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -113,66 +114,63 @@ DISK = DiskFiles()
 
 
 @dataclass(frozen=True)
-class SavedFormat:
+class SavedFormat(Generic[Content]):
     """A kind of saved document.
 
     Attributes:
         format: first line of the file.
         version: of its layout; no other is read.
         what: "alignment", "calibration": for messages.
+        document: what is written of a content.
+        content: what a document says; a ValueError names the section that cannot be used.
     """
 
     format: str
     version: int
     what: str
+    document: Callable[[Content], dict[str, Any]]
+    content: Callable[[dict[str, Any]], Content]
 
-    def save(self, path: Path, document: dict[str, Any], files: Files = DISK) -> None:
+    def save(self, path: Path, content: Content, files: Files = DISK) -> None:
         """Write a document; the file is either the old one or the new one, never a part.
 
         Raises:
             BadInput: the file cannot be written.
         """
-        whole = {"format": self.format, "version": self.version, **document}
+        whole = {"format": self.format, "version": self.version, **self.document(content)}
         try:
             files.write(path, yaml.safe_dump(whole, sort_keys=False, width=110).encode())
         except OSError as error:
             raise BadInput(f"the {self.what} cannot be written: {error.strerror}", file=path) from error
 
-    def load(self, path: Path, read: Callable[[dict[str, Any]], Content], files: Files = DISK) -> Content:
+    def load(self, path: Path, files: Files = DISK) -> Content:
         """Read a document.
-
-        Args:
-            path: of the file.
-            read: what it says; a ValueError names the section that cannot be used.
-            files: where it is read.
 
         Raises:
             BadInput: names the file and what is wrong with it.
         """
         try:
-            content = files.read(path)
+            written = files.read(path)
         except OSError as error:
             raise self._unreadable(path, error) from error
-        return self._parsed(path, content, read)
+        return self._parsed(path, written)
 
-    def load_if_there(
-        self, path: Path, read: Callable[[dict[str, Any]], Content], files: Files = DISK
-    ) -> Content | None:
+    def load_if_there(self, path: Path, files: Files = DISK) -> Content | None:
         """As :meth:`load`; None where there is no such file."""
         try:
-            content = files.read(path)
+            written = files.read(path)
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
             raise self._unreadable(path, error) from error
-        return self._parsed(path, content, read)
+        return self._parsed(path, written)
 
     def _unreadable(self, path: Path, error: OSError) -> BadInput:
         return BadInput(f"the {self.what} cannot be read: {error.strerror}", file=path)
 
-    def _parsed(self, path: Path, content: bytes, read: Callable[[dict[str, Any]], Content]) -> Content:
+    def _parsed(self, path: Path, written: bytes) -> Content:
         try:
-            document = plain_data(str(path), content.decode())
+            document = plain_data(str(path), written.decode())
         except UnicodeDecodeError as error:
             raise BadInput(f"not a text in UTF-8: {error.reason} at byte {error.start}", file=path) from error
         article = "an" if self.what[0] in "aeiou" else "a"
@@ -182,22 +180,12 @@ class SavedFormat:
             found = f"{document.get('version')!r:.40}"
             raise BadInput(f"version {found} of the {self.what}: expected {self.version}", file=path)
         try:
-            return read(document)
+            return self.content(document)
         except ValueError as error:
             raise BadInput(f"the {self.what} cannot be used: {error}; save it anew", file=path) from error
 
 
-def age_words(time_ns: int, now_ns: int) -> str:
-    """How old the data of a saved document are, by the node's clock."""
-    if time_ns <= 0:
-        return "of unknown age"
-    age_s = (now_ns - time_ns) * 1e-9
-    if age_s < 0.0:
-        return f"from {-age_s:.0f} s in the future"
-    return f"{age_s / 86400.0:.1f} d old" if age_s >= 8640.0 else f"{age_s / 60.0:.0f} min old"
-
-
-def section(document: dict[str, Any], key: str, read: Callable[[Any], Content]) -> Content:
+def section(document: dict[str, Any], key: str, read: Callable[[Any], Value]) -> Value:
     """One section of a document.
 
     Raises:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ship_bags.message_factory import MessageFactory
-from ship_bags.stamps import duration_text, make_header
+from ship_bags.stamps import duration_text
 from ship_estimation.refusals import Reason
 from ship_node.edge.input_record import LATE_EDGES_S, MAX_AGE_S, InputRecord, InputRecords
 from ship_node.edge.messages_out import DiagnosticStatus, Level
@@ -89,7 +89,7 @@ class InputHealthBook(InputRecords):
     def _message(self, factory: MessageFactory, record: InputRecord, now_ns: int, waiting_ns: int) -> Any:
         return factory.make(
             "ship_msgs/msg/InputHealth",
-            header=make_header(factory, now_ns),
+            header={"stamp": now_ns, "frame_id": ""},
             topic=record.input.topic,
             received=record.received,
             accepted=record.accepted,

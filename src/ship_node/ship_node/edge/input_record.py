@@ -7,8 +7,11 @@ import math
 import statistics
 from collections import Counter, deque
 from collections.abc import Iterable
+from typing import Any
 
+from ship_estimation.outcome import Decision
 from ship_estimation.refusals import Reason, Refusal
+from ship_node.edge.messages_in import Reading
 from ship_node.edge.topics import InputTopic
 
 WINDOW = 50
@@ -147,6 +150,55 @@ class InputRecords:
         self.start_ns: int | None = None
         self._waiting_ns: int | None = None
         self._failures: deque[str] = deque(maxlen=_MOST_FAILURES)
+
+    def took(
+        self, topic: str, waiting_ns: int, receive_ns: int, reading: Reading[Any], refusal: Refusal | None, used: bool
+    ) -> None:
+        """A message came and was read, and this is what became of it at once.
+
+        Args:
+            topic: the topic that it came on.
+            waiting_ns: when it came, in the time of waiting.
+            receive_ns: the same by the node's clock.
+            reading: what was read.
+            refusal: why it was not used; None where it was, or where that is decided later.
+            used: whether a message that was not refused counts as used already.
+        """
+        self.arrived(topic, waiting_ns)
+        if not reading.covariance_known:
+            self.noted(topic, Reason.COVARIANCE_UNKNOWN)
+        for _, left_out in reading.left_out:
+            self.noted(topic, left_out.reason)
+        if refusal is not None:
+            self.rejected(topic, refusal, receive_ns, reading.value.time_ns)
+        elif used:
+            self.accepted(topic, reading.value.time_ns, receive_ns)
+
+    def turned_away(self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, refusal: Refusal) -> None:
+        """A message came and could not be read; the times are those of :meth:`took` and its stamp."""
+        self.arrived(topic, waiting_ns)
+        self.rejected(topic, refusal, receive_ns, stamp_ns)
+
+    def judged(self, topic: str, decision: Decision[Any], accepted: bool, now_ns: int) -> None:
+        """It was decided whether a measurement that had come on a topic is used.
+
+        Args:
+            topic: the topic.
+            decision: about the measurement.
+            accepted: whether it is used.
+            now_ns: when it was decided, by the node's clock.
+        """
+        time_ns = decision.measurement.time_ns
+        if decision.revised:
+            self.noted(topic, Reason.REVISED)
+        elif accepted:
+            self.accepted(topic, time_ns, now_ns)
+            if decision.reason is not Reason.NONE:
+                self.noted(topic, decision.reason)
+        else:
+            self.rejected(topic, Refusal(decision.reason, decision.text), now_ns, time_ns)
+        for _, left_out in decision.left_out:
+            self.noted(topic, left_out.reason)
 
     def arrived(self, topic: str, waiting_ns: int) -> None:
         """A message came, in the time of waiting."""

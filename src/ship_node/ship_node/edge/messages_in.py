@@ -8,20 +8,21 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from ship_bags.stamps import duration_text, ns_from_stamp
+from ship_bags.stamps import duration_text
 from ship_estimation.ins import InsInputConfig
 from ship_estimation.refusals import Reason, Refusal, shortened
 from ship_geometry.attitude_track import AttitudeSample
-from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 
 FUTURE_TOLERANCE_NS = 50_000_000
 """A stamp may be this far ahead of the node's clock, ns."""
+
+Value = TypeVar("Value")
 
 _SECOND_NS = 1_000_000_000
 _LEAST_QUATERNION_NORM = 1e-6
@@ -31,6 +32,29 @@ _LONGEST_ID = 64
 
 _LARGEST_RATE = 100.0
 """No ship turns like this, rad/s; far above what degrees per second would give, which are found by their ratio."""
+
+
+@dataclass(frozen=True)
+class Reading(Generic[Value]):
+    """What a reader makes of a message.
+
+    Attributes:
+        value: the struct that the core takes, with its stamp ``time_ns``.
+        covariance_known: False where the message gives no covariance, and the configured sigma stands in.
+        left_out: parts of the message (stars, lights) that cannot be used, by name, and why.
+        empty: True where the device works and saw nothing, so that there is nothing to compare.
+    """
+
+    value: Value
+    covariance_known: bool = True
+    left_out: tuple[tuple[str, Refusal], ...] = ()
+    empty: bool = False
+
+    @property
+    def notes(self) -> list[Reason]:
+        """What health is to count of a message that may be used all the same."""
+        unknown = [] if self.covariance_known else [Reason.COVARIANCE_UNKNOWN]
+        return unknown + [refusal.reason for _, refusal in self.left_out]
 
 
 class Refused(Exception):
@@ -59,7 +83,7 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
     """
     if header.stamp.nanosec >= _SECOND_NS:
         raise Refused(Reason.BAD_STAMP, f"header.stamp.nanosec is {header.stamp.nanosec}: expected less than a second")
-    ns = ns_from_stamp(header.stamp)
+    ns = int(header.stamp.sec) * _SECOND_NS + int(header.stamp.nanosec)
     if ns <= 0:
         raise Refused(Reason.BAD_STAMP, f"header.stamp is {ns} ns: expected POSIX time")
     if ns > receive_ns + FUTURE_TOLERANCE_NS:
@@ -184,20 +208,7 @@ def _covariance_of_bytes(content: bytes, what: str) -> FloatArray | None:
     return symmetric
 
 
-@dataclass(frozen=True)
-class InsMessage:
-    """A message of the INS as the core takes it.
-
-    Attributes:
-        value: attitude and rate of the deck.
-        covariance_known: False where the message gives no covariance.
-    """
-
-    value: AttitudeSample
-    covariance_known: bool
-
-
-def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> InsMessage:
+def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> Reading[AttitudeSample]:
     """``ins/imu`` → attitude and rate of the deck.
 
     Its covariance is the INS's total error, not white noise: it is checked and otherwise left alone.
@@ -207,15 +218,13 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> InsMess
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
-    rotation_ni = imu_rotation(message, config.convention)
+    quaternion = unit_quaternion(message.orientation)
     covariance = covariance_3x3(message.orientation_covariance, "orientation_covariance")
-    rotation_di = rotation_from_angles(
-        *np.deg2rad([config.installation_heading_deg, config.installation_pitch_deg, config.installation_roll_deg])
-    )
-    rate_d = None
-    if message.angular_velocity_covariance[0] != -1.0:
-        rate_d = rotation_di @ device_vector_from_ros(ship_rate(message.angular_velocity), config.convention)
-    return InsMessage(AttitudeSample(time_ns, rotation_ni @ rotation_di.T, rate_d), covariance is not None)
+    rate_given = message.angular_velocity_covariance[0] != -1.0
+    rate_ros = ship_rate(message.angular_velocity) if rate_given else None
+    rotation_nd = rotation_from_quaternion(quaternion, config.convention) @ config.rotation_di.T
+    rate_d = None if rate_ros is None else config.rotation_di @ device_vector_from_ros(rate_ros, config.convention)
+    return Reading(AttitudeSample(time_ns, rotation_nd, rate_d), covariance is not None)
 
 
 def ship_rate(angular_velocity: Any) -> FloatArray:

@@ -1,18 +1,24 @@
-"""Messages that every node gives of itself: why an input was not used, and how the node does."""
+"""Messages that every node gives alike: what became of its inputs, error budgets, how the node itself does."""
 
 import enum
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ship_bags.message_factory import MessageFactory
-from ship_bags.stamps import make_header
-from ship_estimation.refusals import Reason, shortened
+from ship_estimation.outcome import Decision
+from ship_estimation.refusals import Reason, Refusal, shortened
+from ship_geometry.ros_axes import enu_covariance
+from ship_geometry.rotations import FloatArray
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+INNOVATION_TYPE = "ship_msgs/msg/Innovation"
+BUDGET_TYPE = "ship_msgs/msg/ErrorBudget"
+
+_NOTHING = np.empty(0)
 
 
 class Level(enum.IntEnum):
@@ -52,39 +58,112 @@ def diagnostic_array(
         hardware_id: name of the node; each status is named ``"<hardware_id>: <name>"``.
         statuses: what there is to say.
     """
+    told = [
+        {
+            "level": int(status.level),
+            "name": f"{hardware_id}: {status.name}",
+            "message": status.message,
+            "hardware_id": hardware_id,
+            "values": [{"key": key, "value": value} for key, value in status.values.items()],
+        }
+        for status in statuses
+    ]
+    return factory.make(DIAGNOSTICS_TYPE, header={"stamp": now_ns, "frame_id": ""}, status=told)
+
+
+def judged_input(factory: MessageFactory, source: str, decision: Decision[Any], accepted: bool) -> Any:
+    """ship_msgs/Innovation of a measurement that was compared and judged, for the first time or anew.
+
+    Args:
+        factory: makes the message.
+        source: who measured.
+        decision: about the measurement.
+        accepted: whether it is used.
+    """
+    reason, text = decision.reason, decision.text
+    if accepted and not decision.measurement.covariance_known:
+        reason, text = Reason.COVARIANCE_UNKNOWN, "the message gives no covariance: used with the configured sigma"
+    if decision.revised:
+        verdict = "now used" if accepted else f"now refused: {reason.word}"
+        reason, text = Reason.REVISED, f"judged anew after a measurement that arrived late, {verdict} {text}".rstrip()
     return factory.make(
-        DIAGNOSTICS_TYPE,
-        header=make_header(factory, now_ns),
-        status=[_diagnostic_status(factory, hardware_id, status) for status in statuses],
+        INNOVATION_TYPE,
+        header={"stamp": decision.measurement.time_ns, "frame_id": source},
+        source=source,
+        components=list(decision.components),
+        residual=decision.residual,
+        sigma=decision.sigma,
+        nis=float(decision.nis),
+        gate=float(decision.gate),
+        accepted=accepted,
+        reason=int(reason),
+        reason_text=text,
     )
 
 
-def _diagnostic_status(factory: MessageFactory, hardware_id: str, status: DiagnosticStatus) -> Any:
-    return factory.make(
-        "diagnostic_msgs/msg/DiagnosticStatus",
-        level=int(status.level),
-        name=f"{hardware_id}: {status.name}",
-        message=status.message,
-        hardware_id=hardware_id,
-        values=[
-            factory.make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in status.values.items()
-        ],
-    )
+def refused_input(
+    factory: MessageFactory,
+    source: str,
+    time_ns: int,
+    refusal: Refusal,
+    components: Sequence[str] = (),
+    residual: FloatArray = _NOTHING,
+    sigma: FloatArray = _NOTHING,
+    nis: float = float("nan"),
+) -> Any:
+    """ship_msgs/Innovation of an input, or of a part of one (a star, a light), that was refused.
 
-
-def refusal_message(factory: MessageFactory, source: str, time_ns: int, reason: Reason, text: str) -> Any:
-    """ship_msgs/Innovation of an input that was refused before it was compared."""
+    Args:
+        factory: makes the message.
+        source: whose input it is.
+        time_ns: stamp of the input.
+        refusal: why it was not used.
+        components: names of the residuals; empty where nothing was compared.
+        residual: measured minus predicted, rad, shape (m,).
+        sigma: predicted standard deviation of each, rad, shape (m,).
+        nis: normalised innovation squared.
+    """
     source = shortened(source)
     return factory.make(
-        "ship_msgs/msg/Innovation",
-        header=make_header(factory, time_ns, source),
+        INNOVATION_TYPE,
+        header={"stamp": time_ns, "frame_id": source},
         source=source,
-        components=[],
-        residual=np.empty(0),
-        sigma=np.empty(0),
-        nis=float("nan"),
+        components=list(components),
+        residual=residual,
+        sigma=sigma,
+        nis=nis,
         gate=float("nan"),
         accepted=False,
-        reason=int(reason),
-        reason_text=shortened(text),
+        reason=int(refusal.reason),
+        reason_text=refusal.text,
+    )
+
+
+def error_budget(
+    factory: MessageFactory,
+    quantity: str,
+    time_ns: int,
+    frame_id: str,
+    sources: Sequence[str],
+    parts_n: FloatArray,
+    covariance_n: FloatArray,
+) -> Any:
+    """ship_msgs/ErrorBudget of an estimate: the part of each source in its covariance.
+
+    Args:
+        factory: makes the message.
+        quantity: what was estimated.
+        time_ns: stamp of the estimate.
+        frame_id: whose attitude it is.
+        sources: names of the sources of error.
+        parts_n: covariance by each of them, rotation vector in (North, Up, East), rad², shape (n_sources, 3, 3).
+        covariance_n: their sum, rad², shape (3, 3).
+    """
+    return factory.make(
+        BUDGET_TYPE,
+        header={"stamp": time_ns, "frame_id": frame_id},
+        quantity=quantity,
+        sources=list(sources),
+        covariances=enu_covariance(parts_n).ravel(),
+        total=enu_covariance(covariance_n).ravel(),
     )

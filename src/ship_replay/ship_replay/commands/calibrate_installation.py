@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ship_attitude_star.ros import alignment_file
+from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import watched
@@ -68,7 +68,7 @@ def _run(options: argparse.Namespace) -> int:
         check_folder(options.report, ("installation.json", "installation.png"), options.force)
     session = run_session(options.bag, options.config, options.prior_sigma, options.namespace, watch=watched)
     calibration = calibration_of(session)
-    alignment_file.save(options.out, calibration.prior)
+    ALIGNMENT_FILE.save(options.out, calibration.prior)
     print_calibration(calibration, table_console())
     for warning in calibration.warnings:
         sys.stdout.write(f"warning: {warning}\n")

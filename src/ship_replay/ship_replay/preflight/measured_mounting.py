@@ -7,8 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.ros.messages_in import TOPICS as SKY_TOPICS
-from ship_attitude_star.ros.messages_in import inertial_attitude, reference_measurement, sky_input, star_measurement
+from ship_attitude_star.ros.messages_in import (
+    SURROUNDINGS,
+    inertial_attitude,
+    reference_measurement,
+    star_measurement,
+    surroundings_reader,
+)
 from ship_attitude_star.ros.star_messages_in import star_exposure
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
@@ -125,7 +130,7 @@ def _collected(
     reach_ns = round((config.ins.max_gap_s + 1.0) * NS_PER_S)
     track = AttitudeTrack(round(config.ins.max_gap_s * NS_PER_S))
     messages: dict[str, list[tuple[Any, int]]] = {topic: [] for topic in epochs}
-    sky_topics = {topic.topic for topic in SKY_TOPICS} if watch is not None else set()
+    sky_topics = set(SURROUNDINGS) if watch is not None else set()
     relative = {found[topic]: topic for topic in (*epochs, *sky_topics, _INS_TOPIC) if topic in found}
     for record in bag.records(relative):
         topic, stamp_ns = relative[record.topic], stamp_of_bytes(record.data)
@@ -150,7 +155,7 @@ def _tell(
             # Its rates may be wrong in their units: attitudes alone decide here.
             track.insert(replace(ins_sample(message, config.ins, receive_ns).value, rate_d=None))
         elif watch is not None:
-            told = sky_input(topic, message, config.sky, receive_ns)
+            told = surroundings_reader(topic, config.sky)(message, receive_ns=receive_ns).value
             if watch.refusal(told) is None:
                 watch.insert(told)
     except (Refused, BadInput):
@@ -177,14 +182,14 @@ def _attitudes(
     for message, receive_ns in messages:
         try:
             if kind == "imu":
-                measurement: Any = reference_measurement(message, id_, device, receive_ns)
+                measurement: Any = reference_measurement(message, id_, device, receive_ns).value
             elif kind == "inertial_attitude":
-                inertial = inertial_attitude(message, id_, device, receive_ns)
+                inertial = inertial_attitude(message, id_, device, receive_ns).value
                 if watch is None:
                     continue
                 measurement = in_horizon(inertial, watch)
             else:
-                measurement = star_measurement(message, id_, device, receive_ns)
+                measurement = star_measurement(message, id_, device, receive_ns).value
         except Refused:
             continue
         if not isinstance(measurement, Refusal):
@@ -206,9 +211,9 @@ def _exposures(
     sensor_id, exposures = topic.split("/")[1], []
     for message, receive_ns in messages:
         try:
-            exposure, _ = star_exposure(
+            exposure = star_exposure(
                 message, sensor_id, "", camera.camera("camera"), camera, watch.catalogue, receive_ns
-            )
+            ).value
         except Refused:
             continue
         if not isinstance(watch.at(exposure.time_ns), Refusal):

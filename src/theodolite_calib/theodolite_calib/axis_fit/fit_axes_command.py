@@ -19,7 +19,7 @@ from theodolite_calib.axis_fit.sighting_file import COLUMNS, GROUP_COLUMNS, LABE
 from theodolite_calib.axis_fit.sightings import MOST_SIGHTINGS, Sightings
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior
-from theodolite_calib.ros import calibration_file
+from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 _MOST_SCATTER = np.deg2rad(1.0)
 """Sightings that scatter more than this about their own fit, rad, are in other units or no sightings at all."""
@@ -119,7 +119,7 @@ def _calibration(result: AxisFit, sightings: Sightings, doubted: list[str], opti
         path.unlink(missing_ok=True)
         why = "the table is doubtful" if doubted else "no sigma is known"
         return f"not written: calibration.yaml, for {why}"
-    calibration_file.save(path, _fitted_calibration(result, sightings.time_s, options.serial))
+    CALIBRATION_FILE.save(path, _fitted_calibration(result, sightings.time_s, options.serial))
     dated = "" if sightings.time_s is not None else f", but old: without {TIME_COLUMN} nothing says its age"
     return f"calibration.yaml: for the parameter calibration_file of optical_axis, serial '{options.serial}'{dated}"
 

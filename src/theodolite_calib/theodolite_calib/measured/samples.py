@@ -98,14 +98,15 @@ class Exposure:
         time_ns: middle of the exposure.
         lights: in the order of their names, each name once.
         exposure_s: how long it lasted; 0 where the message does not say.
-        covariance_known: False where the configured sigma stands in for that of a light.
     """
 
     source: ClassVar[str] = "beacons"
+    covariance_known: ClassVar[bool] = True
+    """Each light has its sigma: by the message or, which is counted when the message comes, by the configuration."""
+
     time_ns: int
     lights: tuple[SeenLight, ...]
     exposure_s: float = 0.0
-    covariance_known: bool = True
 
     @cached_property
     def nodes(self) -> Nodes | None:

@@ -1,49 +1,16 @@
 """The saved calibration as a file: YAML that people can read, written atomically, with a version."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.saved_document import (
-    DISK,
-    Files,
-    SavedFormat,
-    finite_numbers,
-    joint_covariance,
-    section,
-    stamp_ns,
-)
+from ship_node.documents.saved_document import SavedFormat, finite_numbers, joint_covariance, section, stamp_ns
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior
 
-_SAVED = SavedFormat("optical_axis calibration", 1, "calibration")
 _KEYS = {name: "focal_length_m" if name == "focal_length" else f"{name}_arcsec" for name in SAVED_NAMES}
 _UNITS = np.array([1.0 if name == "focal_length" else ARCSEC for name in SAVED_NAMES])
-
-
-def save(path: Path, prior: CalibrationPrior, files: Files = DISK) -> None:
-    """Write a calibration; the file is either the old one or the new one, never a part.
-
-    Raises:
-        BadInput: the file cannot be written.
-    """
-    _SAVED.save(path, _document(prior), files)
-
-
-def load(path: Path, files: Files = DISK) -> CalibrationPrior:
-    """Read a calibration.
-
-    Raises:
-        BadInput: names the file and what is wrong with it.
-    """
-    return _SAVED.load(path, _prior, files)
-
-
-def load_if_there(path: Path, files: Files = DISK) -> CalibrationPrior | None:
-    """As :func:`load`; None where there is no such file."""
-    return _SAVED.load_if_there(path, _prior, files)
 
 
 def _document(prior: CalibrationPrior) -> dict[str, Any]:
@@ -88,3 +55,7 @@ def _values(given: dict[str, Any], said: NDArray[np.bool_]) -> FloatArray:
         if key != _KEYS["focal_length"] and not abs(number) * ARCSEC <= np.pi:
             raise ValueError(f"{key} is {number:g}: expected an angle within half a turn")
     return _UNITS * np.array(list(numbers.values()))
+
+
+CALIBRATION_FILE = SavedFormat("optical_axis calibration", 1, "calibration", _document, _prior)
+"""How a calibration is saved."""

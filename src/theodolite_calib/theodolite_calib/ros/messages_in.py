@@ -1,7 +1,6 @@
 """From messages to the core's structs: axes, units and checks. Reads attributes only, so any message class will do."""
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from ship_geometry.ros_axes import (
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.messages_in import (
+    Reading,
     Refused,
     covariance_3x3,
     device_id,
@@ -48,22 +48,7 @@ _LONGEST_BASELINE_M = 1e5
 """No light is seen from further away."""
 
 
-@dataclass(frozen=True)
-class Converted:
-    """A message as the core takes it.
-
-    Attributes:
-        value: sample or exposure.
-        covariance_known: False where the configured sigma was used.
-        lights_refused: of an exposure, lights that could not be read, by name.
-    """
-
-    value: Any
-    covariance_known: bool = True
-    lights_refused: tuple[tuple[str, Refusal], ...] = ()
-
-
-def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Converted:
+def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Reading[EncoderSample]:
     """``theodolite/encoder`` → both angles; their range is judged by the core.
 
     Raises:
@@ -77,10 +62,10 @@ def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Convert
     sigma = _sigma(message.sigma, 2.0 * np.pi)
     angles = np.array([message.azimuth, message.elevation])
     known = sigma is not None
-    return Converted(EncoderSample(time_ns, angles, sigma or config.encoder.sigma_arcsec * ARCSEC), known)
+    return Reading(EncoderSample(time_ns, angles, sigma or config.encoder.sigma_arcsec * ARCSEC), known)
 
 
-def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Converted:
+def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Reading[ShipSample]:
     """``ship/attitude`` → attitude with the part of its error that lasts.
 
     Raises:
@@ -100,21 +85,21 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> C
     rate_d = device_vector_from_ros(ship_rate(rate)) if rate_known else None
     slow_n = _ins_covariance(config) if total_n is None else _without_white(total_n, config.ship.white_sigma_arcsec)
     sample = ShipSample(time_ns, rotation_nd, rate_d, slow_n, Status(message.status))
-    return Converted(sample, total_n is not None)
+    return Reading(sample, total_n is not None)
 
 
-def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Converted:
+def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Reading[ShipSample]:
     """``ins/imu`` → attitude and rate; their errors are those of the configuration.
 
     Raises:
         Refused: with the reason.
     """
-    converted = ins_sample(message, config.ins, receive_ns)
-    sample = converted.value
-    return Converted(ShipSample(sample.time_ns, sample.rotation_nd, sample.rate_d), converted.covariance_known)
+    reading = ins_sample(message, config.ins, receive_ns)
+    sample = reading.value
+    return Reading(ShipSample(sample.time_ns, sample.rotation_nd, sample.rate_d), reading.covariance_known)
 
 
-def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int) -> Converted:
+def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int) -> Reading[BaselineSample]:
     """``beacon/<id>/baseline`` → vector with what is new in its error; one without the least fix with the refusal.
 
     Raises:
@@ -131,7 +116,7 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
     if message.fix < _FIXES.index(least_fix.upper()) or message.fix >= len(_FIXES):
         fix = _FIXES[message.fix] if message.fix < len(_FIXES) else message.fix
         refusal = Refusal(Reason.NOT_FIXED, f"baseline is {fix}: expected {least_fix.upper()}")
-        return Converted(BaselineSample(time_ns, np.zeros(3), np.zeros((3, 3)), refusal))
+        return Reading(BaselineSample(time_ns, np.zeros(3), np.zeros((3, 3)), refusal))
     vector_n = ENU_FROM_HORIZON.T @ finite_vector(message.enu, "enu")
     if np.max(np.abs(vector_n)) > _LONGEST_BASELINE_M:
         raise Refused(Reason.UNITS, f"baseline N, U, E {vector_n.tolist()}: expected metres, 100 km at most")
@@ -139,11 +124,11 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
     if covariance_enu is not None and np.max(np.diagonal(covariance_enu)) > _LONGEST_BASELINE_M**2:
         raise Refused(Reason.BAD_COVARIANCE, "a sigma of more than 100 km")
     if covariance_enu is None:
-        return Converted(BaselineSample(time_ns, vector_n, beacon.rtk.sigma_m**2 * np.eye(3)), False)
-    return Converted(BaselineSample(time_ns, vector_n, horizon_covariance(covariance_enu)))
+        return Reading(BaselineSample(time_ns, vector_n, beacon.rtk.sigma_m**2 * np.eye(3)), False)
+    return Reading(BaselineSample(time_ns, vector_n, horizon_covariance(covariance_enu)))
 
 
-def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> Converted:
+def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> Reading[AttitudeSample]:
     """``beacon/<id>/imu`` → attitude of the drone; its errors are those of the configuration.
 
     Raises:
@@ -151,10 +136,10 @@ def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> Conve
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, beacon.imu.frame_id)
-    return Converted(AttitudeSample(time_ns, imu_rotation(message, beacon.imu.convention)))
+    return Reading(AttitudeSample(time_ns, imu_rotation(message, beacon.imu.convention)))
 
 
-def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Converted:
+def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Reading[Exposure]:
     """``theodolite/beacons`` → lights on the detector; one that cannot be read is left out by name.
 
     Raises:
@@ -180,7 +165,7 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Conver
         text = f"{len(message.beacons)} lights in one image: only the first {MOST_LIGHTS} are looked at"
         refused.append((message.beacons[MOST_LIGHTS].beacon_id, Refusal(Reason.OVERFLOW, text)))
     ordered = tuple(lights[name] for name in sorted(lights))
-    return Converted(Exposure(time_ns, ordered, exposure_s, known), known, tuple(refused))
+    return Reading(Exposure(time_ns, ordered, exposure_s), known, tuple(refused), empty=not lights)
 
 
 def _light_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool] | Refusal:

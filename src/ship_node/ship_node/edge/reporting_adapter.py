@@ -1,0 +1,278 @@
+"""The adapter of every node: what it hears is read, given to the core, counted and told; all else goes by the clock.
+
+A message goes this way: the row of its topic in the adapter's table (:class:`Feed`) reads it and gives the value to the
+core; health counts what became of it; refusals, decisions, failures and estimates become messages. The adapters of the
+nodes add the table, what an estimate becomes, and diagnostics of their own.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from ship_bags.errors import BadInput
+from ship_bags.message_factory import MessageFactory
+from ship_bags.stamps import ns_from_stamp
+from ship_estimation.outcome import Decision, Status
+from ship_estimation.parameters import changed
+from ship_estimation.refusals import Reason, Refusal, failure
+from ship_node.documents.saved_start import SavedStart
+from ship_node.edge import messages_out
+from ship_node.edge.adapter import ServiceResult
+from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.messages_in import Reading, Refused
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
+from ship_node.edge.topics import InputTopic, OutputTopic, Published
+
+INPUT_HEALTH_TOPIC = "input_health"
+OWN_OUTPUTS = (
+    OutputTopic(INPUT_HEALTH_TOPIC, "ship_msgs/msg/InputHealth"),
+    OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE),
+)
+"""What every node gives of itself."""
+
+_SLOW_TOPICS = "slow topics"
+_SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Feed:
+    """A row of an adapter's table: how the messages of one topic reach the core.
+
+    Attributes:
+        input: the topic.
+        source: what the innovation messages call the device behind it.
+        read: the reader: of a message and ``receive_ns=``, its arrival by the node's clock in ns; it raises
+            :class:`ship_node.edge.messages_in.Refused` where the message cannot be used.
+        take: the core's method: of what was read and the time of waiting in ns; it returns the outcome.
+        judged: whether a decision says later if the message was used; otherwise it is used unless refused at once.
+        measured_by: what measurements call the device; empty where that is ``source``.
+    """
+
+    input: InputTopic
+    source: str
+    read: Callable[..., Reading[Any]]
+    take: Callable[[Any, int], Any]
+    judged: bool = False
+    measured_by: str = ""
+
+
+def untimed(take: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
+    """A method of a core that does not ask when a message came, as :attr:`Feed.take`."""
+    return lambda value, _waiting_ns: take(value)
+
+
+class ReportingAdapter:
+    """What the adapters of all nodes do alike; see :class:`ship_node.edge.adapter.Adapter` for its methods.
+
+    Args:
+        config: the node's parameters.
+        core: the estimator.
+        factory: makes the messages.
+        estimate_messages: what an estimate of the core becomes.
+        saved: the saved document that the core starts from; None where the node has none.
+
+    Attributes:
+        config: the parameters now.
+        core: the estimator.
+        latest: the last estimate put out; None before.
+        budget_due: the same until its error budget was told, as long as it claims something.
+        conflicts: source → the text of its disagreement, for sources that keep disagreeing.
+        clock_jumps: how often the clock went back.
+    """
+
+    node_name: ClassVar[str]
+    config_type: ClassVar[type]
+    services: ClassVar[tuple[str, ...]]
+    outputs: tuple[OutputTopic, ...]
+
+    main_topic: ClassVar[str]
+    """Where the estimates go: the name of what failed where one cannot be computed."""
+    innovation_topic: ClassVar[str]
+    reset_text: ClassVar[str] = "the filter starts anew"
+    start_warnings: tuple[str, ...] = ()
+
+    def __init__(
+        self,
+        config: Any,
+        core: Any,
+        factory: MessageFactory,
+        estimate_messages: Callable[[Any], list[Published]] = lambda _estimate: [],
+        saved: SavedStart[Any] | None = None,
+    ) -> None:
+        self.config, self.core, self.factory = config, core, factory
+        self._estimate_messages, self.saved = estimate_messages, saved
+        self._bind()
+        self.inputs: tuple[InputTopic, ...] = tuple(feed.input for feed in self._feeds.values())
+        self.health = InputHealthBook(self.inputs, config.max_age_s)
+        self.notices: list[str] = [] if saved is None else saved.notices
+        self.clock_jumps = 0
+        self.latest: Any = None
+        self.budget_due: Any = None
+        self.conflicts: dict[str, str] = {}
+        self._slow_due_ns: int | None = None
+
+    # -- what a node adds -----------------------------------------------------------------------------------
+
+    def table(self, config: Any) -> Iterable[Feed]:
+        """Which topic feeds which method of the core."""
+        raise NotImplementedError
+
+    def own_slow_topics(self, now_ns: int) -> list[Published]:
+        """What the node tells once a period beside health and diagnostics."""
+        raise NotImplementedError
+
+    def own_statuses(self, waiting_ns: int) -> Iterable[DiagnosticStatus]:
+        """What the diagnostics say beside the inputs."""
+        raise NotImplementedError
+
+    def left_out_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
+        """ship_msgs/Innovation of a part of a measurement, a star or a light, that was not used."""
+        told = Refusal(refusal.reason, f"{name}: {refusal.text}")
+        return messages_out.refused_input(self.factory, source, time_ns, told)
+
+    # -- what the shell and the replay call -----------------------------------------------------------------
+
+    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        """Take one message of an input topic."""
+        waiting_ns = receive_ns if waiting_ns is None else waiting_ns
+        if self.saved is not None and self.saved.is_due:
+            self.saved.start(receive_ns)
+        feed = self._feeds[topic]
+        try:
+            reading = feed.read(message, receive_ns=receive_ns)
+            outcome = None if reading.empty else feed.take(reading.value, waiting_ns)
+        except Refused as refused:
+            known = refused.refusal.reason is not Reason.BAD_STAMP
+            time_ns = ns_from_stamp(message.header.stamp) if known else receive_ns
+            self.health.turned_away(topic, waiting_ns, receive_ns, time_ns, refused.refusal)
+            return [self.refused(feed.source, time_ns, refused.refusal)]
+        except Exception:
+            # The message came all the same; what was raised is told by the shell.
+            self.health.arrived(topic, waiting_ns)
+            raise
+        time_ns = reading.value.time_ns
+        refusal = None if outcome is None else outcome.refusal
+        used = not feed.judged or outcome is None
+        self.health.took(topic, waiting_ns, receive_ns, reading, refusal, used)
+        published = [self._left_out(feed.source, time_ns, *part) for part in reading.left_out]
+        if refusal is not None:
+            published.append(self.refused(feed.source, time_ns, refusal))
+        return published if outcome is None else published + self.published(outcome, receive_ns, waiting_ns)
+
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        """Do what depends on waiting; once a period, the slow topics."""
+        waiting_ns = now_ns if waiting_ns is None else waiting_ns
+        if self.saved is not None and self.saved.is_due:
+            self.saved.start(now_ns)
+        published = self.published(self.core.tick(now_ns, waiting_ns), now_ns, waiting_ns)
+        if self._slow_due_ns is None or waiting_ns >= self._slow_due_ns:
+            self._slow_due_ns = waiting_ns + round(self.config.slow_topics_period_s * _SECOND_NS)
+            try:
+                published += self._slow_topics(now_ns, waiting_ns)
+            except Exception as error:
+                # An INVALID of this very tick must go out nevertheless.
+                published.append(self.failed(_SLOW_TOPICS, now_ns, failure(error)))
+        return published
+
+    def clock_jumped_back(self, now_ns: int) -> list[Published]:
+        """Start anew at the earlier time."""
+        self.clock_jumps += 1
+        self._restart(clock_jumped=True)
+        return []
+
+    def service(self, name: str, now_ns: int) -> ServiceResult:
+        """Reset; save or load what the core starts from."""
+        try:
+            if name == "reset":
+                self._restart(clock_jumped=False)
+                return ServiceResult(True, self.reset_text)
+            if self.saved is None or name not in self.services:
+                raise KeyError(name)
+            if name == "save_alignment":
+                return ServiceResult(True, self.saved.save())
+            told = self.saved.load(now_ns)
+        except BadInput as error:
+            return ServiceResult(False, str(error))
+        self.health.restart()
+        self.conflicts.clear()
+        return ServiceResult(True, told)
+
+    def set_parameters(self, changes: Mapping[str, Any]) -> None:
+        """Take live parameters, dotted name → value.
+
+        Raises:
+            ParameterError: nothing was changed; the text says why.
+        """
+        self.config = changed(self.config, changes)
+        self.core.reconfigure(self.config)
+        self._bind()
+
+    # -- results of the core --------------------------------------------------------------------------------
+
+    def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
+        """What an outcome of the core becomes: decisions counted and told, failures, estimates."""
+        judged = []
+        for decision in outcome.decisions:
+            feed, accepted = self._measured_by[decision.measurement.source], decision.accepted
+            self._count(feed, decision, accepted, now_ns)
+            judged.append((feed.source, decision, accepted))
+        published: list[Published] = []
+        for source, decision, accepted in judged:
+            time_ns = decision.measurement.time_ns
+            published += [self._left_out(source, time_ns, *part) for part in decision.left_out]
+            message = messages_out.judged_input(self.factory, source, decision, accepted)
+            published.append((self.innovation_topic, message))
+        for time_ns, refusal in outcome.failures:
+            published.append(self.failed(self.main_topic, time_ns, refusal))
+        for estimate in outcome.estimates:
+            self.latest = estimate
+            self.budget_due = None if estimate.status is Status.INVALID else estimate
+            published += self._estimate_messages(estimate)
+        return published
+
+    def refused(self, source: str, time_ns: int, refusal: Refusal) -> Published:
+        """The message that an input was not used."""
+        return self.innovation_topic, messages_out.refused_input(self.factory, source, time_ns, refusal)
+
+    def failed(self, what: str, time_ns: int, refusal: Refusal) -> Published:
+        """The message that an output could not be made; nothing else is touched by it."""
+        self.health.failed(f"{what}: {refusal.text}")
+        return self.refused(what, time_ns, refusal)
+
+    def _count(self, feed: Feed, decision: Decision[Any], accepted: bool, now_ns: int) -> None:
+        self.health.judged(feed.input.topic, decision, accepted, now_ns)
+        if decision.reason is Reason.ATTITUDE_CONFLICT:
+            self.conflicts[feed.source] = decision.text
+        elif accepted:
+            self.conflicts.pop(feed.source, None)
+
+    def _left_out(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Published:
+        return self.innovation_topic, self.left_out_message(source, time_ns, name, refusal)
+
+    # -- the node itself ------------------------------------------------------------------------------------
+
+    def _bind(self) -> None:
+        """The table with the parameters of now: what does not change with each message is bound here."""
+        self._feeds = {feed.input.topic: feed for feed in self.table(self.config)}
+        self._measured_by = {feed.measured_by or feed.source: feed for feed in self._feeds.values()}
+
+    def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
+        published = self.own_slow_topics(now_ns)
+        self.budget_due = None  # no estimate has its budget told twice
+        published += [(INPUT_HEALTH_TOPIC, m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]
+        statuses = [*self.health.statuses(now_ns, waiting_ns), *self.own_statuses(waiting_ns)]
+        array = messages_out.diagnostic_array(self.factory, now_ns, self.node_name, statuses)
+        return [*published, (DIAGNOSTICS_TOPIC, array)]
+
+    def conflict_statuses(self) -> list[DiagnosticStatus]:
+        """One status for each source that keeps disagreeing with the rest."""
+        return [
+            DiagnosticStatus(f"conflict {source}", messages_out.Level.ERROR, text)
+            for source, text in sorted(self.conflicts.items())
+        ]
+
+    def _restart(self, clock_jumped: bool) -> None:
+        self.core.reset(clock_jumped)
+        self.health.restart()
+        self.latest, self.budget_due, self._slow_due_ns = None, None, None
+        self.conflicts.clear()
