@@ -22,11 +22,6 @@ _NEARLY = 0.8
 0.86, 'ship_attitude' and 'star_attitude' 0.75."""
 
 
-def load(source: Path | str, node: str) -> dict[str, Any]:
-    """The parameters of a node as nested mapping; see :func:`read`."""
-    return read(source, node).values
-
-
 def load_config(kind: type[Config], source: Path | str, node: str) -> Config:
     """The checked configuration of a node; see :func:`read`.
 

@@ -1,0 +1,167 @@
+"""Sections of parameter files: values as ROS reads them, the line of each, and what is refused with its place."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from ship_bags.errors import BadInput
+from ship_bags.parameter_yaml import ParameterFile, merged, read_plain, read_sections, sections_text
+from ship_geometry.input_error import InputError
+
+
+def whole(source: Path | str) -> ParameterFile:
+    """All sections of a file as one."""
+    return merged(*read_sections(source))
+
+
+def test_file_and_text_give_the_same(tmp_path):
+    text = "ship:\n  ros__parameters:\n    gate: {probability: 0.9}\n"
+    path = tmp_path / "suite.yaml"
+    path.write_text(text)
+    assert whole(path).values == whole(text).values == {"gate": {"probability": 0.9}}
+
+
+def test_mend_25_a_text_is_never_taken_for_a_path(tmp_path):
+    """An attachment without a line break named any file, which was read, and its lines shown."""
+    (tmp_path / "secret").write_text("root: $6$hash\n")
+    with pytest.raises(BadInput) as caught:
+        whole(str(tmp_path / "secret"))
+    assert "configuration:1: the file: expected 'name: value' entries" in str(caught.value)
+    assert "hash" not in str(caught.value)
+    assert whole("ship: {ros__parameters: {a: 1}}").values == {"a": 1}
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("\x00" * 5000, "configuration: not YAML"),
+        (f"ship: {{ros__parameters: {{a: {'9' * 5000}}}}}", "parameter 'a' is a number of 5000 digits"),
+        (f"ship: {{ros__parameters: {{a: -0x{'f' * 5000}}}}}", "parameter 'a' is a number of 5000 digits"),
+        (f"ship: {{ros__parameters: {{a: {2**63}}}}}", "parameter 'a' is a number of 19 digits: expected one of 64"),
+        ("ship:\n  ros__parameters:\n    a: " + "[" * 100_000, "configuration: nested too deeply"),
+        ("ship: {ros__parameters: " + "{a: " * 60 + "1" + "}" * 61, "configuration: nested too deeply"),
+        ("a: 1\n" * 1_000_000, "configuration: 5000000 characters: expected a text of at most"),
+        (
+            "a0: &a0 {x: 1}\n"
+            + "".join(f"a{n}: &a{n} {{{', '.join(f'k{k}: *a{n - 1}' for k in range(9))}}}\n" for n in range(1, 12))
+            + "ship: {ros__parameters: {x: *a11}}\n",
+            "configuration: its aliases unfold to more than 1000000 values",
+        ),
+    ],
+    ids=["NUL", "digits", "hexadecimal", "65 bits", "nested list", "nested groups", "long", "aliases"],
+)
+def test_mend_25_what_unfolds_without_end_is_one_line(text, complaint):
+    with pytest.raises(BadInput) as caught:
+        whole(text)
+    assert complaint in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 200
+
+
+def test_middlewares_own_parameters_are_left_out_but_have_a_line():
+    text = "ship:\n  ros__parameters:\n    use_sim_time: true\n    lag_s: 1.0\n    qos_overrides: {/a: {depth: 5}}\n"
+    file = whole(text)
+    assert file.values == {"lag_s": 1.0}
+    assert file.line_of("qos_overrides./a.subscription") == 5
+
+
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [
+        ("1e-3", 0.001),
+        ("-.5", -0.5),
+        ("3.", 3.0),
+        ("0x10", 16),
+        ("-7", -7),
+        ("yes", True),
+        ("Off", False),
+        ("'5'", "5"),
+        ("1:30", "1:30"),
+        ("2024-01-31", "2024-01-31"),
+        ("-.inf", -math.inf),
+        ("[1.0, 2.5]", [1.0, 2.5]),
+        ("[]", []),
+        ("''", ""),
+    ],
+)
+def test_values_are_read_as_ros_reads_them(written, value):
+    got = whole(f"ship:\n  ros__parameters: {{x: {written}}}\n").values["x"]
+    assert (got, type(got)) == (value, type(value))
+
+
+def test_not_a_number_is_a_number():
+    assert math.isnan(whole("ship:\n  ros__parameters: {x: .nan}\n").values["x"])
+
+
+@pytest.mark.parametrize(
+    ("body", "line", "text"),
+    [
+        ("    a: 1\n    b: {c: 2\n", 5, "not YAML: expected ',' or '}'"),
+        ("    a: 1\n    a: 2\n", 4, "'a' was given before, in line 3"),
+        ("    a:\n", 3, "parameter 'a' has no value"),
+        ("    a: 1\n    b:\n      c: {}\n", 5, "group 'b.c' is empty: give it a parameter, or take it out"),
+        ("    a: [1, x]\n", 3, "parameter 'a' mixes int and str: all elements of a list must be of one type"),
+        ("    a: [[1], [2]]\n", 3, "parameter 'a' is a list of lists: expected a plain list"),
+        ("    a: [{b: 1}]\n", 3, "parameter 'a' is a list of groups: expected a plain list"),
+        ("    - a\n", 3, "ros__parameters: expected 'name: value' entries, got a list"),
+        ("    a: 1\n    a.b: 2\n", 4, "parameter 'a.b': 'a' is a value elsewhere, not a group"),
+        ("    a.b: 1\n    a: 2\n", 4, "parameter 'a' is a group elsewhere, not a value"),
+    ],
+)
+def test_bad_files_are_refused_with_name_and_line(tmp_path, body, line, text):
+    path = tmp_path / "suite.yaml"
+    path.write_text(f"ship:\n  ros__parameters:\n{body}")
+    with pytest.raises(BadInput) as caught:
+        whole(path)
+    assert str(caught.value).startswith(f"{path}:{line}: {text}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("\n", "configuration: empty: expected a section"),
+        ("ros__parameters:\n  a: 1\n", "configuration:1: 'ros__parameters' must stand below the name of a node"),
+        ("ship:\n  lag_s: 2\n", "configuration:2: ship/lag_s: expected 'name: value' entries, got a single value (2)"),
+        (
+            "ship:\n  ros__parameters: {x: 1}\n/ship/:\n  ros__parameters: {x: 2}\n",
+            "configuration:3: section '/ship/' is no name of a node",
+        ),
+        ("a: \x00\n", "configuration: not YAML"),
+        ("ship:\n  ros__parameters: &a {b: *a}\n", "configuration: nested too deeply, or a group that holds itself"),
+    ],
+)
+def test_what_is_no_parameter_file(text, complaint):
+    with pytest.raises(BadInput, match="configuration") as caught:
+        whole(text)
+    assert complaint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_file_that_cannot_be_whole(tmp_path):
+    with pytest.raises(BadInput, match=r"absent\.yaml: cannot be read: No such file"):
+        whole(tmp_path / "absent.yaml")
+    (tmp_path / "bag.mcap").write_bytes(b"\x89MCAP\xff\x00")
+    with pytest.raises(BadInput, match=r"bag\.mcap: is not a text file"):
+        whole(tmp_path / "bag.mcap")
+
+
+def test_what_is_written_is_read_again():
+    sections = {"/a/ship": {"x": 1, "gate": {"name": "5", "on": True}}, "/**/boat": {"y.z": [1.5, 2.0]}}
+    name, read = read_sections(sections_text(sections))
+    assert name == "configuration"
+    assert {section.node: {key: value for key, (value, _) in section.parameters.items()} for section in read} == {
+        "/a/ship": {"x": 1, "gate.name": "5", "gate.on": True},
+        "/**/boat": {"y.z": [1.5, 2.0]},
+    }
+
+
+def test_a_problem_with_a_parameter_gets_its_file_and_line_as_data():
+    file = read_plain("camera:\n  width_px: 5\n")
+    problem = file.error(InputError("is too small", parameters=("camera.width_px", "camera.height_px"), value=5))
+    assert str(problem) == "configuration:2: is too small"
+    assert (problem.file, problem.line, problem.value) == ("configuration", 2, 5)
+    assert problem.parameters == ("camera.width_px", "camera.height_px")
+    assert file.error(InputError("is missing", parameters=("camera.pitch",))).line == 2
+    assert file.error(InputError("is missing", parameters=("lens",))).line is None
