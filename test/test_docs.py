@@ -6,6 +6,7 @@ from urllib.parse import unquote
 
 import pytest
 
+from tools import draw_frames
 from tools.reference_pages import FOLDER, PAGES
 
 ROOT = Path(__file__).parents[1]
@@ -36,6 +37,18 @@ def test_every_link_of_a_page_leads_somewhere(path: Path) -> None:
         assert not anchor or anchor in anchors(target), link
 
 
+def test_every_page_that_code_names_is_there() -> None:
+    named = {
+        (path, page)
+        for folder in ("src", "tools", "examples", "test")
+        for path in (ROOT / folder).rglob("*.*")
+        if path.suffix in (".py", ".yaml", ".msg")
+        for page in re.findall(r"\bdocs/[\w/-]+\.(?:md|png)", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 10
+    assert [place for place in sorted(named) if not (ROOT / place[1]).exists()] == []
+
+
 def test_every_page_can_be_reached_from_the_index() -> None:
     reached, ahead = set(), [ROOT / "docs" / "index.md"]
     while ahead:
@@ -46,3 +59,8 @@ def test_every_page_can_be_reached_from_the_index() -> None:
         links = LINK.findall(page.read_text(encoding="utf-8"))
         ahead += [(page.parent / link.partition("#")[0]).resolve() for link in links if not link.startswith("http")]
     assert set((ROOT / "docs").rglob("*.md")) - reached == set()
+
+
+def test_the_frames_can_be_drawn(tmp_path: Path) -> None:
+    draw_frames.main(tmp_path / "frames.png")
+    assert (tmp_path / "frames.png").read_bytes().startswith(b"\x89PNG")

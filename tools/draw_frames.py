@@ -39,11 +39,11 @@ class Panel:
         self.to_eye, up, _ = rotation_from_angles(*np.deg2rad([*view, 0.0])).T
         self._screen = np.stack([np.cross(up, self.to_eye), up], axis=1)
         self._axes = axes
-        axes.set_title(title, fontsize=10.5, color=INK)
+        axes.set_title(title, fontsize=11.5, color=INK)
         axes.set_aspect("equal")
         axes.axis("off")
-        axes.set_xlim(-1.7, 1.7)
-        axes.set_ylim(-1.0, 1.42)
+        axes.set_xlim(-1.58, 1.58)
+        axes.set_ylim(-1.0, 1.32)
 
     def flat(self, points_n: FloatArray) -> FloatArray:
         """Where points are on the paper, shape (..., 2)."""
@@ -59,7 +59,7 @@ class Panel:
 
     def text(self, point_n: FloatArray, words: str, colour: str = INK, **style: object) -> None:
         """Words at a point."""
-        options = {"fontsize": 8.5, "ha": "center", "va": "center", "zorder": 6} | style
+        options = {"fontsize": 9.5, "ha": "center", "va": "center", "zorder": 6} | style
         self._axes.text(*self.flat(point_n), words, color=colour, **options)
 
     def arrow(self, start_n: FloatArray, along_n: FloatArray, words: str, colour: str, dashed: bool = False) -> None:
@@ -70,7 +70,10 @@ class Panel:
         way = end - start
         beyond = end + 0.13 * way / max(float(np.hypot(*way)), 1e-9)
         side = "left" if way[0] > 0.15 else "right" if way[0] < -0.15 else "center"
-        self._axes.text(*beyond, words, color=colour, fontsize=8.5, ha=side, va="center", zorder=6)
+        steep = side == "center"
+        level = "bottom" if steep and way[1] > 0.0 else "top" if steep else "center"
+        beyond = end if steep else beyond
+        self._axes.text(*beyond, words, color=colour, fontsize=9.5, ha=side, va=level, zorder=6)
 
     def frame(
         self, origin_n: FloatArray, rotation: FloatArray, names: tuple[str, ...], length: float = 1.0, **style: bool
@@ -187,7 +190,7 @@ def draw_theodolite(panel: Panel) -> None:
     beside = 0.3 * rotation_dm[:, 1] - 0.1 * rotation_dm[:, 0]
     box(beside, rotation_dm, panel, (0.35, 0.12, 0.12))
     tilted = rotation_dm @ rotation_from_angles(*np.deg2rad([-6.0, 5.0, 0.0]))
-    panel.arrow(beside, 0.85 * tilted[:, 0], "t: optical axis", "#8e44ad")
+    panel.arrow(beside, 1.0 * tilted[:, 0], "t", "#8e44ad")
     panel.arc(rotation_dx[:, 0], np.deg2rad(35.0) * rotation_dx[:, 2], "E", 0.6)
 
 
@@ -198,11 +201,11 @@ def draw_earth(panel: Panel) -> None:
     for tilt in (0.0, 45.0, 90.0, 135.0):
         panel.circle(0.9, exp_rotation(np.deg2rad(tilt) * _UP)[:, 0], lw=0.5)
     panel.circle(0.9, _UP, lw=0.8)
-    names = ("e: x, Greenwich", "e, c: z, pole", "e: y")
+    names = ("e: x", "e, c: z, pole", "e: y")
     panel.frame(_ORIGIN, world_from_ecef[:, [0, 2, 1]], names, 1.25)
     celestial = world_from_ecef @ np.array([np.cos(0.75), np.sin(0.75), 0.0])
-    panel.arrow(_ORIGIN, 1.2 * celestial, "c: x, right\nascension 0", "#8e44ad")
-    place = np.deg2rad([30.0, 105.0])
+    panel.arrow(_ORIGIN, 1.2 * celestial, "c: x", "#8e44ad")
+    place = np.deg2rad([15.0, 110.0])
     rotation_wn = world_from_ecef @ rotation_horizon_from_ecef(*place).T
     ship = 0.9 * rotation_wn[:, 1]
     for axis, name in zip(rotation_wn.T, ("n: North", "n: Up", "n: East"), strict=True):
@@ -228,7 +231,7 @@ DRAWINGS = (
     ("i, r, v: INS, reference, any device", draw_device),
     ("f, x, m, t: theodolite", draw_theodolite),
     ("b: a body, here a drone", draw_drone),
-    ("e, c: Earth and sky; n on it", draw_earth),
+    ("e: Earth, c: sky; n on the Earth", draw_earth),
     ("ROS: ENU and FLU, heading north", draw_ros),
 )
 
@@ -236,11 +239,11 @@ DRAWINGS = (
 def main(path: Path = PATH) -> None:
     """Write the figure."""
     with mpl.rc_context({"font.family": "DejaVu Sans"}):
-        figure = Figure(figsize=(14.0, 6.4))
+        figure = Figure(figsize=(13.0, 6.0))
         for axes, (title, draw) in zip(figure.subplots(2, 4).ravel(), DRAWINGS, strict=True):
             draw(Panel(axes, title))
-        figure.subplots_adjust(left=0.01, right=0.99, bottom=0.01, top=0.94, wspace=0.04, hspace=0.12)
-        figure.savefig(path, dpi=90, metadata={"Software": None})
+        figure.subplots_adjust(left=0.01, right=0.99, bottom=0.01, top=0.95, wspace=0.04, hspace=0.12)
+        figure.savefig(path, dpi=100, metadata={"Software": None})
     sys.stdout.write(f"{path.name} written\n")
 
 

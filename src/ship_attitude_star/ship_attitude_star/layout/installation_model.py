@@ -5,9 +5,9 @@
 
 To first order the error of heading, pitch and roll is ``J_s [dAs, dEs, droll_s] + J_0 [dA0, dE0, droll_0]``. Both
 Jacobians follow from B of :mod:`ship_geometry.frames`, exactly, for every layout. Angles are arrays (..., 3) of
-azimuth, elevation, roll (rad); all functions take leading dimensions, so that a sweep is one call. docs/how-
-to/mount_a_sensor.md tells the model. A sweep is one of the six figures: the errors while one angle is turned and the
-others stay.
+azimuth, elevation, roll (rad); all functions take leading dimensions, so that a sweep is one call. The model is told in
+docs/how-to/mount_a_sensor.md. A sweep is one of the six figures: the errors while one angle is turned and the others
+stay.
 """
 
 import enum

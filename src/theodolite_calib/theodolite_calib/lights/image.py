@@ -165,7 +165,7 @@ class LightStreaks:
     A found point is the mean of the light's way over the detector. Encoders, ship and baselines tell that way, and so
     how far its mean is off the point at the middle of the exposure. A streak of length L spreads the light by L²/12
     more than the image s² of a light at rest, and the point is known worse by as much along it: σ² (1 + L²/(12 s²))
-    (docs/optical_axis.md).
+    (docs/explanation/theodolite.md).
 
     Attributes:
         image: as found.
