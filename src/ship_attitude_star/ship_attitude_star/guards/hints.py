@@ -1,4 +1,4 @@
-"""What a persistent disagreement usually means, in words for the operator: which source is the odd one, and why."""
+"""Words for the operator where a source keeps disagreeing with the INS: which of the two is wrong, where to look."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,33 +11,33 @@ from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
 
 _EXPLAINED_RAD = np.deg2rad(5.0)
-"""A mistake explains a disagreement that it leaves no more of than this."""
+"""A mistake explains a disagreement where no more than this is left once the mistake is taken out."""
 
 _PLAIN_RAD = np.deg2rad(10.0)
-"""A disagreement in heading up to this is plain: no mistake is needed for it, and near 45° and 225° any would do."""
+"""Up to this a disagreement in heading needs no mistake to explain it; near 45° and 225° any mistake would."""
 
 _SAME_TILT_RAD = np.deg2rad(15.0)
-"""Mistakes in heading leave the tilt as it is, but for pitch with the other sign."""
+"""Mistakes in heading leave the tilt as it is, but for a pitch with the other sign: the tilts agree within this."""
 
 _QUARTER_TURN = 0.5 * np.pi
 _STAR = "star."
 _ALIKE = 0.5
-"""Disagreements with the INS that differ by less than this share of themselves are one and the same."""
+"""Two disagreements with the INS that differ by less than this share of the smaller one count as the same."""
 
 _RECENT_NS = 10_000_000_000
-"""What a source said longer ago than this is no word about who is wrong now."""
+"""What a source said longer ago than this does not tell who is wrong now."""
 
 _ALIKE_CHI2 = chi_square_gate(0.999, 3)
 
 
 @dataclass(frozen=True)
 class Departure:
-    """How far a refused measurement is from what the INS let expect.
+    """How far a refused measurement is from the attitude that the INS made expect.
 
     Attributes:
-        time_ns: its stamp.
+        time_ns: stamp of the measurement.
         turn_n: from the expected attitude to the measured one, rotation vector in the horizon frame, rad, shape (3,).
-        noise_n: covariance of it by the measurement's own noise, rad², shape (3, 3).
+        noise_n: covariance of that turn by the measurement's own noise, rad², shape (3, 3).
     """
 
     time_ns: int
@@ -56,12 +56,12 @@ def who_is_wrong(
     """What the usual mistakes and the other sources say about a source that keeps disagreeing with the INS.
 
     Args:
-        source: the one that disagrees.
-        refusals: by source, its refusals in a row.
-        used_ns: by source, the stamp of its last measurement used.
-        departures: by source, its last measurement refused.
+        source: the source that disagrees.
+        refusals: by source, the number of its refusals in a row.
+        used_ns: by source, the stamp of its last measurement that was used.
+        departures: by source, how far its last refused measurement was off.
         ins_nd: attitude of the deck by the INS, shape (3, 3).
-        measured_nd: the same by the source.
+        measured_nd: attitude of the deck by the source, shape (3, 3).
     """
     since_ns = departures[source].time_ns - _RECENT_NS
     agreeing = [name for name, time_ns in used_ns.items() if time_ns >= since_ns and not refusals.get(name, 0)]
@@ -75,19 +75,19 @@ def who_is_wrong(
 
 
 def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_confirmed: bool) -> str:
-    """A hint where the headings differ as they do by the common mistakes of marine drivers; otherwise empty.
+    """What to look at where the headings differ by one of the common mistakes of marine drivers; otherwise empty.
 
     Args:
         ins_nd: attitude of the deck by the INS, shape (3, 3).
-        measured_nd: the same by the other source, shape (3, 3).
+        measured_nd: attitude of the deck by the other source, shape (3, 3).
         source: the other source, ``star.<id>`` or ``reference.<name>``.
-        ins_confirmed: whether others agree with the INS, so that the mistake is not there.
+        ins_confirmed: whether other sources agree with the INS: then the mistake is not on its side.
     """
     by_ins, measured = angles_from_rotation(ins_nd)[0], angles_from_rotation(measured_nd)[0]
     difference = abs(float(wrap_pi(measured - by_ins)))
-    # Up as the deck has it.
+    # Row 1 is the direction Up as seen from the deck.
     tilt = float(angle_between(ins_nd[1], measured_nd[1]))
-    # Written so that NaN explains nothing.
+    # Written so that NaN gives no hint.
     if not (difference > _PLAIN_RAD and tilt < _SAME_TILT_RAD):
         return ""
     mounted = f"star_sensors.{_id(source)}.azimuth_deg" if _is_star(source) else f"references.{_id(source)}.heading_deg"
@@ -108,9 +108,9 @@ def odd_one_out(source: str, agreeing: Sequence[str], disagreeing: Mapping[str, 
     """Who is wrong where a source and the INS disagree, by what the other sources say.
 
     Args:
-        source: that disagrees.
-        agreeing: other sources that agree with the INS.
-        disagreeing: those that do not, ``source`` among them.
+        source: the source that disagrees.
+        agreeing: the other sources that agree with the INS.
+        disagreeing: the sources that do not, ``source`` among them, and how far each is off.
     """
     others = [other for other in disagreeing if other != source]
     if agreeing and not others:
@@ -134,7 +134,7 @@ def _all_alike(departures: Sequence[Departure]) -> bool:
 
 
 def _alike(first: Departure, second: Departure) -> bool:
-    """Whether two are one and the same, as far as their size or their noise tells."""
+    """Whether two disagreements are the same one, as far as their size or their noise tells."""
     apart = first.turn_n - second.turn_n
     size = min(float(np.linalg.norm(first.turn_n)), float(np.linalg.norm(second.turn_n)))
     if float(np.linalg.norm(apart)) <= _ALIKE * size:

@@ -16,18 +16,18 @@ from ship_estimation.parameters import ParameterError, build, mapping_of, parame
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 LEAST_ELEVATION_DEG = 5.0
-"""Below this elevation over the horizon no refraction model holds."""
+"""Boresights lower than this over the horizon are refused: no refraction model holds there."""
 
 DEFAULT_SENSORS = {
     "fore": {"azimuth_deg": 0.0, "elevation_deg": 35.0},
     "starboard": {"azimuth_deg": 90.0, "elevation_deg": 35.0},
 }
-"""Studied where a file names no sensors: elevation and errors of [Z14], two sensors at right angles."""
+"""Two sensors at right angles with the elevation and the errors of [Z14]: the study of a file that names none."""
 
-# Names become file names and headings.
+# Names of sensors become names of files and headings.
 _SENSOR_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-# So small that it changes no digit shown, and large enough that no covariance is singular.
 _LEAST_SIGMA_ARCSEC = 0.001
+"""Least noise of a sensor: it changes no digit shown, and no covariance is singular with it."""
 
 
 def _angle(default: Any = dataclasses.MISSING, *, doc: str, limit_deg: float = 360.0) -> Any:
@@ -39,7 +39,7 @@ def _sigma(default: float, *, doc: str, minimum: float = 0.0) -> Any:
 
 
 def _error(default: float, *, doc: str) -> Any:
-    """An error with its sign."""
+    """An error with its sign, in arcseconds."""
     return parameter(default, doc=doc, unit="arcsec", minimum=-36_000.0, maximum=36_000.0)
 
 
@@ -69,18 +69,13 @@ class LayoutSensor:
 
     def installation_sigmas(self) -> FloatArray:
         """Installation error about (forward, up, right), shape (3,), rad."""
-        return ARCSEC * np.array(
-            [
-                self.installation_sigma_forward_arcsec,
-                self.installation_sigma_up_arcsec,
-                self.installation_sigma_right_arcsec,
-            ]
-        )
+        forward_arcsec, up_arcsec = self.installation_sigma_forward_arcsec, self.installation_sigma_up_arcsec
+        return ARCSEC * np.array([forward_arcsec, up_arcsec, self.installation_sigma_right_arcsec])
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommonErrors:
-    """Errors that all sensors share, and that more sensors therefore do not average away."""
+    """Errors that all sensors share; more sensors do not average them away."""
 
     heading_sigma_arcsec: float = _sigma(0.0, doc="about the vertical: Earth rotation angle, clock")
     tilt_sigma_arcsec: float = _sigma(0.0, doc="of the horizon about North and about East: 31 m of position is 1")
@@ -89,7 +84,7 @@ class CommonErrors:
 
 @dataclass(frozen=True, kw_only=True)
 class OperatingPoint:
-    """Where the six figures of [Z14] are drawn, and with which errors; the angle that a figure sweeps is its own."""
+    """The angles and the errors for which the six figures of [Z14] are drawn; each figure sweeps one of the angles."""
 
     star_azimuth_deg: float = _angle(235.0, doc="As, azimuth of the sensor in the horizon")
     star_elevation_deg: float = _angle(45.0, doc="Es, elevation of the sensor in the horizon", limit_deg=90.0)
@@ -124,7 +119,7 @@ class LayoutStudyConfig:
 
 
 def study_config(values: Mapping[str, Any]) -> LayoutStudyConfig:
-    """A checked study; where no sensor is named they are :data:`DEFAULT_SENSORS`.
+    """A checked study; where the values name no sensor, it has :data:`DEFAULT_SENSORS`.
 
     Raises:
         ParameterError: names the parameter and what is allowed.
@@ -138,5 +133,5 @@ def study_config(values: Mapping[str, Any]) -> LayoutStudyConfig:
                 f"sensors.{name}",
                 value=name,
             )
-    # In the order of the file: the first sensor is the one that keeps its azimuth.
+    # The sensors stay in the order of the file: the first one keeps its azimuth.
     return dataclasses.replace(config, sensors={name: config.sensors[name] for name in values["sensors"]})

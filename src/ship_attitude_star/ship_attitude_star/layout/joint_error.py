@@ -1,4 +1,4 @@
-"""Errors of a whole layout: all sensors joined, by source of error, over the directions one sensor can be bolted in."""
+"""Errors of a whole layout: of all sensors joined, by source of error, and while one sensor is bolted anywhere."""
 
 from dataclasses import dataclass
 
@@ -43,11 +43,12 @@ class Layout:
     """The sensors of a study as arrays, ready to be moved about.
 
     Attributes:
-        names: of the sensors.
+        names: names of the sensors.
         angles: installation azimuth, elevation, roll, shape (N, 3), rad.
-        noise_sigmas: about (forward, up, right), shape (N, 3), rad.
-        installation_sigmas: about (forward, up, right), shape (N, 3), rad.
-        common_sigmas: about North, Up, East, and of the refraction at 45°, shape (4,), rad.
+        noise_sigmas: noise of each sensor about (forward, up, right), shape (N, 3), rad.
+        installation_sigmas: error of each installation about (forward, up, right), shape (N, 3), rad.
+        common_sigmas: errors that the sensors share: about North, Up, East, and of the refraction at 45°, shape (4,),
+            rad.
         ship_angles: heading, pitch, roll, shape (3,), rad.
     """
 
@@ -100,7 +101,7 @@ class Layout:
         return np.rad2deg(angles_from_rotation(self._rotations_ns(self.angles))[..., 1])
 
     def budget(self) -> list[SourceError]:
-        """The joint error by sensor and source; sources of no size are left out."""
+        """The joint error by sensor and source, without sources of size zero."""
         joint, rotations_ns, common_effects = self._joined(self.angles)
         to_angles = angle_errors_from_rotation_vector(self.ship_angles[0], self.ship_angles[1])
         sources = []
@@ -149,7 +150,7 @@ class ErrorMap:
     """The joint error while one sensor is bolted anywhere and the others stay.
 
     Attributes:
-        sensor: the one that is moved.
+        sensor: the sensor that is moved.
         azimuths_deg: shape (a,).
         elevations_deg: shape (e,).
         sigmas_arcsec: heading, pitch, roll, shape (e, a, 3); NaN where the boresight is below the least elevation.

@@ -31,9 +31,9 @@ def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> st
     """The page.
 
     Args:
-        study: what it shows.
-        figures: the PNG files by name, embedded.
-        title: of the study, for the heading.
+        study: the study that the page shows.
+        figures: the PNG files by name; the page embeds them.
+        title: title of the study, for the heading.
     """
     template = Template(resources.files(__package__).joinpath("page.html").read_text(encoding="utf-8"))
     config = study.config

@@ -30,7 +30,7 @@ class AzimuthScan:
     """The joint error while one sensor is turned in azimuth and the others stay.
 
     Attributes:
-        sensor: the one that is turned.
+        sensor: the sensor that is turned.
         azimuths_deg: in [0, 360), shape (n,).
         sigmas_arcsec: heading, pitch, roll, shape (n, 3).
         good_deg: the range of azimuths (from, to), clockwise, around the sensor's own in which the total error is at
