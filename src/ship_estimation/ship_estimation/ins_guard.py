@@ -90,6 +90,7 @@ class InsGuard:
         self._by_rates, self._by_motion = Continuation(0.0), Continuation(0.0)
         self._previous: _Seen | None = None
         self._taken: _Seen | None = None
+        # Whether each sample since the last one taken goes on with the motion before it.
         self._smooth_since_taken = True
         self.reconfigure(config)
 
@@ -119,7 +120,9 @@ class InsGuard:
         return found
 
     def judge(self, sample: AttitudeSample, used: AttitudeTrack, witnesses: Mapping[str, Witness]) -> JudgedIns:
-        """Judge a sample. The guards watch the stream in order; a sample that comes late is judged by its neighbour.
+        """Judge a sample by those before it in time.
+
+        The guards watch the stream in order. A sample that comes after later ones is judged by its neighbour alone.
 
         Args:
             sample: the sample.
@@ -165,7 +168,8 @@ class InsGuard:
         if not fits:
             smooth = self._smooth_since_taken and self._match_by_motion(previous, seen).fits
             self._smooth_since_taken = smooth
-            # Rates that lose their trust have had the attitudes refused that they contradict.
+            # Trusted rates refuse the attitudes that they contradict. Once the rates have lost their trust these
+            # attitudes are right after all, provided that each of them went on with the motion before it.
             fits = smooth and self._rates.rates is not Rates.MEASURED
         verdict = self._jumps.judge(seen.sample.time_ns, fits, step.fits)
         wrong_after_ns = self._judge_rates(previous, seen)
@@ -213,6 +217,7 @@ class InsGuard:
         return wrong_after_ns
 
     def _take(self, seen: _Seen, before: _Seen | None) -> None:
+        """Take a sample; ``before`` tells how the deck moves at it, None after a jump."""
         self._taken = seen._replace(before=None if before is None else before.sample)
         if self._previous is seen:
             self._previous = self._taken
@@ -250,7 +255,7 @@ class InsGuard:
         """By the integrated rates of all samples between; both samples belong to one run of rates."""
         assert start.integrated is not None
         assert end.integrated is not None
-        # At the INS's rate; the method takes half the time of the operator.
+        # This runs for every sample of the INS, and the method takes half the time of the operator.
         predicted_nd = start.sample.rotation_nd.dot(start.integrated.rotation.T).dot(end.integrated.rotation)
         missed_rad = end.integrated.missed_rad - start.integrated.missed_rad
         step = self._step(_seconds(start.sample, end.sample), missed_rad, end.number - start.number)

@@ -47,15 +47,16 @@ class StreamGuards:
         value, sigmas, stands_still = _watched(measurement)
         # An exposure that shows no star may be followed by another one, also on a moving ship.
         if len(value) > 0:
+            sigma_rad = float(np.max(sigmas))
             witnesses = {**self.witnesses, **self.ins.witnesses(track.last_before(time_ns), time_ns)}
             witnesses.pop(source, None)
             if source not in self._stuck:
                 self._stuck[source] = StuckGuard()
-            if self._stuck[source].observe(time_ns, value, float(np.max(sigmas)), witnesses):
+            if self._stuck[source].observe(time_ns, value, sigma_rad, witnesses):
                 return Refusal(Reason.STUCK, f"{stands_still} while other sources move")
+            if isinstance(measurement, AttitudeMeasurement):
+                self.witnesses[source] = Witness(time_ns, value, sigma_rad)
         self._latest_ns[source] = time_ns
-        if isinstance(measurement, AttitudeMeasurement):
-            self.used(measurement)
         return None
 
     def used(self, attitude: AttitudeMeasurement) -> None:
