@@ -46,8 +46,8 @@ def _course_figure(calibration: InstallationCalibration) -> Figure:
 def _draw_course(axes: Axes, calibration: InstallationCalibration, angle: InstalledAngle) -> None:
     time_s = calibration.session.times_s
     course = calibration.session.course[f"star.{angle.sensor}.{angle.angle}"]
-    value = wrap_pi(course[:, 0] - angle.configured) / ARCSEC
-    sigma = course[:, 1] / ARCSEC
+    values, sigmas = course.T
+    value, sigma = wrap_pi(values - angle.configured) / ARCSEC, sigmas / ARCSEC
     axes.axhline(0.0, color=_CONFIGURED_COLOUR, lw=1.2, ls="--", label="configured")
     axes.fill_between(time_s, value - sigma, value + sigma, color=_BAND_COLOUR, label="±1σ")
     axes.plot(time_s, value, color=_LINE_COLOUR, lw=1.2, label="correction")

@@ -102,7 +102,7 @@ def combinations(
         run_s = (sigma * turn[:, number]).reshape(-1, 3)
         shares = variances / variances.sum()
         found.append(JointTurn(axis, run_s, float(np.sqrt(before[number, number])), sigma, shares))
-    across = np.linalg.qr(turned, mode="complete")[0][:, 3:]
+    across = np.linalg.qr(turned, mode="complete")[0][:, len(DECK_AXES) :]
     return found + _apart(whitened, scale, across)
 
 
@@ -239,7 +239,8 @@ def _installation_parts(core: ShipAttitudeCore, sensors: tuple[str, ...]) -> Flo
     blocks = [core.filter.model.slices[f"star.{id_}.installation"] for id_ in sensors]
     to_axes = np.zeros((3 * len(sensors), core.filter.model.size))
     for number, block in enumerate(blocks):
-        to_axes[3 * number : 3 * number + 3, block] = left_jacobian(core.state.mean[block]).T
+        axes = slice(number * len(DECK_AXES), (number + 1) * len(DECK_AXES))
+        to_axes[axes, block] = left_jacobian(core.state.mean[block]).T
     parts: FloatArray = to_axes @ core.state.parts @ to_axes.T
     return parts
 

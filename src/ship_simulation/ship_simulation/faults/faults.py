@@ -43,6 +43,9 @@ _REPETITION_AFTER_NS = 1_000_000
 
 _OTHER = "_other"
 
+_SECOND_VARIANCE = 4
+"""Its place in a covariance of nine elements. In the place of the first a negative number means "not given" to ROS."""
+
 _FIRST_VALUE = {
     IMU: "orientation.x",
     INERTIAL: "orientation.x",
@@ -142,8 +145,7 @@ def _covariance(message: Any, type_name: str, fault: Fault) -> None:
         spoilt = np.zeros(9)
         if fault.kind == "covariance_negative":
             spoilt[:] = getattr(message, name)
-            # Not the first: there a negative number means "not given" to ROS.
-            spoilt[4] = -abs(spoilt[4])
+            spoilt[_SECOND_VARIANCE] = -abs(spoilt[_SECOND_VARIANCE])
         setattr(message, name, spoilt)
 
 

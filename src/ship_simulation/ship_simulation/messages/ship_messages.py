@@ -99,8 +99,8 @@ def make_vector(factory: MessageFactory, xyz: list[float]) -> Any:
 
 def fused_maker(samples: FusedSamples, factory: MessageFactory) -> Maker:
     """Maker of ship/attitude."""
-    angles = angles_from_rotation(samples.rotation_nd)
-    covariances = angle_covariance(samples.covariance_n, angles[:, 0], angles[:, 1]).reshape(-1, 9)
+    headings, pitches, _ = angles_from_rotation(samples.rotation_nd).T
+    covariances = angle_covariance(samples.covariance_n, headings, pitches).reshape(-1, 9)
     total = enu_covariance(samples.covariance_n).ravel()
     told = {"rotation_covariance": total, "sources": ["ins", "star"], "star_age_s": 0.0}
     return _maker(samples.time_ns, samples.rotation_nd, samples.rate_d, covariances, told, factory)

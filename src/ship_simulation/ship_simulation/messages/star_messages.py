@@ -25,7 +25,8 @@ def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, facto
     angles = angles_from_rotation(samples.rotation_nv)
     noise_n = white_in_horizon(samples)
     total_n = noise_n + samples.common_n
-    angle_covariances = angle_covariance(total_n, angles[:, 0], angles[:, 1]).reshape(-1, 9)
+    azimuths, elevations, _ = angles.T
+    angle_covariances = angle_covariance(total_n, azimuths, elevations).reshape(-1, 9)
     rotation_covariances = enu_covariance(total_n).reshape(-1, 9)
     noise_covariances = enu_covariance(noise_n).reshape(-1, 9)
     # The solution's error across the boresight is that of one star over the root of their number.

@@ -21,6 +21,9 @@ from ship_simulation.draws.noise import random_stream
 from ship_simulation.draws.sea import Response, ship_phasors, wave_components
 from ship_simulation.scenario.motion_scenario import CarrierMotion, Recording, Sea
 
+_HEADING = 0
+"""Place of the heading among (heading, pitch, roll)."""
+
 # Rows of the table of wave components made at one time: bounds the memory of long runs.
 _ROWS_AT_ONCE = 4096
 
@@ -101,27 +104,28 @@ class HarmonicMotion:
 
     def attitude(self, t_s: FloatArray) -> FloatArray:
         """See :class:`Carrier`."""
-        angles = self.angles(t_s)
-        return rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
+        return rotation_from_angles(*np.moveaxis(self.angles(t_s), -1, 0))
 
     def body_rate(self, t_s: FloatArray) -> FloatArray:
         """See :class:`Carrier`."""
         # Both sums in one pass: the sines are what costs.
         rate_phasor = 1j * self.angular_frequency[:, None] * self.phasor
         both = self._harmonics(t_s, np.hstack([self.phasor, rate_phasor]))
-        angles, rates = self.mean + both[..., :3], both[..., 3:]
+        harmonics, rates = np.split(both, 2, axis=-1)
+        angles = self.mean + harmonics
         for turn in self.turns:
-            angles[..., 0] += turn.heading(t_s)
-            rates[..., 0] += turn.heading_rate(t_s)
-        rate_n = rotation_vector_from_angle_errors(angles[..., 0], angles[..., 1]) @ rates[..., None]
-        rotation_nd = rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
+            angles[..., _HEADING] += turn.heading(t_s)
+            rates[..., _HEADING] += turn.heading_rate(t_s)
+        heading, pitch, roll = np.moveaxis(angles, -1, 0)
+        rate_n = rotation_vector_from_angle_errors(heading, pitch) @ rates[..., None]
+        rotation_nd = rotation_from_angles(heading, pitch, roll)
         return (np.swapaxes(rotation_nd, -1, -2) @ rate_n)[..., 0]
 
     def angles(self, t_s: FloatArray) -> FloatArray:
         """Heading, pitch, roll, rad, shape (..., 3)."""
         angles = self.mean + self._harmonics(t_s, self.phasor)
         for turn in self.turns:
-            angles[..., 0] += turn.heading(t_s)
+            angles[..., _HEADING] += turn.heading(t_s)
         return angles
 
     def _harmonics(self, t_s: FloatArray, phasor: np.ndarray) -> FloatArray:

@@ -82,7 +82,8 @@ class TrueSky:
         angle = np.zeros_like(with_air)
         for _ in range(_STEPS):
             angle = refraction(self.model, with_air - angle, self.weather).angle
-        azimuth = np.arctan2(direction_n[..., 2], direction_n[..., 0])
+        north, _, east = np.moveaxis(direction_n, -1, 0)
+        azimuth = np.arctan2(east, north)
         axis_n = np.stack([-np.sin(azimuth), np.zeros_like(azimuth), np.cos(azimuth)], axis=-1)
         turn: FloatArray = exp_rotation(angle[..., None] * axis_n)
         return turn

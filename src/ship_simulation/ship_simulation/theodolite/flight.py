@@ -128,7 +128,8 @@ class Aim:
         left_n = self._middle_of_lights(np.array([self.gone_s]))[0]
         since_s = t_s - self.gone_s
         swept_s = np.where(since_s < _RAMP_S, 0.5 * since_s**2 / _RAMP_S, since_s - 0.5 * _RAMP_S)
-        azimuth = np.arctan2(left_n[2], left_n[0]) + np.deg2rad(self.programme.azimuth_rate_deg_per_s) * swept_s
+        north, up, east = left_n
+        azimuth = np.arctan2(east, north) + np.deg2rad(self.programme.azimuth_rate_deg_per_s) * swept_s
         _, elevation = sweep_angles(self.programme, t_s)
-        left_elevation = np.arcsin(left_n[1])
+        left_elevation = np.arcsin(up)
         return azimuth, left_elevation + smooth_step(since_s / _RAMP_S) * (elevation - left_elevation)

@@ -187,9 +187,10 @@ class Scene:
 
 def _raised(path_n: FloatArray, coefficient: FloatArray) -> FloatArray:
     """Directions of paths, raised by k · (horizontal distance) / (2 R)."""
-    horizontal_m = np.hypot(path_n[:, 0], path_n[:, 2])
-    elevation = np.arctan2(path_n[:, 1], horizontal_m) + coefficient * horizontal_m / (2.0 * EARTH_RADIUS_M)
-    return direction(np.arctan2(path_n[:, 2], path_n[:, 0]), elevation)
+    north_m, up_m, east_m = path_n.T
+    horizontal_m = np.hypot(north_m, east_m)
+    elevation = np.arctan2(up_m, horizontal_m) + coefficient * horizontal_m / (2.0 * EARTH_RADIUS_M)
+    return direction(np.arctan2(east_m, north_m), elevation)
 
 
 def draw_scene(scenario: Scenario, carrier: Carrier, seed: int) -> Scene:
