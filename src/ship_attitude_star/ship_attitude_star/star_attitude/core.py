@@ -7,6 +7,7 @@ deck, in order of time. No attitude depends on the one before, so that of the sh
 measured in the time of waiting, as there.
 """
 
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from ship_attitude_star.guards.stream_guards import StreamGuards
 from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_attitude_star.star_attitude.config import ObservingSensorConfig, StarAttitudeConfig
+from ship_attitude_star.star_attitude.config import JointConfig, ObservingSensorConfig, StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import (
     Mounted,
     PlacedExposure,
@@ -26,10 +27,8 @@ from ship_attitude_star.star_attitude.exposure_solver import (
     solve_exposure,
 )
 from ship_attitude_star.star_attitude.ins_motion import InsMotion
-from ship_attitude_star.star_attitude.joint_window import JointWindow
 from ship_attitude_star.stars.config import JOINT
-from ship_attitude_star.stars.exposure import StarExposure, at_middle
-from ship_attitude_star.stars.selection import StarPrior
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import no_attitude
 from ship_estimation.estimator_shell import LagWindow
 from ship_estimation.refusals import Reason, Refusal, failure
@@ -61,6 +60,76 @@ class _Waiting:
     reach_ns: int
 
 
+class JointWindow:
+    """Decides which exposures of different sensors make one joint solution, and when it is time to make it.
+
+    It makes groups. An exposure belongs to one group at most, and a group holds one exposure of a sensor at most.
+
+    Args:
+        sources: all sensors.
+        config: how far apart in time the exposures of a group may be, and how long a group waits for more of them.
+    """
+
+    def __init__(self, sources: Collection[str], config: JointConfig) -> None:
+        self._sources = frozenset(sources)
+        self._window_ns = round(config.window_s * SECOND_NS)
+        self._simultaneous_ns = round(config.simultaneous_s * SECOND_NS)
+        self._wait_ns = round(config.wait_s * SECOND_NS)
+        self._items: list[PlacedExposure] = []
+        self._arrivals_ns: dict[tuple[int, str], int] = {}
+        self._last_ns: int | None = None
+
+    def add(self, item: PlacedExposure, arrival_ns: int | None = None) -> bool:
+        """Take an exposure, in the place of one of the same sensor and stamp. False where its group is closed.
+
+        Args:
+            item: the exposure.
+            arrival_ns: when it came, in the time of waiting; None where each comes at its moment.
+        """
+        if self._last_ns is not None and item.time_ns <= self._last_ns:
+            return False
+        key = item.time_ns, item.source
+        self._items = [other for other in self._items if (other.time_ns, other.source) != key]
+        self._items.append(item)
+        self._items.sort(key=lambda other: (other.time_ns, other.source))
+        self._arrivals_ns[key] = item.time_ns if arrival_ns is None else arrival_ns
+        return True
+
+    def closed(self, movable: Callable[[int, int], bool], waiting_ns: int | None) -> Iterator[list[PlacedExposure]]:
+        """The groups that are complete, or have waited long enough, in order of time.
+
+        Args:
+            movable: whether the INS tells how the deck turned between two moments (both ns).
+            waiting_ns: the time of waiting now; None where it is not known.
+        """
+        while self._items:
+            group = self._group(movable)
+            first_ns = group[0].time_ns
+            # A sensor whose exposure is there, even if it is too late for this group, gives nothing more for it.
+            awaited = self._sources - {item.source for item in self._items}
+            since_ns = self._arrivals_ns[first_ns, group[0].source]
+            if awaited and (waiting_ns is None or waiting_ns - since_ns < self._wait_ns):
+                return
+            taken = {id(item) for item in group}
+            self._items = [item for item in self._items if id(item) not in taken]
+            for item in group:
+                del self._arrivals_ns[item.time_ns, item.source]
+            self._last_ns = first_ns
+            yield group
+
+    def _group(self, movable: Callable[[int, int], bool]) -> list[PlacedExposure]:
+        """The earliest exposure, and of each other sensor the next one that is near enough in time."""
+        first_ns = self._items[0].time_ns
+        group: dict[str, PlacedExposure] = {}
+        for item in self._items:
+            later_ns = item.time_ns - first_ns
+            if later_ns > self._window_ns and later_ns > self._simultaneous_ns:
+                break
+            if item.source not in group and (later_ns <= self._simultaneous_ns or movable(first_ns, item.time_ns)):
+                group[item.source] = item
+        return list(group.values())
+
+
 class StarCore:
     """Attitudes from stars.
 
@@ -86,7 +155,7 @@ class StarCore:
         self._sources = [f"star.{id_}" for id_ in self._config.star_sensors]
         self._taken: dict[str, StampedValues[StarExposure]] = {source: StampedValues() for source in self._sources}
         self._waiting: list[_Waiting] = []
-        self._window: JointWindow[PlacedExposure] = JointWindow(self._sources, self._config.joint)
+        self._window = JointWindow(self._sources, self._config.joint)
         self._arrivals = LagWindow(self._config.lag_s)
         self.joined_by_ins = False
 
@@ -206,37 +275,14 @@ class StarCore:
 
     def _solve_one(self, waiting: _Waiting) -> tuple[PlacedExposure, Solved]:
         """The attitude of one sensor by one exposure."""
-        prior = self._prior(waiting.exposure)
-        exposure, turn_variance = self._at_middle(waiting.exposure)
+        sensor = self._sensor(waiting.exposure.source)
+        exposure, turn_variance = self._ins.at_middle(waiting.exposure, sensor)
+        prior = self._ins.sensor(exposure.time_ns, sensor)
         placed, solved = solve_exposure(exposure, waiting.refused, prior, self._watch, turn_variance)
         if exposure.length is not None and exposure.smear_s is None and solved.valid:
             text = f"ins/imu does not tell how the ship turned in {exposure.length.exposure_s:g} s of exposure"
             solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
         return placed, solved
-
-    def _prior(self, exposure: StarExposure) -> StarPrior | None:
-        """The attitude of a sensor by the INS and its mounting, with the errors of both."""
-        deck, sensor = self._ins.deck(exposure.time_ns), self._sensor(exposure.source)
-        if deck is None:
-            return None
-        rotation_ns = deck.rotation_nb @ sensor.rotation_ds
-        mounting_n = rotation_ns * sensor.installation_sigma_s
-        return StarPrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
-
-    def _at_middle(self, exposure: StarExposure) -> tuple[StarExposure, float]:
-        """The stars where they stood at the middle of the exposure, and the variance of this turn, each axis, rad².
-
-        Where the INS does not tell how the ship turned, the stars stay where they were seen, and the variance is that
-        of the turn that the ship may have made.
-        """
-        if exposure.length is None:
-            return exposure, 0.0
-        told = self._ins.turning(exposure.time_ns, exposure.length.nodes)
-        if told is None:
-            untold = np.deg2rad(self._config.ins.untold_acceleration_deg_per_s2)
-            return exposure, exposure.length.untold_turn_variance(float(untold))
-        turning, variance = told
-        return at_middle(exposure, turning.mounted(self._sensor(exposure.source).rotation_ds)), variance
 
     def _joint(self, group: list[PlacedExposure]) -> Solved:
         time_ns = group[0].time_ns

@@ -1,16 +1,19 @@
-"""The ship's motion by its INS: where the deck is about, and how it turns from one moment to another.
+"""The ship's motion by its INS: the attitude of the deck and of its sensors, and turns from one moment to another.
 
-Stars need no more of the INS: its attitude helps to choose among them, its turn moves exposures to one moment.
+The attitude helps to choose among stars. Turns move the stars of an exposure to its middle, and exposures of several
+sensors to one moment.
 """
 
 import numpy as np
 
 from ship_attitude_star.guards.stream_guards import StreamGuards
+from ship_attitude_star.stars.config import MountingConfig
+from ship_attitude_star.stars.exposure import StarExposure, at_middle
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.ins import GuardedInsConfig, InsJump
+from ship_estimation.ins import InsJump, StarInsConfig
 from ship_estimation.refusals import Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
-from ship_geometry.exposure_mean import Nodes, Turning, turning_over
+from ship_geometry.exposure_mean import turning_over
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _SECOND_NS = 1_000_000_000
@@ -27,7 +30,7 @@ class InsMotion:
         track: the samples by their stamps.
     """
 
-    def __init__(self, config: GuardedInsConfig, guards: StreamGuards) -> None:
+    def __init__(self, config: StarInsConfig, guards: StreamGuards) -> None:
         self._config = config
         self._guards = guards
         self._max_gap_ns = round(config.max_gap_s * _SECOND_NS)
@@ -35,7 +38,7 @@ class InsMotion:
         self.track = AttitudeTrack(self._max_gap_ns)
         self._jumps: list[InsJump] = []
 
-    def reconfigure(self, config: GuardedInsConfig) -> None:
+    def reconfigure(self, config: StarInsConfig) -> None:
         """Go on with other sigmas."""
         self._config = config
         self._guards.ins.reconfigure(config)
@@ -100,18 +103,34 @@ class InsMotion:
         interpolated = end.error_covariance_d + rotation @ start.error_covariance_d @ rotation.T
         return rotation, white_variance * np.eye(3) + np.outer(shifted, shifted) + interpolated
 
-    def turning(self, time_ns: int, nodes: Nodes) -> tuple[Turning, float] | None:
-        """The deck's turning over an exposure. Constant errors of the INS have no part in it.
+    def sensor(self, time_ns: int, mounting: MountingConfig) -> StarPrior | None:
+        """The attitude of a sensor (horizon from sensor) at a moment, with the errors of INS and mounting."""
+        deck = self.deck(time_ns)
+        if deck is None:
+            return None
+        rotation_ns = deck.rotation_nb @ mounting.rotation_ds
+        mounting_n = rotation_ns * mounting.installation_sigma_s
+        return StarPrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
+
+    def at_middle(self, exposure: StarExposure, mounting: MountingConfig) -> tuple[StarExposure, float]:
+        """The stars where they stood at the middle of the exposure, by the turning of the deck meanwhile.
+
+        Constant errors of the INS have no part in the turning. Where the INS does not tell it, the stars stay where
+        they were seen.
 
         Returns:
-            The turning, and the variance of the mean attitude over the exposure against that at its middle, each axis,
-            rad²; None where the INS does not tell.
+            The exposure, and the variance of the error that turns all its directions alike, each axis, rad²: of the
+            INS's noise, or of the turn that the ship may have made untold.
         """
-        turning = turning_over(self.track, time_ns - self._offset_ns, nodes)
+        length = exposure.length
+        if length is None:
+            return exposure, 0.0
+        turning = turning_over(self.track, exposure.time_ns - self._offset_ns, length.nodes)
         if turning is None:
-            return None
+            untold = np.deg2rad(self._config.untold_acceleration_deg_per_s2)
+            return exposure, length.untold_turn_variance(float(untold))
         white_variance = turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
-        return turning, white_variance + turning.correction_error
+        return at_middle(exposure, turning.mounted(mounting.rotation_ds)), white_variance + turning.correction_error
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed for moments at or after ``time_ns``."""

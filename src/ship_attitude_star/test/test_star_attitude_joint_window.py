@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pytest
 
 from ship_attitude_star.star_attitude.config import JointConfig
-from ship_attitude_star.star_attitude.joint_window import JointWindow
+from ship_attitude_star.star_attitude.core import JointWindow
 
 MS = 1_000_000
 
@@ -24,7 +24,7 @@ def joined(
     *items: tuple[str, int], movable: bool = True, now_ms: int | None = None, sources: str = "abc"
 ) -> list[str]:
     """Groups as ``"a0 b50"`` of items given one by one, the window asked after each."""
-    window: JointWindow[Item] = JointWindow(sources, JointConfig(window_s=0.1, simultaneous_s=0.001, wait_s=0.5))
+    window = JointWindow(sources, JointConfig(window_s=0.1, simultaneous_s=0.001, wait_s=0.5))
     groups = []
     for source, time_ms in items:
         assert window.add(Item(source, time_ms))
@@ -67,7 +67,7 @@ def test_without_a_way_to_move_them_only_simultaneous_exposures_are_joined() -> 
 
 @pytest.mark.parametrize("time_ms", [0, -50])
 def test_what_comes_after_its_group_was_closed_is_not_taken(time_ms: int) -> None:
-    window: JointWindow[Item] = JointWindow("ab", JointConfig(window_s=0.1))
+    window = JointWindow("ab", JointConfig(window_s=0.1))
     assert window.add(Item("a", 0))
     assert len(list(window.closed(lambda to_ns, from_ns: True, 500 * MS))) == 1
     assert not window.add(Item("b", time_ms))
