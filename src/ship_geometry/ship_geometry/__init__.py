@@ -87,6 +87,8 @@ Terms of the ship
         A sample of a source is valid at its stamp + tau.
 
 Terms of the theodolite
+    Calibration
+        What ``optical_axis`` has learnt of axis errors, focal length and deformation, as a message and as a file.
     Main optical axis
         The forward axis of m: where the theodolite points.
     Encoder
@@ -115,6 +117,8 @@ Terms of estimation
         What a device says; that minus what was predicted; the same as published, with its covariance and verdict.
     Gate
         How improbable a residual may be before its measurement is refused.
+    Guard, witness
+        What judges a source before its measurement is used; another source whose word it takes for that.
     Refusal, conflict
         A measurement that is not used, with its reason; a run of refusals of one source.
     Source, part, budget
@@ -134,6 +138,8 @@ Terms of estimation
         The time over which a camera collects light; the trail that a star or a light draws meanwhile.
 
 Terms of running
+    Core, adapter, shell
+        The arithmetic of a node, which knows no ROS; what turns messages into its structs and back; what runs it live.
     Suite file
         The parameter file of all nodes of a ship.
     Bag, black box
