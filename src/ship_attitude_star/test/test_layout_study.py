@@ -9,7 +9,7 @@ import pytest
 
 from ship_attitude_star.layout.config import OperatingPoint, study_config
 from ship_attitude_star.layout.figures import plan_figure
-from ship_attitude_star.layout.installation_model import SWEEPS, Curve, Reading, all_curves, linearise
+from ship_attitude_star.layout.installation_model import SWEEPS, Curve, InstallationReading, all_curves, linearise
 from ship_attitude_star.layout.joint_error import Layout, error_map, total_arcsec
 from ship_attitude_star.layout.study import recommended, scan, study
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
@@ -141,16 +141,16 @@ def test_map_of_a_heeled_ship_leaves_out_what_looks_into_the_sea() -> None:
 CURVES = all_curves(OperatingPoint())
 
 
-def curves_of(number: int, reading: Reading) -> list[Curve]:
+def curves_of(number: int, reading: InstallationReading) -> list[Curve]:
     return [curve for curve in CURVES if curve.sweep.number == number and curve.reading is reading]
 
 
-def errors_of(number: int, reading: Reading) -> FloatArray:
+def errors_of(number: int, reading: InstallationReading) -> FloatArray:
     return np.array([curve.errors_arcsec for curve in curves_of(number, reading)])
 
 
-@pytest.mark.parametrize("reading", list(Reading))
-def test_each_figure_has_its_curves(reading: Reading) -> None:
+@pytest.mark.parametrize("reading", list(InstallationReading))
+def test_each_figure_has_its_curves(reading: InstallationReading) -> None:
     for sweep in SWEEPS:
         azimuths = [curve.azimuth_deg for curve in curves_of(sweep.number, reading)]
         assert azimuths == ([None] if sweep.symbol == "A0" else [0.0, 90.0, 180.0, 270.0])
@@ -158,26 +158,26 @@ def test_each_figure_has_its_curves(reading: Reading) -> None:
         assert (swept[0], swept[-1]) == sweep.range_deg
 
 
-@pytest.mark.parametrize("reading", list(Reading))
-def test_figure_1_is_flat(reading: Reading) -> None:
+@pytest.mark.parametrize("reading", list(InstallationReading))
+def test_figure_1_is_flat(reading: InstallationReading) -> None:
     assert np.ptp(errors_of(1, reading), axis=1).max() < 1e-9
 
 
 def test_figure_5_is_flat_only_in_the_papers_reading() -> None:
-    assert np.ptp(errors_of(5, Reading.PAPER), axis=1).max() < 1e-9
-    assert np.nanmax(np.ptp(errors_of(5, Reading.PHYSICAL), axis=1)) > 50.0
+    assert np.ptp(errors_of(5, InstallationReading.PAPER), axis=1).max() < 1e-9
+    assert np.nanmax(np.ptp(errors_of(5, InstallationReading.PHYSICAL), axis=1)) > 50.0
 
 
 def test_figure_3_starts_and_ends_where_the_formulas_say() -> None:
     """models.md §3 at Es 45°: sqrt 2 in heading for E0 = 0 abeam, none ahead; both 1/sqrt 2 at E0 = 90°."""
-    heading = np.abs(errors_of(3, Reading.PAPER)[:2, :, 0])
+    heading = np.abs(errors_of(3, InstallationReading.PAPER)[:2, :, 0])
     np.testing.assert_allclose(heading[:, 0], [0.0, 141.42], atol=0.01)
     np.testing.assert_allclose(heading[:, -1], [70.71, 70.71], atol=0.01)
 
 
 def test_figure_4_adds_all_errors() -> None:
     """Against the angles of the ship themselves, moved by the six errors at once."""
-    curve = curves_of(4, Reading.PHYSICAL)[0]
+    curve = curves_of(4, InstallationReading.PHYSICAL)[0]
     for index in (0, 100, 250):
         star, installation = np.deg2rad([235.0, 45.0, 90.0]), np.deg2rad([curve.swept_deg[index], 35.0, 0.0])
         model = linearise(star, installation)

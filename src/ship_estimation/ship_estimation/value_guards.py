@@ -1,13 +1,11 @@
 """Two guards for any stream of values: one finds a value that stands still, the other a value that jumps.
 
-**A value that stands still.** A frozen sensor repeats one value to the last bit. A healthy sensor that prints coarsely
-does the same as long as little moves. Other sources, the witnesses, tell the two apart: they say how far the ship has
-turned meanwhile. A healthy value stands no longer than until that turn exceeds the resolution of the sensor, and
-:class:`StuckGuard` learns the resolution from the steps in which the value changes.
+**A value that stands still.** A frozen sensor repeats one value to the last bit, and so does a healthy sensor that
+prints coarsely while little moves. Other sources, the witnesses, tell the two apart by how far the ship has turned
+meanwhile: a healthy value stands no longer than until the turn exceeds the resolution, which the guard learns.
 
-**A value that jumps.** Each value is compared with the place where the earlier values lead: by integrated rates, or by
-the motion going on as before. :class:`Continuation` tells how far a good value may be from there. :class:`JumpGuard`
-refuses one wrong value, and believes a jump after a few refused values that agree among themselves.
+**A value that jumps.** Each value is compared with the place where the earlier values lead. :class:`Continuation` tells
+how far a good value may be from there. :class:`JumpGuard` believes a jump after a few refused values that agree.
 """
 
 import enum
@@ -185,7 +183,7 @@ def step_by_motion(turned_s: float, seconds: float, max_acceleration: float, coa
         turned_s: time between the two earlier values.
         seconds: time from the second of them to the value.
         max_acceleration: how fast the motion may change, rad/s².
-        coarseness_rad: see :class:`Step`.
+        coarseness_rad: as in :class:`Step`.
 
     Example:
         A second after a turn that took a second, with accelerations up to 2°/s²:
@@ -238,10 +236,8 @@ class Continuation:
     The noise is the configured one or, where it is larger, that of the differences met so far. These hold what
     rounding, the noise of the rates and their integration add.
 
-    Args:
-        sigma_rad: noise of a value about its worst axis.
-
     Attributes:
+        sigma_rad: noise of a value about its worst axis.
         typical_rad: root mean square of the differences met so far, one sample apart; zero before there are enough.
 
     >>> next_sample = Step(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
@@ -260,13 +256,7 @@ class Continuation:
         self._count = 0
 
     def match(self, difference: FloatArray, step: Step, led: bool = True) -> Match:
-        """Compare a value with the place to which a step leads.
-
-        Args:
-            difference: from that place to the value, rad, shape (n,).
-            step: what leads there.
-            led: see :class:`Match`.
-        """
+        """Compare a value with the place to which a step leads; arguments as in :class:`Match`."""
         gain = math.sqrt(step.noise_gain)
         noise = max(_SIGMAS * gain * self.sigma_rad, _TYPICAL * self.typical_rad)
         more = self.typical_rad * math.sqrt(step.samples - 1)

@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MultipleLocator, NullFormatter, ScalarFormatter
 
-from ship_attitude_star.layout.installation_model import SHIP_ANGLES, SWEEPS, Curve, Reading, Sweep
+from ship_attitude_star.layout.installation_model import SHIP_ANGLES, SWEEPS, Curve, InstallationReading, Sweep
 from ship_attitude_star.layout.joint_error import ErrorMap, Layout, total_arcsec
 from ship_attitude_star.layout.study import AzimuthScan, LayoutStudy
 from ship_geometry.rotations import FloatArray
@@ -195,7 +195,7 @@ def _mark_sensors(axes: Axes, layout: Layout, moved: int) -> None:
 # -- the six figures of [Z14] ---------------------------------------------------------------------------------
 
 _SYMBOLS = ("dK", "dψ", "dθ")
-_READING_TITLES = {Reading.PHYSICAL: "physical reading", Reading.PAPER: "as in [Z14]"}
+_READING_TITLES = {InstallationReading.PHYSICAL: "physical reading", InstallationReading.PAPER: "as in [Z14]"}
 # Wide pale curves lie below narrow dark ones, so that both are seen where they coincide. Blue looks ahead or astern,
 # orange abeam.
 _CURVE_STYLES = {

@@ -28,7 +28,7 @@ SHIP_ANGLES = ("heading", "pitch", "roll")
 """Names of the ship's angles, in the order of every array of their errors."""
 
 
-class Reading(enum.Enum):
+class InstallationReading(enum.Enum):
     """What R(A0, E0, roll_0) stands for."""
 
     PHYSICAL = "physical"
@@ -62,7 +62,9 @@ class ErrorModel:
 
 
 def linearise(
-    star_angles: FloatArray, installation_angles: FloatArray, reading: Reading = Reading.PHYSICAL
+    star_angles: FloatArray,
+    installation_angles: FloatArray,
+    reading: InstallationReading = InstallationReading.PHYSICAL,
 ) -> ErrorModel:
     """The error model of one sensor at its horizon attitude and installation.
 
@@ -78,7 +80,7 @@ def linearise(
     ship_angles = angles_from_rotation(ship_rotation(star, installation, reading))
     to_ship_angles = angle_errors_from_rotation_vector(ship_angles[..., 0], ship_angles[..., 1])
     installation_vectors = _transport(installation)
-    if reading is Reading.PHYSICAL:
+    if reading is InstallationReading.PHYSICAL:
         # exp(d_s) R_s (exp(d_0) R_0)^T = exp(d_s - R_ship d_0) R_ship
         rotation_nd = rotation_ns @ np.swapaxes(_rotation(installation), -1, -2)
         moved = -rotation_nd @ installation_vectors
@@ -88,10 +90,10 @@ def linearise(
     return ErrorModel(ship_angles, to_ship_angles @ _transport(star), to_ship_angles @ moved)
 
 
-def ship_rotation(star_angles: FloatArray, installation_angles: FloatArray, reading: Reading) -> FloatArray:
+def ship_rotation(star_angles: FloatArray, installation_angles: FloatArray, reading: InstallationReading) -> FloatArray:
     """Rotation "horizon from deck" that a sensor's horizon attitude stands for, shape (..., 3, 3)."""
     installation = _rotation(np.asarray(installation_angles, dtype=float))
-    if reading is Reading.PHYSICAL:
+    if reading is InstallationReading.PHYSICAL:
         installation = np.swapaxes(installation, -1, -2)
     return _rotation(np.asarray(star_angles, dtype=float)) @ installation
 
@@ -205,7 +207,7 @@ class Curve:
     """
 
     sweep: Sweep
-    reading: Reading
+    reading: InstallationReading
     azimuth_deg: float | None
     swept_deg: FloatArray
     errors_arcsec: FloatArray
@@ -216,12 +218,12 @@ def all_curves(point: OperatingPoint) -> list[Curve]:
     return [
         _curve(point, sweep, reading, azimuth_deg)
         for sweep in SWEEPS
-        for reading in Reading
+        for reading in InstallationReading
         for azimuth_deg in ((None,) if sweep.column == _AZIMUTH else CURVE_AZIMUTHS_DEG)
     ]
 
 
-def _curve(point: OperatingPoint, sweep: Sweep, reading: Reading, azimuth_deg: float | None) -> Curve:
+def _curve(point: OperatingPoint, sweep: Sweep, reading: InstallationReading, azimuth_deg: float | None) -> Curve:
     low, high = sweep.range_deg
     swept_deg = np.linspace(low, high, round(high - low) + 1)
     angles_deg = np.tile(point_angles_deg(point, azimuth_deg or 0.0), (swept_deg.size, 1))
@@ -245,7 +247,7 @@ SOURCES = ("ΔAs", "ΔEs", "Δγs", "ΔA0", "ΔE0", "Δγ0")
 """The error sources of [Z14], in the order of :func:`source_errors_arcsec`."""
 
 
-def source_errors_arcsec(point: OperatingPoint, azimuth_deg: float, reading: Reading) -> FloatArray:
+def source_errors_arcsec(point: OperatingPoint, azimuth_deg: float, reading: InstallationReading) -> FloatArray:
     """What each of the six errors alone does to heading, pitch, roll, shape (6, 3), signs kept."""
     angles = np.deg2rad(point_angles_deg(point, azimuth_deg))
     model = linearise(angles[:3], angles[3:], reading)

@@ -14,7 +14,7 @@ from ship_attitude_star.layout.installation_model import (
     CURVE_AZIMUTHS_DEG,
     SOURCES,
     SWEEPS,
-    Reading,
+    InstallationReading,
     source_errors_arcsec,
 )
 from ship_attitude_star.layout.joint_error import total_arcsec
@@ -194,7 +194,7 @@ def _scans(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
 def _sources(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
     point = study.config.figures
     sizes = np.concatenate([point.star_errors_arcsec(), point.installation_errors_arcsec()])
-    for reading in Reading:
+    for reading in InstallationReading:
         for azimuth_deg in CURVE_AZIMUTHS_DEG:
             errors = source_errors_arcsec(point, azimuth_deg, reading)
             for source, size, row in zip(SOURCES, sizes, errors, strict=True):

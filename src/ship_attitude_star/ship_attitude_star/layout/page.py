@@ -14,7 +14,7 @@ from ship_attitude_star.layout.installation_model import (
     SHIP_ANGLES,
     SOURCES,
     SWEEPS,
-    Reading,
+    InstallationReading,
     source_errors_arcsec,
 )
 from ship_attitude_star.layout.joint_error import total_arcsec
@@ -22,8 +22,8 @@ from ship_attitude_star.layout.study import AzimuthScan, LayoutStudy
 from ship_geometry.rotations import FloatArray
 
 _READING_NAMES = {
-    Reading.PHYSICAL: "physical: R(A0, E0, γ0) turns the sensor's axes into the deck's",
-    Reading.PAPER: "as computed in [Z14]: R(A0, E0, γ0) turns the deck's axes into the sensor's",
+    InstallationReading.PHYSICAL: "physical: R(A0, E0, γ0) turns the sensor's axes into the deck's",
+    InstallationReading.PAPER: "as computed in [Z14]: R(A0, E0, γ0) turns the deck's axes into the sensor's",
 }
 
 
@@ -52,7 +52,7 @@ def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> st
         sensor_table=_sensor_table(study),
         budget_table=_budget_table(study),
         point=_operating_point(study),
-        source_tables="\n".join(_source_table(study, reading) for reading in Reading),
+        source_tables="\n".join(_source_table(study, reading) for reading in InstallationReading),
         sweeps="\n".join(_image(figures[f"figure_{s.number}"], f"Figure {s.number} of [Z14]") for s in SWEEPS),
     )
 
@@ -127,7 +127,7 @@ def _operating_point(study: LayoutStudy) -> str:
     )
 
 
-def _source_table(study: LayoutStudy, reading: Reading) -> str:
+def _source_table(study: LayoutStudy, reading: InstallationReading) -> str:
     point = study.config.figures
     by_azimuth = [source_errors_arcsec(point, azimuth_deg, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG]
     sizes = [*point.star_errors_arcsec(), *point.installation_errors_arcsec()]
