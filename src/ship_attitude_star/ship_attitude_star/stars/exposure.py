@@ -81,11 +81,7 @@ class StarExposure:
     magnitude: FloatArray
     length: ExposureLength | None = None
     smear_s: FloatArray | None = None
-
-    @property
-    def covariance_known(self) -> bool:
-        """True for any exposure: a star whose message gives no error of its centroid has the configured one."""
-        return True
+    covariance_known = True  # a star whose message gives no error of its centroid has the configured one
 
     @property
     def reach_ns(self) -> int:

@@ -1,0 +1,81 @@
+"""The sky at a moment: the refusals instead of it, and the errors that all stars share against a sky that has them."""
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.measurements.readings import AirReading, PositionFix
+from ship_attitude_star.sky.config import SkyConfig
+from ship_attitude_star.sky.sky_watch import SHARED_TERMS, SkyMoment, SkyWatch, installed_sky
+from ship_estimation.refusals import Reason
+from ship_geometry.geodetic import GeodeticPosition, horizon_radii_m
+from ship_geometry.rotations import ARCSEC
+from ship_testing.star_sky import POSITION, TIME_NS
+
+PRESSURE_SIGMA_HPA = 5.0
+NORTH_SIGMA_M, EAST_SIGMA_M = 300.0, 500.0
+
+
+def told(position: GeodeticPosition = POSITION, pressure_hpa: float = 1000.0) -> SkyWatch:
+    watch = installed_sky(SkyConfig(temperature_sigma_k=0.0))
+    watch.insert(PositionFix(TIME_NS, position, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])))
+    watch.insert(AirReading("pressure", TIME_NS, pressure_hpa, PRESSURE_SIGMA_HPA))
+    return watch
+
+
+def moment(*args, **kwargs) -> SkyMoment:
+    return told(*args, **kwargs).at(TIME_NS)
+
+
+@pytest.fixture(scope="module")
+def stars():
+    """Stars brighter than 3 mag and higher than 20°: lower, refraction changes by what it is itself."""
+    watch = told()
+    rows = watch.catalogue.brighter_than(3.0)
+    elevation = watch.at(TIME_NS).apparent(watch.catalogue.at_j2000[rows]).elevation
+    return watch.catalogue.at_j2000[rows[elevation > np.deg2rad(20.0)]]
+
+
+def test_without_a_place_or_earth_orientation_there_is_no_sky_and_it_says_why() -> None:
+    watch = installed_sky(SkyConfig())
+    assert watch.at(TIME_NS).reason is Reason.NO_FIX
+    assert told().at(TIME_NS + 40 * 365 * 86_400 * 1_000_000_000).reason is Reason.NO_EARTH_ORIENTATION
+    watch = told()
+    watch.reset()
+    assert watch.at(TIME_NS).reason is Reason.NO_FIX
+
+
+def test_the_same_fix_and_the_same_reading_again_are_told() -> None:
+    watch = told()
+    for given in (
+        PositionFix(TIME_NS, POSITION, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])),
+        AirReading("pressure", TIME_NS, 1000.0, PRESSURE_SIGMA_HPA),
+    ):
+        assert watch.refusal(given).reason is Reason.DUPLICATE
+        assert watch.insert(given) is None
+
+
+def test_a_sigma_of_refraction_lifts_every_star_as_other_air_does(stars) -> None:
+    here = moment().apparent(stars)
+    thicker = moment(pressure_hpa=1000.0 + PRESSURE_SIGMA_HPA).apparent(stars)
+    lifted = here.shared_n[..., SHARED_TERMS.index("refraction")]
+    # The model's own error comes on top.
+    np.testing.assert_allclose(lifted, thicker.direction_n - here.direction_n, atol=0.05 * ARCSEC)
+    assert np.max(np.linalg.norm(lifted, axis=-1)) > 0.5 * ARCSEC
+
+
+@pytest.mark.parametrize(("column", "north", "east"), [(2, 1.0, 0.0), (3, 0.0, 1.0)])
+def test_a_sigma_of_position_turns_the_sky_as_another_place_does(stars, column: int, north: float, east: float) -> None:
+    assert SHARED_TERMS[column] == "ship_position"
+    radius_north_m, radius_east_m = horizon_radii_m(POSITION)
+    there = GeodeticPosition(
+        POSITION.latitude + north * NORTH_SIGMA_M / radius_north_m,
+        POSITION.longitude + east * EAST_SIGMA_M / (radius_east_m * np.cos(POSITION.latitude)),
+        POSITION.height_m,
+    )
+    here = moment().apparent(stars)
+    moved = moment(there).apparent(stars)
+    np.testing.assert_allclose(here.shared_n[..., column], moved.direction_n - here.direction_n, atol=0.05 * ARCSEC)
+
+
+def test_the_air_that_nothing_measured_is_named() -> None:
+    assert told().not_measured(TIME_NS) == ["temperature", "humidity"]
