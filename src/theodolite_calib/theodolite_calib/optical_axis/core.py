@@ -77,14 +77,18 @@ class OpticalAxisCore:
     def start_from(self, prior: CalibrationPrior, now_ns: int) -> list[str]:
         """Reset to a saved calibration; returns what is to be said of it."""
         self._start = (prior, now_ns)
-        self.reset()
-        return state_from_prior(self.filter, self.config, prior, now_ns)[1]
+        return self.reset()
 
-    def reset(self, clock_jumped: bool = False) -> None:
-        """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
+    def reset(self, clock_jumped: bool = False) -> list[str]:
+        """Forget all measurements. After a jump of the clock, outputs may start again at earlier times.
+
+        Returns:
+            What is to be said of the saved calibration that the filter starts from, if there is one.
+        """
         initial = self.filter.initial_state()
+        remarks: list[str] = []
         if self._start is not None:
-            initial, _ = state_from_prior(self.filter, self.config, *self._start)
+            initial, remarks = state_from_prior(self.filter, self.config, *self._start)
         self._shell.reset(initial, clock_jumped)
         self._tracks = MeasuredTracks(self.config)
         self._sightings = SightingAssembler(self.config, self._tracks)
@@ -94,6 +98,7 @@ class OpticalAxisCore:
             self._ship_watch = ShipWatch(self.config.ins, self._tracks.ship_shift_ns)
         self._waiting: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
+        return remarks
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Go on with other noise and gates; geometry and the set of lights stay."""
