@@ -11,6 +11,8 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray, wrap_two_pi
 
+_FULL_TURN = 2.0 * math.pi
+
 SINGULAR_ELEVATION = np.deg2rad(89.9)
 """Beyond this elevation (rad) azimuth and roll can no longer be told apart, and their covariance is NaN."""
 
@@ -68,7 +70,9 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
 def _angles_of_one(rotation: FloatArray) -> FloatArray:
     """:func:`angles_from_rotation` of one matrix, several times faster: a live node has one at a time."""
     (r00, r01, r02), (r10, _, _), (r20, r21, r22) = rotation.tolist()
-    azimuth = float(wrap_two_pi(math.atan2(r20, r00)))
+    azimuth = math.atan2(r20, r00) % _FULL_TURN
+    # A tiny negative angle is rounded up to a full turn itself by the remainder.
+    azimuth = 0.0 if azimuth == _FULL_TURN else azimuth
     ca, sa = math.cos(azimuth), math.sin(azimuth)
     roll = math.atan2(ca * r21 - sa * r01, ca * r22 - sa * r02)
     return np.array([azimuth, math.atan2(r10, math.hypot(r00, r20)), roll])

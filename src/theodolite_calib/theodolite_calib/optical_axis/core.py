@@ -98,6 +98,7 @@ class OpticalAxisCore:
             self._ship_watch = ShipWatch(self.config.ins, self._tracks.ship_shift_ns)
         self._waiting: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
+        self._ship_covered_until_ns: int | None = None
         return remarks
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
@@ -118,16 +119,15 @@ class OpticalAxisCore:
         """
         arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         track, shell = self._tracks.encoder, self._shell
-        latest = track.newest is None or sample.time_ns > track.newest.time_ns
         judged = self._watch.judge(sample, track, shell.window.late(sample.time_ns))
         outcome = PointingOutcome(judged.refusal)
         if judged.refusal is not None:
             return outcome
-        if latest and judged.jump is not None:
+        if judged.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
             track.cut(judged.jump.time_ns)
             shell.add_jump(judged.jump.time_ns, "encoder", judged.jump)
-        taken = shell.add_sample(track, sample, outcome)
-        if latest and taken:
+        shell.add_sample(track, sample, outcome)
+        if outcome.refusal is None and track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
             self._waiting.append(_WaitingReading(sample, self._watch.doubt))
             self._publish(outcome, arrival_ns)
@@ -139,8 +139,8 @@ class OpticalAxisCore:
         if outcome.refusal is None and self._ship_watch is not None:
             outcome.refusal = self._judge_ins(self._ship_watch, sample)
             sample = replace(sample, rate_d=None)
-        if outcome.refusal is None:
-            self._shell.add_sample(self._tracks.ship, sample, outcome)
+        if outcome.refusal is None and self._shell.add_sample(self._tracks.ship, sample, outcome):
+            self._ship_covered_until_ns = self._tracks.ship_covered_until_ns
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
 
@@ -259,7 +259,7 @@ class OpticalAxisCore:
         """The pointings of readings whose moment the ship's attitude now covers, or never will."""
         if not self._waiting:
             return
-        covered_ns, too_old_ns = self._tracks.ship_covered_until_ns, self._shell.window.oldest_ns - 1
+        covered_ns, too_old_ns = self._ship_covered_until_ns, self._shell.window.oldest_ns - 1
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
             sample, doubt = self._waiting.popleft()
