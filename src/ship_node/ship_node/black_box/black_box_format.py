@@ -27,9 +27,10 @@ VERSIONS_ATTACHMENT = "versions.json"
 """Attachment with :func:`versions`. The parameters are :data:`ship_bags.mcap.bag_writer.SUITE_ATTACHMENT`."""
 
 SUITE_PACKAGES = "ship_msgs", "ship_geometry", "ship_estimation", "ship_node"
-"""Packages of the suite that every node uses."""
+"""Packages of the suite whose code every node's numbers go through; ``ship_bags`` only carries them."""
 
 LIBRARIES = "numpy", "rclpy", "mcap"
+"""Libraries whose versions a box holds."""
 
 
 @dataclass(frozen=True)
