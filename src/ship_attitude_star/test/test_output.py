@@ -1,5 +1,8 @@
 """The attitude that is put out: a function of state and samples that takes one sample or a stack of them."""
 
+from dataclasses import replace
+from types import MappingProxyType
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -7,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
 from ship_attitude_star.ship_attitude.output import CorrectedIns
+from ship_estimation.ins import InsJump
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import ARCSEC
@@ -45,3 +49,22 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
         # Each part to some units in the last place of its largest element.
         largest = np.abs(of_one).max(axis=(-2, -1), keepdims=True)
         assert np.all(np.abs(parts[row] - of_one) <= 1e-14 * largest)
+
+
+def test_a_state_of_several_hypotheses_is_predicted_and_opened_as_each_alone_to_the_last_bit() -> None:
+    rng = np.random.default_rng(11)
+    hypotheses, initial = 5, FILTER.initial_state()
+    mean = rng.normal(scale=1e-4, size=(hypotheses, FILTER.model.size))
+    root = rng.normal(scale=1e-4, size=(hypotheses, *initial.parts.shape))
+    parts = root @ root.swapaxes(-1, -2)
+    common_n = MappingProxyType({"star.fore": (20.0 * ARCSEC) ** 2 * np.eye(3)})
+    jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)
+    stacked = FilterState(1_000_000_000, mean, parts, common_n)
+    together = FILTER.opened(FILTER.predicted(stacked, 31_000_000_000), jump)
+    assert together.covariance.shape == (hypotheses, FILTER.model.size, FILTER.model.size)
+    for row in range(hypotheses):
+        one = replace(stacked, mean=mean[row], parts=parts[row])
+        alone = FILTER.opened(FILTER.predicted(one, 31_000_000_000), jump)
+        assert together.mean[row].tobytes() == alone.mean.tobytes()
+        assert together.parts[row].tobytes() == alone.parts.tobytes()
+        assert together.covariance[row].tobytes() == alone.covariance.tobytes()

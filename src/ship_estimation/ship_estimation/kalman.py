@@ -5,8 +5,8 @@ evolves, which source its noise is booked to. Its covariance P is carried as ``p
 P = parts.sum(axis=0). All steps are linear in P (the update in Joseph's form), so each part goes through with the
 filter's own gain and the sum stays exact: this is the error budget.
 
-:func:`predict` and :meth:`StateModel.booked_noise` are written along the last axes alone, so that leading axes of
-``parts`` (a bank of hypotheses) need no other formulas.
+:func:`predict`, :meth:`StateModel.transition` and :meth:`StateModel.booked_noise` work along the last axes alone: the
+covariance may have leading axes (...), one entry for each of several hypotheses.
 """
 
 from collections.abc import Mapping
@@ -136,8 +136,8 @@ class StateModel:
         return decay, self._steady_variance * (1.0 - decay * decay) + self._walk_variance * dt_s
 
     def booked_noise(self, noise_diagonal: FloatArray) -> FloatArray:
-        """Process noise diagonals by source, shape (n_sources, n)."""
-        return self._source_rows * noise_diagonal
+        """Process noise diagonals by source, shape (..., n_sources, n), for diagonals (..., n)."""
+        return self._source_rows * noise_diagonal[..., None, :]
 
 
 def slow_error_later(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -185,7 +185,7 @@ class LinearMeasurement:
 
 
 def predict(parts: FloatArray, decay: FloatArray, booked_noise: FloatArray) -> FloatArray:
-    """Parts after a step with diagonal transition ``decay`` (n,) and process noise (n_sources, n).
+    """Parts after a step with diagonal transition ``decay`` (..., n) and process noise (..., n_sources, n).
 
     Example:
         One state, whose covariance of 4 belongs to one source; it decays by half, and 1 comes new:
@@ -193,9 +193,9 @@ def predict(parts: FloatArray, decay: FloatArray, booked_noise: FloatArray) -> F
         >>> print(predict(np.array([[[4.0]]]), decay=np.array([0.5]), booked_noise=np.array([[1.0]])))
         [[[2.]]]
     """
-    predicted: FloatArray = parts * (decay[:, None] * decay)
-    diagonal = np.arange(decay.size)
-    predicted[:, diagonal, diagonal] += booked_noise
+    predicted: FloatArray = parts * (decay[..., :, None] * decay[..., None, :])[..., None, :, :]
+    diagonal = np.arange(decay.shape[-1])
+    predicted[..., diagonal, diagonal] += booked_noise
     return predicted
 
 

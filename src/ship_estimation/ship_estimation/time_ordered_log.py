@@ -107,23 +107,22 @@ class TimeOrderedLog(Generic[State, Measurement, Decision]):
         decisions: list[tuple[Decision, Decision | None]] = []
         while self.waiting:
             index = self._applied
-            entry = self._entries[index]
+            entry, self.state = self._entries[index], self._state_before(index)
             if window_ns is not None and entry.decision is not None and not self._may_repeat(entry.key, *window_ns):
                 break
-            before = self._state_before(index)
             result: tuple[State, Decision] | None
             try:
-                result = step(before, entry.measurement)
+                result = step(self.state, entry.measurement)
             except Exception as error:
-                result = before, failed(entry.measurement, error)
+                result = self.state, failed(entry.measurement, error)
             if result is None:
                 break
             previous = entry.decision
             self._repeats += previous is not None
-            entry.state_after, entry.decision = result
+            self.state, entry.decision = result
+            entry.state_after = self.state
             decisions.append((entry.decision, previous))
             self.waiting -= 1
-        self.state = self._state_before(self._applied)
         return decisions
 
     def forget_before(self, time_ns: int) -> None:

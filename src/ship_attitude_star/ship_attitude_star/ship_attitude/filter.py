@@ -46,10 +46,13 @@ _LARGE_STEP = 5e-3
 class FilterState:
     """Everything the filter knows after its last measurement.
 
+    :meth:`ShipFilter.predicted` and :meth:`ShipFilter.opened` take ``mean`` and ``parts`` with leading axes (...) too,
+    one entry for each of several hypotheses; a measurement is compared with one of them.
+
     Attributes:
         time_ns: moment of the state; None before the first measurement.
-        mean: estimated errors, shape (n,).
-        parts: covariance by source, shape (n_sources, n, n).
+        mean: estimated errors, shape (..., n).
+        parts: covariance by source, shape (..., n_sources, n, n).
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
         used_ns: by source, the stamp of its last measurement used.
@@ -68,8 +71,8 @@ class FilterState:
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance of the errors, shape (n, n)."""
-        total: FloatArray = self.parts.sum(axis=0)
+        """Covariance of the errors, shape (..., n, n)."""
+        total: FloatArray = self.parts.sum(axis=-3)
         return total
 
 
@@ -117,16 +120,17 @@ class ShipFilter:
         for source, steady in state.common_n.items():
             rows = self.model.slices[f"{source}.common"]
             fresh = 1.0 - decay[rows.start] ** 2
-            parts[self._common_index, rows, rows] += fresh * steady
+            parts[..., self._common_index, rows, rows] += fresh * steady
         mean, rows = decay * state.mean, self.model.slices["ins.attitude"]
-        mean[rows] = slow_error_later(state.mean[rows], decay[rows], self.model.blocks["ins.attitude"].sigma)
+        sigma = self.model.blocks["ins.attitude"].sigma
+        mean[..., rows] = slow_error_later(state.mean[..., rows], decay[rows], sigma)
         return replace(state, time_ns=max(time_ns, state.time_ns), mean=mean, parts=parts)
 
     def opened(self, state: FilterState, jump: InsJump) -> FilterState:
         """The state after a jump of the INS: its slow error may be as large as that."""
         state = self.predicted(state, jump.time_ns)
         rows, parts = self.model.slices["ins.attitude"], state.parts.copy()
-        parts[self._ins_index, rows, rows] += jump.covariance_n
+        parts[..., self._ins_index, rows, rows] += jump.covariance_n
         return replace(state, parts=parts, jumped=True)
 
     def step(
@@ -155,28 +159,36 @@ class ShipFilter:
         ins_time_ns = self.ins_time_ns(state, measurement)
         if may_wait and not track.covers(ins_time_ns + measurement.reach_ns):
             return None
+        ins = track.at(ins_time_ns)
+        judged: tuple[FilterState, AttitudeDecision] | Refusal
+        if ins is None:
+            judged = Refusal(Reason.GAP, "no INS samples on both sides of it: it cannot be compared")
+        else:
+            paired = self._paired(measurement, ins, track, ins_time_ns, watch)
+            judged = paired if isinstance(paired, Refusal) else self._judged(state, measurement, paired, watch)
+        if isinstance(judged, Refusal):
+            return state, AttitudeDecision(measurement, judged.reason, text=judged.text, ins_time_ns=ins_time_ns)
+        return judged
 
-        def refused(refusal: Refusal) -> tuple[FilterState, AttitudeDecision]:
-            return state, AttitudeDecision(measurement, refusal.reason, text=refusal.text, ins_time_ns=ins_time_ns)
-
-        paired = self._paired(measurement, track, ins_time_ns, watch)
-        if isinstance(paired, Refusal):
-            return refused(paired)
+    def _judged(
+        self, state: FilterState, measurement: Measurement, paired: "_Paired", watch: SkyWatch | None
+    ) -> tuple[FilterState, AttitudeDecision] | Refusal:
+        """The next state and the decision; the refusal of a measurement that cannot be compared at all."""
         predicted = self.predicted(state, measurement.time_ns)
         if isinstance(paired.measurement, AttitudeMeasurement) and paired.measurement.common_n.any():
             predicted = self._with_common(predicted, paired.measurement)
         compared = self._compared(paired, predicted, predicted.mean, watch)
         if isinstance(compared, Refusal):
-            return refused(compared)
+            return compared
         try:
             covariance, nis = innovation(predicted.parts, compared.linear)
         except np.linalg.LinAlgError as error:
-            return refused(Refusal(Reason.BAD_COVARIANCE, str(error)))
+            return Refusal(Reason.BAD_COVARIANCE, str(error))
         decision = AttitudeDecision(
             measurement=measurement,
             reason=Reason.NONE,
             accepted=True,
-            ins_time_ns=ins_time_ns,
+            ins_time_ns=paired.ins_time_ns,
             residual=compared.linear.residual,
             sigma=np.sqrt(np.diagonal(covariance)),
             components=compared.components,
@@ -187,23 +199,23 @@ class ShipFilter:
         # Written so that NaN fails.
         if not nis <= decision.gate:
             return self._held(state, decision, compared, paired.ins)
-        correction, parts = update(predicted.parts, compared.linear, covariance)
-        if self._ins_turned(correction) > _LARGE_STEP:
-            correction, parts = self._relinearised(paired, predicted, correction, parts, watch)
-        return self._used(predicted, measurement, correction, parts), decision
+        updated = update(predicted.parts, compared.linear, covariance)
+        return self._used(predicted, measurement, *self._settled(paired, predicted, *updated, watch)), decision
 
     def _paired(
-        self, measurement: Measurement, track: AttitudeTrack, ins_time_ns: int, watch: SkyWatch | None
+        self,
+        measurement: Measurement,
+        ins: InterpolatedAttitude,
+        track: AttitudeTrack,
+        ins_time_ns: int,
+        watch: SkyWatch | None,
     ) -> "_Paired | Refusal":
-        """What of a measurement is compared, with the attitude of the INS at its moment; or why it cannot be."""
-        ins = track.at(ins_time_ns)
-        if ins is None:
-            return Refusal(Reason.GAP, "no INS samples on both sides of it: it cannot be compared")
+        """What of a measurement is compared, with the attitude of the INS that belongs to it; or why it cannot be."""
         device = self.devices[measurement.source]
         if isinstance(measurement, InertialAttitude):
             assert watch is not None
             turned = in_horizon(measurement, watch)
-            return turned if isinstance(turned, Refusal) else _Paired(turned, device, ins)
+            return turned if isinstance(turned, Refusal) else _Paired(turned, device, ins, ins_time_ns)
         if isinstance(measurement, StarExposure) and measurement.length is not None:
             turning = turning_over(track, ins_time_ns, measurement.length.nodes)
             if turning is None:
@@ -211,8 +223,8 @@ class ShipFilter:
                 return Refusal(Reason.GAP, text)
             # What is predicted is the mean over the exposure: its errors are those of the mean.
             ins = replace(ins, noise_gain=turning.noise_gain, error_covariance_d=turning.error_covariance)
-            return _Paired(at_middle(measurement, turning.mounted(device.rotation_dv0)), device, ins)
-        return _Paired(measurement, device, ins)
+            return _Paired(at_middle(measurement, turning.mounted(device.rotation_dv0)), device, ins, ins_time_ns)
+        return _Paired(measurement, device, ins, ins_time_ns)
 
     def _compared(
         self, paired: "_Paired", state: FilterState, mean: FloatArray, watch: SkyWatch | None
@@ -221,7 +233,7 @@ class ShipFilter:
         predicted = predict_attitude(paired.device, self.model, mean, paired.ins)
         return compare(paired.measurement, paired.device, predicted, self.model, mean, state.parts, watch)
 
-    def _relinearised(
+    def _settled(
         self,
         paired: "_Paired",
         state: FilterState,
@@ -229,11 +241,15 @@ class ShipFilter:
         parts: FloatArray,
         watch: SkyWatch | None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Correction and parts where the INS is found to be far off, as after a jump.
+        """Correction and parts after a measurement, from those of its first linearisation.
 
-        The measurement is linearised anew at the estimate until that stays (Gauss–Newton).
+        Where the INS is found to be far off, as after a jump, the measurement is linearised anew at the estimate until
+        that stays (Gauss–Newton).
         """
+        found = np.zeros_like(correction)
         for _ in range(_STEPS - 1):
+            if not self._ins_turned(correction - found) > _LARGE_STEP:
+                break
             there = self._compared(paired, state, state.mean + correction, watch)
             if isinstance(there, Refusal):
                 break
@@ -241,8 +257,6 @@ class ShipFilter:
             linear = replace(there.linear, residual=residual)
             covariance, _ = innovation(state.parts, linear)
             found, (correction, parts) = correction, update(state.parts, linear, covariance)
-            if not self._ins_turned(correction - found) > _LARGE_STEP:
-                break
         return correction, parts
 
     def _ins_turned(self, correction: FloatArray) -> float:
@@ -269,7 +283,7 @@ class ShipFilter:
         if measurement.source not in state.common_n:
             rows = self.model.slices[f"{measurement.source}.common"]
             parts = parts.copy()
-            parts[self._common_index, rows, rows] += measurement.common_n
+            parts[..., self._common_index, rows, rows] += measurement.common_n
         return replace(state, parts=parts, common_n=_with(state.common_n, measurement.source, measurement.common_n))
 
     def _held(
@@ -300,11 +314,12 @@ class ShipFilter:
 
 @dataclass(frozen=True)
 class _Paired:
-    """A measurement as it is compared, its device, and the attitude of the INS at its moment."""
+    """A measurement as it is compared, its device, and the attitude of the INS that belongs to it, with its stamp."""
 
     measurement: Measurement
     device: Device
     ins: InterpolatedAttitude
+    ins_time_ns: int
 
 
 def _with(mapping: MappingProxyType[str, Value], key: str, value: Value) -> MappingProxyType[str, Value]:

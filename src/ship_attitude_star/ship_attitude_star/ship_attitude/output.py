@@ -71,9 +71,11 @@ class CorrectedIns:
         by_state[..., _TIME_OFFSET] = -(rotation_nd @ ins.rate_d[..., None])[..., 0]
         by_state = by_state[..., None, :, :]  # the same for every source
         parts: FloatArray = by_state @ self._parts @ by_state.swapaxes(-1, -2)
-        parts[..., self._drift_index, :, :] += _scaled_square(by_error, drift_variance)
+        drift = by_error * np.sqrt(drift_variance)[..., None, :]
+        parts[..., self._drift_index, :, :] += drift @ drift.swapaxes(-1, -2)
         white_variance = self._white_variance * np.asarray(ins.noise_gain)[..., None]
-        parts[..., self._white_index, :, :] += _scaled_square(correction, white_variance)
+        white = correction * np.sqrt(white_variance)[..., None, :]
+        parts[..., self._white_index, :, :] += white @ white.swapaxes(-1, -2)
         interpolated = rotation_nd @ ins.error_covariance_d @ rotation_nd.swapaxes(-1, -2)
         parts[..., self._interpolation_index, :, :] += interpolated
         return rotation_nd, parts
@@ -104,12 +106,6 @@ class CorrectedIns:
             sources=("ins", *used),
             star_age_s=star_age_s,
         )
-
-
-def _scaled_square(matrix: FloatArray, variance: FloatArray) -> FloatArray:
-    """Matrix @ diag(variance) @ matrix^T, shape (..., 3, 3), for matrices (..., 3, 3) and variances (..., 3)."""
-    root = matrix * np.sqrt(variance)[..., None, :]
-    return root @ root.swapaxes(-1, -2)
 
 
 def estimate_from_star(
