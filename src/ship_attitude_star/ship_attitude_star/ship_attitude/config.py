@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from ship_attitude_star.sky.config import InertialConfig, SkyConfig
-from ship_attitude_star.stars.config import CameraConfig, MountingConfig, check_sensor_ids
+from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameters import arcsec, degrees, mapping_of, parameter, section, stamp_age
@@ -123,7 +123,7 @@ class ReferenceConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShipAttitudeConfig:
+class ShipAttitudeConfig(StarSensorsById):
     """All parameters of ``ship_attitude``."""
 
     ins: InsConfig = section(InsConfig)
@@ -145,11 +145,3 @@ class ShipAttitudeConfig:
     alignment_max_age_d: float = parameter(
         30.0, doc="an alignment older than this is a wider prior", unit="d", minimum=0.0, maximum=36500.0
     )
-
-    def __post_init__(self) -> None:
-        """Refuse a sensor that would be all sensors.
-
-        Raises:
-            ParameterError: names the parameter.
-        """
-        check_sensor_ids(self.star_sensors)

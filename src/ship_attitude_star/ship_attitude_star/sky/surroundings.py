@@ -25,6 +25,7 @@ from ship_geometry.geodetic import (
 from ship_geometry.refraction import Weather
 from ship_geometry.rotations import FloatArray
 from ship_geometry.star_directions import Observer
+from ship_geometry.time_scales import SECOND_NS
 
 ACCELERATION_SIGMA_M_PER_S2 = 0.1
 """Acceleration with which a ship leaves the straight line, standard deviation of each horizontal axis.
@@ -35,7 +36,6 @@ A ship that turns by 0.6°/s at 10 m/s has it.
 SPEED_SIGMA_M_PER_S = 10.0
 """Speed of a ship of which only one fix is known, standard deviation of each horizontal axis."""
 
-_SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class _Quantity:
     def __init__(self, default: _Value, measured_sigma: float, max_age_s: float) -> None:
         self._default = default
         self._measured_sigma = measured_sigma
-        self._max_age_ns = max_age_s * _SECOND_NS
+        self._max_age_ns = max_age_s * SECOND_NS
         self.readings: StampedValues[_Value] = StampedValues()
 
     def measured(self, reading: AirReading) -> _Value:
@@ -135,7 +135,7 @@ class Surroundings:
 
     def __init__(self, config: SkyConfig) -> None:
         self._fix_max_age_s = config.fix_max_age_s
-        self._fix_max_age_ns = round(config.fix_max_age_s * _SECOND_NS)
+        self._fix_max_age_ns = round(config.fix_max_age_s * SECOND_NS)
         self._fixes: StampedValues[_Fix] = StampedValues()
         pressure = _Value(config.pressure_hpa, config.pressure_sigma_hpa)
         temperature = _Value(config.temperature_c, config.temperature_sigma_k)
@@ -231,7 +231,7 @@ class Surroundings:
         # Of two fixes equally near the earlier one counts.
         later = last < 0 or (last + 1 < len(times) and times[last + 1] - time_ns < time_ns - times[last])
         nearest = last + 1 if later else last
-        away_s = (time_ns - times[nearest]) / _SECOND_NS
+        away_s = (time_ns - times[nearest]) / SECOND_NS
         if abs(time_ns - times[nearest]) > self._fix_max_age_ns:
             text = f"the nearest position fix is {abs(away_s):.1f} s {'older' if away_s > 0 else 'younger'}"
             return Refusal(Reason.NO_FIX, f"{text}: more than fix_max_age_s = {self._fix_max_age_s:g}")
@@ -241,7 +241,7 @@ class Surroundings:
             fix = self._fixes.values[nearest]
             return _place(fix.ecef_m, np.zeros(3), fix.covariance_ecef_m2, SPEED_SIGMA_M_PER_S * age_s, age_s)
         first, second = self._fixes.values[pair], self._fixes.values[pair + 1]
-        since_first_s, since_second_s = (time_ns - times[pair]) / _SECOND_NS, (time_ns - times[pair + 1]) / _SECOND_NS
+        since_first_s, since_second_s = (time_ns - times[pair]) / SECOND_NS, (time_ns - times[pair + 1]) / SECOND_NS
         span_s = since_first_s - since_second_s
         velocity_ecef = (second.ecef_m - first.ecef_m) / span_s
         share = min(max(since_first_s / span_s, 0.0), 1.0)

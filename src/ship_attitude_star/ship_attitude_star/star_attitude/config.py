@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.stars.config import CameraConfig, MountingConfig, check_sensor_ids
+from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
 from ship_estimation.ins import StarInsConfig
 from ship_estimation.parameters import mapping_of, parameter, section, stamp_age
 
@@ -51,7 +51,7 @@ class JointConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StarAttitudeConfig:
+class StarAttitudeConfig(StarSensorsById):
     """All parameters of ``star_attitude``."""
 
     star_sensors: dict[str, ObservingSensorConfig] = mapping_of("star sensors by id")
@@ -68,11 +68,3 @@ class StarAttitudeConfig:
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget and health topics", unit="s", minimum=0.1, maximum=60.0
     )
-
-    def __post_init__(self) -> None:
-        """Refuse a sensor that would be all sensors.
-
-        Raises:
-            ParameterError: names the parameter.
-        """
-        check_sensor_ids(self.star_sensors)

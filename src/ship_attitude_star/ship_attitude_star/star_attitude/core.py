@@ -165,7 +165,7 @@ class StarCore:
         self._ins.reconfigure(config.ins)
 
     def add_ins(self, sample: AttitudeSample) -> StarOutcome:
-        """The attitude of the deck as the INS has it: it chooses among stars, and its turn moves them to one moment."""
+        """Take the deck's attitude by the INS. It helps to choose among stars, and moves exposures to one moment."""
         late = self._arrivals.late(sample.time_ns)
         if late is not None:
             return StarOutcome(late)
@@ -174,7 +174,7 @@ class StarCore:
         return outcome
 
     def add_surroundings(self, given: SkyInput) -> Refusal | None:
-        """Where the ship is, or the air around it; returns why it is not used."""
+        """Take a position fix or a reading of the air; returns why it is not used."""
         refusal = self._watch.refusal(given)
         self._watch.insert(given)
         return refusal
@@ -238,7 +238,7 @@ class StarCore:
     # -- in order of time -----------------------------------------------------------------------------------
 
     def _advance(self, time_ns: int, outcome: StarOutcome) -> None:
-        """Solve what can be solved now, and forget what no exposure can ask for any more."""
+        """Solve what can be solved now, and forget what no exposure to come needs."""
         self._arrivals.move_to(time_ns)
         self._solve(outcome, None)
         oldest_ns = self._arrivals.oldest_ns - self._wait_ns

@@ -15,8 +15,7 @@ from ship_estimation.refusals import Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.rotations import ARCSEC, FloatArray
-
-_SECOND_NS = 1_000_000_000
+from ship_geometry.time_scales import SECOND_NS
 
 
 class InsMotion:
@@ -33,8 +32,8 @@ class InsMotion:
     def __init__(self, config: StarInsConfig, guards: StreamGuards) -> None:
         self._config = config
         self._guards = guards
-        self._max_gap_ns = round(config.max_gap_s * _SECOND_NS)
-        self._offset_ns = round(config.time_offset_s * _SECOND_NS)
+        self._max_gap_ns = round(config.max_gap_s * SECOND_NS)
+        self._offset_ns = round(config.time_offset_s * SECOND_NS)
         self.track = AttitudeTrack(self._max_gap_ns)
         self._jumps: list[InsJump] = []
 

@@ -1,6 +1,7 @@
-"""A star sensor's camera: pixel ↔ direction in the sensor frame (forward, up, right), and what a centroid's error does.
+"""A star sensor's camera: directions of pixels in the sensor frame (forward, up, right), pixels of directions, errors.
 
-Pixels are (u, v), u to the right and v down as seen looking out, counted from 0, whole numbers at the pixels' centres.
+Pixels are (u, v): u counts to the right and v down, as seen looking out of the sensor. Both count from 0, and are whole
+numbers at the centres of the pixels.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ _CONVERGED = 1e-14
 
 @dataclass(frozen=True)
 class Distortion:
-    """Brown–Conrady distortion in the usual form, x right and y down in focal lengths from the principal point.
+    """Brown–Conrady distortion in its usual form. Points are x right, y down in focal lengths from the principal point.
 
     The distorted point is the ideal one times 1 + k1 r² + k2 r⁴ + k3 r⁶, plus (2 p1 x y + p2 (r² + 2 x²),
     p1 (r² + 2 y²) + 2 p2 x y).
@@ -29,7 +30,7 @@ class Distortion:
     k3: float = 0.0
 
     def distorted(self, ideal: FloatArray) -> FloatArray:
-        """Where ideal points, shape (..., 2), are found."""
+        """The points, shape (..., 2), where the lens images ideal points of the same shape."""
         x, y = ideal[..., 0], ideal[..., 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
@@ -57,7 +58,7 @@ class Distortion:
         return matrix
 
     def ideal(self, distorted: FloatArray) -> FloatArray:
-        """Ideal points of distorted ones, shape (..., 2); NaN where there is none, beyond the model's turning point."""
+        """The ideal points of distorted ones, shape (..., 2); NaN beyond the turning point of the model."""
         ideal = np.array(distorted, dtype=float)
         for _ in range(_NEWTON_STEPS):
             step = _solved(self.jacobian(ideal), distorted - self.distorted(ideal))
@@ -68,7 +69,7 @@ class Distortion:
 
 
 def _solved(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
-    """Solution of symmetric 2 x 2 equations; NaN where the determinant is not positive: there the model folds over."""
+    """Solution of symmetric 2 x 2 equations; NaN where the determinant is not positive, where the model folds over."""
     determinant = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] ** 2
     x, y = right_side[..., 0], right_side[..., 1]
     cofactors = np.stack(
@@ -79,7 +80,7 @@ def _solved(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class StarCamera:
-    """Geometry of one sensor.
+    """Geometry of one sensor's camera.
 
     Attributes:
         focal_length_m: of the lens.
@@ -147,7 +148,7 @@ class StarCamera:
 
     @property
     def _pixel(self) -> float:
-        """A pixel in focal lengths."""
+        """Size of a pixel in focal lengths."""
         return self.pixel_pitch_m / self.focal_length_m
 
     @property
@@ -155,7 +156,7 @@ class StarCamera:
         return np.array([self.principal_u_px, self.principal_v_px])
 
     def _ideal(self, pixels: FloatArray) -> FloatArray:
-        """Ideal points in focal lengths, x right and y down, of pixels."""
+        """Ideal points of pixels, x right and y down in focal lengths, shape (..., 2)."""
         point = (np.where(np.isfinite(pixels), pixels, np.nan) - self._principal_px) * self._pixel
         return point if self.distortion is None else self.distortion.ideal(point)
 
@@ -163,7 +164,7 @@ class StarCamera:
 def tangent_basis(directions_s: FloatArray) -> FloatArray:
     """Two unit vectors across each direction (forward, up, right), shape (..., 2, 3): first up, then right.
 
-    Not defined straight up and down in the sensor, where no lens looks.
+    They are NaN for directions straight up and down in the sensor, where no lens looks.
     """
     basis = np.zeros((*directions_s.shape[:-1], 2, 3))
     forward, up, right = directions_s[..., 0], directions_s[..., 1], directions_s[..., 2]
@@ -179,13 +180,13 @@ def tangent_basis(directions_s: FloatArray) -> FloatArray:
 def equivalent_sigma(covariance: FloatArray) -> FloatArray:
     """One sigma per axis (rad), shape (...), for a direction's covariance (..., 2, 2): the root of its mean variance.
 
-    Wahba's problem knows no other. Off axis the two differ by the cosine: 3 % at 14°.
+    Wahba's problem knows one sigma a direction. Off axis the sigmas up and right differ by the cosine: 3 % at 14°.
     """
     return np.sqrt(0.5 * np.trace(covariance, axis1=-2, axis2=-1))
 
 
 def _direction(point: FloatArray) -> FloatArray:
-    """Unit vectors (forward, up, right) of points x right, y down in focal lengths."""
+    """Unit vectors (forward, up, right), shape (..., 3), of ideal points (x right, y down) in focal lengths."""
     x, y = point[..., 0], point[..., 1]
     inverse_length = 1.0 / np.sqrt(1.0 + x * x + y * y)
     direction = np.empty((*x.shape, 3))

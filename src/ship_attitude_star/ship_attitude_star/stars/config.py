@@ -3,7 +3,7 @@
 Both nodes of the package have these parameters for each of their sensors.
 """
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,17 +19,23 @@ JOINT = "joint"
 """Stands in the place of a sensor's id where the stars of all sensors give one attitude of the deck."""
 
 
-def check_sensor_ids(ids: Iterable[str]) -> None:
-    """Refuse JOINT as the id of a sensor.
+class StarSensorsById:
+    """What the parameters of both nodes have in common: star sensors by id, none of which is called JOINT.
 
     A sensor of that name would publish on the topic of the joint solution, and its stars would count twice.
-
-    Raises:
-        ParameterError: names the parameter.
     """
-    if JOINT in ids:
-        name = f"star_sensors.{JOINT}"
-        raise ParameterError(f"parameter '{name}': '{JOINT}' means all sensors, give it another id", name)
+
+    star_sensors: Mapping[str, "MountingConfig"]
+
+    def __post_init__(self) -> None:
+        """Check the ids.
+
+        Raises:
+            ParameterError: names the parameter.
+        """
+        if JOINT in self.star_sensors:
+            name = f"star_sensors.{JOINT}"
+            raise ParameterError(f"parameter '{name}': '{JOINT}' means all sensors, give it another id", name)
 
 
 def _coefficient(doc: str) -> Any:
