@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp, utc_text
@@ -43,6 +43,15 @@ class Span:
     count: int
 
 
+class _Run(NamedTuple):
+    """Outputs of one status that were put out one after another; sorted by their first stamps."""
+
+    first_ns: int
+    last_ns: int
+    word: str
+    count: int
+
+
 class StatusCourse:
     """The statuses of one output topic.
 
@@ -52,29 +61,29 @@ class StatusCourse:
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
-        self._runs: list[tuple[int, int, str, int]] = []
+        self._runs: list[_Run] = []
 
     def add(self, message: Any) -> None:
         """An output, in the order in which they were put out."""
         status, stamp_ns = int(message.status), ns_from_stamp(message.header.stamp)
         word = STATUS_WORDS[status] if status < len(STATUS_WORDS) else f"status {status}"
         self.counts[word] += 1
-        if self._runs and self._runs[-1][2] == word:
-            first_ns, last_ns, _, count = self._runs[-1]
-            self._runs[-1] = first_ns, max(last_ns, stamp_ns), word, count + 1
+        if self._runs and self._runs[-1].word == word:
+            last = self._runs[-1]
+            self._runs[-1] = last._replace(last_ns=max(last.last_ns, stamp_ns), count=last.count + 1)
         else:
-            self._runs.append((stamp_ns, stamp_ns, word, 1))
+            self._runs.append(_Run(stamp_ns, stamp_ns, word, 1))
 
     @property
     def spans(self) -> list[Span]:
         """The spans in order of time. Each lasts until the next begins; INVALID begins with the tick that said so."""
         # Stamps of INVALID are not in the order of the others: what stands together is found by the stamps.
-        groups = [list(group) for _, group in groupby(sorted(self._runs), key=lambda run: run[2])]
-        last_ns = max((run[1] for run in self._runs), default=0)
-        ends = [group[0][0] for group in groups[1:]] + [last_ns]
+        groups = [list(group) for _, group in groupby(sorted(self._runs), key=lambda run: run.word)]
+        starts_ns = [group[0].first_ns for group in groups]
+        ends_ns = [*starts_ns[1:], max((run.last_ns for run in self._runs), default=0)]
         return [
-            Span(group[0][2], group[0][0], end, sum(count for _, _, _, count in group))
-            for group, end in zip(groups, ends, strict=False)
+            Span(group[0].word, start_ns, end_ns, sum(run.count for run in group))
+            for group, start_ns, end_ns in zip(groups, starts_ns, ends_ns, strict=False)
         ]
 
     def lines(self, topic: str) -> list[str]:

@@ -208,15 +208,14 @@ class _Comparison:
 
     def finish(self) -> None:
         """End the comparison: a message that is left over on one side is a difference."""
-        left = [
-            (rest[0][1], topic, rest[0][0], values)
-            for side, values in ((self._recorded, ("a message", "nothing")), (self._replayed, ("nothing", "a message")))
-            for topic, rest in side.items()
-            if rest
-        ]
+        left = []
+        for side, values in ((self._recorded, ("a message", "nothing")), (self._replayed, ("nothing", "a message"))):
+            for topic, rest in side.items():
+                if rest:
+                    message, time_ns = rest[0]
+                    left.append((time_ns, topic, Difference(topic, stamp_of(message, time_ns), "", *values)))
         if left and self.result.difference is None:
-            time_ns, topic, message, (one, other) = min(left, key=lambda entry: entry[:2])
-            self.result.difference = Difference(topic, stamp_of(message, time_ns), "", one, other)
+            _, _, self.result.difference = min(left, key=lambda entry: entry[:2])
 
     def _compare(self, topic: str) -> None:
         if self._recorded[topic] and self._replayed[topic]:
