@@ -136,10 +136,10 @@ def axis_sightings(
     found = AxisSightings()
 
     class Listening(OpticalAxisAdapter):
-        def _published(self, outcome: PointingOutcome, now_ns: int) -> list[Published]:
+        def published(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
             for decision in outcome.decisions:
                 found.take(self.core, decision)
-            return super()._published(outcome, now_ns)
+            return super().published(outcome, now_ns, waiting_ns)
 
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, (Listening,), RosbagsFactory(), config_path, namespace)
