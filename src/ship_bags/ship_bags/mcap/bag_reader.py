@@ -30,6 +30,9 @@ MAX_HELD_MB = 512
 """At most so much of a bag is held in memory. Of an ordinary bag that is a chunk or two: the next one begins in time
 when these have ended."""
 
+_PLACE_BITS = 32
+"""The order of a message in the bag is that of its place, in the upper bits, and that in its place below them."""
+
 _RECORD_BYTES = 250
 """Memory that a message takes besides its own bytes."""
 
@@ -178,7 +181,7 @@ class Bag:
         self, place_order: int, file_number: int, place: ChunkPlace, channels: dict[int, str]
     ) -> Iterator[tuple[int, int, BagRecord]]:
         """(log time, order in the bag, record) of the messages of some channels of one place."""
-        for order, message in enumerate(self._files[file_number].messages(place), place_order << 32):
+        for order, message in enumerate(self._files[file_number].messages(place), place_order << _PLACE_BITS):
             if message.channel_id in channels:
                 yield message.log_time, order, self._record(message, channels)
 

@@ -173,7 +173,10 @@ def _of_interest(number: int, receive_ns: int, text: str, content: Any, report: 
         "ASHRATT": ("timestamp", "true_heading", "roll", "pitch"),
     }.get(kind)
     if needed is None:
-        report.unused[text.split(" ", 1)[1].split(",")[0].lstrip("$") + kind.removeprefix("SXN") * ("SXN" in kind)] += 1
+        _, sentence = text.split(" ", 1)
+        name = sentence.split(",")[0].lstrip("$")
+        # The sentences PSXN are told apart by a number behind the name, which pynmea2 puts into the name of its class.
+        report.unused[name + kind.removeprefix("SXN") if "SXN" in kind else name] += 1
         return None
     # Where a field is no number pynmea2 gives its text.
     is_whole = all(not isinstance(getattr(content, name), (str, type(None))) for name in needed)
