@@ -1,5 +1,6 @@
 """Messages by the name of their type, so that an adapter needs to know no middleware."""
 
+import abc
 import array
 import functools
 import importlib
@@ -48,40 +49,77 @@ class MessageFactory(Protocol):
         ...
 
 
-class RosidlFactory:
-    """Makes the messages that rclpy publishes."""
+Converters = dict[str, Callable[[Any], Any] | None]
+"""Field name → what makes of a plain value what a message class accepts; None where that is the value itself."""
+
+
+class PlannedFactory(abc.ABC):
+    """A factory that looks at each type once: which class it is, and how its fields are converted.
+
+    See :class:`MessageFactory`.
+    """
+
+    def __init__(self) -> None:
+        self._plans: dict[str, tuple[Any, Converters]] = {}
 
     def make(self, type_name: str, **fields: Any) -> Any:
         """See :meth:`MessageFactory.make`."""
-        return _rosidl_message(type_name, **fields)
+        plan = self._plans.get(type_name)
+        if plan is None:
+            plan = self._plans[type_name] = self.plan(type_name)
+        kind, converters = plan
+        if fields.keys() != converters.keys():
+            missing, unknown = converters.keys() - fields.keys(), fields.keys() - converters.keys()
+            raise TypeError(f"{type_name}: missing fields {sorted(missing)}, unknown fields {sorted(unknown)}")
+        for name, convert in converters.items():
+            if convert is not None:
+                fields[name] = convert(fields[name])
+        return kind(**fields)
+
+    @abc.abstractmethod
+    def plan(self, type_name: str) -> tuple[Any, Converters]:
+        """Class of a message, and the converters of all its fields."""
+
+    def message_converter(self, type_name: str) -> Callable[[Any], Any]:
+        """The converter of a field that is itself a message, or a stamp. A message made before is left as it is."""
+
+        def convert(value: Any) -> Any:
+            if isinstance(value, dict):
+                return self.make(type_name, **value)
+            if type_name == _STAMP and isinstance(value, (int, np.integer)):
+                sec, nanosec = divmod(value, _NS_PER_S)
+                return self.make(type_name, sec=sec, nanosec=nanosec)
+            return value
+
+        return convert
+
+    def list_converter(self, type_name: str) -> Callable[[Any], Any]:
+        """The converter of a field that is a list of messages."""
+        convert = self.message_converter(type_name)
+        return lambda values: [convert(value) for value in values]
 
 
-def nested(make: Callable[..., Any], type_name: str) -> Callable[[Any], Any]:
-    """The converter of a field that is itself a message.
+class RosidlFactory(PlannedFactory):
+    """Makes the messages that rclpy publishes."""
 
-    Args:
-        make: as :meth:`MessageFactory.make`.
-        type_name: type of the field.
+    def plan(self, type_name: str) -> tuple[Any, Converters]:
+        """See :meth:`PlannedFactory.plan`."""
+        kind = message_class(type_name)
+        return kind, {name: self._converter(text) for name, text in kind.get_fields_and_field_types().items()}
 
-    Returns:
-        A function that makes a message of a dict of fields, or of ns where the field is a stamp. A message made before
-        is left as it is.
-    """
-
-    def convert(value: Any) -> Any:
-        if isinstance(value, dict):
-            return make(type_name, **value)
-        if type_name == _STAMP and isinstance(value, (int, np.integer)):
-            sec, nanosec = divmod(value, _NS_PER_S)
-            return make(type_name, sec=sec, nanosec=nanosec)
-        return value
-
-    return convert
-
-
-def list_of(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """The converter of a field that is a list, each element of which ``convert`` converts."""
-    return lambda values: [convert(value) for value in values]
+    def _converter(self, field_type: str) -> Callable[[Any], Any]:
+        """By the type of a field as rosidl writes it: ``double[9]``, ``sequence<string>``, ``std_msgs/Header``."""
+        if field_type in _SCALARS:
+            return _SCALARS[field_type]
+        if match := re.fullmatch(r"([\w/]+)\[\d+\]|sequence<([\w/]+)(?:, \d+)?>", field_type):
+            fixed, dynamic = match.groups()
+            if fixed in _TYPE_CODES:
+                return functools.partial(np.asarray, dtype=_TYPE_CODES[fixed])
+            if dynamic in _TYPE_CODES:
+                return functools.partial(_as_array, _TYPE_CODES[dynamic])
+            element = fixed or dynamic
+            return self.list_converter(element.replace("/", "/msg/")) if "/" in element else list
+        return self.message_converter(field_type.replace("/", "/msg/"))
 
 
 def message_class(type_name: str) -> Any:
@@ -95,44 +133,6 @@ def message_class(type_name: str) -> Any:
         return getattr(importlib.import_module(f"{package}.{kind}"), name)
     except AttributeError as error:
         raise ImportError(f"package {package} has no {kind} {name}") from error
-
-
-def _rosidl_message(type_name: str, **fields: Any) -> Any:
-    kind, converters = _message_plan(type_name)
-    if fields.keys() != converters.keys():
-        missing, unknown = converters.keys() - fields.keys(), fields.keys() - converters.keys()
-        raise TypeError(f"{type_name}: missing fields {sorted(missing)}, unknown fields {sorted(unknown)}")
-    return kind(**{name: converters[name](value) for name, value in fields.items()})
-
-
-@functools.cache
-def _message_plan(type_name: str) -> tuple[Any, dict[str, Callable[[Any], Any]]]:
-    """Class of a message and, for each field, what turns a plain value into what rosidl accepts."""
-    kind = message_class(type_name)
-    return kind, {name: _converter(text) for name, text in kind.get_fields_and_field_types().items()}
-
-
-def _converter(field_type: str) -> Callable[[Any], Any]:
-    if field_type in _SCALARS:
-        return _SCALARS[field_type]
-    if match := re.fullmatch(r"([\w/]+)\[\d+\]", field_type):
-        if match[1] in _TYPE_CODES:
-            return functools.partial(np.asarray, dtype=_TYPE_CODES[match[1]])
-        return _list_converter(match[1])
-    if match := re.fullmatch(r"sequence<([\w/]+)(?:, \d+)?>", field_type):
-        if match[1] in _TYPE_CODES:
-            return functools.partial(_as_array, _TYPE_CODES[match[1]])
-        return _list_converter(match[1])
-    return _message_converter(field_type)
-
-
-def _list_converter(element_type: str) -> Callable[[Any], Any]:
-    return list_of(_message_converter(element_type)) if "/" in element_type else list
-
-
-def _message_converter(field_type: str) -> Callable[[Any], Any]:
-    """Of a field that is a message, whose type rosidl writes as ``std_msgs/Header``."""
-    return nested(_rosidl_message, field_type.replace("/", "/msg/"))
 
 
 def _as_array(type_code: str, values: Any) -> "array.array[Any]":

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ship_bags.errors import BadInput
-from ship_bags.message_factory import list_of, nested
+from ship_bags.message_factory import Converters, PlannedFactory
 
 SHIP_MESSAGES = "ship_msgs"
 
@@ -135,50 +135,31 @@ def field_differences(type_name: str, theirs: Any, ours: Any) -> list[str]:
     return lines
 
 
-class RosbagsFactory:
-    """Makes messages by the name of their type, for writing to bags (see ship_bags.message_factory)."""
+class RosbagsFactory(PlannedFactory):
+    """Makes messages by the name of their type, for writing to bags (see ship_bags.message_factory).
 
-    def __init__(self) -> None:
-        self._store = message_store()
-        self._makers: dict[str, tuple[type, dict[str, Callable[[Any], Any]]]] = {}
+    Arrays of numbers may be any sequence; they become numpy arrays of the field's own type. A field of type byte
+    (DiagnosticStatus.level) takes an integer or, as in rclpy, one byte. A type that is unknown is a KeyError.
+    """
 
-    def make(self, type_name: str, **fields: Any) -> Any:
-        """A message with every field given by keyword.
+    def plan(self, type_name: str) -> tuple[Any, Converters]:
+        """See :meth:`PlannedFactory.plan`."""
+        store = message_store()
+        fields = store.fielddefs[type_name][1]
+        return store.types[type_name], {name: self._converter(node, content) for name, (node, content) in fields}
 
-        As :meth:`ship_bags.message_factory.MessageFactory.make`. Arrays of numbers may be any sequence; they become
-        numpy arrays of the field's own type. A field of type byte (DiagnosticStatus.level) takes an integer or, as in
-        rclpy, one byte.
-
-        Raises:
-            KeyError: the type is unknown.
-            TypeError: a field is missing or unknown.
-        """
-        maker = self._makers.get(type_name)
-        if maker is None:
-            maker = self._makers[type_name] = (self._store.types[type_name], self._converters(type_name))
-        message_class, converters = maker
-        for name, convert in converters.items():
-            if name in fields:
-                fields[name] = convert(fields[name])
-        return message_class(**fields)
-
-    def _converters(self, type_name: str) -> dict[str, Callable[[Any], Any]]:
-        """Field name → conversion, for the fields that need one."""
-        converters: dict[str, Callable[[Any], Any]] = {}
-        described: Any = self._store.fielddefs[type_name][1]
-        for name, (node, content) in described:
-            if node == Nodetype.BASE and content[0] == "byte":
-                converters[name] = _integer_from_byte
-            elif node == Nodetype.NAME:
-                converters[name] = nested(self.make, content)
-            elif node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-                element_node, element = content[0]
-                if element_node == Nodetype.NAME:
-                    converters[name] = list_of(nested(self.make, element))
-                elif element[0] != "string":
-                    dtype = np.dtype(_ARRAY_DTYPES.get(element[0], element[0]))
-                    converters[name] = functools.partial(np.ascontiguousarray, dtype=dtype)
-        return converters
+    def _converter(self, node: Nodetype, content: Any) -> Callable[[Any], Any] | None:
+        """By the kind of a field and what it holds."""
+        if node == Nodetype.NAME:
+            return self.message_converter(content)
+        if node == Nodetype.BASE:
+            return _integer_from_byte if content[0] == "byte" else None
+        element_node, element = content[0]
+        if element_node == Nodetype.NAME:
+            return self.list_converter(element)
+        if element[0] == "string":
+            return None
+        return functools.partial(np.ascontiguousarray, dtype=np.dtype(_ARRAY_DTYPES.get(element[0], element[0])))
 
 
 def _integer_from_byte(value: int | bytes) -> int:

@@ -25,8 +25,9 @@ from ship_geometry.ros_axes import (
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.messages_in import (
-    Reading,
+    ReadMessage,
     Refused,
+    angular_covariance,
     covariance_3x3,
     device_id,
     finite_numbers,
@@ -42,7 +43,7 @@ Measured = TypeVar("Measured", bound=Measurement)
 
 _STAR_INVALID = 3
 _COVARIANCE_TOLERANCE = 1e-6
-_LARGEST_VARIANCE = (2.0 * np.pi) ** 2
+_ANGLE_TOLERANCE = 1e-9
 
 _NO_FIX = -1
 _COVARIANCE_UNKNOWN = 0
@@ -52,7 +53,7 @@ _LARGEST_HEIGHT_M = 20_000.0
 
 def star_measurement(
     message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int
-) -> Reading[AttitudeMeasurement]:
+) -> ReadMessage[AttitudeMeasurement]:
     """``star/<sensor>/horizon_attitude`` or ``.../solution`` → the sensor's attitude in the horizon.
 
     Raises:
@@ -63,13 +64,23 @@ def star_measurement(
     if message.status == _STAR_INVALID:
         raise Refused(Reason.TOO_FEW_STARS, "the sensor itself says INVALID")
     finite_numbers("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
-    _radians(message)
-    total_n = _total_covariance(message)
-    rotation_ns = rotation_from_angles(message.azimuth, message.elevation, message.roll)
-    if total_n is None:
+    azimuth, elevation, roll = message.azimuth, message.elevation, message.roll
+    # Angles in degrees give themselves away where they exceed what radians can be.
+    if abs(elevation) > np.pi / 2 + _ANGLE_TOLERANCE or max(abs(azimuth), abs(roll)) > 2 * np.pi + _ANGLE_TOLERANCE:
+        angles = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}, roll {roll:.6g}"
+        raise Refused(Reason.UNITS, f"{angles} cannot be radians: degrees?")
+    total_enu = angular_covariance(message.rotation_covariance, "rotation_covariance")
+    total_angles = angular_covariance(message.covariance, "covariance") if total_enu is None else None
+    total_known = total_enu is not None or total_angles is not None
+    noise_enu = angular_covariance(message.noise_covariance, "noise_covariance") if total_known else None
+    rotation_ns = rotation_from_angles(azimuth, elevation, roll)
+    if total_enu is not None:
+        total_n = horizon_covariance(total_enu)
+    elif total_angles is not None:
+        total_n = rotation_vector_covariance(total_angles, azimuth, elevation)
+    else:
         noise_s = _configured_noise(config)
         return _read(AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False))
-    noise_enu = _angular_covariance(message.noise_covariance, "noise_covariance")
     noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
     noise_s = rotation_ns.T @ noise_n @ rotation_ns
     common_n = _common_covariance(total_n, noise_n)
@@ -78,7 +89,7 @@ def star_measurement(
 
 def inertial_attitude(
     message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int
-) -> Reading[InertialAttitude]:
+) -> ReadMessage[InertialAttitude]:
     """``star/<sensor>/inertial_attitude`` → the sensor's attitude against the ICRS.
 
     Raises:
@@ -88,7 +99,7 @@ def inertial_attitude(
     device_id("sensor_id", message.sensor_id, sensor_id)
     frame(message.header.frame_id, config.frame_id)
     rotation_cs = celestial_rotation_from_quaternion(unit_quaternion(message.orientation, "orientation"))
-    covariance_flu = _angular_covariance(message.covariance, "covariance")
+    covariance_flu = angular_covariance(message.covariance, "covariance")
     if covariance_flu is None:
         noise_s = _configured_noise(config)
         return _read(InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, False, config.inertial.field))
@@ -98,7 +109,7 @@ def inertial_attitude(
 
 def reference_measurement(
     message: Any, name: str, config: ReferenceConfig, receive_ns: int
-) -> Reading[AttitudeMeasurement]:
+) -> ReadMessage[AttitudeMeasurement]:
     """``reference/<name>/imu`` → the attitude of another system; its covariance is white.
 
     Raises:
@@ -107,7 +118,7 @@ def reference_measurement(
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
     rotation_nr = imu_rotation(message, config.convention)
-    covariance_enu = _angular_covariance(message.orientation_covariance, "orientation_covariance")
+    covariance_enu = angular_covariance(message.orientation_covariance, "orientation_covariance")
     if covariance_enu is None:
         sigma = [config.sigma_roll_arcsec, config.sigma_heading_arcsec, config.sigma_pitch_arcsec]
         noise_r = np.diag((np.array(sigma) * ARCSEC) ** 2)
@@ -117,7 +128,7 @@ def reference_measurement(
     return _read(AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known))
 
 
-def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> Reading[SkyInput]:
+def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessage[SkyInput]:
     """``gnss/fix`` → the ship's place.
 
     Raises:
@@ -142,10 +153,10 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> Reading[Sk
         raise Refused(Reason.BAD_COVARIANCE, f"position_covariance: a sigma of {largest_m:.3g} m is no fix")
     covariance_m2 = np.eye(3) * config.fix_sigma_m**2 if covariance_enu is None else horizon_covariance(covariance_enu)
     position = GeodeticPosition(np.deg2rad(message.latitude), np.deg2rad(message.longitude), height_m)
-    return Reading(PositionFix(time_ns, position, covariance_m2), covariance_enu is not None)
+    return ReadMessage(PositionFix(time_ns, position, covariance_m2), covariance_enu is not None)
 
 
-def pressure(message: Any, receive_ns: int) -> Reading[SkyInput]:
+def pressure(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
     """``met/pressure``, in Pa → hPa.
 
     Raises:
@@ -157,7 +168,7 @@ def pressure(message: Any, receive_ns: int) -> Reading[SkyInput]:
     return _reading("pressure", message, pascal, (80_000.0, 110_000.0), 0.01, meaning, receive_ns)
 
 
-def temperature(message: Any, receive_ns: int) -> Reading[SkyInput]:
+def temperature(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
     """``met/temperature``, in degrees Celsius.
 
     Raises:
@@ -168,7 +179,7 @@ def temperature(message: Any, receive_ns: int) -> Reading[SkyInput]:
     return _reading("temperature", message, celsius, (-60.0, 60.0), 1.0, f"-60 to 60 °C at a ship{hint}", receive_ns)
 
 
-def humidity(message: Any, receive_ns: int) -> Reading[SkyInput]:
+def humidity(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
     """``met/humidity``, 0 to 1.
 
     Raises:
@@ -187,7 +198,7 @@ def _reading(
     scale: float,
     expected: str,
     receive_ns: int,
-) -> Reading[SkyInput]:
+) -> ReadMessage[SkyInput]:
     time_ns = stamp_ns(message.header, receive_ns)
     finite_numbers(quantity, value)
     finite_numbers(f"variance of {quantity}", message.variance)
@@ -200,7 +211,7 @@ def _reading(
     sigma = None if message.variance == 0.0 else scale * float(np.sqrt(message.variance))
     # The error of the humidity is not used anywhere: nothing stands in for it.
     known = sigma is not None or quantity == "humidity"
-    return Reading(AirReading(quantity, time_ns, scale * value, sigma), known)
+    return ReadMessage(AirReading(quantity, time_ns, scale * value, sigma), known)
 
 
 SURROUNDINGS = {
@@ -212,7 +223,7 @@ SURROUNDINGS = {
 """Topics of the place and the air, and their types; without a place no star is of use."""
 
 
-def surroundings_reader(topic: str, config: SkyConfig) -> Callable[..., Reading[SkyInput]]:
+def surroundings_reader(topic: str, config: SkyConfig) -> Callable[..., ReadMessage[SkyInput]]:
     """What reads the messages of one of :data:`SURROUNDINGS`; it is given the message and ``receive_ns=``."""
     if topic == "gnss/fix":
         return functools.partial(position_fix, config=config)
@@ -226,9 +237,9 @@ def surroundings_feeds(config: SkyConfig, take: Callable[[Any, int], Any]) -> It
         yield Feed(InputTopic(topic, type_name, required=topic == "gnss/fix", depth=100), topic, read, take)
 
 
-def _read(measurement: Measured) -> Reading[Measured]:
+def _read(measurement: Measured) -> ReadMessage[Measured]:
     """A measurement that knows itself whether its message gave a covariance."""
-    return Reading(measurement, measurement.covariance_known)
+    return ReadMessage(measurement, measurement.covariance_known)
 
 
 def _configured_noise(config: StarSensorConfig) -> FloatArray:
@@ -236,37 +247,6 @@ def _configured_noise(config: StarSensorConfig) -> FloatArray:
     sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
     noise_s: FloatArray = np.diag((np.array(sigma) * ARCSEC) ** 2)
     return noise_s
-
-
-def _radians(message: Any) -> None:
-    """Angles in degrees give themselves away where they exceed what radians can be."""
-    if abs(message.elevation) > np.pi / 2 + 1e-9 or max(abs(message.azimuth), abs(message.roll)) > 2 * np.pi + 1e-9:
-        raise Refused(
-            Reason.UNITS,
-            f"azimuth {message.azimuth:.6g}, elevation {message.elevation:.6g}, roll {message.roll:.6g} "
-            "cannot be radians: degrees?",
-        )
-
-
-def _angular_covariance(values: Any, what: str) -> FloatArray | None:
-    """A covariance (rad²) that is used as noise; None where it is unknown."""
-    covariance = covariance_3x3(values, what)
-    if covariance is not None and covariance.diagonal().max() > _LARGEST_VARIANCE:
-        largest = covariance.diagonal().max()
-        text = f"{what}: a variance of {largest:.3g} rad² is a sigma of more than a full turn"
-        raise Refused(Reason.BAD_COVARIANCE, text)
-    return covariance
-
-
-def _total_covariance(message: Any) -> FloatArray | None:
-    """Total covariance of the rotation vector in the horizon frame; None where the message gives none."""
-    rotation_enu = _angular_covariance(message.rotation_covariance, "rotation_covariance")
-    if rotation_enu is not None:
-        return horizon_covariance(rotation_enu)
-    angles = _angular_covariance(message.covariance, "covariance")
-    if angles is None:
-        return None
-    return rotation_vector_covariance(angles, message.azimuth, message.elevation)
 
 
 def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:

@@ -15,14 +15,13 @@ from ship_estimation.outcome import Status
 from ship_estimation.refusals import Refusal
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.rotations import ARCSEC
 from ship_node.edge.messages_out import error_budget, refused_input
 from ship_node.edge.topics import Published
 
 DECK_FRAME = "deck"
 ATTITUDE_TOPIC, IMU_TOPIC = "ship/attitude", "ship/imu"
 
-_NO_VECTOR = np.zeros(3)
 _NOT_GIVEN = np.array([-1.0] + [0.0] * 8)
 
 
@@ -36,10 +35,13 @@ def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> li
     heading, pitch, roll = angles_from_rotation(estimate.rotation_nd).tolist()
     angles_covariance = angle_covariance(covariance_n, heading, pitch)
     header = {"stamp": estimate.time_ns, "frame_id": DECK_FRAME}
-    orientation = _named("xyzw", quaternion_from_rotation(estimate.rotation_nd) if claimed else np.full(4, np.nan))
+    quaternion = quaternion_from_rotation(estimate.rotation_nd) if claimed else np.full(4, np.nan)
     rotation_covariance = enu_covariance(covariance_n).ravel()
     rate_flu = flu_from_device_vector(estimate.rate_d)
     rate_known = bool(np.all(np.isfinite(rate_flu)))
+    orientation = dict(zip("xyzw", quaternion.tolist(), strict=True))
+    rate = dict(zip("xyz", rate_flu.tolist(), strict=True))
+    nothing = dict.fromkeys("xyz", 0.0)
     attitude = factory.make(
         "ship_msgs/msg/ShipAttitude",
         header=header,
@@ -49,7 +51,7 @@ def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> li
         covariance=angles_covariance.ravel(),
         orientation=orientation,
         rotation_covariance=rotation_covariance,
-        angular_velocity=_named("xyz", rate_flu),
+        angular_velocity=rate,
         status=int(estimate.status),
         horizon=int(estimate.horizon),
         sources=list(estimate.sources),
@@ -63,9 +65,9 @@ def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> li
         header=header,
         orientation=orientation,
         orientation_covariance=rotation_covariance,
-        angular_velocity=_named("xyz", rate_flu if rate_known else _NO_VECTOR),
+        angular_velocity=rate if rate_known else nothing,
         angular_velocity_covariance=np.zeros(9) if rate_known else _NOT_GIVEN,
-        linear_acceleration=_named("xyz", _NO_VECTOR),
+        linear_acceleration=nothing,
         linear_acceleration_covariance=_NOT_GIVEN,
     )
     return [(ATTITUDE_TOPIC, attitude), (IMU_TOPIC, imu)]
@@ -145,8 +147,3 @@ def refused_star(factory: MessageFactory, star: RefusedStar) -> Any:
     nis = float(residual @ residual / star.sigma**2)
     sigma = np.full(len(residual), star.sigma)
     return refused_input(factory, star.source, star.time_ns, told, ("up", "right"), residual, sigma, nis)
-
-
-def _named(names: str, numbers: FloatArray) -> dict[str, float]:
-    """Numbers as the fields of a message that have one letter each."""
-    return dict(zip(names, numbers.tolist(), strict=True))

@@ -16,7 +16,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.rate_guard import Rates
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.messages_in import Reading, ins_sample
+from ship_node.edge.messages_in import ReadMessage, ins_sample
 from ship_node.edge.messages_out import BUDGET_TYPE, INNOVATION_TYPE, DiagnosticStatus, Level
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
@@ -108,7 +108,7 @@ class ShipAttitudeAdapter(ReportingAdapter):
         if self._watch is not None:
             yield from messages_in.surroundings_feeds(config.sky, untimed(core.add_sky_input))
 
-    def _star_reader(self, id_: str, star: StarSensorConfig) -> Callable[..., Reading[Any]]:
+    def _star_reader(self, id_: str, star: StarSensorConfig) -> Callable[..., ReadMessage[Any]]:
         """What reads the messages of a star sensor: they are single stars, or an attitude to one of two skies."""
         if star.input == "observations":
             assert self._watch is not None

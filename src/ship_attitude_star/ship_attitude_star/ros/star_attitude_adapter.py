@@ -18,7 +18,7 @@ from ship_bags.message_factory import MessageFactory
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
-from ship_node.edge.messages_in import Reading, ins_sample
+from ship_node.edge.messages_in import ReadMessage, ins_sample
 from ship_node.edge.messages_out import BUDGET_TYPE, INNOVATION_TYPE, DiagnosticStatus, Level
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
@@ -119,9 +119,10 @@ class StarAttitudeAdapter(ReportingAdapter):
             self.health.rejected(topic, refusal, now_ns, solved.time_ns)
         else:
             self.health.accepted(topic, solved.time_ns, now_ns)
-            told = [star.refusal for star in solved.refused] + ([] if refusal is None else [refusal])
-            for noted in told:
-                self.health.noted(topic, noted.reason)
+            for star in solved.refused:
+                self.health.noted(topic, star.refusal.reason)
+            if refusal is not None:
+                self.health.noted(topic, refusal.reason)
         published = self._solution(solved, self.config.star_sensors[id_].frame_id or f"star_{id_}")
         if refusal is not None:
             published.append(self.refused(source, solved.time_ns, refusal))
@@ -140,8 +141,8 @@ class StarAttitudeAdapter(ReportingAdapter):
 
     def _solution(self, solved: Solved, frame_id: str) -> list[Published]:
         message = messages_out.star_horizon_attitude(self.factory, solved, frame_id)
-        stars = [messages_out.refused_star(self.factory, star) for star in solved.refused]
-        return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in stars)]
+        refused = map(functools.partial(messages_out.refused_star, self.factory), solved.refused)
+        return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in refused)]
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
         """The budget of the latest joint solution, once."""
@@ -170,12 +171,12 @@ class _SeenStars:
     refused: tuple[RefusedStar, ...]
 
 
-def _read_stars(message: Any, **sensor: Any) -> Reading[_SeenStars]:
+def _read_stars(message: Any, **sensor: Any) -> ReadMessage[_SeenStars]:
     """The exposure of a sensor; the arguments are those of :func:`star_exposure`."""
     reading = star_exposure(message, **sensor, named_by_number=True)
     source, time_ns = reading.value.source, reading.value.time_ns
     refused = tuple(RefusedStar(source, time_ns, name, refusal) for name, refusal in reading.left_out)
-    return Reading(_SeenStars(time_ns, reading.value, refused), reading.covariance_known)
+    return ReadMessage(_SeenStars(time_ns, reading.value, refused), reading.covariance_known)
 
 
 def _topic(source: str) -> str:

@@ -20,7 +20,7 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
-from ship_node.edge.messages_in import Reading, device_id, exposure_length_s, frame, stamp_ns
+from ship_node.edge.messages_in import ReadMessage, device_id, exposure_length_s, frame, stamp_ns
 
 MOST_STARS = 100
 """Of one exposure; what comes after them is not looked at, so that no message can hold up the node."""
@@ -66,7 +66,7 @@ def star_exposure(
     catalogue: StarCatalogue,
     receive_ns: int,
     named_by_number: bool = False,
-) -> Reading[StarExposure]:
+) -> ReadMessage[StarExposure]:
     """``star/<sensor>/observations`` → directions in the sensor frame, and which stars they are.
 
     A star with a catalogue number has its place from the catalogue, a star without a number from the message. A star
@@ -115,7 +115,7 @@ def star_exposure(
         length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
     )
     left_out = _left_out(message.stars, refusals, named_by_number)
-    return Reading(exposure, told.sigma_known, left_out, empty=not message.stars)
+    return ReadMessage(exposure, told.sigma_known, left_out, empty=not message.stars)
 
 
 def _told(stars: Sequence[Any], centroid_sigma_px: float) -> _Told:

@@ -1,4 +1,4 @@
-"""Where messages meet a node: topics, checks of fields, health of inputs, diagnostics, reports.
+"""Where messages meet a node: checks of fields, health of inputs, messages of every node, the reporting adapter.
 
 Nothing here imports rclpy, so that the replay uses all of it.
 """

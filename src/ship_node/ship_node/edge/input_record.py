@@ -11,7 +11,7 @@ from typing import Any
 
 from ship_estimation.outcome import Decision
 from ship_estimation.refusals import Reason, Refusal
-from ship_node.edge.messages_in import Reading
+from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import InputTopic
 
 WINDOW = 50
@@ -152,7 +152,13 @@ class InputRecords:
         self._failures: deque[str] = deque(maxlen=_MOST_FAILURES)
 
     def took(
-        self, topic: str, waiting_ns: int, receive_ns: int, reading: Reading[Any], refusal: Refusal | None, used: bool
+        self,
+        topic: str,
+        waiting_ns: int,
+        receive_ns: int,
+        reading: ReadMessage[Any],
+        refusal: Refusal | None,
+        used: bool,
     ) -> None:
         """A message came and was read, and this is what became of it at once.
 

@@ -29,13 +29,14 @@ _LEAST_QUATERNION_NORM = 1e-6
 _QUATERNION_NORM_TOLERANCE = 1e-2
 _COVARIANCE_TOLERANCE = 1e-6
 _LONGEST_ID = 64
+_LARGEST_VARIANCE = (2.0 * math.pi) ** 2
 
 _LARGEST_RATE = 100.0
 """No ship turns like this, rad/s; far above what degrees per second would give, which are found by their ratio."""
 
 
 @dataclass(frozen=True)
-class Reading(Generic[Value]):
+class ReadMessage(Generic[Value]):
     """What a reader makes of a message.
 
     Attributes:
@@ -49,12 +50,6 @@ class Reading(Generic[Value]):
     covariance_known: bool = True
     left_out: tuple[tuple[str, Refusal], ...] = ()
     empty: bool = False
-
-    @property
-    def notes(self) -> list[Reason]:
-        """What health is to count of a message that may be used all the same."""
-        unknown = [] if self.covariance_known else [Reason.COVARIANCE_UNKNOWN]
-        return unknown + [refusal.reason for _, refusal in self.left_out]
 
 
 class Refused(Exception):
@@ -163,6 +158,21 @@ def unit_quaternion(quaternion: Any, what: str = "orientation") -> FloatArray:
     return np.array(numbers) / norm
 
 
+def sigma_given(sigma: float, largest: float) -> float | None:
+    """A standard deviation; None where it is not given, which NaN and 0 mean.
+
+    Raises:
+        Refused: NON_FINITE, or BAD_COVARIANCE where it is negative or above ``largest``.
+    """
+    if math.isnan(sigma) or sigma == 0.0:
+        return None
+    if math.isinf(sigma):
+        raise Refused(Reason.NON_FINITE, "sigma holds infinity")
+    if not 0.0 < sigma <= largest:
+        raise Refused(Reason.BAD_COVARIANCE, f"sigma is {sigma:.6g}: expected a positive number up to {largest:.3g}")
+    return float(sigma)
+
+
 def covariance_3x3(values: Sequence[float], what: str = "covariance") -> FloatArray | None:
     """A covariance given as nine numbers, symmetric, shape (3, 3); None where it is unknown.
 
@@ -173,6 +183,20 @@ def covariance_3x3(values: Sequence[float], what: str = "covariance") -> FloatAr
             rounding, not symmetric or not positive semidefinite. Rounding itself is taken out.
     """
     return _covariance_of_bytes(np.array(values, dtype=np.float64).tobytes(), what)
+
+
+def angular_covariance(values: Sequence[float], what: str) -> FloatArray | None:
+    """A covariance (rad²) of angles or of a rotation vector, symmetric, shape (3, 3); None where it is unknown.
+
+    Raises:
+        Refused: as :func:`covariance_3x3`, and BAD_COVARIANCE where a sigma is of more than a full turn.
+    """
+    covariance = covariance_3x3(values, what)
+    if covariance is not None and covariance.diagonal().max() > _LARGEST_VARIANCE:
+        largest = covariance.diagonal().max()
+        text = f"{what}: a variance of {largest:.3g} rad² is a sigma of more than a full turn"
+        raise Refused(Reason.BAD_COVARIANCE, text)
+    return covariance
 
 
 @lru_cache(maxsize=64)
@@ -208,7 +232,7 @@ def _covariance_of_bytes(content: bytes, what: str) -> FloatArray | None:
     return symmetric
 
 
-def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> Reading[AttitudeSample]:
+def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:
     """``ins/imu`` → attitude and rate of the deck.
 
     Its covariance is the INS's total error, not white noise: it is checked and otherwise left alone.
@@ -224,7 +248,7 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> Reading
     rate_ros = ship_rate(message.angular_velocity) if rate_given else None
     rotation_nd = rotation_from_quaternion(quaternion, config.convention) @ config.rotation_di.T
     rate_d = None if rate_ros is None else config.rotation_di @ device_vector_from_ros(rate_ros, config.convention)
-    return Reading(AttitudeSample(time_ns, rotation_nd, rate_d), covariance is not None)
+    return ReadMessage(AttitudeSample(time_ns, rotation_nd, rate_d), covariance is not None)
 
 
 def ship_rate(angular_velocity: Any) -> FloatArray:

@@ -12,14 +12,14 @@ from typing import Any, ClassVar
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.outcome import Decision, Status
+from ship_estimation.outcome import Status
 from ship_estimation.parameters import changed
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.input_health import InputHealthBook
-from ship_node.edge.messages_in import Reading, Refused
+from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
@@ -50,7 +50,7 @@ class Feed:
 
     input: InputTopic
     source: str
-    read: Callable[..., Reading[Any]]
+    read: Callable[..., ReadMessage[Any]]
     take: Callable[[Any, int], Any]
     judged: bool = False
     measured_by: str = ""
@@ -154,7 +154,9 @@ class ReportingAdapter:
         refusal = None if outcome is None else outcome.refusal
         used = not feed.judged or outcome is None
         self.health.took(topic, waiting_ns, receive_ns, reading, refusal, used)
-        published = [self._left_out(feed.source, time_ns, *part) for part in reading.left_out]
+        published: list[Published] = []
+        for name, left_out in reading.left_out:
+            published.append(self._left_out(feed.source, time_ns, name, left_out))
         if refusal is not None:
             published.append(self.refused(feed.source, time_ns, refusal))
         return published if outcome is None else published + self.published(outcome, receive_ns, waiting_ns)
@@ -214,12 +216,17 @@ class ReportingAdapter:
         judged = []
         for decision in outcome.decisions:
             feed, accepted = self._measured_by[decision.measurement.source], decision.accepted
-            self._count(feed, decision, accepted, now_ns)
+            self.health.judged(feed.input.topic, decision, accepted, now_ns)
+            if decision.reason is Reason.ATTITUDE_CONFLICT:
+                self.conflicts[feed.source] = decision.text
+            elif accepted:
+                self.conflicts.pop(feed.source, None)
             judged.append((feed.source, decision, accepted))
         published: list[Published] = []
         for source, decision, accepted in judged:
             time_ns = decision.measurement.time_ns
-            published += [self._left_out(source, time_ns, *part) for part in decision.left_out]
+            for name, left_out in decision.left_out:
+                published.append(self._left_out(source, time_ns, name, left_out))
             message = messages_out.judged_input(self.factory, source, decision, accepted)
             published.append((self.innovation_topic, message))
         for time_ns, refusal in outcome.failures:
@@ -238,13 +245,6 @@ class ReportingAdapter:
         """The message that an output could not be made; nothing else is touched by it."""
         self.health.failed(f"{what}: {refusal.text}")
         return self.refused(what, time_ns, refusal)
-
-    def _count(self, feed: Feed, decision: Decision[Any], accepted: bool, now_ns: int) -> None:
-        self.health.judged(feed.input.topic, decision, accepted, now_ns)
-        if decision.reason is Reason.ATTITUDE_CONFLICT:
-            self.conflicts[feed.source] = decision.text
-        elif accepted:
-            self.conflicts.pop(feed.source, None)
 
     def _left_out(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Published:
         return self.innovation_topic, self.left_out_message(source, time_ns, name, refusal)

@@ -18,7 +18,7 @@ from ship_geometry.ros_axes import (
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.messages_in import (
-    Reading,
+    ReadMessage,
     Refused,
     covariance_3x3,
     device_id,
@@ -30,6 +30,7 @@ from ship_node.edge.messages_in import (
     ins_sample,
     quoted_id,
     ship_rate,
+    sigma_given,
     stamp_ns,
     unit_quaternion,
 )
@@ -48,7 +49,7 @@ _LONGEST_BASELINE_M = 1e5
 """No light is seen from further away."""
 
 
-def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Reading[EncoderSample]:
+def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[EncoderSample]:
     """``theodolite/encoder`` → both angles; their range is judged by the core.
 
     Raises:
@@ -59,13 +60,13 @@ def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Reading
     if message.status == _ENCODER_INVALID:
         raise Refused(Reason.GAP, "the encoder itself reports a fault")
     finite_numbers("azimuth, elevation", message.azimuth, message.elevation)
-    sigma = _sigma(message.sigma, 2.0 * np.pi)
+    sigma = sigma_given(message.sigma, 2.0 * np.pi)
     angles = np.array([message.azimuth, message.elevation])
     known = sigma is not None
-    return Reading(EncoderSample(time_ns, angles, sigma or config.encoder.sigma_arcsec * ARCSEC), known)
+    return ReadMessage(EncoderSample(time_ns, angles, sigma or config.encoder.sigma_arcsec * ARCSEC), known)
 
 
-def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Reading[ShipSample]:
+def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[ShipSample]:
     """``ship/attitude`` → attitude with the part of its error that lasts.
 
     Raises:
@@ -85,10 +86,10 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
     rate_d = device_vector_from_ros(ship_rate(rate)) if rate_known else None
     slow_n = _ins_covariance(config) if total_n is None else _without_white(total_n, config.ship.white_sigma_arcsec)
     sample = ShipSample(time_ns, rotation_nd, rate_d, slow_n, Status(message.status))
-    return Reading(sample, total_n is not None)
+    return ReadMessage(sample, total_n is not None)
 
 
-def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Reading[ShipSample]:
+def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[ShipSample]:
     """``ins/imu`` → attitude and rate; their errors are those of the configuration.
 
     Raises:
@@ -96,10 +97,10 @@ def ins_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Re
     """
     reading = ins_sample(message, config.ins, receive_ns)
     sample = reading.value
-    return Reading(ShipSample(sample.time_ns, sample.rotation_nd, sample.rate_d), reading.covariance_known)
+    return ReadMessage(ShipSample(sample.time_ns, sample.rotation_nd, sample.rate_d), reading.covariance_known)
 
 
-def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int) -> Reading[BaselineSample]:
+def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int) -> ReadMessage[BaselineSample]:
     """``beacon/<id>/baseline`` → vector with what is new in its error; one without the least fix with the refusal.
 
     Raises:
@@ -116,7 +117,7 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
     if message.fix < _FIXES.index(least_fix.upper()) or message.fix >= len(_FIXES):
         fix = _FIXES[message.fix] if message.fix < len(_FIXES) else message.fix
         refusal = Refusal(Reason.NOT_FIXED, f"baseline is {fix}: expected {least_fix.upper()}")
-        return Reading(BaselineSample(time_ns, np.zeros(3), np.zeros((3, 3)), refusal))
+        return ReadMessage(BaselineSample(time_ns, np.zeros(3), np.zeros((3, 3)), refusal))
     vector_n = ENU_FROM_HORIZON.T @ finite_vector(message.enu, "enu")
     if np.max(np.abs(vector_n)) > _LONGEST_BASELINE_M:
         raise Refused(Reason.UNITS, f"baseline N, U, E {vector_n.tolist()}: expected metres, 100 km at most")
@@ -124,11 +125,11 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
     if covariance_enu is not None and np.max(np.diagonal(covariance_enu)) > _LONGEST_BASELINE_M**2:
         raise Refused(Reason.BAD_COVARIANCE, "a sigma of more than 100 km")
     if covariance_enu is None:
-        return Reading(BaselineSample(time_ns, vector_n, beacon.rtk.sigma_m**2 * np.eye(3)), False)
-    return Reading(BaselineSample(time_ns, vector_n, horizon_covariance(covariance_enu)))
+        return ReadMessage(BaselineSample(time_ns, vector_n, beacon.rtk.sigma_m**2 * np.eye(3)), False)
+    return ReadMessage(BaselineSample(time_ns, vector_n, horizon_covariance(covariance_enu)))
 
 
-def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> Reading[AttitudeSample]:
+def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:
     """``beacon/<id>/imu`` → attitude of the drone; its errors are those of the configuration.
 
     Raises:
@@ -136,10 +137,10 @@ def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> Readi
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, beacon.imu.frame_id)
-    return Reading(AttitudeSample(time_ns, imu_rotation(message, beacon.imu.convention)))
+    return ReadMessage(AttitudeSample(time_ns, imu_rotation(message, beacon.imu.convention)))
 
 
-def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Reading[Exposure]:
+def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[Exposure]:
     """``theodolite/beacons`` → lights on the detector; one that cannot be read is left out by name.
 
     Raises:
@@ -165,7 +166,7 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> Readin
         text = f"{len(message.beacons)} lights in one image: only the first {MOST_LIGHTS} are looked at"
         refused.append((message.beacons[MOST_LIGHTS].beacon_id, Refusal(Reason.OVERFLOW, text)))
     ordered = tuple(lights[name] for name in sorted(lights))
-    return Reading(Exposure(time_ns, ordered, exposure_s), known, tuple(refused), empty=not lights)
+    return ReadMessage(Exposure(time_ns, ordered, exposure_s), known, tuple(refused), empty=not lights)
 
 
 def _light_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool] | Refusal:
@@ -186,20 +187,9 @@ def _seen_light(sighting: Any, names: list[str], config: OpticalAxisConfig) -> t
     finite_numbers("x, z", sighting.x, sighting.z)
     if max(abs(sighting.x), abs(sighting.z)) > _LARGEST_DETECTOR_M:
         raise Refused(Reason.UNITS, f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
-    sigma = _sigma(sighting.sigma, _LARGEST_DETECTOR_M)
+    sigma = sigma_given(sighting.sigma, _LARGEST_DETECTOR_M)
     point_m = np.array([sighting.x, sighting.z])
     return SeenLight(name, point_m, sigma or config.telescope.sigma_m), sigma is not None
-
-
-def _sigma(value: float, largest: float) -> float | None:
-    """A standard deviation; None where it is not given."""
-    if math.isnan(value) or value == 0.0:
-        return None
-    if math.isinf(value):
-        raise Refused(Reason.NON_FINITE, "sigma holds infinity")
-    if not 0.0 < value <= largest:
-        raise Refused(Reason.BAD_COVARIANCE, f"sigma is {value:.6g}: expected a positive number up to {largest:.3g}")
-    return float(value)
 
 
 def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None:
