@@ -4,16 +4,24 @@ import dataclasses
 import typing
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.parameter_yaml import PARAMETERS_KEY, anywhere
 from ship_estimation.parameters import flatten
-from ship_node.parameters.parameter_file import load_config
+from ship_node.parameters.parameter_file import has_section, load_config
+from ship_simulation.scenario.scenario import FusedAttitude, StarSensor, WeatherStation
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_yaml
+from ship_simulation.theodolite.scene import axis_errors_of, parallelism_of
+from ship_testing.paper_stars import PAPER_STARS, paper_stars, with_position, with_sensor
+from ship_testing.theodolite_scenes import bag_scenario, with_beacons, with_theodolite
+from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "bags" / "scenarios").glob("*.yaml"))
@@ -94,3 +102,86 @@ def shared_names(device, kind):
     return {name for name in values if not isinstance(getattr(device, name), dict)} - {
         name for name in values if dataclasses.is_dataclass(getattr(device, name))
     }
+
+
+def test_the_suite_configuration_of_both_nodes_has_the_scenarios_cameras_and_sigmas():
+    scenario = with_sensor(
+        paper_stars(weather=WeatherStation(999.0, -5.0, 80.0, 2.0, 3.0, "almanac")),
+        camera={"distortion_k1": -0.3},
+        magnitude_limit=5.5,
+        time_offset_s=0.01,
+    )
+    scenario = with_position(scenario, sigma_m=3.0, slow_sigma_m=4.0, slow_time_s=500.0)
+    suite = suite_yaml(scenario)
+    ship = load_config(ShipAttitudeConfig, suite, "ship_attitude")
+    stars = load_config(StarAttitudeConfig, suite, "star_attitude")
+    assert ship.star_sensors["fore"].input == "observations"
+    assert ship.star_sensors["fore"].time_offset_s == 0.01
+    for config in (ship, stars):
+        fore = config.star_sensors["fore"]
+        assert fore.frame_id == "star_fore"
+        assert (fore.camera.focal_length_m, fore.camera.distortion_k1) == (0.05, -0.3)
+        assert fore.camera.camera("camera") == scenario.star_sensors["fore"].camera.camera("camera")
+        assert fore.installation_sigma_forward_arcsec == 20.0
+        sky = config.sky
+        assert (sky.refraction_model, sky.pressure_hpa, sky.temperature_c) == ("almanac", 999.0, -5.0)
+        assert sky.relative_humidity == pytest.approx(0.8)
+        assert (sky.measured_pressure_sigma_hpa, sky.measured_temperature_sigma_k) == (2.0, 3.0)
+        assert (sky.fix_sigma_m, sky.position_time_s) == (5.0, 500.0)
+        assert sky.magnitude_limit == 5.5
+        assert config.ins.tilt_sigma_arcsec == 10.0
+
+
+def test_sensors_that_give_attitudes_have_no_camera_and_no_node_of_their_own():
+    inertial = suite_yaml(with_sensor(paper_stars(), output="inertial_attitude", sigma_up_arcsec=4.0))
+    config = load_config(ShipAttitudeConfig, inertial, "ship_attitude")
+    assert config.star_sensors["fore"].input == "inertial_attitude"
+    assert config.star_sensors["fore"].sigma_up_arcsec == 4.0
+    assert not config.star_sensors["fore"].camera.given
+    assert np.isclose(config.sky.pressure_hpa, 1008.3)
+    assert "star_attitude:" not in inertial
+    horizon = suite_yaml(load_scenario(PAPER_STARS.parent / "paper.yaml"))
+    for word in ("sky", "camera", "input", "star_attitude:"):
+        assert word not in horizon
+
+
+def configuration_of(scenario):
+    return load_config(OpticalAxisConfig, suite_yaml(scenario), "optical_axis")
+
+
+def test_the_suite_configuration_says_what_the_scenario_says():
+    scenario = with_beacons(bag_scenario(), rtk__bias_sigma_m=0.07, imu__heading_sigma_deg=1.7, light__up_m=-0.4)
+    scenario = with_theodolite(
+        scenario,
+        axes__c_arcsec=12.0,
+        encoder__sigma_arcsec=1.5,
+        deformation__time_s=700.0,
+        telescope__lens__right_m=0.11,
+        telescope__rotation_sigma_arcsec=6.0,
+        air__light_sigma=0.015,
+        ship_antenna__sigma_m=0.012,
+    )
+    config = configuration_of(scenario)
+    np.testing.assert_allclose(config.axes.values, axis_errors_of(scenario.theodolite.axes)[0])
+    np.testing.assert_allclose(config.axes.sigma, axis_errors_of(scenario.theodolite.axes)[1])
+    telescope = config.telescope
+    np.testing.assert_allclose([telescope.parallelism, telescope.parallelism_sigma], parallelism_of(telescope))
+    assert (telescope.lens.right_m, telescope.focal_length_m, telescope.telescope_id) == (0.11, 0.1, "calibration")
+    assert (config.lever.vector_m.tolist(), config.lever.sigma_m) == ([12.0, 3.0, -2.0], 0.005)
+    assert (config.encoder.sigma_arcsec, config.deformation.time_s, config.air.light_sigma) == (1.5, 700.0, 0.015)
+    assert config.ship_antenna.sigma_m == 0.012
+    assert set(config.beacons) == {"a", "b"}
+    beacon = config.beacons["b"]
+    assert (beacon.rtk.bias_sigma_m, beacon.rtk.rover_id, beacon.imu.frame_id) == (0.07, "b", "beacon_b")
+    assert (beacon.imu.heading_sigma_deg, beacon.light.up_m) == (1.7, -0.4)
+    assert (config.ship.source, config.ship.slow_time_s, config.ins.frame_id) == ("ship/attitude", 600.0, "ins")
+
+
+def test_the_ship_attitude_comes_from_where_the_bag_has_it():
+    scenario = bag_scenario()
+    assert not has_section(suite_yaml(scenario), "ship_attitude")
+    alone = dataclasses.replace(scenario, fused_attitude=FusedAttitude())
+    assert has_section(suite_yaml(alone), "ship_attitude")
+    assert configuration_of(alone).ship.source == "ins/imu"
+    with_stars = dataclasses.replace(alone, star_sensors={"fore": StarSensor(azimuth_deg=0.0, elevation_deg=45.0)})
+    assert configuration_of(with_stars).ship.source == "ship/attitude"

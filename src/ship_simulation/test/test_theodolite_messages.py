@@ -12,17 +12,13 @@ from ship_bags.stamps import ns_from_stamp
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.time_scales import SECOND_NS
-from ship_node.parameters.parameter_file import has_section, load_config
 from ship_simulation.messages.to_messages import messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
-from ship_simulation.scenario.scenario import Fault, FusedAttitude, StarSensor
+from ship_simulation.scenario.scenario import Fault
 from ship_simulation.simulate_command import main
-from ship_simulation.suite.suite import suite_yaml
-from ship_simulation.theodolite.scene import axis_errors_of, parallelism_of
 from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, with_beacons, with_theodolite
 from theodolite_calib.chain.axes import NAMES
-from theodolite_calib.config import OpticalAxisConfig
 
 ENCODER, IMAGE, BASELINE, DRONE = "theodolite/encoder", "theodolite/beacons", "beacon/a/baseline", "beacon/a/imu"
 
@@ -289,45 +285,3 @@ def test_a_broken_scenario_is_one_line_with_file_line_and_key(case, tmp_path, ca
     assert line.count("\n") == 1
     assert f"{path}:" in line
     assert expected in line
-
-
-def configuration_of(scenario):
-    return load_config(OpticalAxisConfig, suite_yaml(scenario), "optical_axis")
-
-
-def test_the_suite_configuration_says_what_the_scenario_says():
-    scenario = with_beacons(bag_scenario(), rtk__bias_sigma_m=0.07, imu__heading_sigma_deg=1.7, light__up_m=-0.4)
-    scenario = with_theodolite(
-        scenario,
-        axes__c_arcsec=12.0,
-        encoder__sigma_arcsec=1.5,
-        deformation__time_s=700.0,
-        telescope__lens__right_m=0.11,
-        telescope__rotation_sigma_arcsec=6.0,
-        air__light_sigma=0.015,
-        ship_antenna__sigma_m=0.012,
-    )
-    config = configuration_of(scenario)
-    np.testing.assert_allclose(config.axes.values, axis_errors_of(scenario.theodolite.axes)[0])
-    np.testing.assert_allclose(config.axes.sigma, axis_errors_of(scenario.theodolite.axes)[1])
-    telescope = config.telescope
-    np.testing.assert_allclose([telescope.parallelism, telescope.parallelism_sigma], parallelism_of(telescope))
-    assert (telescope.lens.right_m, telescope.focal_length_m, telescope.telescope_id) == (0.11, 0.1, "calibration")
-    assert (config.lever.vector_m.tolist(), config.lever.sigma_m) == ([12.0, 3.0, -2.0], 0.005)
-    assert (config.encoder.sigma_arcsec, config.deformation.time_s, config.air.light_sigma) == (1.5, 700.0, 0.015)
-    assert config.ship_antenna.sigma_m == 0.012
-    assert set(config.beacons) == {"a", "b"}
-    beacon = config.beacons["b"]
-    assert (beacon.rtk.bias_sigma_m, beacon.rtk.rover_id, beacon.imu.frame_id) == (0.07, "b", "beacon_b")
-    assert (beacon.imu.heading_sigma_deg, beacon.light.up_m) == (1.7, -0.4)
-    assert (config.ship.source, config.ship.slow_time_s, config.ins.frame_id) == ("ship/attitude", 600.0, "ins")
-
-
-def test_the_ship_attitude_comes_from_where_the_bag_has_it():
-    scenario = bag_scenario()
-    assert not has_section(suite_yaml(scenario), "ship_attitude")
-    alone = dataclasses.replace(scenario, fused_attitude=FusedAttitude())
-    assert has_section(suite_yaml(alone), "ship_attitude")
-    assert configuration_of(alone).ship.source == "ins/imu"
-    with_stars = dataclasses.replace(alone, star_sensors={"fore": StarSensor(azimuth_deg=0.0, elevation_deg=45.0)})
-    assert configuration_of(with_stars).ship.source == "ship/attitude"
