@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 from mcap.records import Message
 from rosbags.typesys.store import Typestore
@@ -62,6 +62,14 @@ class BagRecord:
             raise BadInput(
                 f"topic '{self.topic}' at {utc_text(self.log_time_ns)}: not a {self.type_name}: {problem}"
             ) from problem
+
+
+class _BagPlace(NamedTuple):
+    """A place of messages: its order among all places of the bag, and the number of its file."""
+
+    order: int
+    file_number: int
+    place: ChunkPlace
 
 
 class Bag:
@@ -130,18 +138,18 @@ class Bag:
         ]
         places = self._places()
         waiting: list[tuple[int, int, BagRecord]] = []
-        for number, (order, file_number, place) in enumerate(places):
-            waiting.extend(self._chunk_records(order, file_number, place, channels[file_number]))
+        for number, bag_place in enumerate(places):
+            waiting.extend(self._chunk_records(bag_place, channels[bag_place.file_number]))
             if sum(len(record.data) + _RECORD_BYTES for _, _, record in waiting) > MAX_HELD_MB * 1_000_000:
                 raise BadInput(
-                    f"the chunk at byte {place.offset} and those that overlap it in "
+                    f"the chunk at byte {bag_place.place.offset} and those that overlap it in "
                     f"time hold more than {MAX_HELD_MB} MB",
-                    file=self._files[file_number].path,
+                    file=self._files[bag_place.file_number].path,
                 )
             # Order in the file settles equal times and is unique, so records themselves are never compared.
             waiting.sort(key=lambda entry: entry[:2])
             last = number + 1 == len(places)
-            ready = len(waiting) if last else bisect_left(waiting, (places[number + 1][2].start_ns,))
+            ready = len(waiting) if last else bisect_left(waiting, (places[number + 1].place.start_ns,))
             for time_ns, _, record in waiting[:ready]:
                 self.message_count += 1
                 self.last_time_ns = time_ns
@@ -171,17 +179,15 @@ class Bag:
     ) -> None:
         self.close()
 
-    def _places(self) -> list[tuple[int, int, ChunkPlace]]:
-        """(order in the bag, number of the file, place) of all messages, by the time at which they begin."""
+    def _places(self) -> list[_BagPlace]:
+        """The places of all messages, by the time at which they begin."""
         in_bag_order = [(number, place) for number, file in enumerate(self._files) for place in file.chunks]
-        places = [(order, number, place) for order, (number, place) in enumerate(in_bag_order)]
-        return sorted(places, key=lambda entry: (entry[2].start_ns, entry[0]))
+        places = [_BagPlace(order, number, place) for order, (number, place) in enumerate(in_bag_order)]
+        return sorted(places, key=lambda entry: (entry.place.start_ns, entry.order))
 
-    def _chunk_records(
-        self, place_order: int, file_number: int, place: ChunkPlace, channels: dict[int, str]
-    ) -> Iterator[tuple[int, int, BagRecord]]:
+    def _chunk_records(self, at: _BagPlace, channels: dict[int, str]) -> Iterator[tuple[int, int, BagRecord]]:
         """(log time, order in the bag, record) of the messages of some channels of one place."""
-        for order, message in enumerate(self._files[file_number].messages(place), place_order << _PLACE_BITS):
+        for order, message in enumerate(self._files[at.file_number].messages(at.place), at.order << _PLACE_BITS):
             if message.channel_id in channels:
                 yield message.log_time, order, self._record(message, channels)
 
