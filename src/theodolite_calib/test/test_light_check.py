@@ -57,7 +57,7 @@ def checked(epoch: Epochs, prior: AttitudePrior | None = None) -> LightCheck:
 
 
 def axis_error_arcsec(epoch: Epochs, check: LightCheck) -> float:
-    return float(angle_between(epoch.truth.rotation_nt[:, 0], check.pointing.rotation_nt[:, 0]) / ARCSEC)
+    return float(angle_between(epoch.truth.rotation_nt[:, 0], check.attitude.rotation_nt[:, 0]) / ARCSEC)
 
 
 @pytest.mark.parametrize("lights_deg", [LIGHTS_DEG, THREE_LIGHTS_DEG], ids=["two", "three"])
@@ -84,7 +84,7 @@ def test_two_lights_swapped_look_right_without_a_prior():
     epoch = an_epoch()
     check = checked(seen_as(epoch, [1, 0]))
     assert check.verdict is Verdict.CONSISTENT
-    turned = check.pointing.rotation_nt.T @ epoch.truth.rotation_nt
+    turned = check.attitude.rotation_nt.T @ epoch.truth.rotation_nt
     assert np.rad2deg(np.arccos(0.5 * (np.trace(turned) - 1.0))) == pytest.approx(180.0, abs=2.0)
 
 
@@ -144,7 +144,7 @@ def test_a_little_better_the_other_way_round_is_no_swap():
     assert verdicts == {Verdict.CONSISTENT, Verdict.CONFLICT}
 
 
-def test_lights_in_one_place_are_no_pointing():
+def test_lights_in_one_place_are_no_attitude():
     epoch = an_epoch()
     one_place = replace(epoch, image=replace(epoch.image, point_m=epoch.image.point_m[[0, 0]]))
     check = checked(one_place)
@@ -159,9 +159,9 @@ def test_angle_residual_is_what_the_likelihood_leaves():
     assert angles.sigma.mean() / ARCSEC == pytest.approx(26.0, abs=0.5)
     low, high = mean_nees_band(2_000, 1)
     assert low < angles.chi2.mean() < high
-    pointing = solve(epochs.image, epochs.camera, epochs.lines())
+    attitude = solve(epochs.image, epochs.camera, epochs.lines())
     # To first order: three sigma of the focal length are 0.3 %, of chi² twice that.
-    assert angles.chi2[:, 0] == pytest.approx(pointing.chi2, rel=1e-2, abs=5e-3)
+    assert angles.chi2[:, 0] == pytest.approx(attitude.chi2, rel=1e-2, abs=5e-3)
 
 
 def test_angles_of_three_lights():

@@ -40,31 +40,31 @@ def rms(values: FloatArray) -> FloatArray:
 
 @DIRECTIONS
 def test_maximum_likelihood_reaches_the_bound_and_knows_it(elevation_deg, rotation_deg):
-    epochs, pointing = solved(elevation_deg, rotation_deg)
-    assert pointing.solved.all()
+    epochs, attitude = solved(elevation_deg, rotation_deg)
+    assert attitude.solved.all()
     # Bound 3.47".
-    assert rms(axis_error_arcsec(epochs, pointing.rotation_nt)) <= 3.55
+    assert rms(axis_error_arcsec(epochs, attitude.rotation_nt)) <= 3.55
 
-    error_n = log_rotation(epochs.truth.rotation_nt @ np.swapaxes(pointing.rotation_nt, -1, -2))
-    assert 2.92 <= normalized_error_squared(error_n, pointing.covariance_n).mean() <= 3.08
+    error_n = log_rotation(epochs.truth.rotation_nt @ np.swapaxes(attitude.rotation_nt, -1, -2))
+    assert 2.92 <= normalized_error_squared(error_n, attitude.covariance_n).mean() <= 3.08
     # Components about the axis, the vertical across it (azimuth · cos E) and the horizontal (elevation).
     axes = rotation_from_angles(*np.deg2rad([AZIMUTH_DEG, elevation_deg, 0.0]))
-    sigma = np.sqrt(np.mean(np.einsum("ji,njk,ki->ni", axes, pointing.covariance_n, axes), axis=0))
+    sigma = np.sqrt(np.mean(np.einsum("ji,njk,ki->ni", axes, attitude.covariance_n, axes), axis=0))
     ratio = rms(error_n @ axes) / sigma
     assert np.all((ratio >= 0.97) & (ratio <= 1.03))
     if elevation_deg <= 60.0:
         # 39", 2.25", 2.64" by models.md §5; at 80° the lights' different azimuths turn the refraction.
         assert sigma / ARCSEC == pytest.approx([39.0, 2.25, 2.64], rel=0.02)
     # The angle between the lights leaves one degree of freedom; band of the mean of 10 000.
-    assert pointing.chi2.mean() == pytest.approx(1.0, abs=3.5 * np.sqrt(2.0 / EPOCHS))
+    assert attitude.chi2.mean() == pytest.approx(1.0, abs=3.5 * np.sqrt(2.0 / EPOCHS))
 
 
 @pytest.mark.parametrize("elevation_deg", ELEVATIONS_DEG)
 def test_refraction_common_to_both_lights(elevation_deg):
-    epochs, pointing = solved(elevation_deg, 40.0, common_refraction=True)
-    assert rms(axis_error_arcsec(epochs, pointing.rotation_nt)) <= 3.80
-    error_n = log_rotation(epochs.truth.rotation_nt @ np.swapaxes(pointing.rotation_nt, -1, -2))
-    assert 2.92 <= normalized_error_squared(error_n, pointing.covariance_n).mean() <= 3.08
+    epochs, attitude = solved(elevation_deg, 40.0, common_refraction=True)
+    assert rms(axis_error_arcsec(epochs, attitude.rotation_nt)) <= 3.80
+    error_n = log_rotation(epochs.truth.rotation_nt @ np.swapaxes(attitude.rotation_nt, -1, -2))
+    assert 2.92 <= normalized_error_squared(error_n, attitude.covariance_n).mean() <= 3.08
 
 
 @DIRECTIONS
@@ -85,8 +85,8 @@ def test_angles_of_the_papers_method():
 
 
 def test_focal_length_of_one_epoch():
-    epochs, pointing = solved(30.0, 0.0)
-    error = (pointing.focal_length_m - epochs.focal_length_m) / epochs.focal_length_m
+    epochs, attitude = solved(30.0, 0.0)
+    error = (attitude.focal_length_m - epochs.focal_length_m) / epochs.focal_length_m
     # models.md §5: 1.9e-4 in all, against 1e-3 before.
     assert rms(error) == pytest.approx(1.9e-4, rel=0.05)
-    assert rms(error / (pointing.focal_length_sigma_m / epochs.focal_length_m)) == pytest.approx(1.0, abs=0.03)
+    assert rms(error / (attitude.focal_length_sigma_m / epochs.focal_length_m)) == pytest.approx(1.0, abs=0.03)

@@ -30,8 +30,8 @@ def solved(epochs: Epochs, prior: AttitudePrior | None = None) -> TelescopeAttit
     return solve(epochs.image, epochs.camera, epochs.lines(), prior)
 
 
-def error_n(epochs: Epochs, pointing: TelescopeAttitude) -> FloatArray:
-    return log_rotation(epochs.truth.rotation_nt @ np.swapaxes(pointing.rotation_nt, -1, -2))
+def error_n(epochs: Epochs, attitude: TelescopeAttitude) -> FloatArray:
+    return log_rotation(epochs.truth.rotation_nt @ np.swapaxes(attitude.rotation_nt, -1, -2))
 
 
 def test_all_azimuths_elevations_and_image_rotations_are_recovered():
@@ -39,11 +39,11 @@ def test_all_azimuths_elevations_and_image_rotations_are_recovered():
         np.arange(0.0, 360.0, 15.0), [-5.0, 0.0, 20.0, 45.0, 70.0, 89.0, 89.99, 90.0], np.arange(-180.0, 181.0, 20.0)
     )
     epochs = error_free(truth_of(*grid), RTK_ONLY)
-    pointing = solved(epochs)
-    assert pointing.solved.all()
+    attitude = solved(epochs)
+    assert attitude.solved.all()
     # The refraction of the simulation is the same to 1e-9 rad.
-    assert np.abs(error_n(epochs, pointing)).max() < 1e-8
-    assert np.abs(pointing.focal_length_m - 0.1).max() < 1e-9
+    assert np.abs(error_n(epochs, attitude)).max() < 1e-8
+    assert np.abs(attitude.focal_length_m - 0.1).max() < 1e-9
 
 
 def test_rotation_of_exact_directions_is_scipys():
@@ -70,11 +70,11 @@ def test_rotation_by_weights_is_scipys():
         weights=sigma_m**-2.0,
         return_sensitivity=True,
     )
-    pointing = solved(epochs)
-    assert np.abs(log_rotation(pointing.rotation_nt @ expected.as_matrix().T)).max() / ARCSEC < 1e-3
+    attitude = solved(epochs)
+    assert np.abs(log_rotation(attitude.rotation_nt @ expected.as_matrix().T)).max() / ARCSEC < 1e-3
     # scipy's sensitivity is the covariance divided by the harmonic mean of the variances, over their number.
     harmonic = 1.0 / np.mean((sigma_m / DISTANCE_M) ** -2.0)
-    assert pointing.covariance_n / ARCSEC**2 == pytest.approx(sensitivity * harmonic / ARCSEC**2, rel=2e-3, abs=1e-3)
+    assert attitude.covariance_n / ARCSEC**2 == pytest.approx(sensitivity * harmonic / ARCSEC**2, rel=2e-3, abs=1e-3)
 
 
 @pytest.mark.parametrize("source", ["rtk", "image", "focal_length", "refraction"])
@@ -112,9 +112,9 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
                 survey=replace(drawn.survey, refraction_coefficient=k),
             )
     assert lines.direction_n.shape == (count, 2, 3)
-    pointing = solved(epochs)
-    part = pointing.parts_n[source].mean(axis=0)
-    error = error_n(epochs, pointing)
+    attitude = solved(epochs)
+    part = attitude.parts_n[source].mean(axis=0)
+    error = error_n(epochs, attitude)
     values, axes = np.linalg.eigh(part)
     # Some sources move the telescope in fewer than three ways.
     told = values > 1e-3 * values[-1]
@@ -126,12 +126,12 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
 @pytest.mark.parametrize("count", [3, 4])
 def test_more_lights_are_as_good_as_they_say(count):
     epochs = paper_epochs(truth_of(np.full(4_000, 33.0), 50.0, 100.0, FOUR_LIGHTS_DEG[:count]), seed=11)
-    pointing = solved(epochs)
+    attitude = solved(epochs)
     low, high = mean_nees_band(4_000, 3)
-    assert low < normalized_error_squared(error_n(epochs, pointing), pointing.covariance_n).mean() < high
-    low, high = mean_nees_band(4_000, pointing.degrees)
-    assert pointing.degrees == 2 * count - 3
-    assert low < pointing.chi2.mean() < high
+    assert low < normalized_error_squared(error_n(epochs, attitude), attitude.covariance_n).mean() < high
+    low, high = mean_nees_band(4_000, attitude.degrees)
+    assert attitude.degrees == 2 * count - 3
+    assert low < attitude.chi2.mean() < high
 
 
 def one_light(count: int, sigma: FloatArray) -> tuple[Epochs, AttitudePrior]:
@@ -143,15 +143,15 @@ def one_light(count: int, sigma: FloatArray) -> tuple[Epochs, AttitudePrior]:
 def test_one_light_with_a_prior_is_as_good_as_it_says():
     count, sigma = 4_000, np.array([30.0, 90.0, 50.0]) * ARCSEC
     epochs, prior = one_light(count, sigma)
-    pointing = solved(epochs, prior)
+    attitude = solved(epochs, prior)
     low, high = mean_nees_band(count, 3)
-    assert low < normalized_error_squared(error_n(epochs, pointing), pointing.covariance_n).mean() < high
+    assert low < normalized_error_squared(error_n(epochs, attitude), attitude.covariance_n).mean() < high
     low, high = mean_nees_band(count, 2)
-    assert pointing.degrees == 2
-    assert low < pointing.chi2.mean() < high
+    assert attitude.degrees == 2
+    assert low < attitude.chi2.mean() < high
     # Across the light: 13" are 0.1 % of focal length at 3.6° from the axis, the rest is below 5"; the prior has 60".
     light_n = epochs.lines().direction_n[:, 0]
-    across = np.sqrt(np.einsum("nii->n", pointing.covariance_n) - about(light_n, pointing.covariance_n))
+    across = np.sqrt(np.einsum("nii->n", attitude.covariance_n) - about(light_n, attitude.covariance_n))
     assert across.max() / ARCSEC == pytest.approx(13.4, abs=0.5)
 
 
@@ -163,13 +163,13 @@ def about(direction_n: FloatArray, covariance_n: FloatArray) -> FloatArray:
 def test_one_light_leaves_the_rotation_about_it_as_the_prior_has_it():
     sigma = np.full(3, 60.0 * ARCSEC)
     epochs, prior = one_light(50, sigma)
-    pointing = solved(epochs, prior)
+    attitude = solved(epochs, prior)
     # About the light as the telescope sees it, the attitude does not turn, and is no better known: 0.1 % of 60" is
     # what the light's own errors do.
     light_n = epochs.lines().direction_n[:, 0]
-    turned = np.einsum("ni,ni->n", light_n, log_rotation(pointing.rotation_nt @ np.swapaxes(prior.rotation_nt, -1, -2)))
+    turned = np.einsum("ni,ni->n", light_n, log_rotation(attitude.rotation_nt @ np.swapaxes(prior.rotation_nt, -1, -2)))
     assert np.abs(turned).max() / ARCSEC < 0.06
-    assert np.sqrt(about(light_n, pointing.covariance_n)) / ARCSEC == pytest.approx(np.full(50, 60.0), rel=1e-3)
+    assert np.sqrt(about(light_n, attitude.covariance_n)) / ARCSEC == pytest.approx(np.full(50, 60.0), rel=1e-3)
 
 
 def test_one_light_without_a_prior_is_refused():
@@ -197,9 +197,9 @@ def test_a_light_behind_the_telescope_is_not_solved():
     # By its prior the telescope looks away from the only light: there is no image of it.
     epochs = error_free(truth_of(0.0, 10.0, 0.0, LIGHTS_DEG[:1]), RTK_ONLY)
     away = truth_of(180.0, 10.0, 0.0).rotation_nt
-    pointing = solved(epochs, AttitudePrior(away, {"prior": 1e-6 * np.eye(3)}))
-    assert not pointing.solved
-    assert np.isnan(pointing.rotation_nt).all()
+    attitude = solved(epochs, AttitudePrior(away, {"prior": 1e-6 * np.eye(3)}))
+    assert not attitude.solved
+    assert np.isnan(attitude.rotation_nt).all()
 
 
 def test_principal_point_off_its_place_is_seen_by_nothing():

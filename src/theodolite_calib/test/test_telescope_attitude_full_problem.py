@@ -129,21 +129,21 @@ def test_optimum_covariance_and_misfit_are_those_of_the_full_problem(name):
     rotation_nt = truth_of(140.0, 30.0, 70.0).rotation_nt
     prior = None if sigma_deg is None else a_prior(rotation_nt, sigma_deg)
     problem = FullProblem(lights_deg, prior)
-    full, pointing = problem.solution(), solved(problem)
+    full, attitude = problem.solution(), solved(problem)
 
     expected = exp_rotation(full.x[:3]) @ problem.epoch.truth.rotation_nt
-    sigma = np.sqrt(np.diag(pointing.covariance_n))
-    assert np.all(np.abs(log_rotation(pointing.rotation_nt @ expected.T)) < 2e-3 * sigma)
+    sigma = np.sqrt(np.diag(attitude.covariance_n))
+    assert np.all(np.abs(log_rotation(attitude.rotation_nt @ expected.T)) < 2e-3 * sigma)
     # The full problem's vector starts at the truth, from which the prior is off.
     inverse = np.linalg.inv(full.jac.T @ full.jac)
     to_vector_n = left_jacobian(full.x[:3])
-    assert pointing.covariance_n / np.outer(sigma, sigma) == pytest.approx(
+    assert attitude.covariance_n / np.outer(sigma, sigma) == pytest.approx(
         to_vector_n @ inverse[:3, :3] @ to_vector_n.T / np.outer(sigma, sigma), abs=5e-3
     )
-    assert pointing.focal_length_m == pytest.approx(0.1 + 1e-4 * full.x[3], abs=2e-3 * pointing.focal_length_sigma_m)
-    assert pointing.focal_length_sigma_m == pytest.approx(1e-4 * np.sqrt(inverse[3, 3]), rel=5e-3)
-    assert pointing.chi2 == pytest.approx(2.0 * full.cost, rel=5e-3)
-    assert pointing.degrees == 2 * len(lights_deg) - 3 + (0 if prior is None else 3)
+    assert attitude.focal_length_m == pytest.approx(0.1 + 1e-4 * full.x[3], abs=2e-3 * attitude.focal_length_sigma_m)
+    assert attitude.focal_length_sigma_m == pytest.approx(1e-4 * np.sqrt(inverse[3, 3]), rel=5e-3)
+    assert attitude.chi2 == pytest.approx(2.0 * full.cost, rel=5e-3)
+    assert attitude.degrees == 2 * len(lights_deg) - 3 + (0 if prior is None else 3)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -151,17 +151,17 @@ def test_the_budget_adds_up_to_the_covariance(name):
     lights_deg, sigma_deg = CASES[name]
     prior = None if sigma_deg is None else a_prior(truth_of(140.0, 30.0, 70.0).rotation_nt, sigma_deg)
     problem = FullProblem(lights_deg, prior)
-    pointing, epoch = solved(problem), problem.epoch
+    attitude, epoch = solved(problem), problem.epoch
     sources = {"rtk", "lever_arms", "ship_attitude", "drone_attitude", "refraction", "image", "focal_length"}
-    assert set(pointing.parts_n) == (sources if prior is None else sources | {"encoder"})
-    parts = np.array(list(pointing.parts_n.values()))
+    assert set(attitude.parts_n) == (sources if prior is None else sources | {"encoder"})
+    parts = np.array(list(attitude.parts_n.values()))
     # The covariance by the information of the equations, which knows nothing of sources; taken one step later, which
     # may be 1e-9 rad.
     lines = epoch.lines()
     line_covariance = total(covariance_by_source(lines.terms))
-    equations = linearised(epoch.image, epoch.camera, lines.direction_n, line_covariance, pointing.rotation_nt, prior)
+    equations = linearised(epoch.image, epoch.camera, lines.direction_n, line_covariance, attitude.rotation_nt, prior)
     expected = np.linalg.inv(equations.weighted_jacobian @ equations.jacobian)
-    assert parts.sum(axis=0) == pytest.approx(pointing.covariance_n, rel=1e-9)
-    assert np.abs(pointing.covariance_n - expected).max() < 1e-8 * np.abs(expected).max()
-    assert np.linalg.eigvalsh(parts).min() > -1e-9 * np.trace(pointing.covariance_n)
+    assert parts.sum(axis=0) == pytest.approx(attitude.covariance_n, rel=1e-9)
+    assert np.abs(attitude.covariance_n - expected).max() < 1e-8 * np.abs(expected).max()
+    assert np.linalg.eigvalsh(parts).min() > -1e-9 * np.trace(attitude.covariance_n)
     assert np.all(np.trace(parts, axis1=1, axis2=2) > 0.0)

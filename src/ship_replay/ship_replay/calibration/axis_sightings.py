@@ -162,11 +162,11 @@ def _row(core: OpticalAxisCore, decision: ExposureDecision) -> AxisSighting | No
     # The camera and the lines of sight as configured: nothing that the filter has learnt may come back as a sighting.
     filter_, telescope = core.filter, core.config.telescope
     prediction = filter_.sightings.predict(np.zeros(filter_.model.size), sighting)
-    pointing = solve(sighting.image, prediction.camera, prediction.lines)
-    if not pointing.solved:
+    attitude = solve(sighting.image, prediction.camera, prediction.lines)
+    if not attitude.solved:
         return None
     parallelism = Parallelism(telescope.parallelism, np.zeros((3, 3)))
-    direction_d = sighting.in_deck(pointing.rotation_nt) @ parallelism.rotation_tm[:, 0]
+    direction_d = sighting.in_deck(attitude.rotation_nt) @ parallelism.rotation_tm[:, 0]
     bow, up, starboard = direction_d
     azimuth, elevation = np.arctan2(starboard, bow), np.arctan2(up, np.hypot(bow, starboard))
     encoder = sighting.encoder
@@ -177,5 +177,5 @@ def _row(core: OpticalAxisCore, decision: ExposureDecision) -> AxisSighting | No
         float(np.rad2deg(elevation - encoder.elevation)),
     )
     return AxisSighting(
-        angles_deg, slow_effects(filter_.model, prediction, sighting, pointing.rotation_nt, direction_d)
+        angles_deg, slow_effects(filter_.model, prediction, sighting, attitude.rotation_nt, direction_d)
     )

@@ -74,7 +74,7 @@ class Comparison:
     """A sighting linearised at the predicted state.
 
     Attributes:
-        prediction: of it.
+        prediction: of the sighting.
         measurement: residual in metres with its Jacobian and noise.
         covariance: of the residual, m², shape (2 N, 2 N).
         nis: normalised innovation squared.
@@ -100,7 +100,7 @@ class CalibrationFilter:
         self.ship_error = ShipErrorProcess(config, self.model)
 
     def initial_state(self) -> CalibrationState:
-        """The state before any sighting: no error known beyond the configuration, all of them possible."""
+        """The state before any sighting: nothing is known of the errors beyond the configuration."""
         return CalibrationState(None, np.zeros(self.model.size), self.model.initial_parts(), self.observability.start())
 
     def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:
@@ -143,19 +143,17 @@ class CalibrationFilter:
         return replace(state, parts=parts)
 
     def compare(self, state: CalibrationState, sighting: Sighting) -> Comparison | None:
-        """A sighting against a state predicted to its moment; None where a light would be behind the telescope."""
+        """Compare a sighting with a state predicted to its moment; None where a light would be behind the telescope."""
         prediction = self.sightings.predict(state.mean, sighting)
         if not np.all(np.isfinite(prediction.residual)):
             return None
-        measurement = self._measurement(prediction, prediction.residual)
-        covariance, nis = innovation(state.parts, measurement)
-        return Comparison(prediction, measurement, covariance, nis)
+        return self._compared(state, prediction, prediction.residual)
 
     def used(self, state: CalibrationState, sighting: Sighting, comparison: Comparison) -> CalibrationState:
         """The state after a sighting, from the state predicted to its moment.
 
-        The sighting is linearised anew at the estimate until that stays (Gauss–Newton), as with a first sighting far
-        from what was known.
+        The sighting is linearised again at the new estimate until the estimate no longer moves (Gauss–Newton). That
+        matters where a first sighting is far from what was known.
         """
         compared, mean = comparison, state.mean
         for _ in range(_STEPS):
@@ -165,10 +163,7 @@ class CalibrationFilter:
             if np.max(np.abs(turned)) < _SMALL_STEP:
                 break
             prediction = self.sightings.predict(mean, sighting)
-            residual = prediction.residual + prediction.jacobian @ correction
-            measurement = self._measurement(prediction, residual)
-            covariance, nis = innovation(state.parts, measurement)
-            compared = Comparison(prediction, measurement, covariance, nis)
+            compared = self._compared(state, prediction, prediction.residual + prediction.jacobian @ correction)
         unaided = self.observability.updated(state.unaided, compared.measurement.jacobian, compared.measurement.noise)
         on_sky = comparison.measurement.residual / comparison.prediction.camera.focal_length_m
         return replace(
@@ -184,7 +179,9 @@ class CalibrationFilter:
             squares=state.squares + float(on_sky @ on_sky),
         )
 
-    def _measurement(self, prediction: Prediction, residual: FloatArray) -> LinearMeasurement:
+    def _compared(self, state: CalibrationState, prediction: Prediction, residual: FloatArray) -> Comparison:
+        """The comparison of a sighting by its prediction; ``residual`` is in metres, shape (2 N,)."""
         index: Callable[[str], int] = self.model.sources.index
         noise = {index(source): part for source, part in prediction.noise_by_source.items()}
-        return LinearMeasurement(residual, prediction.jacobian, noise)
+        measurement = LinearMeasurement(residual, prediction.jacobian, noise)
+        return Comparison(prediction, measurement, *innovation(state.parts, measurement))

@@ -22,6 +22,9 @@ from theodolite_calib.lights.telescope_attitude import AttitudePrior
 from theodolite_calib.measured.samples import Exposure, ExposureDecision
 from theodolite_calib.measured.sighting import Sighting
 
+_ATTITUDE_COLUMNS = 3
+"""Of the Jacobian by the telescope's rotation vector."""
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -69,7 +72,7 @@ class SightingJudge:
         if len(residual) == 2:
             return True
         # Columns across those of the attitude's Jacobian: no attitude moves the residuals along them.
-        across = np.linalg.qr(comparison.prediction.by_attitude_n, mode="complete")[0][:, 3:].T
+        across = np.linalg.qr(comparison.prediction.by_attitude_n, mode="complete")[0][:, _ATTITUDE_COLUMNS:].T
         chi2 = normalized_error_squared(across @ residual, across @ covariance @ across.T)
         return bool(chi2 <= chi_square_gate(self._gate.probability, len(across)))
 
@@ -80,33 +83,37 @@ class SightingJudge:
         prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_parts(state, comparison))
         check = check_lights(sighting.image, camera, prediction.lines, self._gate.probability, prior)
-        if check.verdict is Verdict.SWAPPED:
-            swapped = sighting.chosen(list(range(len(sighting.names))), list(check.order))
-            again = self._filter.compare(state, swapped)
-            if again is not None and self._passes(again):
-                judgement = self._use(exposure, swapped, again)
-                exchanged = [f"{sighting.names[j]} is {n}" for n, j in zip(sighting.names, check.order, strict=True)]
-                text = f"lights fit only with names exchanged, and are used so: {', '.join(exchanged)}"
-                decision = judgement.decision
-                decision = replace(decision, reason=Reason.LIGHT_CONFLICT, text=text)
-                return replace(judgement, decision=decision)
-        without_one = self._without_one(state, sighting, exposure)
-        if without_one is not None:
-            return without_one
+        mended = self._renamed(state, sighting, exposure, check.order) if check.verdict is Verdict.SWAPPED else None
+        mended = mended or self._without_one(state, sighting, exposure)
+        if mended is not None:
+            return mended
         if check.verdict is Verdict.CONFLICT or check.verdict is Verdict.SWAPPED:
             text = _angles_text(sighting, camera, prediction.lines)
             decision = self._decision(exposure, sighting, comparison)
             return Judgement(replace(decision, reason=Reason.LIGHT_CONFLICT, text=text))
         decision = self._disagreement(exposure, sighting, comparison)
-        if not check.pointing.solved:
+        if not check.attitude.solved:
             return Judgement(decision)
-        sigma = float(np.sqrt(np.max(np.diagonal(check.pointing.covariance_n))))
-        return Judgement(replace(decision, telescope_dt=(sighting.in_deck(check.pointing.rotation_nt), sigma)))
+        sigma = float(np.sqrt(np.max(np.diagonal(check.attitude.covariance_n))))
+        return Judgement(replace(decision, telescope_dt=(sighting.in_deck(check.attitude.rotation_nt), sigma)))
 
     def _camera(self, state: CalibrationState, comparison: Comparison) -> Camera:
         """The camera as the state knows it."""
         row = self._filter.model.slices["focal_length"].start
         return replace(comparison.prediction.camera, focal_length_sigma_m=float(np.sqrt(state.covariance[row, row])))
+
+    def _renamed(
+        self, state: CalibrationState, sighting: Sighting, exposure: Exposure, order: tuple[int, ...]
+    ) -> Judgement | None:
+        """Judge lights with their names exchanged: the point ``order[i]`` is light i; None where they do not pass."""
+        renamed = sighting.chosen(list(range(len(sighting.names))), list(order))
+        comparison = self._filter.compare(state, renamed)
+        if comparison is None or not self._passes(comparison):
+            return None
+        judgement = self._use(exposure, renamed, comparison)
+        exchanged = [f"{sighting.names[j]} is {name}" for name, j in zip(sighting.names, order, strict=True)]
+        text = f"lights fit only with names exchanged, and are used so: {', '.join(exchanged)}"
+        return replace(judgement, decision=replace(judgement.decision, reason=Reason.LIGHT_CONFLICT, text=text))
 
     def _without_one(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> Judgement | None:
         """Judge three or more lights without one of them: the best of the choices that pass; None where none does."""
@@ -127,6 +134,7 @@ class SightingJudge:
         return replace(judgement, decision=replace(judgement.decision, left_out=(refused,)))
 
     def _use(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Judgement:
+        """The judgement of a sighting that passes."""
         rotation_nt = comparison.prediction.rotation_nt
         sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(comparison.covariance)))) / _focal_length_m(comparison)
         decision = replace(
@@ -143,6 +151,7 @@ class SightingJudge:
         return replace(decision, text=f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}")
 
     def _decision(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
+        """A refusal by the gate, with what was compared; other decisions are made of it."""
         focal_length_m = _focal_length_m(comparison)
         return ExposureDecision(
             measurement=exposure,

@@ -41,13 +41,13 @@ class LightCheck:
     Attributes:
         verdict: as :class:`Verdict` explains.
         order: the point ``order[i]`` of the image is light i; as named unless SWAPPED.
-        pointing: attitude by the lights alone in that order.
+        attitude: of the telescope, by the lights alone in that order.
         prior_chi2: of the difference between that attitude and the prior, 3 degrees of freedom; None without a prior.
     """
 
     verdict: Verdict
     order: tuple[int, ...]
-    pointing: TelescopeAttitude
+    attitude: TelescopeAttitude
     prior_chi2: float | None
 
 
@@ -113,44 +113,44 @@ def check_lights(
     # To fit a little better is no proof: without a prior two lights fit both ways alike.
     if len(fitting) == 1 and as_named.chi2 > fitting[0].chi2 + chi_square_gate(probability, 3):
         return fitting[0].check(Verdict.SWAPPED)
-    angles_fit = any(_angles_fit(trial.pointing, probability) for trial in [as_named, *trials])
+    angles_fit = any(_angles_fit(trial.attitude, probability) for trial in [as_named, *trials])
     return as_named.check(Verdict.PRIOR_CONFLICT if angles_fit and not fitting else Verdict.CONFLICT)
 
 
 @dataclass(frozen=True)
 class _Trial:
     order: tuple[int, ...]
-    pointing: TelescopeAttitude
+    attitude: TelescopeAttitude
     prior_chi2: float | None
 
     @property
     def chi2(self) -> float:
         """Of angles and prior; infinite where there is no solution."""
-        chi2 = float(self.pointing.chi2) + (self.prior_chi2 or 0.0)
+        chi2 = float(self.attitude.chi2) + (self.prior_chi2 or 0.0)
         return chi2 if np.isfinite(chi2) else np.inf
 
     def check(self, verdict: Verdict) -> LightCheck:
-        return LightCheck(verdict, self.order, self.pointing, self.prior_chi2)
+        return LightCheck(verdict, self.order, self.attitude, self.prior_chi2)
 
 
 def _trial(
     image: Image, camera: Camera, lines: LinesOfSight, order: tuple[int, ...], prior: AttitudePrior | None
 ) -> _Trial:
-    pointing = solve(image.chosen(order), camera, lines)
+    attitude = solve(image.chosen(order), camera, lines)
     if prior is None:
-        return _Trial(order, pointing, None)
-    departure = log_rotation(pointing.rotation_nt @ prior.rotation_nt.T)
-    chi2 = float(normalized_error_squared(departure, pointing.covariance_n + prior.covariance_n))
-    return _Trial(order, pointing, chi2)
+        return _Trial(order, attitude, None)
+    departure = log_rotation(attitude.rotation_nt @ prior.rotation_nt.T)
+    chi2 = float(normalized_error_squared(departure, attitude.covariance_n + prior.covariance_n))
+    return _Trial(order, attitude, chi2)
 
 
-def _angles_fit(pointing: TelescopeAttitude, probability: float) -> bool:
+def _angles_fit(attitude: TelescopeAttitude, probability: float) -> bool:
     # An attitude that is not solved has chi2 NaN, and fits nothing.
-    return bool(pointing.chi2 <= chi_square_gate(probability, pointing.degrees))
+    return bool(attitude.chi2 <= chi_square_gate(probability, attitude.degrees))
 
 
 def _fits(trial: _Trial, probability: float) -> bool:
-    if not _angles_fit(trial.pointing, probability):
+    if not _angles_fit(trial.attitude, probability):
         return False
     return trial.prior_chi2 is None or trial.prior_chi2 <= chi_square_gate(probability, 3)
 
