@@ -1,4 +1,4 @@
-"""The figures of a fit. Loading matplotlib takes longer than the fit: only the command imports this."""
+"""The figures of a fit. Only the command imports this module: loading matplotlib takes longer than the fit."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,13 +18,14 @@ from theodolite_calib.axis_fit.sightings import Sightings, azimuth_and_elevation
 _GOOD, _OUTLIER = "#0b3c6f", "#c1440e"
 _SIDES = ("to the right", "up")
 _ROOM = 1.12
-# Zero points of encoders may be degrees, where the rest is arcseconds: beyond this ratio one scale shows only them.
+"""Axes reach so much farther than the farthest point."""
 _STEEP = 20.0
-# Of the radius of the sky, for an arrow as long as the scale.
+"""Values that differ by more than this ratio get a scale each: zero points may be degrees, the rest is arcseconds."""
 _ARROW = 0.05
+"""Length of an arrow of one scale, in radii of the sky."""
 _CORRELATION_COLOURS = "RdBu_r"
-# Cells darker than this need light numbers.
 _DARK_CELL = 0.6
+"""Cells of a larger correlation are dark and carry light numbers."""
 
 
 def draw_figures(fit: AxisFit, sightings: Sightings, folder: Path) -> dict[str, Path]:

@@ -37,10 +37,13 @@ from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.measured.samples import EncoderSample, ShipSample
 
 _LIGHTS = "lights"
+"""Name of the lights as a witness."""
 _SIGMAS = 5.0
+"""A motion of more than so many sigmas of a reading, from one reading to the next, is surely one."""
 _LONGEST_STEP_S = 1.0
 """Readings that are further apart are not compared."""
 _LARGEST_ANGLE = 2.0 * np.pi + 1e-6
+"""No reading in radians is larger than this."""
 _SURE_AFTER = 20
 """Readings beyond a turn, in a row, after which a reading within it is not believed either."""
 
