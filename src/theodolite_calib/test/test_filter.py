@@ -14,6 +14,7 @@ from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.judgement import SightingStep
 from theodolite_calib.measured.samples import Exposure
 from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.measured.watches import EncoderJump
 
 EVERYTHING = {
     "ship__source": "ins/imu",
@@ -208,3 +209,21 @@ def test_normalised_innovations_are_chi_square() -> None:
             values.append(decision.nis)
     low, high = mean_nees_band(len(values), 4)
     assert low < np.mean(values) < high
+
+
+@pytest.mark.parametrize("source", ["ship/attitude", "ins/imu"])
+def test_hypotheses_are_carried_as_each_alone(source: str) -> None:
+    """Two states of one model as the leading axis of one, over a minute in which stars go, and over a jump."""
+    settings = config(**{**EVERYTHING, "ship__source": source})
+    filter_ = CalibrationFilter(settings)
+    alone = [filtered(filter_, sightings_of(settings, 2, seed)) for seed in (3, 4)]
+    both = replace(alone[0], mean=np.stack([a.mean for a in alone]), parts=np.stack([a.parts for a in alone]))
+    time_ns = alone[0].time_ns + 60_000_000_000
+    stated_n = None if source == "ins/imu" else (ARCSEC * np.diag([3.0, 20.0, 3.0])) ** 2
+    jump = EncoderJump(time_ns, ARCSEC * np.array([100.0, -50.0]), ARCSEC)
+    later = filter_.opened(filter_.predicted(both, time_ns, stated_n), jump)
+    assert later.covariance.shape == (2, filter_.model.size, filter_.model.size)
+    for row, state in enumerate(alone):
+        one = filter_.opened(filter_.predicted(state, time_ns, stated_n), jump)
+        assert later.mean[row].tobytes() == one.mean.tobytes()
+        assert later.parts[row].tobytes() == one.parts.tobytes()
