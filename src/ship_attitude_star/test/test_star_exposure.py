@@ -7,10 +7,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from ship_attitude_star.measurements.readings import PositionFix
-from ship_attitude_star.ship_attitude.comparison import compare
+from ship_attitude_star.ship_attitude.comparison import compare, predict_attitude
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.model import predict_attitude
 from ship_attitude_star.stars.camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
 from ship_attitude_star.stars.exposure import ExposureLength, at_middle
 from ship_attitude_star.stars.fit import agreement, linearized

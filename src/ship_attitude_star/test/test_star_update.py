@@ -7,9 +7,9 @@ import pytest
 
 from ship_attitude_star.measurements.readings import InertialAttitude, PositionFix
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
+from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.model import predict_attitude
 from ship_attitude_star.ship_attitude.star_update import star_residuals
 from ship_attitude_star.stars.identification import identified
 from ship_attitude_star.stars.selection import StarPrior

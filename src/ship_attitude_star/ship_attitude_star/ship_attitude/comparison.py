@@ -1,4 +1,4 @@
-"""A measurement of any kind against the predicted attitude of its device: residual, Jacobian, noise."""
+"""The predicted attitude of a device, and a measurement of any kind against it: residual, Jacobian, noise."""
 
 from dataclasses import dataclass, replace
 
@@ -14,6 +14,7 @@ from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.kalman import LinearMeasurement, StateModel
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Refusal
+from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
 
 
@@ -37,6 +38,45 @@ class Compared:
     predicted_nv: FloatArray
     attitude_noise_n: FloatArray
     left_out: tuple[tuple[str, Refusal], ...] = ()
+
+
+def predict_attitude(
+    device: Device, model: StateModel, mean: FloatArray, ins: InterpolatedAttitude
+) -> PredictedAttitude:
+    """The attitude of a device at the moment of an (interpolated) INS attitude.
+
+    The chain is multiplied from the device outwards; an error of a factor exp(v) is a small rotation
+    J_left(v) dv in the frame on its left, which everything multiplied so far brings into the device frame.
+    """
+    noise_scale = float(np.sqrt(ins.noise_gain))
+    names = [f"{device.name}.{part}" for part in ("slow", "installation", "flexure", "common")]
+    scales = {name: 1.0 for name in names if name in model.slices} | {"ins.noise": noise_scale, "ins.attitude": 1.0}
+    factors: dict[str, tuple[FloatArray, FloatArray]] = {}
+    for name, scale in scales.items():
+        vector = scale * mean[model.slices[name]]
+        factors[name] = exp_rotation(vector), left_jacobian(vector)
+    jacobian = np.zeros((3, model.size))
+
+    def turned(name: str, rotation: FloatArray) -> FloatArray:
+        """Multiply ``rotation`` from the left by exp(state ``name``), where there is such a state."""
+        if name not in factors:
+            return rotation
+        factor, by_vector = factors[name]
+        rotation = factor @ rotation
+        jacobian[:, model.slices[name]] = scales[name] * rotation.T @ by_vector
+        return rotation
+
+    rotation_dv = turned(f"{device.name}.slow", np.eye(3))
+    rotation_dv = device.rotation_dv0 @ turned(f"{device.name}.installation", rotation_dv)
+    rotation_dv = turned(f"{device.name}.flexure", rotation_dv)
+    rate_v = rotation_dv.T @ ins.rate_d
+    for name, sign in device.ins_time_states:
+        jacobian[:, model.slices[name]] = sign * rate_v[:, None]
+    rotation_nv = turned("ins.noise", ins.rotation_nd @ rotation_dv)
+    rotation_nv = turned("ins.attitude", rotation_nv)
+    rotation_nv = turned(f"{device.name}.common", rotation_nv)
+    interpolation_v = rotation_dv.T @ ins.error_covariance_d @ rotation_dv
+    return PredictedAttitude(rotation_nv, jacobian, interpolation_v)
 
 
 def compare(

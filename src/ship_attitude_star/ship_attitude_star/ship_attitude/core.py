@@ -105,9 +105,9 @@ class ShipAttitudeCore:
             arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
             estimate: False where only the filter's state matters, as in a Monte Carlo run.
         """
-        outcome = AttitudeOutcome(self._shell.window.late(sample.time_ns))
-        if outcome.refusal is not None:
-            return outcome
+        if sample.time_ns < self._shell.window.oldest_ns:
+            return AttitudeOutcome(self._shell.window.late(sample.time_ns))
+        outcome = AttitudeOutcome()
         judged = self._guards.ins.judge(sample, self._track, self._guards.witnesses)
         if judged.rates_wrong_after_ns is not None:
             # What was compared by rates that were none is compared anew without them.
@@ -154,12 +154,11 @@ class ShipAttitudeCore:
             measurement: an attitude or single stars.
             arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
         """
+        if measurement.time_ns < self._shell.window.oldest_ns:
+            return AttitudeOutcome(self._shell.window.late(measurement.time_ns))
         arrival_ns = measurement.time_ns if arrival_ns is None else arrival_ns
-        refusal = self._shell.window.late(measurement.time_ns)
-        if refusal is None:
-            refusal = self._guards.check(measurement, self._track)
-        outcome = AttitudeOutcome(refusal)
-        if refusal is not None or not self._shell.add(measurement, outcome):
+        outcome = AttitudeOutcome(self._guards.check(measurement, self._track))
+        if outcome.refusal is not None or not self._shell.add(measurement, outcome):
             return outcome
         if self._shell.follows(measurement.time_ns) and self._may_carry(measurement.source):
             self._newest_star = measurement, arrival_ns

@@ -12,16 +12,9 @@ import numpy as np
 from ship_attitude_star.guards.hints import Departure, who_is_wrong
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
-from ship_attitude_star.ship_attitude.comparison import Compared, compare
+from ship_attitude_star.ship_attitude.comparison import Compared, compare, predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.model import (
-    SOURCE_INS,
-    SOURCE_STAR_COMMON,
-    Device,
-    devices,
-    predict_attitude,
-    state_model,
-)
+from ship_attitude_star.ship_attitude.model import SOURCE_INS, SOURCE_STAR_COMMON, Device, devices, state_model
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, at_middle
@@ -93,11 +86,11 @@ class ShipFilter:
     @property
     def longest_shift_s(self) -> float:
         """Bound on how far the INS's stamp of an attitude may lie from a device's: configured offsets and 5 sigma."""
-        return max((self._longest_shift_s(device) for device in self.devices.values()), default=0.0)
-
-    def _longest_shift_s(self, device: Device) -> float:
-        sigma_s = [self.model.blocks[name].sigma[0] for name, _ in device.ins_time_states]
-        return abs(device.ins_time_s) + 5.0 * float(np.linalg.norm(sigma_s))
+        longest_s = 0.0
+        for device in self.devices.values():
+            sigma_s = [self.model.blocks[name].sigma[0] for name, _ in device.ins_time_states]
+            longest_s = max(longest_s, abs(device.ins_time_s) + 5.0 * float(np.linalg.norm(sigma_s)))
+        return longest_s
 
     def initial_state(self) -> FilterState:
         """The state before any measurement: no error known, all of them possible."""
@@ -247,8 +240,9 @@ class ShipFilter:
         that stays (Gauss–Newton).
         """
         found = np.zeros_like(correction)
+        rows = self.model.slices["ins.attitude"]
         for _ in range(_STEPS - 1):
-            if not self._ins_turned(correction - found) > _LARGE_STEP:
+            if not np.linalg.norm(correction[rows] - found[rows]) > _LARGE_STEP:
                 break
             there = self._compared(paired, state, state.mean + correction, watch)
             if isinstance(there, Refusal):
@@ -258,10 +252,6 @@ class ShipFilter:
             covariance, _ = innovation(state.parts, linear)
             found, (correction, parts) = correction, update(state.parts, linear, covariance)
         return correction, parts
-
-    def _ins_turned(self, correction: FloatArray) -> float:
-        """How far a correction turns the INS's attitude, rad."""
-        return float(np.linalg.norm(correction[self.model.slices["ins.attitude"]]))
 
     def _used(
         self, state: FilterState, measurement: Measurement, correction: FloatArray, parts: FloatArray

@@ -82,8 +82,6 @@ class CorrectedIns:
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
         """The attitude at the stamp of an INS sample, with its status."""
-        since_ns = 0 if self.state.time_ns is None else max(time_ns - self.state.time_ns, 0)
-        rotation_nd, parts = self.attitude(since_ns * 1e-9, ins)
         recent_ns = time_ns - config.coasting_after_s * SECOND_NS
         used = sorted([source for source, used_ns in self.state.used_ns.items() if used_ns >= recent_ns])
         star_age_s = _age_s(self._newest_star_ns, time_ns)
@@ -95,6 +93,8 @@ class CorrectedIns:
             status = Status.COASTING
         # NaN compares false: before the first star the horizon is the INS's own.
         horizon = Horizon.GEODETIC if star_age_s <= config.ins.tilt_time_s else Horizon.GRAVITY
+        since_ns = 0 if self.state.time_ns is None else max(time_ns - self.state.time_ns, 0)
+        rotation_nd, parts = self.attitude(since_ns * 1e-9, ins)
         return AttitudeEstimate(
             time_ns=time_ns,
             rotation_nd=rotation_nd,

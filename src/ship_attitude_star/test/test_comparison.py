@@ -7,9 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
+from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
-from ship_attitude_star.ship_attitude.model import devices, predict_attitude
+from ship_attitude_star.ship_attitude.model import devices
 from ship_attitude_star.ship_attitude.output import CorrectedIns
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import InterpolatedAttitude
