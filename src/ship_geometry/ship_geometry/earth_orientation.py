@@ -83,6 +83,11 @@ class EarthOrientationTable:
         pole_sigma: the file's own error, rad.
         measured_until_mjd: last day that is not a prediction.
         leap_seconds: TAI − UTC.
+
+    Example:
+        >>> table = earth_orientation_table()
+        >>> table.reason_against(0).partition(":")[0]  # 1970: before the table begins
+        'no Earth orientation for 1970-01-01 00'
     """
 
     source: str
@@ -97,7 +102,7 @@ class EarthOrientationTable:
 
     @property
     def first_ns(self) -> int:
-        """Begin of the table."""
+        """Start of the table."""
         return _ns_from_mjd(self.mjd[0])
 
     @property

@@ -189,6 +189,17 @@ class RefreshedSky:
 
     Args:
         table: orientation of the Earth.
+
+    Example:
+        Vega over a ship at 45° N, 150° E, on 2014-07-09 at 11:50:07.8 UTC:
+
+        >>> from ship_geometry.earth_orientation import earth_orientation_table
+        >>> sky = RefreshedSky(earth_orientation_table())
+        >>> vega = fixed_stars(np.deg2rad(279.2347), np.deg2rad(38.7837))
+        >>> ship = Observer(GeodeticPosition(np.deg2rad(45.0), np.deg2rad(150.0), height_m=0.0))
+        >>> _, up, _ = sky.directions(vega, 1_404_906_607_800_000_000, ship)
+        >>> print(f"elevation {np.rad2deg(np.arcsin(up)):.2f} deg")
+        elevation 70.83 deg
     """
 
     def __init__(self, table: EarthOrientationTable) -> None:
