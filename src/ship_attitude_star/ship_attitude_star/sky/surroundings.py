@@ -37,7 +37,6 @@ SPEED_SIGMA_M_PER_S = 10.0
 """Speed of a ship of which only one fix is known, standard deviation of each horizontal axis."""
 
 
-
 @dataclass(frozen=True)
 class Place:
     """The ship's place at one moment.
