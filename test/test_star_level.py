@@ -43,7 +43,7 @@ def told_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyWatch:
     watch = installed_sky(configuration.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
-            watch.insert(sky_input(run, source, index))
+            watch.surroundings.insert(sky_input(run, source, index))
     return watch
 
 

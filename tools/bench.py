@@ -92,7 +92,7 @@ def star_solution() -> list[Row]:
     watch = installed_sky(config.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
-            watch.insert(sky_input(run, source, index))
+            watch.surroundings.insert(sky_input(run, source, index))
     exposures = [sightings.exposure(0) for sightings in run.stars.values()]
     time_ns = exposures[0].time_ns
     mounted = [

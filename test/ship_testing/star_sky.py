@@ -38,7 +38,7 @@ def told_sky(config: ShipAttitudeConfig, sigma_m: float = 5.0) -> SkyWatch:
     """The sky with a ship at anchor, fixes all along."""
     watch = installed_sky(config.sky)
     for second in range(-2, 60):
-        watch.insert(PositionFix(TIME_NS + second * 1_000_000_000, POSITION, np.eye(3) * sigma_m**2))
+        watch.surroundings.insert(PositionFix(TIME_NS + second * 1_000_000_000, POSITION, np.eye(3) * sigma_m**2))
     return watch
 
 

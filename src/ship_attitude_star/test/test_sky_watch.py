@@ -17,8 +17,8 @@ NORTH_SIGMA_M, EAST_SIGMA_M = 300.0, 500.0
 
 def told(position: GeodeticPosition = POSITION, pressure_hpa: float = 1000.0) -> SkyWatch:
     watch = installed_sky(SkyConfig(temperature_sigma_k=0.0))
-    watch.insert(PositionFix(TIME_NS, position, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])))
-    watch.insert(AirReading("pressure", TIME_NS, pressure_hpa, PRESSURE_SIGMA_HPA))
+    watch.surroundings.insert(PositionFix(TIME_NS, position, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])))
+    watch.surroundings.insert(AirReading("pressure", TIME_NS, pressure_hpa, PRESSURE_SIGMA_HPA))
     return watch
 
 
@@ -50,8 +50,8 @@ def test_the_same_fix_and_the_same_reading_again_are_told() -> None:
         PositionFix(TIME_NS, POSITION, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])),
         AirReading("pressure", TIME_NS, 1000.0, PRESSURE_SIGMA_HPA),
     ):
-        assert watch.refusal(given).reason is Reason.DUPLICATE
-        assert watch.insert(given) is None
+        assert watch.surroundings.refusal(given).reason is Reason.DUPLICATE
+        assert watch.surroundings.insert(given) is None
 
 
 def test_a_sigma_of_refraction_lifts_every_star_as_other_air_does(stars) -> None:
@@ -78,4 +78,4 @@ def test_a_sigma_of_position_turns_the_sky_as_another_place_does(stars, column: 
 
 
 def test_the_air_that_nothing_measured_is_named() -> None:
-    assert told().not_measured(TIME_NS) == ["temperature", "humidity"]
+    assert told().surroundings.not_measured(TIME_NS) == ["temperature", "humidity"]

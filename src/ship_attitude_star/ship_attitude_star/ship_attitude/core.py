@@ -137,8 +137,8 @@ class ShipAttitudeCore:
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
         """Where the ship is, or the air around it; what was compared with another sky is compared anew."""
         assert self._watch is not None
-        outcome = AttitudeOutcome(self._watch.refusal(sky_input))
-        changed_after_ns = self._watch.insert(sky_input)
+        outcome = AttitudeOutcome(self._watch.surroundings.refusal(sky_input))
+        changed_after_ns = self._watch.surroundings.insert(sky_input)
         if changed_after_ns is not None:
             self._shell.rewind_where(
                 lambda decision: decision.measurement.time_ns > changed_after_ns
@@ -212,7 +212,7 @@ class ShipAttitudeCore:
         """Forget what no measurement at or after a stamp is compared with."""
         self._track.drop_before(time_ns - self._stamp_reach_ns)
         if self._watch is not None:
-            self._watch.drop_before(time_ns)
+            self._watch.surroundings.drop_before(time_ns)
 
     # -- outputs --------------------------------------------------------------------------------------------
 

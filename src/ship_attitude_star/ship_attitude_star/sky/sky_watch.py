@@ -1,9 +1,9 @@
 """The sky over the ship at any moment: where stars are seen from her, and what is wrong with all of them together.
 
-:class:`SkyWatch` takes position fixes and readings of the air, and is asked for the sky at a moment: :class:`SkyMoment`
-places stars in the horizon frame (North, Up, East), with air. The errors that stars share do not average: refraction,
-Earth rotation (UT1) and the ship's position. Each direction therefore comes with its displacement by one standard
-deviation of each of them (docs/explanation/stars.md).
+:class:`SkyWatch` is asked for the sky at a moment, once the ship's surroundings are told. The answer is a
+:class:`SkyMoment`, which places stars in the horizon frame (North, Up, East), with air. The errors that stars share do
+not average: refraction, Earth rotation (UT1) and the ship's position. Each direction therefore comes with its
+displacement by one standard deviation of each of them (docs/explanation/stars.md).
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,6 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.sky.catalogue import StarCatalogue, hipparcos
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.surroundings import Air, Place, Surroundings
@@ -154,6 +153,7 @@ class SkyWatch:
 
     Attributes:
         catalogue: the stars.
+        surroundings: takes the position fixes and the readings of the air that tell the sky.
     """
 
     def __init__(self, config: SkyConfig, table: EarthOrientationTable, catalogue: StarCatalogue) -> None:
@@ -169,29 +169,17 @@ class SkyWatch:
 
     def reset(self) -> None:
         """Forget fixes and readings of the air."""
-        self._surroundings = Surroundings(self._config)
-
-    def refusal(self, given: SkyInput) -> Refusal | None:
-        """DUPLICATE or CONFLICT where an input of the kind and stamp is known; to be asked before :meth:`insert`."""
-        return self._surroundings.refusal(given)
-
-    def insert(self, given: SkyInput) -> int | None:
-        """Take a position fix or a reading of the air.
-
-        Returns:
-            The moment (ns) after which the sky may have changed; None where it has not.
-        """
-        return self._surroundings.insert(given)
+        self.surroundings = Surroundings(self._config)
 
     def at(self, time_ns: int) -> SkyMoment | Refusal:
         """The sky at a moment, or why no star can be placed then: NO_EARTH_ORIENTATION or NO_FIX."""
         reason = self._table.reason_against(time_ns)
         if reason is not None:
             return Refusal(Reason.NO_EARTH_ORIENTATION, reason)
-        surroundings = self._surroundings.at(time_ns)
-        if isinstance(surroundings, Refusal):
-            return surroundings
-        place, air = surroundings
+        found = self.surroundings.at(time_ns)
+        if isinstance(found, Refusal):
+            return found
+        place, air = found
         return SkyMoment(
             time_ns=time_ns,
             place=place,
@@ -201,14 +189,6 @@ class SkyWatch:
             wavelength_um=self._config.wavelength_um,
             bright=self._bright,
         )
-
-    def not_measured(self, time_ns: int) -> list[str]:
-        """Names of the quantities of the air that are taken from parameters at a moment."""
-        return self._surroundings.not_measured(time_ns)
-
-    def drop_before(self, time_ns: int) -> None:
-        """Forget what is not needed for moments at or after ``time_ns``."""
-        self._surroundings.drop_before(time_ns)
 
 
 def installed_sky(config: SkyConfig) -> SkyWatch:

@@ -175,8 +175,8 @@ class StarCore:
 
     def add_surroundings(self, given: SkyInput) -> Refusal | None:
         """Take a position fix or a reading of the air; returns why it is not used."""
-        refusal = self._watch.refusal(given)
-        self._watch.insert(given)
+        refusal = self._watch.surroundings.refusal(given)
+        self._watch.surroundings.insert(given)
         return refusal
 
     def add_exposure(
@@ -213,7 +213,7 @@ class StarCore:
 
     def not_measured(self) -> list[str]:
         """Names of the quantities of the air that are taken from parameters at the newest time of the data."""
-        return self._watch.not_measured(self._arrivals.newest_ns)
+        return self._watch.surroundings.not_measured(self._arrivals.newest_ns)
 
     # -- what is used ---------------------------------------------------------------------------------------
 
@@ -242,7 +242,7 @@ class StarCore:
         self._arrivals.move_to(time_ns)
         self._solve(outcome, None)
         oldest_ns = self._arrivals.oldest_ns - self._wait_ns
-        self._watch.drop_before(oldest_ns)
+        self._watch.surroundings.drop_before(oldest_ns)
         for taken in self._taken.values():
             taken.drop_before(oldest_ns)
         self._ins.drop_before(oldest_ns - _LONGEST_REACH_NS)

@@ -156,8 +156,8 @@ def _tell(
             track.insert(replace(ins_sample(message, config.ins, receive_ns).value, rate_d=None))
         elif watch is not None:
             told = surroundings_reader(topic, config.sky)(message, receive_ns=receive_ns).value
-            if watch.refusal(told) is None:
-                watch.insert(told)
+            if watch.surroundings.refusal(told) is None:
+                watch.surroundings.insert(told)
     except (Refused, BadInput):
         return
 
