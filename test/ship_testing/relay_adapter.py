@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ship_bags.message_factory import MessageFactory
-from ship_estimation.parameters import ParameterError, mapping_of, parameter, section
+from ship_estimation.parameter_fields import mapping_of, parameter, section
+from ship_estimation.parameters import ParameterError
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.input_health import InputHealthBook

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from scipy.special import chdtri, gammaincinv
 
-from ship_estimation.parameters import parameter
+from ship_estimation.parameter_fields import parameter
 from ship_geometry.rotations import FloatArray
 
 

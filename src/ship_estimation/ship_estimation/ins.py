@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ship_estimation.parameters import arcsec, degrees, parameter
+from ship_estimation.parameter_fields import arcsec, degrees, parameter
 from ship_estimation.value_guards import JUMP_SAMPLES
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray

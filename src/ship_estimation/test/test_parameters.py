@@ -7,17 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.parameters import (
-    ParameterError,
-    build,
-    changed,
-    describe,
-    flatten,
-    mapping_of,
-    nest,
-    parameter,
-    section,
-)
+from ship_estimation.parameter_fields import mapping_of, parameter, section
+from ship_estimation.parameters import ParameterError, build, changed, describe, flatten, nest
 
 
 @dataclass(frozen=True)

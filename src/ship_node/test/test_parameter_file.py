@@ -8,7 +8,7 @@ from rclpy.node import Node
 
 from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import anywhere, full_name
-from ship_estimation.parameters import parameter, section
+from ship_estimation.parameter_fields import parameter, section
 from ship_node.parameters.parameter_file import load_config, misfit, read, read_whatever_fits
 
 RCLError = rclpy_implementation.RCLError

@@ -12,7 +12,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import serialize
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.parameters import parameter
+from ship_estimation.parameter_fields import parameter
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.input_health import InputHealthBook

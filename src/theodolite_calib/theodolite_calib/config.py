@@ -7,7 +7,7 @@ import numpy as np
 
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import GuardedInsConfig, InsErrorConfig
-from ship_estimation.parameters import arcsec, mapping_of, parameter, section, stamp_age
+from ship_estimation.parameter_fields import arcsec, mapping_of, parameter, section, stamp_age
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
 

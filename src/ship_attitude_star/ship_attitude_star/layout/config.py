@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ship_estimation.parameters import ParameterError, build, mapping_of, parameter, section
+from ship_estimation.parameter_fields import mapping_of, parameter, section
+from ship_estimation.parameters import ParameterError, build
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 LEAST_ELEVATION_DEG = 5.0

@@ -6,7 +6,7 @@ from ship_attitude_star.sky.config import InertialConfig, SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
-from ship_estimation.parameters import arcsec, degrees, mapping_of, parameter, section, stamp_age
+from ship_estimation.parameter_fields import arcsec, degrees, mapping_of, parameter, section, stamp_age
 
 
 @dataclass(frozen=True, kw_only=True)

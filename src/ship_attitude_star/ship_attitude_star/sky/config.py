@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_attitude_star.measurements.readings import FieldOfView
-from ship_estimation.parameters import parameter
+from ship_estimation.parameter_fields import parameter
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
 from ship_estimation.ins import StarInsConfig
-from ship_estimation.parameters import mapping_of, parameter, section, stamp_age
+from ship_estimation.parameter_fields import mapping_of, parameter, section, stamp_age
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.stars.camera import Distortion, StarCamera
-from ship_estimation.parameters import ParameterError, arcsec, degrees, parameter
+from ship_estimation.parameter_fields import arcsec, degrees, parameter
+from ship_estimation.parameters import ParameterError
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 

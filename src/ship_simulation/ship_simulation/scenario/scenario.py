@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.stars.config import CameraConfig
-from ship_estimation.parameters import mapping_of, parameter, section
+from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS

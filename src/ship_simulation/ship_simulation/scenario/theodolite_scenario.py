@@ -6,7 +6,7 @@ Vectors of devices are (forward, up, right). Places of drones are seen from the 
 from dataclasses import dataclass
 from typing import Any
 
-from ship_estimation.parameters import mapping_of, parameter, section
+from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_simulation.scenario.motion_scenario import ANGLE, CORRELATION, DELAY, MOMENT, RATE, SIGMA, Outage
 

@@ -1,0 +1,119 @@
+"""The fields of a configuration: each parameter with its unit, its range and its meaning.
+
+A component's configuration is a frozen dataclass with fields made here; :mod:`ship_estimation.parameters` builds and
+checks it.
+"""
+
+import dataclasses
+from typing import Any
+
+
+def parameter(
+    default: Any = dataclasses.MISSING,
+    *,
+    doc: str,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: tuple[str, ...] = (),
+    live: bool = False,
+) -> Any:
+    """A dataclass field with its documentation; without ``default`` it must be given.
+
+    Args:
+        default: value used where none is given.
+        doc: one sentence for the parameter's description.
+        unit: unit of the value, empty for none.
+        minimum: least value allowed (of each element of a tuple).
+        maximum: greatest value allowed (of each element of a tuple).
+        choices: the only texts allowed.
+        live: changeable while the node runs (noise and gates; never geometry).
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Camera:
+        ...     focal_length_m: float = parameter(0.1, doc="focal length", unit="m", minimum=0.001, maximum=10.0)
+        >>> Camera().focal_length_m
+        0.1
+    """
+    metadata = {
+        "doc": doc,
+        "unit": unit,
+        "minimum": minimum,
+        "maximum": maximum,
+        "choices": choices,
+        "live": live,
+    }
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def degrees(default: Any = dataclasses.MISSING, *, doc: str) -> Any:
+    """An angle of the geometry; without a default it must be given.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Mount:
+        ...     azimuth_deg: float = degrees(doc="from the bow, to starboard")
+        >>> Mount(azimuth_deg=90.0).azimuth_deg
+        90.0
+    """
+    return parameter(default, doc=doc, unit="deg", minimum=-360.0, maximum=360.0)
+
+
+def arcsec(default: float, *, doc: str, live: bool = False) -> Any:
+    """A standard deviation.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Noise:
+        ...     sigma_arcsec: float = arcsec(3.0, doc="across the boresight", live=True)
+        >>> Noise().sigma_arcsec
+        3.0
+    """
+    return parameter(default, doc=doc, unit="arcsec", minimum=0.0, maximum=360_000.0, live=live)
+
+
+def stamp_age() -> Any:
+    """The parameter ``max_age_s`` of every node: how old a stamp may be without a word, s.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Node:
+        ...     max_age_s: float = stamp_age()
+        >>> Node().max_age_s
+        10.0
+    """
+    return parameter(
+        10.0,
+        doc="stamps further than this before the node's clock are an error of the input, although they are used",
+        unit="s",
+        minimum=0.1,
+        maximum=1e9,
+    )
+
+
+def mapping_of(doc: str) -> Any:
+    """A field of type ``dict[str, Dataclass]``, empty by default.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Ship:
+        ...     star_sensors: dict[str, Any] = mapping_of(doc="star sensors by their ids")
+        >>> Ship().star_sensors
+        {}
+    """
+    return dataclasses.field(default_factory=dict, metadata={"doc": doc})
+
+
+def section(kind: type) -> Any:
+    """A field that is itself a configuration dataclass, by default with its own defaults.
+
+    Example:
+        >>> from ship_estimation.gates import GateConfig
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Filter:
+        ...     gate: GateConfig = section(GateConfig)
+        >>> Filter().gate.conflict_after
+        10
+    """
+    return dataclasses.field(default_factory=kind)
