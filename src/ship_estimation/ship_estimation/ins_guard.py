@@ -172,17 +172,23 @@ class InsGuard:
             # attitudes are right after all, provided that each of them went on with the motion before it.
             fits = smooth and self._rates.rates is not Rates.MEASURED
         verdict = self._jumps.judge(seen.sample.time_ns, fits, step.fits)
-        wrong_after_ns = self._judge_rates(previous, seen)
         if verdict is JumpVerdict.REFUSED:
             if self._jumps.refused == 1:
                 self._previous = seen._replace(before=_moved_back(seen.sample, taken))
+            wrong_after_ns = self._judge_rates(previous, seen)
             return JudgedIns(seen.sample, _gate_refusal(match), None, wrong_after_ns)
         jump = None
         if verdict is JumpVerdict.JUMPED:
             jump = InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad)
         self._take(seen, taken if jump is None else None)
+        one_run = _one_run(taken.integrated, seen.integrated)
+        wrong_after_ns = self._judge_rates(previous, seen)
+        # How far good samples are from the place where those before lead is learnt from steps of one sample.
         if jump is None and step is match:
-            self._learn(taken, seen, match)
+            if self._rates.rates is not Rates.MEASURED:
+                self._learn_unproven(taken, seen, match, one_run)
+            elif one_run:
+                self._by_rates.learn(match.difference)
         refusal = self._units_refusal() if self._rates.rates is Rates.WRONG_UNITS else None
         return JudgedIns(seen.sample, refusal, jump, wrong_after_ns)
 
@@ -223,13 +229,8 @@ class InsGuard:
             self._previous = self._taken
         self._smooth_since_taken = True
 
-    def _learn(self, taken: _Seen, seen: _Seen, match: Match) -> None:
-        """Learn how far good samples are from the place where those before lead."""
-        one_run = _one_run(taken.integrated, seen.integrated)
-        if self._rates.rates is Rates.MEASURED:
-            if one_run:
-                self._by_rates.learn(match.difference)
-            return
+    def _learn_unproven(self, taken: _Seen, seen: _Seen, match: Match, one_run: bool) -> None:
+        """Learn from a good sample while the rates are not proven: by the motion, and by rates that may be right."""
         if match.led:
             self._by_motion.learn(match.difference)
         if self._rates.usable and one_run:
