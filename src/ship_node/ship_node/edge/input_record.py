@@ -185,19 +185,18 @@ class InputRecords:
         self.arrived(topic, waiting_ns)
         self.rejected(topic, refusal, receive_ns, stamp_ns)
 
-    def judged(self, topic: str, decision: Decision[Any], accepted: bool, now_ns: int) -> None:
+    def judged(self, topic: str, decision: Decision[Any], now_ns: int) -> None:
         """It was decided whether a measurement that had come on a topic is used.
 
         Args:
             topic: the topic.
             decision: about the measurement.
-            accepted: whether it is used.
             now_ns: when it was decided, by the node's clock.
         """
         time_ns = decision.measurement.time_ns
         if decision.revised:
             self.noted(topic, Reason.REVISED)
-        elif accepted:
+        elif decision.accepted:
             self.accepted(topic, time_ns, now_ns)
             if decision.reason is not Reason.NONE:
                 self.noted(topic, decision.reason)

@@ -71,20 +71,19 @@ def diagnostic_array(
     return factory.make(DIAGNOSTICS_TYPE, header={"stamp": now_ns, "frame_id": ""}, status=told)
 
 
-def judged_input(factory: MessageFactory, source: str, decision: Decision[Any], accepted: bool) -> Any:
+def judged_input(factory: MessageFactory, source: str, decision: Decision[Any]) -> Any:
     """ship_msgs/Innovation of a measurement that was compared and judged, for the first time or anew.
 
     Args:
         factory: makes the message.
         source: who measured.
         decision: about the measurement.
-        accepted: whether it is used.
     """
     reason, text = decision.reason, decision.text
-    if accepted and not decision.measurement.covariance_known:
+    if decision.accepted and not decision.measurement.covariance_known:
         reason, text = Reason.COVARIANCE_UNKNOWN, "the message gives no covariance: used with the configured sigma"
     if decision.revised:
-        verdict = "now used" if accepted else f"now refused: {reason.word}"
+        verdict = "now used" if decision.accepted else f"now refused: {reason.word}"
         reason, text = Reason.REVISED, f"judged anew after a measurement that arrived late, {verdict} {text}".rstrip()
     return factory.make(
         INNOVATION_TYPE,
@@ -95,7 +94,7 @@ def judged_input(factory: MessageFactory, source: str, decision: Decision[Any], 
         sigma=decision.sigma,
         nis=float(decision.nis),
         gate=float(decision.gate),
-        accepted=accepted,
+        accepted=decision.accepted,
         reason=int(reason),
         reason_text=text,
     )

@@ -215,19 +215,19 @@ class ReportingAdapter:
         """What an outcome of the core becomes: decisions counted and told, failures, estimates."""
         judged = []
         for decision in outcome.decisions:
-            feed, accepted = self._measured_by[decision.measurement.source], decision.accepted
-            self.health.judged(feed.input.topic, decision, accepted, now_ns)
+            feed = self._measured_by[decision.measurement.source]
+            self.health.judged(feed.input.topic, decision, now_ns)
             if decision.reason is Reason.ATTITUDE_CONFLICT:
                 self.conflicts[feed.source] = decision.text
-            elif accepted:
+            elif decision.accepted:
                 self.conflicts.pop(feed.source, None)
-            judged.append((feed.source, decision, accepted))
+            judged.append((feed.source, decision))
         published: list[Published] = []
-        for source, decision, accepted in judged:
+        for source, decision in judged:
             time_ns = decision.measurement.time_ns
             for name, left_out in decision.left_out:
                 published.append(self._left_out(source, time_ns, name, left_out))
-            message = messages_out.judged_input(self.factory, source, decision, accepted)
+            message = messages_out.judged_input(self.factory, source, decision)
             published.append((self.innovation_topic, message))
         for time_ns, refusal in outcome.failures:
             published.append(self.failed(self.main_topic, time_ns, refusal))

@@ -1,0 +1,234 @@
+"""What every adapter does alike, with a core that answers as it is told."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_bags.message_factory import RosidlFactory
+from ship_estimation.outcome import Decision, Outcome, Status
+from ship_estimation.parameter_fields import parameter
+from ship_estimation.refusals import Reason, Refusal
+from ship_node.documents.saved_document import DISK, SavedFormat, section, stamp_ns
+from ship_node.documents.saved_start import SavedStart
+from ship_node.edge.messages_in import ReadMessage, Refused
+from ship_node.edge.messages_out import DiagnosticStatus, Level
+from ship_node.edge.reporting_adapter import Feed, ReportingAdapter, untimed
+from ship_node.edge.topics import InputTopic, Published
+
+FACTORY = RosidlFactory()
+NOW_NS = 1_400_000_000_000_000_000
+S = 1_000_000_000
+FAST, JUDGED = "fast", "judged"
+
+
+@dataclass(frozen=True)
+class TinyConfig:
+    max_age_s: float = parameter(10.0, doc="age", unit="s", minimum=0.1, maximum=100.0)
+    slow_topics_period_s: float = parameter(1.0, doc="period", unit="s", minimum=0.1, maximum=10.0, live=True)
+
+
+@dataclass(frozen=True)
+class Value:
+    time_ns: int
+    source: str = "camera"
+    covariance_known: bool = True
+
+
+@dataclass
+class TinyCore:
+    """Gives the outcome that it was told to give; what is an exception is raised."""
+
+    next: Any = field(default_factory=Outcome)
+    calls: list[Any] = field(default_factory=list)
+
+    def add(self, value: Value, waiting_ns: int) -> Any:
+        self.calls.append((value, waiting_ns))
+        if isinstance(self.next, Exception):
+            raise self.next
+        return self.next
+
+    def tick(self, now_ns: int, waiting_ns: int) -> Any:
+        return Outcome()
+
+    def reset(self, clock_jumped: bool) -> None:
+        self.calls.append(("reset", clock_jumped))
+
+    def reconfigure(self, config: TinyConfig) -> None:
+        self.calls.append(config)
+
+
+def read(message: Any, receive_ns: int, scale: int = 1) -> ReadMessage[Value]:
+    if message.bad is not None:
+        raise Refused(message.bad, "as the message says")
+    left_out = tuple((name, Refusal(Reason.UNITS, "degrees?")) for name in message.left_out)
+    return ReadMessage(Value(message.stamp_ns), message.known, left_out, message.empty)
+
+
+class TinyAdapter(ReportingAdapter):
+    node_name, config_type, services = "tiny", TinyConfig, ("reset", "save_alignment", "load_alignment")
+    main_topic, innovation_topic = "tiny/value", "tiny/innovation"
+    slow_fails = False
+
+    def table(self, config: TinyConfig) -> Iterator[Feed]:
+        yield Feed(InputTopic(FAST, "t", True, 10), "fast", read, untimed(partial(self.core.add, waiting_ns=0)))
+        yield Feed(InputTopic(JUDGED, "t", False, 10), "device", read, self.core.add, True, "camera")
+
+    def own_slow_topics(self, now_ns: int) -> list[Published]:
+        if self.slow_fails:
+            raise RuntimeError("a defect")
+        return [("tiny/slow", now_ns)]
+
+    def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
+        return [DiagnosticStatus("own", Level.OK, "well"), *self.conflict_statuses()]
+
+
+@pytest.fixture
+def adapter() -> TinyAdapter:
+    return TinyAdapter(TinyConfig(), TinyCore(), FACTORY, lambda estimate: [("tiny/value", estimate)])
+
+
+def message(**changes: Any) -> Any:
+    stamp = SimpleNamespace(sec=NOW_NS // S, nanosec=5)
+    given = {"stamp_ns": NOW_NS, "bad": None, "left_out": (), "known": True, "empty": False}
+    return SimpleNamespace(header=SimpleNamespace(stamp=stamp), **(given | changes))
+
+
+def health(adapter: TinyAdapter, topic: str) -> Any:
+    (of_topic,) = [m for m in adapter.health.messages(FACTORY, NOW_NS) if m.topic == topic]
+    reasons = dict(zip(of_topic.reasons, of_topic.reason_counts, strict=True))
+    return of_topic.received, of_topic.accepted, of_topic.rejected, reasons
+
+
+def test_a_message_that_is_not_refused_is_used_and_what_comes_of_it_goes_out(adapter: TinyAdapter) -> None:
+    estimate = SimpleNamespace(status=Status.VALID)
+    adapter.core.next = Outcome(estimates=[estimate])
+    assert adapter.handle(FAST, message(), NOW_NS) == [("tiny/value", estimate)]
+    assert (adapter.latest, adapter.budget_due) == (estimate, estimate)
+    assert health(adapter, FAST) == (1, 1, 0, {})
+
+
+def test_an_estimate_that_claims_nothing_has_no_budget(adapter: TinyAdapter) -> None:
+    adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.INVALID)])
+    adapter.handle(FAST, message(), NOW_NS)
+    assert adapter.budget_due is None
+
+
+@pytest.mark.parametrize(("reason", "stamp_ns"), [(Reason.FRAME, NOW_NS + 5), (Reason.BAD_STAMP, NOW_NS + 7)])
+def test_a_message_that_cannot_be_read_is_told_at_its_stamp_where_that_is_to_be_believed(
+    adapter: TinyAdapter, reason: Reason, stamp_ns: int
+) -> None:
+    ((topic, told),) = adapter.handle(JUDGED, message(bad=reason), NOW_NS + 7)
+    assert (topic, told.source, told.reason, told.accepted) == ("tiny/innovation", "device", reason, False)
+    assert told.header.stamp.sec * S + told.header.stamp.nanosec == stamp_ns
+    assert health(adapter, JUDGED) == (1, 0, 1, {reason.word: 1})
+    assert adapter.core.calls == []
+
+
+def test_a_refusal_of_the_core_and_parts_left_out_are_told_and_counted(adapter: TinyAdapter) -> None:
+    adapter.core.next = Outcome(Refusal(Reason.LATE, "too late"))
+    published = adapter.handle(JUDGED, message(left_out=("a", "b"), known=False), NOW_NS)
+    assert [told.reason_text for _, told in published] == ["a: degrees?", "b: degrees?", "too late"]
+    assert health(adapter, JUDGED) == (1, 0, 1, {"covariance_unknown": 1, "units": 2, "late": 1})
+
+
+def test_a_device_that_sees_nothing_works_and_the_core_is_not_asked(adapter: TinyAdapter) -> None:
+    assert adapter.handle(JUDGED, message(empty=True), NOW_NS) == []
+    assert health(adapter, JUDGED) == (1, 1, 0, {})
+    assert adapter.core.calls == []
+
+
+def test_what_the_core_raises_is_let_out_and_the_message_has_come_all_the_same(adapter: TinyAdapter) -> None:
+    adapter.core.next = RuntimeError("a defect")
+    with pytest.raises(RuntimeError):
+        adapter.handle(FAST, message(), NOW_NS)
+    assert health(adapter, FAST) == (1, 0, 0, {})
+
+
+def test_decisions_count_on_the_topic_of_their_device_and_carry_its_name(adapter: TinyAdapter) -> None:
+    used, refused = (
+        Decision(Value(NOW_NS), reason, used, ("up",), np.array([1e-5]), np.array([1e-5]), 1.0, 6.6, text)
+        for reason, used, text in ((Reason.NONE, True, ""), (Reason.GATE, False, "too far"))
+    )
+    adapter.core.next = Outcome(decisions=[used, refused])
+    told = [m for _, m in adapter.handle(JUDGED, message(), NOW_NS)]
+    assert [(m.source, m.accepted, m.reason_text) for m in told] == [("device", True, ""), ("device", False, "too far")]
+    assert health(adapter, JUDGED) == (1, 1, 1, {"gate": 1})
+
+
+def test_a_conflict_stands_in_the_diagnostics_until_the_device_is_used_again(adapter: TinyAdapter) -> None:
+    adapter.core.next = Outcome(decisions=[Decision(Value(NOW_NS), Reason.ATTITUDE_CONFLICT, text="they disagree")])
+    adapter.handle(JUDGED, message(), NOW_NS)
+    assert adapter.conflict_statuses() == [DiagnosticStatus("conflict device", Level.ERROR, "they disagree")]
+    adapter.core.next = Outcome(decisions=[Decision(Value(NOW_NS), Reason.NONE, accepted=True)])
+    adapter.handle(JUDGED, message(), NOW_NS)
+    assert adapter.conflict_statuses() == []
+
+
+def test_an_output_that_cannot_be_made_is_told(adapter: TinyAdapter) -> None:
+    adapter.core.next = Outcome(failures=[(NOW_NS, Refusal(Reason.FAILED, "a defect"))])
+    ((_, told),) = adapter.handle(FAST, message(), NOW_NS)
+    assert (told.source, told.reason) == ("tiny/value", Reason.FAILED)
+    assert adapter.health.take_failures() == ["tiny/value: a defect"]
+
+
+def test_slow_topics_come_once_a_period_and_their_failure_is_told(adapter: TinyAdapter) -> None:
+    topics = [topic for topic, _ in adapter.tick(NOW_NS)]
+    assert topics == ["tiny/slow", "input_health", "input_health", "/diagnostics"]
+    assert adapter.tick(NOW_NS + S // 2) == []
+    adapter.slow_fails = True
+    ((_, told),) = adapter.tick(NOW_NS + S)
+    assert (told.source, told.reason) == ("slow topics", Reason.FAILED)
+    adapter.set_parameters({"slow_topics_period_s": 5.0})
+    adapter.slow_fails = False
+    assert adapter.tick(NOW_NS + 2 * S) != []
+    assert adapter.tick(NOW_NS + 6 * S) == []
+    assert adapter.core.calls[-1].slow_topics_period_s == 5.0
+
+
+def test_a_reset_and_a_jump_of_the_clock_forget_what_was_put_out(adapter: TinyAdapter) -> None:
+    adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.VALID)])
+    adapter.handle(FAST, message(), NOW_NS)
+    assert adapter.clock_jumped_back(NOW_NS - S) == []
+    assert (adapter.latest, adapter.budget_due, adapter.clock_jumps) == (None, None, 1)
+    assert adapter.service("reset", NOW_NS) == (True, "the filter starts anew")
+    assert adapter.core.calls[-2:] == [("reset", True), ("reset", False)]
+
+
+def test_a_saved_document_is_given_to_the_core_as_soon_as_there_is_a_time(tmp_path: Path) -> None:
+    kind = SavedFormat(
+        "tiny",
+        1,
+        "alignment",
+        document=lambda value: {"time_ns": value.time_ns},
+        content=lambda document: Value(section(document, "time_ns", stamp_ns)),
+    )
+    path, given, kept = tmp_path / "saved.yaml", [], [None, Value(NOW_NS)]
+
+    def start_from(value: Value, now_ns: int) -> list[str]:
+        given.append((value.time_ns, now_ns))
+        return ["of another voyage"]
+
+    def new(path_text: str) -> TinyAdapter:
+        saved = SavedStart(kind, path_text, DISK, start_from, lambda: kept[0], "there is nothing to save")
+        return TinyAdapter(TinyConfig(), TinyCore(), FACTORY, saved=saved)
+
+    adapter = new(str(path))
+    assert adapter.notices == [f"no alignment at {path} yet: the filter starts as configured"]
+    assert adapter.service("save_alignment", NOW_NS) == (False, "there is nothing to save")
+    assert "parameter 'alignment_file' is empty" in new("").service("save_alignment", NOW_NS).message
+    kept.reverse()
+    assert adapter.service("save_alignment", NOW_NS) == (True, f"alignment saved to {path}")
+    later = new(str(path))
+    assert (given, later.notices) == ([], [])
+    later.tick(NOW_NS + 600 * S)
+    later.tick(NOW_NS + 601 * S)
+    assert given == [(NOW_NS, NOW_NS + 600 * S)]
+    assert later.notices == [f"alignment {path}, 10 min old; of another voyage"]
+    answer = later.service("load_alignment", NOW_NS)
+    assert answer == (True, f"alignment loaded from {path}; of another voyage")
