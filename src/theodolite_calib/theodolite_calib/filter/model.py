@@ -112,7 +112,7 @@ def _path_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
 
 def _light_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> list[StateBlock]:
     tilt, heading = np.deg2rad([beacon.imu.tilt_sigma_deg, beacon.imu.heading_sigma_deg])
-    # A light at the antenna is where it is, however the drone stands.
+    # The place of a light at the antenna does not depend on the drone's attitude.
     turns = bool(np.any(beacon.light.vector_m))
     attitude = [tilt, heading, tilt] if turns else [0.0] * 3
     rtk, air = beacon.rtk, config.air

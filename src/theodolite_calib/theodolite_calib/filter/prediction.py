@@ -70,7 +70,7 @@ class Prediction:
 
 
 class SightingModel:
-    """The model of a configuration.
+    """How sightings depend on the states, for a configuration.
 
     Args:
         config: the node's parameters.
@@ -97,7 +97,7 @@ class SightingModel:
         return self._parallelism + self._of(mean, "parallelism")
 
     def focal_length_m(self, mean: FloatArray) -> float:
-        """As now known."""
+        """Focal length as now known, m."""
         return self._config.telescope.focal_length_m + float(self._of(mean, "focal_length")[0])
 
     def predict(self, mean: FloatArray, sighting: Sighting) -> Prediction:
@@ -128,7 +128,7 @@ class SightingModel:
         return Prediction(rotation_nt, turn_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)
 
     def _lines(self, mean: FloatArray, sighting: Sighting, chain: AxisChain) -> LinesOfSight:
-        """Lines of sight, what is known of their errors taken out."""
+        """Lines of sight, with their errors taken out as far as they are known."""
         config, names = self._config, sighting.names
         beacons = [config.beacons[name] for name in names]
 

@@ -130,7 +130,7 @@ class MeasuredTracks:
         self.ship = AttitudeTrack(_ns(config.ins.max_gap_s if by_ins else config.ship.max_gap_s))
         self.baselines = {id_: BaselineTrack(_ns(b.rtk.max_gap_s)) for id_, b in config.beacons.items()}
         self._levers_b = {id_: b.light.vector_m for id_, b in config.beacons.items()}
-        # A light at the antenna is where it is, however the drone stands.
+        # The place of a light at the antenna does not depend on the drone's attitude.
         self.drones = {
             id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
         }
@@ -173,7 +173,7 @@ class MeasuredTracks:
 
         Args:
             time_ns: the moment.
-            over: of an exposure about it that the track spans, where the noise is to be that of the mean over it.
+            over: moments of an exposure about it that the track spans; the noise is then that of the mean over it.
         """
         attitude = self.ship.at(time_ns - self.ship_shift_ns)
         if attitude is None:

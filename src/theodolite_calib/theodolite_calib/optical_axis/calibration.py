@@ -101,15 +101,16 @@ def state_from_prior(
 ) -> tuple[CalibrationState, list[str]]:
     """The start of a session with a saved calibration, and what is to be said of it.
 
-    One of another theodolite is not used at all, of another telescope without focal length and parallelism. One older
-    than ``calibration_max_age_d`` keeps its values, with the configured uncertainty added.
+    A calibration of another theodolite is not used at all, and one of another telescope is used without focal length
+    and parallelism. A calibration older than ``calibration_max_age_d`` keeps its values, and the configured uncertainty
+    is added to its own.
     """
     initial = filter_.initial_state()
     if prior.serial != config.serial:
         text = f"saved calibration is of theodolite '{prior.serial}', configured is '{config.serial}': not used"
         return initial, [text]
     messages = []
-    # What was held when the calibration was saved has its uncertainty from the configuration.
+    # A quantity that was held when the calibration was saved takes its uncertainty from the configuration.
     usable = np.diagonal(prior.covariance) > 0.0
     of_telescope = usable & [name in _OF_TELESCOPE for name in SAVED_NAMES]
     if prior.telescope_id != config.telescope.telescope_id and np.any(of_telescope):
