@@ -77,6 +77,11 @@ class InsGuard:
     Args:
         config: noise of the INS, and after how many refused samples a jump is believed.
 
+    Attributes:
+        noise_rad: noise of an attitude about its worst axis, rounding included.
+        by_rates: attitude by the rates alone at the last sample, as a witness for the guards of other sources; None
+            where the sample has no rate or the rates are not to be believed.
+
     >>> guard, used = InsGuard(GuardedInsConfig()), AttitudeTrack(max_gap_ns=500_000_000)
     >>> for ms, heading_deg in ((0, 10.0), (10, 10.01), (20, 10.02), (30, 55.0)):
     ...     attitude = exp_rotation([0.0, math.radians(heading_deg), 0.0])
@@ -92,6 +97,7 @@ class InsGuard:
         self._taken: _Seen | None = None
         # Whether each sample since the last one taken goes on with the motion before it.
         self._smooth_since_taken = True
+        self.by_rates: Witness | None = None
         self.reconfigure(config)
 
     def reconfigure(self, config: GuardedInsConfig) -> None:
@@ -99,25 +105,12 @@ class InsGuard:
         self._sigma_rad = max(config.white_sigma_arcsec * ARCSEC, ARCSEC)
         self._by_rates.sigma_rad = self._by_motion.sigma_rad = self._sigma_rad
         self._jumps.samples = config.jump_samples
+        self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
 
     @property
     def rates(self) -> Rates:
         """What the rates are worth."""
         return self._rates.rates
-
-    def witnesses(self, before: AttitudeSample | None, time_ns: int) -> dict[str, Witness]:
-        """What the INS says of the ship's motion up to a moment, for the guards of other sources.
-
-        Args:
-            before: the last sample used before that moment; None where there is none.
-            time_ns: the moment.
-        """
-        found, last = {}, self._previous
-        if before is not None:
-            found["ins"] = Witness(before.time_ns, before.rotation_nd, self._noise_rad())
-        if last is not None and last.sample.time_ns <= time_ns and last.integrated is not None and self._rates.usable:
-            found["rate"] = Witness(last.sample.time_ns, last.integrated.rotation, 0.0, _DRIFT_RAD_PER_S)
-        return found
 
     def judge(self, sample: AttitudeSample, used: AttitudeTrack, witnesses: Mapping[str, Witness]) -> JudgedIns:
         """Judge a sample by those before it in time.
@@ -145,9 +138,13 @@ class InsGuard:
         integrated = self._rates.integrate(sample.time_ns, sample.rate_d)
         number, before = (0, None) if previous is None else (previous.number + 1, previous.sample)
         self._previous = seen = _Seen(sample, number, before, integrated)
+        self.by_rates = None
         if integrated is not None and self._rates.usable:
-            witnesses = {**witnesses, "rate": Witness(sample.time_ns, integrated.rotation, 0.0, _DRIFT_RAD_PER_S)}
-        if self._stuck.observe(sample.time_ns, sample.rotation_nd, self._sigma_rad, witnesses):
+            self.by_rates = Witness(sample.time_ns, integrated.rotation, 0.0, _DRIFT_RAD_PER_S)
+            witnesses = {**witnesses, "rate": self.by_rates}
+        stuck = self._stuck.observe(sample.time_ns, sample.rotation_nd, self._sigma_rad, witnesses)
+        self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
+        if stuck:
             self._rates.restart()
             self._smooth_since_taken = False
             return JudgedIns(sample, _STUCK)
@@ -205,7 +202,7 @@ class InsGuard:
 
     def _judge_rates(self, previous: _Seen, seen: _Seen) -> int | None:
         """Let the rates be judged where the attitude can be true; returns the stamp after which they are wrong."""
-        sample, integrated, noise_rad = seen.sample, seen.integrated, self._noise_rad()
+        sample, integrated = seen.sample, seen.integrated
         if integrated is None or not _one_run(previous.integrated, integrated) or self._stuck.repeated:
             return None
         reach_rad = _FASTEST_RAD_PER_S * _seconds(previous.sample, sample)
@@ -217,9 +214,14 @@ class InsGuard:
         # The noise of a rate, as it adds to an attitude integrated from sample to sample, each axis.
         rate_noise_rad = self._by_rates.typical_rad / math.sqrt(6.0)
         turned = sample.rotation_nd, integrated.rotation
-        wrong_after_ns = self._rates.observe(sample.time_ns, *turned, noise_rad, rate_noise_rad)
+        wrong_after_ns = self._rates.observe(sample.time_ns, *turned, self.noise_rad, rate_noise_rad)
         if wrong_after_ns is not None:
             self._by_rates.forget()
+        # The rates may have lost their trust with this sample, or have got it back.
+        if not self._rates.usable:
+            self.by_rates = None
+        elif self.by_rates is None:
+            self.by_rates = Witness(sample.time_ns, integrated.rotation, 0.0, _DRIFT_RAD_PER_S)
         return wrong_after_ns
 
     def _take(self, seen: _Seen, before: _Seen | None) -> None:
@@ -235,10 +237,6 @@ class InsGuard:
             self._by_motion.learn(match.difference)
         if self._rates.usable and one_run:
             self._by_rates.learn(self._match_by_rates(taken, seen).difference)
-
-    def _noise_rad(self) -> float:
-        """Noise of an attitude about its worst axis, rounding included."""
-        return math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
 
     def _units_refusal(self) -> Refusal:
         text = f"angular velocity turns {self._rates.slope:.3g} times as fast as the orientation: degrees for radians?"

@@ -48,8 +48,12 @@ class StreamGuards:
         # An exposure that shows no star may be followed by another one, also on a moving ship.
         if len(value) > 0:
             sigma_rad = float(np.max(sigmas))
-            witnesses = {**self.witnesses, **self.ins.witnesses(track.last_before(time_ns), time_ns)}
-            witnesses.pop(source, None)
+            witnesses = {name: witness for name, witness in self.witnesses.items() if name != source}
+            ins, by_rates = track.last_before(time_ns), self.ins.by_rates
+            if ins is not None:
+                witnesses["ins"] = Witness(ins.time_ns, ins.rotation_nd, self.ins.noise_rad)
+            if by_rates is not None and by_rates.time_ns <= time_ns:
+                witnesses["rate"] = by_rates
             if source not in self._stuck:
                 self._stuck[source] = StuckGuard()
             if self._stuck[source].observe(time_ns, value, sigma_rad, witnesses):
