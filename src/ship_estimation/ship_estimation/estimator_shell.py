@@ -3,7 +3,8 @@
 An estimator is a :class:`Model` (how a state and a measurement become the next state) in an :class:`EstimatorShell`.
 The shell knows nothing of what is measured. A measurement goes this way:
 
-1. Older than ``lag_s`` behind the newest data: refused as LATE (:class:`LagWindow`).
+1. Older than ``lag_s`` behind the newest data: refused as LATE (:class:`LagWindow`). The core asks this first, and then
+   its guards whether the measurement can be true at all; what they refuse does not reach the shell.
 2. Of the same source and stamp as another one: refused as DUPLICATE, or where the bytes differ told as CONFLICT; the
    one whose bytes sort first is kept.
 3. It takes its place in the order of stamps (:mod:`ship_estimation.time_ordered_log`). What was applied after that

@@ -48,6 +48,7 @@ class Estimator:
         self.track: VectorTrack[VectorSample] = VectorTrack(SECOND_NS)
         self.waits = False
         self.decided: list[Decision[Toy]] = []
+        self.claimed: list[int] = []
         model: Model[float, Toy, Decision[Toy], float] = Model(
             step=self.step,
             opened=lambda state, jump: math.cos(state) + jump,
@@ -255,18 +256,35 @@ def test_any_order_of_arrival_ends_in_the_same_state_with_all_that_can_go_wrong_
     states = []
     for arrivals in (events, data.draw(st.permutations(events)), data.draw(st.permutations(events))):
         estimator = Estimator()
-        for kind, what in arrivals:
+        for number, (kind, what) in enumerate(arrivals):
             if kind == "toy":
                 estimator.add(what)
             elif kind == "sample":
                 estimator.add_sample(*what)
             else:
                 estimator.shell.add_jump(what[0] * MS, "ins", what[1])
+            put_out_one(estimator, number)
         # A newest sample does not reopen what the toy model, unlike a real one, did not wait for.
         estimator.shell.data_changed(0)
         estimator.shell.apply(ToyOutcome())
+        assert estimator.claimed == sorted(set(estimator.claimed))
         states.append(estimator.shell.state)
     assert states[0] == states[1] == states[2]
+
+
+def put_out_one(estimator: Estimator, number: int) -> None:
+    """An output after each arrival, at moments that go forth and back; each fourth one cannot be computed."""
+    time_ns, outcome = (3 * number + 3) % 7 * MS + number * MS, ToyOutcome()
+
+    def estimate(state: float) -> float:
+        if number % 4 == 3:
+            raise ArithmeticError("no root")
+        return state
+
+    estimator.shell.put_out(outcome, time_ns, number, estimate)
+    assert len(outcome.estimates) + len(outcome.failures) <= 1
+    assert all(refusal.reason is Reason.FAILED for _, refusal in outcome.failures)
+    estimator.claimed += [time_ns] * len(outcome.estimates)
 
 
 def test_outputs_that_claim_something_strictly_increase_and_one_that_fails_is_told() -> None:

@@ -74,13 +74,17 @@ class ShipAttitudeCore:
         """Reset to a saved alignment; returns what is to be said of it."""
         self._start = (prior, now_ns)
         self.reset()
-        return state_from_prior(self.filter, self.config, prior, now_ns)[1]
+        return self._initial()[1]
+
+    def _initial(self) -> tuple[FilterState, list[str]]:
+        """The state before any measurement, as configured or by the saved alignment, and what is to be said of it."""
+        if self._start is None:
+            return self.filter.initial_state(), []
+        return state_from_prior(self.filter, self.config, *self._start)
 
     def reset(self, clock_jumped: bool = False) -> None:
         """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
-        initial = self.filter.initial_state()
-        if self._start is not None:
-            initial, _ = state_from_prior(self.filter, self.config, *self._start)
+        initial, _ = self._initial()
         self._shell.reset(initial, clock_jumped)
         self._corrected = CorrectedIns(self.filter, initial)
         self._track = AttitudeTrack(self._max_gap_ns)
