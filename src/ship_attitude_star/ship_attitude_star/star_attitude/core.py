@@ -170,7 +170,8 @@ class StarCore:
         if late is not None:
             return StarOutcome(late)
         outcome = StarOutcome(self._ins.add(sample))
-        self._advance(sample.time_ns, outcome)
+        self._arrivals.move_to(sample.time_ns)
+        self._advance(outcome)
         return outcome
 
     def add_surroundings(self, given: SkyInput) -> Refusal | None:
@@ -194,10 +195,11 @@ class StarCore:
             return StarOutcome(refusal)
         if self._taken[exposure.source].insert(exposure.time_ns, exposure) is None:
             return StarOutcome(refusal)
+        self._arrivals.move_to(exposure.time_ns)
         arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
         self._wait(_Waiting(exposure, refused, arrival_ns, exposure.reach_ns))
         outcome = StarOutcome(refusal)
-        self._advance(exposure.time_ns, outcome)
+        self._advance(outcome)
         return outcome
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> StarOutcome:
@@ -237,9 +239,8 @@ class StarCore:
 
     # -- in order of time -----------------------------------------------------------------------------------
 
-    def _advance(self, time_ns: int, outcome: StarOutcome) -> None:
+    def _advance(self, outcome: StarOutcome) -> None:
         """Solve what can be solved now, and forget what no exposure to come needs."""
-        self._arrivals.move_to(time_ns)
         self._solve(outcome, None)
         oldest_ns = self._arrivals.oldest_ns - self._wait_ns
         self._watch.surroundings.drop_before(oldest_ns)
@@ -261,7 +262,6 @@ class StarCore:
                 sensor_id, time_ns = waiting.exposure.source.partition(".")[2], waiting.exposure.time_ns
                 outcome.solved.append(Solved(sensor_id, time_ns, solution, waiting.refused, ()))
                 continue
-            self._note(solved)
             outcome.solved.append(solved)
             if not self._window.add(placed, waiting.arrival_ns):
                 outcome.not_joined.append((placed.source, placed.time_ns))
@@ -274,7 +274,7 @@ class StarCore:
             outcome.solved.append(joint)
 
     def _solve_one(self, waiting: _Waiting) -> tuple[PlacedExposure, Solved]:
-        """The attitude of one sensor by one exposure."""
+        """The attitude of one sensor by one exposure; the guards see by it whether another sensor stands still."""
         sensor = self._sensor(waiting.exposure.source)
         exposure, turn_variance = self._ins.at_middle(waiting.exposure, sensor)
         prior = self._ins.sensor(exposure.time_ns, sensor)
@@ -282,6 +282,10 @@ class StarCore:
         if exposure.length is not None and exposure.smear_s is None and solved.valid:
             text = f"ins/imu does not tell how the ship turned in {exposure.length.exposure_s:g} s of exposure"
             solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
+        if solved.sources:
+            rotation_ns, covariance_n = solved.solution.rotation_nb, solved.solution.covariance_n
+            noise_s = rotation_ns.T @ covariance_n @ rotation_ns
+            self._guards.used(AttitudeMeasurement(placed.source, solved.time_ns, rotation_ns, noise_s, common_n=_EXACT))
         return placed, solved
 
     def _joint(self, group: list[PlacedExposure]) -> Solved:
@@ -299,14 +303,6 @@ class StarCore:
     def _movable(self, to_ns: int, from_ns: int) -> bool:
         """Whether the INS tells how the deck turned between two moments."""
         return self._ins.turn(to_ns, from_ns) is not None
-
-    def _note(self, solved: Solved) -> None:
-        """Give a sensor's attitude to the guards, so that they see whether another sensor stands still."""
-        if solved.sources:
-            rotation_ns, covariance_n = solved.solution.rotation_nb, solved.solution.covariance_n
-            noise_s = rotation_ns.T @ covariance_n @ rotation_ns
-            attitude = AttitudeMeasurement(solved.sources[0], solved.time_ns, rotation_ns, noise_s, common_n=_EXACT)
-            self._guards.used(attitude)
 
     def _sensor(self, source: str) -> ObservingSensorConfig:
         return self._config.star_sensors[source.partition(".")[2]]
