@@ -2,23 +2,21 @@
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from ship_attitude_star.ros import messages_in, messages_out
-from ship_attitude_star.ros.star_messages_in import star_exposure
+from ship_attitude_star.ros.star_messages_in import SeenStars, seen_stars
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
-from ship_attitude_star.star_attitude.exposure_solver import RefusedStar, Solved, StarOutcome
+from ship_attitude_star.star_attitude.exposure_solver import Solved, StarOutcome
 from ship_attitude_star.stars.config import JOINT
-from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import SolutionStatus
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
-from ship_node.edge.messages_in import ReadMessage, ins_sample
+from ship_node.edge.messages_in import ins_sample
 from ship_node.edge.messages_out import BUDGET_TYPE, INNOVATION_TYPE, DiagnosticStatus, Level
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
@@ -78,7 +76,7 @@ class StarAttitudeAdapter(ReportingAdapter):
         for id_, sensor in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/observations", _STARS_TYPE, False, depth=100, named=True)
             read_stars = functools.partial(
-                _read_stars,
+                seen_stars,
                 sensor_id=id_,
                 frame_id=sensor.frame_id,
                 camera=self._cameras[id_],
@@ -94,7 +92,7 @@ class StarAttitudeAdapter(ReportingAdapter):
             read_ins = functools.partial(ins_sample, config=config.ins)
             yield Feed(ins, "ins", read_ins, untimed(core.add_ins))
 
-    def _take_stars(self, seen: "_SeenStars", waiting_ns: int) -> StarOutcome:
+    def _take_stars(self, seen: SeenStars, waiting_ns: int) -> StarOutcome:
         return self.core.add_exposure(seen.exposure, seen.refused, waiting_ns)
 
     # -- results of the core --------------------------------------------------------------------------------
@@ -160,23 +158,6 @@ class StarAttitudeAdapter(ReportingAdapter):
     def _restart(self, clock_jumped: bool) -> None:
         super()._restart(clock_jumped)
         self._solved.clear()
-
-
-@dataclass(frozen=True)
-class _SeenStars:
-    """An exposure as the core takes it, and the stars of its message that cannot be used."""
-
-    time_ns: int
-    exposure: StarExposure
-    refused: tuple[RefusedStar, ...]
-
-
-def _read_stars(message: Any, **sensor: Any) -> ReadMessage[_SeenStars]:
-    """The exposure of a sensor; the arguments are those of :func:`star_exposure`."""
-    reading = star_exposure(message, **sensor, named_by_number=True)
-    source, time_ns = reading.value.source, reading.value.time_ns
-    refused = tuple(RefusedStar(source, time_ns, name, refusal) for name, refusal in reading.left_out)
-    return ReadMessage(_SeenStars(time_ns, reading.value, refused), reading.covariance_known)
 
 
 def _topic(source: str) -> str:
