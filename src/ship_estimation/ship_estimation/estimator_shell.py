@@ -7,8 +7,8 @@ The shell knows nothing of what is measured. A measurement goes this way:
    its guards whether the measurement can be true at all; what they refuse does not reach the shell.
 2. Of the same source and stamp as another one: refused as DUPLICATE, or where the bytes differ told as CONFLICT; the
    one whose bytes sort first is kept.
-3. It takes its place in the order of stamps (:mod:`ship_estimation.time_ordered_log`). What was applied after that
-   place is applied again, and a decision that turns out otherwise is told again as revised.
+3. It takes its place in the order of stamps (:class:`TimeOrderedLog`). What was applied after that place is applied
+   again, and a decision that turns out otherwise is told again as revised.
 4. It waits, and all after it, as long as the model misses data that may still come within ``lag_s``.
 5. The model uses it or refuses it. Where the model raises, the measurement is refused as FAILED and the state stays.
 6. ``lag_s`` later the window closes behind it: the decision is final.
@@ -20,6 +20,7 @@ waiting, a clock that nobody sets and that the shell of the node gives with each
 system clock that is put right, are no silence.
 """
 
+import bisect
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -27,13 +28,14 @@ from typing import Any, Generic, TypeVar
 
 from ship_estimation.outcome import Estimate, Judged, Measurement, Outcome
 from ship_estimation.refusals import Reason, Refusal, failure, same_stamp
-from ship_estimation.time_ordered_log import TimeOrderedLog
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 
 State = TypeVar("State")
 Measured = TypeVar("Measured", bound=Measurement)
 Jump = TypeVar("Jump")
+Item = TypeVar("Item")
+Verdict = TypeVar("Verdict")
 
 
 class LagWindow:
@@ -62,6 +64,142 @@ class LagWindow:
         """Data of this stamp were taken."""
         self.newest_ns = max(self.newest_ns, time_ns)
         self.oldest_ns = self.newest_ns - self._lag_ns
+
+
+MOST_REPEATS_PER_S = 400
+"""Measurements applied again in a second of data: ten in ordinary data, two hundred where every input of a ship comes
+out of order by up to two seconds. A flood of late ones would make thousands, and hold up the output."""
+
+Key = tuple[int, Any]
+"""(time_ns, tie-breaker): the order of application."""
+
+
+@dataclass
+class _Entry(Generic[State, Item, Verdict]):
+    key: Key
+    measurement: Item
+    decision: Verdict | None = None
+    state_after: State | None = None
+
+
+class TimeOrderedLog(Generic[State, Item, Verdict]):
+    """A window of measurements over a base state, each with the state after it.
+
+    One that arrives late takes its place, and everything after it is applied again from the state before it. One on
+    which the step raises changes no state and holds up no other.
+
+    Args:
+        state: the state before any measurement.
+
+    Attributes:
+        state: after the last measurement applied by :meth:`apply`.
+        waiting: number of measurements not applied yet.
+        oldest_ns: time of the first measurement of the window; None where there is none.
+    """
+
+    def __init__(self, state: State) -> None:
+        self._base = self.state = state
+        self._keys: list[Key] = []
+        self._entries: list[_Entry[State, Item, Verdict]] = []
+        self.waiting = 0
+        self.oldest_ns: int | None = None
+        self._repeats, self._repeats_since_ns = 0, 0
+
+    def not_applied(self) -> list[Item]:
+        """The measurements that wait, in order."""
+        return [entry.measurement for entry in self._entries[self._applied :]]
+
+    def get(self, key: Key) -> Item | None:
+        """The measurement of exactly this time and tie-breaker."""
+        index = bisect.bisect_left(self._keys, key)
+        found = index < len(self._keys) and self._keys[index] == key
+        return self._entries[index].measurement if found else None
+
+    def insert(self, key: Key, measurement: Item) -> None:
+        """Put a measurement in its place; one with the same key is replaced."""
+        index = bisect.bisect_left(self._keys, key)
+        if index < len(self._keys) and self._keys[index] == key:
+            self._entries[index].measurement = measurement
+        else:
+            self._keys.insert(index, key)
+            self._entries.insert(index, _Entry(key, measurement))
+            self.oldest_ns = self._keys[0][0]
+            self.waiting += 1
+        self.waiting = max(self.waiting, len(self._entries) - index)
+
+    def rewind_where(self, affected: Callable[[Verdict], bool]) -> None:
+        """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
+        for index in range(self._applied):
+            decision = self._entries[index].decision
+            if decision is not None and affected(decision):
+                self.waiting = len(self._entries) - index
+                return
+
+    def apply(
+        self,
+        step: Callable[[State, Item], tuple[State, Verdict] | None],
+        failed: Callable[[Item, Exception], Verdict],
+        window_ns: tuple[int, int] | None = None,
+    ) -> list[tuple[Verdict, Verdict | None]]:
+        """Apply what waits, in order, until ``step`` returns None because it needs data still to come.
+
+        Args:
+            step: state and decision after a measurement.
+            failed: the decision about a measurement on which ``step`` raised; the state stays as it was before it.
+            window_ns: the oldest and the newest stamp of the window. What was applied before is applied again at
+                most :data:`MOST_REPEATS_PER_S` times in a second of data; beyond that it waits for the next one, or
+                until it leaves the window: the state is behind meanwhile, and ends the same. None: nothing waits.
+
+        Returns:
+            For each measurement applied: its decision and, where it had been applied before, the one it replaces.
+        """
+        decisions: list[tuple[Verdict, Verdict | None]] = []
+        while self.waiting:
+            index = self._applied
+            entry, self.state = self._entries[index], self._state_before(index)
+            if window_ns is not None and entry.decision is not None and not self._may_repeat(entry.key, *window_ns):
+                break
+            result: tuple[State, Verdict] | None
+            try:
+                result = step(self.state, entry.measurement)
+            except Exception as error:
+                result = self.state, failed(entry.measurement, error)
+            if result is None:
+                break
+            previous = entry.decision
+            self._repeats += previous is not None
+            self.state, entry.decision = result
+            entry.state_after = self.state
+            decisions.append((entry.decision, previous))
+            self.waiting -= 1
+        return decisions
+
+    def forget_before(self, time_ns: int) -> None:
+        """Close the window at a time: applied measurements before it can no longer be revised."""
+        count = min(bisect.bisect_left(self._keys, (time_ns,)), self._applied)
+        if count:
+            self._base = self._state_before(count)
+            del self._keys[:count]
+            del self._entries[:count]
+            self.oldest_ns = self._keys[0][0] if self._keys else None
+
+    @property
+    def _applied(self) -> int:
+        """Number of measurements of the window that are applied: always its first ones."""
+        return len(self._entries) - self.waiting
+
+    def _may_repeat(self, key: Key, oldest_ns: int, newest_ns: int) -> bool:
+        if newest_ns - self._repeats_since_ns >= SECOND_NS:
+            self._repeats, self._repeats_since_ns = 0, newest_ns
+        # What leaves the window can only now be right; it does so once.
+        return self._repeats < MOST_REPEATS_PER_S or key[0] < oldest_ns
+
+    def _state_before(self, index: int) -> State:
+        if index == 0:
+            return self._base
+        state = self._entries[index - 1].state_after
+        assert state is not None  # entries before the applied mark always carry their state
+        return state
 
 
 @dataclass(frozen=True, kw_only=True)

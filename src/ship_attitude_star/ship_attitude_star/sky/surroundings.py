@@ -15,7 +15,7 @@ import numpy as np
 from ship_attitude_star.measurements.readings import AirReading, PositionFix, SkyInput
 from ship_attitude_star.sky.config import SkyConfig
 from ship_estimation.refusals import Reason, Refusal
-from ship_estimation.time_ordered_log import StampedValues
+from ship_estimation.stamped_values import StampedValues
 from ship_geometry.geodetic import (
     ecef_from_geodetic,
     geodetic_from_ecef,

@@ -32,7 +32,7 @@ from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import no_attitude
 from ship_estimation.estimator_shell import LagWindow
 from ship_estimation.refusals import Reason, Refusal, failure
-from ship_estimation.time_ordered_log import StampedValues
+from ship_estimation.stamped_values import StampedValues
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray

@@ -24,7 +24,7 @@ from ship_replay.offline.replay import ReplayRun, ReplaySummary, Watcher, match_
 from theodolite_calib.axis_fit.exposure_errors import slow_effects
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, LABEL_COLUMN, TIME_COLUMN, slow_column
 from theodolite_calib.axis_fit.sightings import MOST_SIGHTINGS
-from theodolite_calib.chain.axis_chain import Parallelism
+from theodolite_calib.chain.parallelism import Parallelism
 from theodolite_calib.lights.telescope_attitude import solve
 from theodolite_calib.measured.samples import ExposureDecision, PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore

@@ -1,10 +1,14 @@
-"""The axes of a theodolite: encoder angles and axis errors to the main frame in the deck, exact, and back.
+"""The axes of a theodolite: encoder angles to the main axis in the deck and in the horizon, exact, and back.
 
-This is the exact form of [W18] (1)(2). Main frame m is (optical axis, up, right), deck d is (bow, up, starboard):
+In the deck it is the exact form of [W18] (1)(2). Main frame m is (optical axis, up, right), deck d is (bow, up,
+starboard):
 
     rotation_dm = T · Ry(A - g) · Rx(I) · Rz(-(E - h + f cos E)) · Ry(-c),   T = Ry(Am) · Rz(βm) · Ry(-Am)
 
 T turns about the horizontal rotation vector (βy, 0, -βx) with βx = βm cos Am, βy = βm sin Am: regular at βm = 0.
+In the horizon, with a the ship's error and e the deformation:
+
+    rotation_nm = exp(a) R_ship · exp(e) · rotation_dm
 
 Encoder angles and errors are floats or arrays (rad) that broadcast with each other. Their common shape becomes the
 leading axes of the results.
@@ -120,6 +124,79 @@ def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> 
 def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArray:
     """Change of a direction (..., 3) that turns with a frame, shape (..., 3, n), from the frame's rotation vectors."""
     return -skew(direction) @ by_rotation
+
+
+SHIP, DEFORMATION, AXES, SHIP_TIME = slice(0, 3), slice(3, 6), slice(6, 13), slice(13, 14)
+"""Columns of :attr:`AxisChain.by_error`: the ship's error, the deformation, the axis errors, the ship's time."""
+
+CHAIN_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES, "ship.time_offset": SHIP_TIME}
+"""States of a filter that turn the main axis, each with its columns and in their order."""
+
+
+@dataclass(frozen=True)
+class ChainErrors:
+    """What is wrong with the chain, as now known.
+
+    Attributes:
+        ship_n: rotation vector a of the ship's error in n, rad, shape (..., 3).
+        deformation_d: rotation vector e of the deformation in d, rad, shape (..., 3).
+        axes: errors of the theodolite's axes.
+        ship_time_s: the sample of the ship's attitude is valid so much later than it was taken to be.
+    """
+
+    ship_n: FloatArray
+    deformation_d: FloatArray
+    axes: AxisErrors
+    ship_time_s: float
+
+
+@dataclass(frozen=True)
+class AxisChain:
+    """The main axis at one moment, or at several.
+
+    Attributes:
+        rotation_nd: horizon from deck, corrected, shape (..., 3, 3).
+        rotation_dm: deck from main frame, deformation included, shape (..., 3, 3).
+        rotation_nm: horizon from main frame, shape (..., 3, 3).
+        by_error: rotation vector of the main frame in n per error, shape (..., 3, 14); the columns are
+            :data:`SHIP`, :data:`DEFORMATION`, :data:`AXES` and :data:`SHIP_TIME`.
+        by_encoder: the same per encoder angle (azimuth, elevation), shape (..., 3, 2).
+    """
+
+    rotation_nd: FloatArray
+    rotation_dm: FloatArray
+    rotation_nm: FloatArray
+    by_error: FloatArray
+    by_encoder: FloatArray
+
+
+def axis_chain(
+    errors: ChainErrors, rotation_nd: FloatArray, rate_d: FloatArray, azimuth: Angle, elevation: Angle
+) -> AxisChain:
+    """The main axis by a measured attitude of the ship and the encoders; leading axes broadcast.
+
+    Args:
+        errors: as now known.
+        rotation_nd: measured attitude of the deck at the moment, shape (..., 3, 3).
+        rate_d: its angular velocity, rad/s, shape (..., 3).
+        azimuth: of the encoder, rad, shape (...).
+        elevation: of the encoder, rad, shape (...).
+    """
+    if errors.ship_time_s != 0.0:
+        rotation_nd = rotation_nd @ exp_rotation(-errors.ship_time_s * rate_d)
+    rotation_nd = exp_rotation(errors.ship_n) @ rotation_nd
+    rotation_df = exp_rotation(errors.deformation_d)
+    by_ship, by_deformation = left_jacobian(errors.ship_n), left_jacobian(errors.deformation_d)
+    main = main_axis(errors.axes, azimuth, elevation)
+    rotation_dm = rotation_df @ main.rotation_dm
+    rotation_nm = rotation_nd @ rotation_dm
+    rotation_nf = rotation_nd @ rotation_df
+    by_error = np.empty((*rotation_nm.shape[:-1], SHIP_TIME.stop))
+    by_error[..., SHIP] = by_ship
+    by_error[..., DEFORMATION] = rotation_nd @ by_deformation
+    by_error[..., AXES] = rotation_nf @ main.by_error
+    by_error[..., SHIP_TIME] = -(rotation_nd @ rate_d[..., None])
+    return AxisChain(rotation_nd, rotation_dm, rotation_nm, by_error, rotation_nf @ main.by_encoder)
 
 
 def encoder_angles(

@@ -1,7 +1,7 @@
 """What a state of the calibration filter predicts of a sighting, with the Jacobian by all states.
 
 The lights' points on the detector are predicted from the attitude of the telescope
-(:mod:`theodolite_calib.chain.axis_chain`) and from the lines of sight
+(:mod:`theodolite_calib.chain.axes`) and from the lines of sight
 (:mod:`theodolite_calib.lights.line_of_sight`). From both the errors are taken out as far as they are now known.
 """
 
@@ -11,15 +11,8 @@ import numpy as np
 
 from ship_estimation.kalman import StateModel
 from ship_geometry.rotations import FloatArray, exp_rotation
-from theodolite_calib.chain.axes import AxisErrors
-from theodolite_calib.chain.axis_chain import (
-    CHAIN_STATES,
-    SHIP_TIME,
-    AxisChain,
-    ChainErrors,
-    axis_chain,
-    telescope_from_main,
-)
+from theodolite_calib.chain.axes import CHAIN_STATES, SHIP_TIME, AxisChain, AxisErrors, ChainErrors, axis_chain
+from theodolite_calib.chain.parallelism import telescope_from_main
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import (
     COMMON_TERMS,

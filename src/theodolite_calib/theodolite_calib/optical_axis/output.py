@@ -8,7 +8,7 @@ from ship_estimation.outcome import Status
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.chain.axis_chain import CHAIN_STATES, DEFORMATION, SHIP, ChainErrors, axis_chain
+from theodolite_calib.chain.axes import CHAIN_STATES, DEFORMATION, SHIP, ChainErrors, axis_chain
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import (
@@ -41,7 +41,7 @@ class CorrectedAxis:
     """The main axis corrected by one filter state; made once per state, used at the encoder's rate.
 
     Only the states that turn the main axis enter, so only these are carried on: the columns are those of
-    :data:`theodolite_calib.chain.axis_chain.CHAIN_STATES`.
+    :data:`theodolite_calib.chain.axes.CHAIN_STATES`.
 
     Args:
         filter_: the filter and its model.

@@ -6,7 +6,7 @@ import pytest
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_testing.simulated_sightings import truth_of
-from theodolite_calib.chain.axis_chain import Parallelism, main_from_telescope
+from theodolite_calib.chain.parallelism import Parallelism, main_from_telescope
 
 EXACT = Parallelism(np.deg2rad([0.3, -0.2, 0.5]), np.zeros((3, 3)))
 
