@@ -1,4 +1,4 @@
-"""Stars that move while they are exposed: where they stood at the middle, and how much worse they are known."""
+"""Stars of an exposure: where they stood at its middle, how well they are known then, which stars they are."""
 
 from dataclasses import replace
 
@@ -11,15 +11,25 @@ from ship_attitude_star.ship_attitude.comparison import compare, predict_attitud
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.stars.camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
-from ship_attitude_star.stars.exposure import ExposureLength, at_middle
+from ship_attitude_star.stars.exposure import ExposureLength, at_middle, identified
 from ship_attitude_star.stars.fit import agreement, linearized
+from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_testing.star_scenes import draw_scene
-from ship_testing.star_sky import POSITION, ROTATION_ND, TIME_NS, configuration, exposure_of, told_sky
+from ship_testing.star_sky import (
+    MAGNITUDE_LIMIT,
+    POSITION,
+    ROTATION_ND,
+    TIME_NS,
+    configuration,
+    exposure_of,
+    told_sky,
+    without_identity,
+)
 
 CONFIG = configuration()
 CAMERA = StarCamera(0.05, 5.5e-6, 1023.5, 1023.5, Distortion(k1=-0.08, p1=2e-4))
@@ -250,3 +260,19 @@ def test_an_exposure_that_the_ins_does_not_span_is_refused():
         decisions += core.add_ins(sample).decisions
     assert [decision.reason for decision in decisions] == [Reason.GAP]
     assert "whole exposure of 0.2 s" in decisions[0].text
+
+
+def test_identification_leaves_out_what_is_ambiguous_or_nowhere(watch):
+    exposure = exposure_of(watch, "fore", 4)
+    twice = replace(exposure, directions_s=exposure.directions_s[[0, 0, 2, 3]])
+    nowhere = twice.directions_s.copy()
+    nowhere[3] = exp_rotation(np.deg2rad([0.0, 0.2, 0.0])) @ nowhere[3]
+    unknown = without_identity(replace(twice, directions_s=nowhere))
+    device = ShipFilter(CONFIG).devices["star.fore"]
+    prior = StarPrior(ROTATION_ND @ device.rotation_dv0, np.diag((np.array([10.0, 72.0, 10.0]) * ARCSEC) ** 2))
+    result, reasons = identified(unknown, prior, watch.at(TIME_NS))
+    assert result.hip.tolist() == [0, 0, exposure.hip[2], 0]
+    assert set(reasons) == {0, 1, 3}
+    assert "claimed twice" in reasons[0].text
+    assert "no catalogue star within the gate" in reasons[3].text
+    assert CONFIG.sky.magnitude_limit > MAGNITUDE_LIMIT

@@ -1,4 +1,4 @@
-"""Single stars in the filter: Jacobians, what one star tells, who is refused, who is identified."""
+"""Single stars in the filter: Jacobians, what one star tells, who is refused, who is identified by the prediction."""
 
 from dataclasses import replace
 
@@ -11,14 +11,11 @@ from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.star_update import star_residuals
-from ship_attitude_star.stars.identification import identified
-from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 from ship_testing.star_sky import (
-    MAGNITUDE_LIMIT,
     ROTATION_ND,
     TIME_NS,
     configuration,
@@ -197,22 +194,6 @@ def test_stars_without_identity_are_identified_by_the_prediction(ship_filter, wa
     found_state, found = ship_filter.step(ship_filter.initial_state(), unknown, ins_track(), watch)
     assert found.components == known.components
     np.testing.assert_allclose(found_state.mean, state.mean, rtol=0, atol=1e-12)
-
-
-def test_identification_leaves_out_what_is_ambiguous_or_nowhere(watch):
-    exposure = exposure_of(watch, "fore", 4)
-    twice = replace(exposure, directions_s=exposure.directions_s[[0, 0, 2, 3]])
-    nowhere = twice.directions_s.copy()
-    nowhere[3] = exp_rotation(np.deg2rad([0.0, 0.2, 0.0])) @ nowhere[3]
-    unknown = without_identity(replace(twice, directions_s=nowhere))
-    device = ShipFilter(CONFIG).devices["star.fore"]
-    prior = StarPrior(ROTATION_ND @ device.rotation_dv0, np.diag((np.array([10.0, 72.0, 10.0]) * ARCSEC) ** 2))
-    result, reasons = identified(unknown, prior, watch.at(TIME_NS))
-    assert result.hip.tolist() == [0, 0, exposure.hip[2], 0]
-    assert set(reasons) == {0, 1, 3}
-    assert "claimed twice" in reasons[0].text
-    assert "no catalogue star within the gate" in reasons[3].text
-    assert CONFIG.sky.magnitude_limit > MAGNITUDE_LIMIT
 
 
 def test_an_attitude_against_the_icrs_gives_the_horizon_attitude(watch):

@@ -16,9 +16,8 @@ from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.model import PredictedAttitude, sky_rows
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.camera import tangent_basis
-from ship_attitude_star.stars.exposure import StarExposure
+from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import SightedStars
-from ship_attitude_star.stars.identification import visible_stars
 from ship_attitude_star.stars.selection import StarPrior, select
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.kalman import StateModel

@@ -10,9 +10,8 @@ from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.star_attitude.config import ObservingSensorConfig
 from ship_attitude_star.stars.camera import tangent_basis
 from ship_attitude_star.stars.config import JOINT
-from ship_attitude_star.stars.exposure import StarExposure
+from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import SightedStars, square_roots
-from ship_attitude_star.stars.identification import visible_stars
 from ship_attitude_star.stars.selection import StarPrior
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_in_doubt_alone
 from ship_estimation.refusals import Reason, Refusal

@@ -1,10 +1,13 @@
-"""One exposure of a star sensor: which stars it shows, in which directions, and where they stood at its middle.
+"""The stars of one exposure of a star sensor: where they stood at its middle, which stars they are, and their places.
 
 A ship turns while a star sensor exposes. The centroid of a streak is the mean of the star's pixels over the exposure.
 The INS tells how the sensor turned, and so by how much that mean is off the pixel at the middle: by the angular
 acceleration and its centripetal part. A streak of L pixels spreads the light along itself by L²/12 more than the image
 of a star at rest, s², so that along the streak the centroid's variance is σ² (1 + L²/(12 s²)). Across the streak
 nothing changes (docs/explanation/stars.md).
+
+A detection without an identity is identified by the attitude that is predicted for its sensor. It is the nearest
+catalogue star within the gate; where a second star could be meant too, it stays without an identity.
 """
 
 from __future__ import annotations
@@ -16,10 +19,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.sky.catalogue import julian_year
+from ship_attitude_star.sky.sky_watch import SkyMoment, SkyWatch
 from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
+from ship_attitude_star.stars.fit import SightedStars
+from ship_attitude_star.stars.selection import StarPrior, across, distance
+from ship_estimation.gates import chi_square_gate
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.exposure_mean import Nodes, Turning, exposure_nodes
-from ship_geometry.rotations import FloatArray
+from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, skew
 from ship_geometry.star_directions import StarPositions
+
+GATE_PROBABILITY = 0.9999
+MAGNITUDE_TOLERANCE = 1.5
+"""A catalogue star that differs by more from the measured magnitude is not the star of a detection.
+
+Most of the tolerance is for the colours of stars, and for the difference between the bands Hp and V.
+"""
+
+_FIELD_MARGIN = np.deg2rad(1.0)
+"""Far more than aberration, refraction and the error of the predicted attitude together, rad."""
+
+_ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
+"""Mounting errors of stars that are compared in their sensor's own frame: none."""
 
 _OUT_OF_SIGHT = 1.0
 """Variance of a star that leaves the camera's sight during the exposure, rad²: so large that the star has no weight."""
@@ -162,3 +184,137 @@ def _across(directions_s: FloatArray, covariance_s: FloatArray) -> FloatArray:
     keep = np.eye(3) - directions_s[:, :, None] * directions_s[:, None, :]
     across: FloatArray = keep @ covariance_s @ keep
     return across
+
+
+def visible_stars(
+    exposure: StarExposure, watch: SkyWatch, prior: StarPrior | None
+) -> tuple[StarExposure, SightedStars, list[tuple[str, Refusal]]] | Refusal:
+    """The stars of an exposure that have a place in the sky.
+
+    Args:
+        exposure: the stars as the sensor saw them.
+        watch: the sky.
+        prior: attitude of the sensor, by which stars without an identity are identified; None leaves them out.
+
+    Returns:
+        The exposure with the stars that can be used; the same stars with their places, in the sensor frame; and the
+        names of the other stars, each with its refusal. Or one refusal, where no star can be placed in the sky at the
+        moment of the exposure.
+    """
+    refused: list[tuple[str, Refusal]] = []
+    known = exposure.identified
+    moment = watch.at(exposure.time_ns)
+    if isinstance(moment, Refusal):
+        return moment
+    if not known.all():
+        reasons: dict[int, Refusal] = {}
+        if prior is not None:
+            exposure, reasons = identified(exposure, prior, moment)
+            known = exposure.identified
+        nobody = Refusal(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it by")
+        refused += [(exposure.name(row), reasons.get(row, nobody)) for row in np.flatnonzero(~known).tolist()]
+        exposure = exposure[known]
+    apparent = moment.apparent(exposure.positions)
+    direction_n, shared_n, seen = apparent.direction_n, apparent.shared_n, apparent.visible
+    if not seen.all():
+        for row in np.flatnonzero(~seen).tolist():
+            refused.append((exposure.name(row), moment.too_low(float(apparent.elevation[row]))))
+        exposure, direction_n, shared_n = exposure[seen], direction_n[seen], shared_n[seen]
+    stars = SightedStars(
+        measured_b=exposure.directions_s,
+        reference_n=direction_n,
+        sigma=exposure.sigma,
+        position_sigma=exposure.position_sigma,
+        shared_n=shared_n,
+        sensor=np.zeros(len(direction_n), dtype=np.intp),
+        mounting_b=_ONE_SENSOR,
+        smear_b=exposure.smear_s,
+    )
+    return exposure, stars, refused
+
+
+def identified(
+    exposure: StarExposure, prior: StarPrior, moment: SkyMoment
+) -> tuple[StarExposure, dict[int, Refusal]]:
+    """The exposure with identities for those of its stars that had none, where one can be found.
+
+    Args:
+        exposure: the stars as the sensor saw them.
+        prior: attitude of the sensor.
+        moment: the sky at the exposure; it also says which catalogue stars are bright enough.
+
+    Returns:
+        The exposure, and for each row that is still without an identity the reason.
+    """
+    rows = np.flatnonzero(~exposure.identified)
+    candidates = _in_field(exposure.directions_s[rows], prior, moment)
+    catalogue = moment.bright.catalogue
+    apparent = moment.apparent(catalogue.at_j2000[candidates])
+    candidates, reference_n = candidates[apparent.visible], apparent.direction_n[apparent.visible]
+    seen_n = exposure.directions_s[rows] @ prior.rotation_nb.T
+    variance = exposure.sigma[rows, None] ** 2 + catalogue.position_sigma[candidates] ** 2
+    smear_n = None if exposure.smear_s is None else prior.rotation_nb @ exposure.smear_s[rows] @ prior.rotation_nb.T
+    close = _mahalanobis(seen_n, reference_n, variance, smear_n, prior) < chi_square_gate(GATE_PROBABILITY, 2)
+    unlike = np.abs(exposure.magnitude[rows, None] - catalogue.magnitude[candidates]) > MAGNITUDE_TOLERANCE
+    close &= ~unlike
+    # No catalogue star counts twice: one that two detections could be is given to neither, and one that a detection
+    # already has by its number is given to no other.
+    claimed_once = (np.count_nonzero(close, axis=0) == 1) & ~np.isin(catalogue.hip[candidates], exposure.hip)
+    chosen = np.full(len(rows), -1)
+    reasons: dict[int, Refusal] = {}
+    for number, row in enumerate(rows.tolist()):
+        found = np.flatnonzero(close[number])
+        if len(found) == 1 and claimed_once[found[0]]:
+            chosen[number] = candidates[found[0]]
+        else:
+            reasons[row] = _why_not(seen_n[number], reference_n, len(found))
+    taken = chosen >= 0
+    return _filled(exposure, rows[taken], chosen[taken], moment), reasons
+
+
+def _in_field(directions_s: FloatArray, prior: StarPrior, moment: SkyMoment) -> NDArray[np.int64]:
+    """Rows of the catalogue with the bright stars that may be in the field of these detections."""
+    centre_s = np.mean(directions_s, axis=0)
+    centre_s /= np.linalg.norm(centre_s)
+    radius = np.max(angle_between(directions_s, centre_s)) + _FIELD_MARGIN
+    return moment.bright_rows_around(prior.rotation_nb @ centre_s, radius)
+
+
+def _mahalanobis(
+    seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: StarPrior
+) -> FloatArray:
+    """Mahalanobis² of each of k detections to each of c candidates under the prior's error, shape (k, c)."""
+    basis = across(seen_n)
+    left = np.einsum("kij,kcj->kci", basis, reference_n - seen_n[:, None, :])
+    turned = basis @ skew(seen_n)
+    covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
+    if smear_n is not None:
+        covariance += basis @ smear_n @ np.swapaxes(basis, -1, -2)
+    near = np.einsum("cj,kj->kc", reference_n, seen_n) > 0.0
+    return np.where(near, distance(left, covariance[:, None] + variance[..., None, None] * np.eye(2)), np.inf)
+
+
+def _why_not(seen_n: FloatArray, reference_n: FloatArray, found: int) -> Refusal:
+    """The refusal of a detection for which ``found`` catalogue stars lay within the gate."""
+    if found:
+        return Refusal(Reason.UNIDENTIFIED, f"{found} catalogue stars within the gate, or one claimed twice: left out")
+    if not len(reference_n):
+        return Refusal(Reason.UNIDENTIFIED, "no catalogue star in the field")
+    nearest = float(np.min(angle_between(reference_n, seen_n))) / ARCSEC
+    return Refusal(Reason.UNIDENTIFIED, f'no catalogue star within the gate, the nearest is {nearest:.0f}" away')
+
+
+def _filled(
+    exposure: StarExposure, rows: NDArray[np.intp], chosen: NDArray[np.intp], moment: SkyMoment
+) -> StarExposure:
+    """The exposure with the catalogue's stars ``chosen`` in its rows ``rows``."""
+    catalogue = moment.bright.catalogue
+    hip, position_sigma = exposure.hip.copy(), exposure.position_sigma.copy()
+    hip[rows] = catalogue.hip[chosen]
+    position_sigma[rows] = catalogue.sigma(chosen, julian_year(exposure.time_ns))
+    positions = {}
+    for name in StarPositions.__dataclass_fields__:
+        column = getattr(exposure.positions, name).copy()
+        column[rows] = getattr(catalogue.at_j2000, name)[chosen]
+        positions[name] = column
+    return replace(exposure, hip=hip, positions=StarPositions(**positions), position_sigma=position_sigma)
