@@ -1,21 +1,30 @@
-"""The predicted attitude of a device, and a measurement of any kind against it: residual, Jacobian, noise."""
+"""The predicted attitude of a device, and a measurement of any kind against it: residual, Jacobian, noise.
+
+Single stars are compared one by one. Each star has a residual of two components, up and right in the sensor. With R the
+predicted attitude (horizon from sensor), v the star's place in the sky and u its measured direction, the residual is
+the part of u - Rᵀ v across the line of sight. A rotation ε of the sensor (rotation vector in its own frame) moves the
+predicted direction p = Rᵀ v by p × ε. The errors that all stars share (refraction, Earth rotation, position) are states
+of the filter: one sigma of such an error displaces v by g, and the predicted direction by Rᵀ g.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
-from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, PredictedAttitude, sky_rows
-from ship_attitude_star.ship_attitude.star_update import attitude_by_stars, star_residuals
+from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, PredictedAttitude, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_attitude_star.sky.tracker_attitude import in_horizon
-from ship_attitude_star.stars.exposure import StarExposure
-from ship_estimation.kalman import LinearMeasurement, StateModel
+from ship_attitude_star.stars.camera import tangent_basis
+from ship_attitude_star.stars.exposure import StarExposure, visible_stars
+from ship_attitude_star.stars.fit import SightedStars
+from ship_attitude_star.stars.selection import StarPrior, select
+from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
+from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import InterpolatedAttitude
-from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
+from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, left_jacobian, log_rotation, skew
 
 
 @dataclass(frozen=True)
@@ -41,7 +50,7 @@ class Compared:
 
 
 def predict_attitude(
-    device: Device, model: StateModel, mean: FloatArray, ins: InterpolatedAttitude
+    device: Device, model: ShipStateModel, mean: FloatArray, ins: InterpolatedAttitude
 ) -> PredictedAttitude:
     """The attitude of a device at the moment of an (interpolated) INS attitude.
 
@@ -83,7 +92,7 @@ def compare(
     measurement: Measurement,
     device: Device,
     predicted: PredictedAttitude,
-    model: StateModel,
+    model: ShipStateModel,
     mean: FloatArray,
     parts: FloatArray,
     watch: SkyWatch | None,
@@ -131,7 +140,7 @@ def compare(
 
 
 def _attitude_residual(
-    measurement: AttitudeMeasurement, predicted: PredictedAttitude, model: StateModel, mean: FloatArray
+    measurement: AttitudeMeasurement, predicted: PredictedAttitude, model: ShipStateModel, mean: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Measured minus predicted attitude and its Jacobian per state.
 
@@ -140,7 +149,7 @@ def _attitude_residual(
     """
     rotation_nv, jacobian_v = predicted.rotation_nv, predicted.jacobian_v
     if measurement.shared_n is not None:
-        rows = sky_rows(model)
+        rows = model.sky_rows
         turn = -measurement.shared_n @ mean[rows]
         rotation_nv = exp_rotation(turn) @ rotation_nv
         jacobian_v = jacobian_v.copy()
@@ -148,26 +157,145 @@ def _attitude_residual(
     return log_rotation(rotation_nv.T @ measurement.rotation_nv), jacobian_v
 
 
-def attitude_alone(
-    measurement: Measurement, watch: SkyWatch | None, untold_acceleration: float
-) -> AttitudeMeasurement | None:
-    """The attitude of a star sensor by one measurement and nothing else; None where it does not give one.
+@dataclass(frozen=True)
+class StarResiduals:
+    """The stars of an exposure that are used, linearised at the prediction.
+
+    Attributes:
+        residual: measured minus predicted direction, up and right of each of k stars, rad, shape (2 k,).
+        jacobian: derivative of the residual by the n states, shape (2 k, n).
+        by_turn: its derivative by a turn of the predicted sensor, rotation vector in its own frame, shape (2 k, 3).
+        noise: covariance, rad², shape (2 k, 2 k).
+        components: name of each residual.
+        refused: the other stars by name, each with its refusal.
+        rotation_ns: the sensor's attitude (horizon from sensor) by these stars alone, where they contradict the
+            prediction, shape (3, 3); None where they agree with it.
+    """
+
+    residual: FloatArray
+    jacobian: FloatArray
+    by_turn: FloatArray
+    noise: FloatArray
+    components: tuple[str, ...]
+    refused: tuple[tuple[str, Refusal], ...]
+    rotation_ns: FloatArray | None
+
+
+def star_residuals(
+    exposure: StarExposure,
+    predicted: PredictedAttitude,
+    covariance: FloatArray,
+    watch: SkyWatch,
+    model: ShipStateModel,
+    mean: FloatArray,
+) -> StarResiduals | Refusal:
+    """Choose the stars that are what they are taken for, and compare them with the prediction.
 
     Args:
-        measurement: of the sensor.
-        watch: the sky; None where no sensor needs it.
-        untold_acceleration: angular acceleration of the deck that nothing tells, sigma of each axis, rad/s².
+        exposure: the stars where they stood at its middle.
+        predicted: attitude of the sensor.
+        covariance: of the state, shape (n, n).
+        watch: the sky.
+        model: what the states are.
+        mean: of the state, shape (n,).
+
+    Returns:
+        The refusal of the whole exposure where no star can be placed in the sky at its moment, or none can be used.
     """
-    if isinstance(measurement, AttitudeMeasurement):
-        return measurement
-    assert watch is not None
-    if isinstance(measurement, InertialAttitude):
-        attitude = in_horizon(measurement, watch)
-        if isinstance(attitude, Refusal):
-            return None
-        assert attitude.shared_n is not None
-        common_n = attitude.common_n + attitude.shared_n @ attitude.shared_n.T
-        return replace(attitude, common_n=common_n, shared_n=None)
-    assert isinstance(measurement, StarExposure)
-    by_stars = attitude_by_stars(measurement, watch, untold_acceleration)
-    return None if isinstance(by_stars, Refusal) else by_stars
+    rotation_ns, to_sensor = predicted.rotation_nv, predicted.jacobian_v
+    prior_s = to_sensor @ covariance @ to_sensor.T + predicted.interpolation_v
+    prior = StarPrior(rotation_ns, rotation_ns @ prior_s @ rotation_ns.T)
+    visible = visible_stars(exposure, watch, prior)
+    if isinstance(visible, Refusal):
+        return visible
+    seen, stars, refused = visible
+    if len(stars.sigma) == 0:
+        return Refusal(Reason.TOO_FEW_STARS, _listed(f"none of {len(exposure)} stars can be used", refused))
+    rows = model.sky_rows
+    # The estimate of the shared errors moves the stars to where they are expected.
+    expected_n = stars.reference_n + stars.shared_n @ mean[rows]
+    expected_n /= np.linalg.norm(expected_n, axis=-1, keepdims=True)
+    expected = replace(stars, reference_n=expected_n)
+    chosen = _chosen(stars, expected, prior)
+    turned_ns = rotation_ns if chosen.rotation_ns is None else chosen.rotation_ns
+    left_out = np.flatnonzero(~chosen.members).tolist()
+    refused += [(seen.name(row), _misfit(stars, row, turned_ns)) for row in left_out]
+    if chosen.contradictory:
+        return Refusal(Reason.MISIDENTIFIED, _listed(_contradiction(len(left_out)), refused))
+    names = [seen.name(row) for row in np.flatnonzero(chosen.members).tolist()]
+    predicted_s = expected_n[chosen.members] @ rotation_ns
+    basis, about_star = tangent_basis(predicted_s), skew(predicted_s)
+    residual = np.einsum("kij,kj->ki", basis, stars.measured_b[chosen.members] - predicted_s)
+    by_turn = basis @ about_star
+    jacobian = by_turn @ to_sensor
+    jacobian[:, :, rows] = basis @ rotation_ns.T @ stars.shared_n[chosen.members]
+    return StarResiduals(
+        residual=residual.ravel(),
+        jacobian=jacobian.reshape(-1, jacobian.shape[-1]),
+        by_turn=by_turn.reshape(-1, 3),
+        noise=_noise(expected, basis, chosen.members),
+        components=tuple(f"{name} {axis}" for name in names for axis in ("up", "right")),
+        refused=tuple(refused),
+        rotation_ns=chosen.rotation_ns,
+    )
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """The stars that belong together.
+
+    Attributes:
+        members: shape (k,); none where the stars contradict the prediction as well as one another.
+        rotation_ns: attitude of the sensor by the members alone, where they contradict the prediction; else None.
+    """
+
+    members: NDArray[np.bool_]
+    rotation_ns: FloatArray | None
+
+    @property
+    def contradictory(self) -> bool:
+        return not self.members.any()
+
+
+def _chosen(stars: SightedStars, expected: SightedStars, prior: StarPrior) -> _Chosen:
+    """The stars that agree with the prediction; where none does, those that agree on another attitude.
+
+    Args:
+        stars: with their places by the sky.
+        expected: the same where the estimate of the shared errors expects them.
+        prior: the prediction.
+    """
+    members = select(expected, prior).members
+    if members.any():
+        return _Chosen(members, None)
+    alone = solve_stars(stars)
+    if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
+        return _Chosen(members, None)
+    return _Chosen(alone.members, alone.rotation_nb)
+
+
+def _contradiction(count: int) -> str:
+    return (
+        f"none of {count} stars is where it is expected, and they do not agree on another attitude: "
+        "where this lasts, look at the camera's parameters, gnss/fix and the clock"
+    )
+
+
+def _noise(stars: SightedStars, basis: FloatArray, members: NDArray[np.bool_]) -> FloatArray:
+    """Covariance of the residuals of the k members, along their basis (k, 2, 3), rad², shape (2 k, 2 k)."""
+    noise = np.diag(np.repeat(stars.white_sigma[members] ** 2, 2))
+    if stars.smear_b is not None:
+        smear = basis @ stars.smear_b[members] @ np.swapaxes(basis, -1, -2)
+        for row, added in enumerate(smear):
+            noise[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += added
+    return noise
+
+
+def _misfit(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Refusal:
+    angle = float(angle_between(rotation_ns @ stars.measured_b[row], stars.reference_n[row]))
+    text = f'{angle / ARCSEC:.1f}" from its place, sigma {stars.white_sigma[row] / ARCSEC:.1f}"'
+    return Refusal(Reason.MISIDENTIFIED, text)
+
+
+def _listed(text: str, refused: list[tuple[str, Refusal]]) -> str:
+    return "; ".join([text, *(f"{name}: {refusal.text}" for name, refusal in refused)])

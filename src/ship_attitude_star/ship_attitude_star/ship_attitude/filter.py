@@ -14,7 +14,7 @@ from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.comparison import Compared, compare, predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.model import SOURCE_INS, SOURCE_STAR_COMMON, Device, devices, state_model
+from ship_attitude_star.ship_attitude.model import SOURCE_INS, SOURCE_STAR_COMMON, Device, ShipStateModel, devices
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, at_middle
@@ -77,7 +77,7 @@ class ShipFilter:
     """
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
-        self.model = state_model(config)
+        self.model = ShipStateModel(config)
         self.devices: dict[str, Device] = devices(config)
         self._gate: GateConfig = config.gate
         self._ins_index = self.model.sources.index(SOURCE_INS)

@@ -1,4 +1,4 @@
-"""Which states the ship-attitude filter has, and the attitude of a device as they predict it.
+"""Which devices and which states the ship-attitude filter has, and what a predicted attitude is.
 
 docs/explanation/filter.md tells the model.
 
@@ -81,29 +81,40 @@ class Device:
     is_star: bool
 
 
+class ShipStateModel(StateModel):
+    """The state vector of a configuration.
+
+    Attributes:
+        sky_rows: where the states are that all stars share, in the order of SHARED_TERMS; empty where no sensor looks
+            at the sky itself.
+    """
+
+    def __init__(self, config: ShipAttitudeConfig) -> None:
+        blocks = _ins_blocks(config.ins)
+        for id_, star in config.star_sensors.items():
+            blocks += _star_blocks(f"star.{id_}", star)
+        looks_at_sky = any(star.looks_at_sky for star in config.star_sensors.values())
+        if looks_at_sky:
+            blocks += _sky_blocks(config.sky)
+        for name, reference in config.references.items():
+            blocks += _reference_blocks(f"reference.{name}", reference)
+        noise_sources = [SOURCE_INTERPOLATION]
+        if config.star_sensors:
+            noise_sources.append(SOURCE_STAR_NOISE)
+        if config.references:
+            noise_sources.append(SOURCE_REFERENCE_NOISE)
+        noise_sources.append(SOURCE_SAVED_ALIGNMENT)
+        super().__init__(blocks, noise_sources)
+        self.sky_rows = slice(0, 0)
+        if looks_at_sky:
+            self.sky_rows = slice(self.slices["sky.refraction"].start, self.slices["sky.position"].stop)
+
+
 def devices(config: ShipAttitudeConfig) -> dict[str, Device]:
     """All devices of a configuration by name."""
     stars = [_star_device(id_, star, config.ins) for id_, star in config.star_sensors.items()]
     references = [_reference_device(name, reference) for name, reference in config.references.items()]
     return {device.name: device for device in stars + references}
-
-
-def state_model(config: ShipAttitudeConfig) -> StateModel:
-    """The state vector of a configuration."""
-    blocks = _ins_blocks(config.ins)
-    for id_, star in config.star_sensors.items():
-        blocks += _star_blocks(f"star.{id_}", star)
-    if any(star.looks_at_sky for star in config.star_sensors.values()):
-        blocks += _sky_blocks(config.sky)
-    for name, reference in config.references.items():
-        blocks += _reference_blocks(f"reference.{name}", reference)
-    noise_sources = [SOURCE_INTERPOLATION]
-    if config.star_sensors:
-        noise_sources.append(SOURCE_STAR_NOISE)
-    if config.references:
-        noise_sources.append(SOURCE_REFERENCE_NOISE)
-    noise_sources.append(SOURCE_SAVED_ALIGNMENT)
-    return StateModel(blocks, noise_sources)
 
 
 def _star_device(id_: str, star: StarSensorConfig, ins: InsConfig) -> Device:
@@ -175,11 +186,6 @@ def _sky_blocks(sky: SkyConfig) -> list[StateBlock]:
         block("sky.earth_rotation", [1.0], SOURCE_EARTH_ROTATION),
         block("sky.position", [1.0, 1.0], SOURCE_POSITION, time_s=sky.position_time_s),
     ]
-
-
-def sky_rows(model: StateModel) -> slice:
-    """Where the states are that all stars share, in the order of SHARED_TERMS."""
-    return slice(model.slices["sky.refraction"].start, model.slices["sky.position"].stop)
 
 
 def _reference_blocks(name: str, reference: ReferenceConfig) -> list[StateBlock]:

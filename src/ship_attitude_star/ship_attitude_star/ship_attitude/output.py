@@ -1,15 +1,22 @@
 """From the filter's state and the newest data to the published attitude and its covariance by source."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
+from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Horizon
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
 from ship_attitude_star.ship_attitude.model import SOURCE_INS_NOISE, SOURCE_INTERPOLATION
+from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.sky.tracker_attitude import in_horizon
+from ship_attitude_star.stars.exposure import StarExposure, visible_stars
+from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.kalman import lasting
-from ship_estimation.outcome import Status
+from ship_estimation.outcome import Measurement, Status
+from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
 from ship_geometry.time_scales import SECOND_NS
@@ -106,6 +113,49 @@ class CorrectedIns:
             sources=("ins", *used),
             star_age_s=star_age_s,
         )
+
+
+def attitude_alone(
+    measurement: Measurement, watch: SkyWatch | None, untold_acceleration: float
+) -> AttitudeMeasurement | None:
+    """The attitude of a star sensor by one measurement and nothing else; None where it does not give one.
+
+    Args:
+        measurement: of the sensor.
+        watch: the sky; None where no sensor needs it.
+        untold_acceleration: angular acceleration of the deck that nothing tells, sigma of each axis, rad/s².
+    """
+    if isinstance(measurement, AttitudeMeasurement):
+        return measurement
+    assert watch is not None
+    if isinstance(measurement, InertialAttitude):
+        attitude = in_horizon(measurement, watch)
+        if isinstance(attitude, Refusal):
+            return None
+        assert attitude.shared_n is not None
+        common_n = attitude.common_n + attitude.shared_n @ attitude.shared_n.T
+        return replace(attitude, common_n=common_n, shared_n=None)
+    assert isinstance(measurement, StarExposure)
+    return _by_stars(measurement, watch, untold_acceleration)
+
+
+def _by_stars(exposure: StarExposure, watch: SkyWatch, untold_acceleration: float) -> AttitudeMeasurement | None:
+    """The sensor's attitude by one exposure; None where its stars do not give one that others of them verify."""
+    visible = visible_stars(exposure, watch, None)
+    if isinstance(visible, Refusal):
+        return None
+    _, stars, _ = visible
+    solution = solve_stars(stars)
+    if solution.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
+        return None
+    rotation_ns = solution.rotation_nb
+    noise_s = rotation_ns.T @ solution.noise_n @ rotation_ns
+    if exposure.length is not None:
+        noise_s = noise_s + exposure.length.untold_turn_variance(untold_acceleration) * np.eye(3)
+    return AttitudeMeasurement(
+        exposure.source, exposure.time_ns, rotation_ns, noise_s, solution.covariance_n - solution.noise_n
+    )
+
 
 
 def estimate_from_star(

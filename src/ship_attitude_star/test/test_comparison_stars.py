@@ -7,10 +7,9 @@ import pytest
 
 from ship_attitude_star.measurements.readings import InertialAttitude, PositionFix
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
-from ship_attitude_star.ship_attitude.comparison import predict_attitude
+from ship_attitude_star.ship_attitude.comparison import predict_attitude, star_residuals
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.star_update import star_residuals
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.geodetic import GeodeticPosition
