@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from ship_attitude_star.ros import messages_out
+from ship_attitude_star.ros import ship_attitude_adapter
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.output import CorrectedIns
 from ship_attitude_star.star_attitude import core as star_core
@@ -85,7 +85,7 @@ def test_mend_02_an_attitude_that_cannot_be_computed_is_the_only_one_missing(mon
 
 
 def test_mend_02_a_budget_that_cannot_be_computed_hides_no_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(messages_out, "alignment_state", failing_where(lambda *arguments: True, None))
+    monkeypatch.setattr(ship_attitude_adapter, "alignment_state", failing_where(lambda *arguments: True, None))
     run = drive(new_adapter(), cut(voyage(), 2.0, 5.0, "ins/imu", FORE, STARBOARD), until_ns=START_NS + 5 * SECOND_NS)
     invalid = [m for m in run.messages("ship/attitude") if m.status == Status.INVALID]
     assert [stamp_of(m) - START_NS for m in invalid[-3:]] == [3_000_000_000, 4_000_000_000, 5_000_000_000]

@@ -1,4 +1,4 @@
-"""Adapters, messages in and out, the saved alignment, nodes: where the cores meet ROS.
+"""Adapters with the messages that they give, messages in, the saved alignment, nodes: where the cores meet ROS.
 
 The room may import all others; only ``ship_replay`` and the executables import it. The method ``table`` of an adapter
 says which topic feeds which method of the core.

@@ -5,21 +5,29 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar
 
+import numpy as np
+
 from ship_attitude_star.measurements.samples import AttitudeEstimate
-from ship_attitude_star.ros import messages_in, messages_out, star_messages_in
+from ship_attitude_star.ros import messages_in, star_messages_in
 from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
+from ship_attitude_star.ship_attitude.alignment import Alignment
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.rate_guard import Rates
+from ship_geometry.frames import angle_covariance, angles_from_rotation
+from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
+from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.messages_in import ReadMessage, ins_sample
-from ship_node.edge.messages_out import BUDGET_TYPE, INNOVATION_TYPE, DiagnosticStatus, Level
+from ship_node.edge.messages_out import BUDGET_TYPE, DECK_FRAME, INNOVATION_TYPE, DiagnosticStatus, Level, error_budget
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
+
+ATTITUDE_TOPIC, IMU_TOPIC = "ship/attitude", "ship/imu"
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 _STAR_TYPES = {
@@ -43,6 +51,8 @@ _RATES = {
     ),
     Rates.WRONG_UNITS: (Level.ERROR, "angular_velocity is in another unit than rad/s: the INS is not used"),
 }
+_NOT_GIVEN = np.array([-1.0] + [0.0] * 8)
+"""Covariance that tells readers of sensor_msgs/Imu that nothing was measured."""
 
 
 class ShipAttitudeAdapter(ReportingAdapter):
@@ -61,11 +71,11 @@ class ShipAttitudeAdapter(ReportingAdapter):
     node_name: ClassVar[str] = "ship_attitude"
     config_type: ClassVar[type] = ShipAttitudeConfig
     services: ClassVar[tuple[str, ...]] = ("reset", "save_alignment", "load_alignment")
-    main_topic: ClassVar[str] = messages_out.ATTITUDE_TOPIC
+    main_topic: ClassVar[str] = ATTITUDE_TOPIC
     innovation_topic: ClassVar[str] = "ship/innovation"
     outputs: tuple[OutputTopic, ...] = (
-        OutputTopic(messages_out.ATTITUDE_TOPIC, "ship_msgs/msg/ShipAttitude"),
-        OutputTopic(messages_out.IMU_TOPIC, _IMU_TYPE),
+        OutputTopic(ATTITUDE_TOPIC, "ship_msgs/msg/ShipAttitude"),
+        OutputTopic(IMU_TOPIC, _IMU_TYPE),
         OutputTopic("ship/alignment", "ship_msgs/msg/AlignmentState"),
         OutputTopic("ship/error_budget", BUDGET_TYPE),
         OutputTopic(innovation_topic, INNOVATION_TYPE),
@@ -91,7 +101,7 @@ class ShipAttitudeAdapter(ReportingAdapter):
             nothing="no star attitude was used yet: there is no alignment to save",
         )
         self.start_warnings = start_warnings(config)
-        super().__init__(config, core, factory, functools.partial(messages_out.attitude_messages, factory), saved)
+        super().__init__(config, core, factory, functools.partial(attitude_messages, factory), saved)
 
     def table(self, config: ShipAttitudeConfig) -> Iterator[Feed]:
         """Which topic feeds which method of the core; each star sensor has one topic, so that no star counts twice."""
@@ -130,10 +140,10 @@ class ShipAttitudeAdapter(ReportingAdapter):
         if estimate is not None:
             sources = self.core.filter.model.sources
             published += [
-                ("ship/error_budget", messages_out.attitude_budget(factory, estimate, sources)),
-                ("ship/error_arcsec", messages_out.error_arcsec(factory, estimate)),
+                ("ship/error_budget", attitude_budget(factory, estimate, sources)),
+                ("ship/error_arcsec", error_arcsec(factory, estimate)),
             ]
-        return [*published, ("ship/alignment", messages_out.alignment_state(factory, self.core.alignment(), now_ns))]
+        return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns))]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The attitude, the alignment that the filter started from, the rates of the INS, conflicts with it."""
@@ -145,6 +155,89 @@ class ShipAttitudeAdapter(ReportingAdapter):
             DiagnosticStatus("ins rates", *_RATES[self.core.rates]),
             *self.conflict_statuses(),
         ]
+
+
+def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> list[Published]:
+    """What an attitude becomes: ship_msgs/ShipAttitude and, for standard tools, the same as sensor_msgs/Imu.
+
+    Where no attitude is claimed the first is all NaN, and the second is not made.
+    """
+    claimed = estimate.status is not Status.INVALID
+    covariance_n = estimate.covariance_n
+    heading, pitch, roll = angles_from_rotation(estimate.rotation_nd).tolist()
+    angles_covariance = angle_covariance(covariance_n, heading, pitch)
+    header = {"stamp": estimate.time_ns, "frame_id": DECK_FRAME}
+    quaternion = quaternion_from_rotation(estimate.rotation_nd) if claimed else np.full(4, np.nan)
+    rotation_covariance = enu_covariance(covariance_n).ravel()
+    rate_flu = flu_from_device_vector(estimate.rate_d)
+    rate_known = bool(np.all(np.isfinite(rate_flu)))
+    orientation = dict(zip("xyzw", quaternion.tolist(), strict=True))
+    rate = dict(zip("xyz", rate_flu.tolist(), strict=True))
+    nothing = dict.fromkeys("xyz", 0.0)
+    attitude = factory.make(
+        "ship_msgs/msg/ShipAttitude",
+        header=header,
+        heading=heading,
+        pitch=pitch,
+        roll=roll,
+        covariance=angles_covariance.ravel(),
+        orientation=orientation,
+        rotation_covariance=rotation_covariance,
+        angular_velocity=rate,
+        status=int(estimate.status),
+        horizon=int(estimate.horizon),
+        sources=list(estimate.sources),
+        star_age_s=estimate.star_age_s,
+    )
+    if not claimed:
+        return [(ATTITUDE_TOPIC, attitude)]
+    # No acceleration; the rate where it is known.
+    imu = factory.make(
+        _IMU_TYPE,
+        header=header,
+        orientation=orientation,
+        orientation_covariance=rotation_covariance,
+        angular_velocity=rate if rate_known else nothing,
+        angular_velocity_covariance=np.zeros(9) if rate_known else _NOT_GIVEN,
+        linear_acceleration=nothing,
+        linear_acceleration_covariance=_NOT_GIVEN,
+    )
+    return [(ATTITUDE_TOPIC, attitude), (IMU_TOPIC, imu)]
+
+
+def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str]) -> Any:
+    """ship_msgs/ErrorBudget of a published attitude; ``sources`` name the parts of its covariance."""
+    parts_n, covariance_n = estimate.covariance_parts_n, estimate.covariance_n
+    return error_budget(factory, "ship_attitude", estimate.time_ns, DECK_FRAME, sources, parts_n, covariance_n)
+
+
+def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate) -> Any:
+    """ship_msgs/AttitudeErrorArcsec: predicted sigmas; an estimator never sees the truth, so errors are NaN."""
+    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
+    sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, heading, pitch))) / ARCSEC
+    unknown = float("nan")
+    return factory.make(
+        "ship_msgs/msg/AttitudeErrorArcsec",
+        header={"stamp": estimate.time_ns, "frame_id": DECK_FRAME},
+        sigma_heading=float(sigma[0]),
+        sigma_pitch=float(sigma[1]),
+        sigma_roll=float(sigma[2]),
+        error_heading=unknown,
+        error_pitch=unknown,
+        error_roll=unknown,
+    )
+
+
+def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int) -> Any:
+    """ship_msgs/AlignmentState."""
+    return factory.make(
+        "ship_msgs/msg/AlignmentState",
+        header={"stamp": now_ns, "frame_id": DECK_FRAME},
+        names=list(alignment.names),
+        values=alignment.values,
+        covariance=alignment.covariance.ravel(),
+        units=list(alignment.units),
+    )
 
 
 def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:

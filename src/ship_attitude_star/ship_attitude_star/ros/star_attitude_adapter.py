@@ -2,22 +2,34 @@
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from ship_attitude_star.ros import messages_in, messages_out
+import numpy as np
+
+from ship_attitude_star.ros import messages_in
 from ship_attitude_star.ros.star_messages_in import SeenStars, seen_stars
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
-from ship_attitude_star.star_attitude.exposure_solver import Solved, StarOutcome
+from ship_attitude_star.star_attitude.exposure_solver import RefusedStar, Solved, StarOutcome
 from ship_attitude_star.stars.config import JOINT
-from ship_attitude_star.stars.solution import SolutionStatus
+from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.frames import angle_covariance, angles_from_rotation
+from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.messages_in import ins_sample
-from ship_node.edge.messages_out import BUDGET_TYPE, INNOVATION_TYPE, DiagnosticStatus, Level
+from ship_node.edge.messages_out import (
+    BUDGET_TYPE,
+    DECK_FRAME,
+    INNOVATION_TYPE,
+    DiagnosticStatus,
+    Level,
+    error_budget,
+    refused_input,
+)
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
@@ -130,7 +142,7 @@ class StarAttitudeAdapter(ReportingAdapter):
         self.budget_due = solved if solved.valid else None
         for star in solved.refused:
             self.health.noted(_topic(star.source), star.refusal.reason)
-        published, refusal = self._solution(solved, messages_out.DECK_FRAME), solved.solution.refusal
+        published, refusal = self._solution(solved, DECK_FRAME), solved.solution.refusal
         if refusal is not None and refusal.reason is Reason.FAILED:
             self.health.failed(f"{self.main_topic}: {refusal.text}")
         if refusal is not None and refusal.reason not in (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION):
@@ -138,15 +150,15 @@ class StarAttitudeAdapter(ReportingAdapter):
         return published
 
     def _solution(self, solved: Solved, frame_id: str) -> list[Published]:
-        message = messages_out.star_horizon_attitude(self.factory, solved, frame_id)
-        refused = map(functools.partial(messages_out.refused_star, self.factory), solved.refused)
+        message = star_horizon_attitude(self.factory, solved, frame_id)
+        refused = map(functools.partial(refused_star, self.factory), solved.refused)
         return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in refused)]
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
         """The budget of the latest joint solution, once."""
         if self.budget_due is None:
             return []
-        return [(f"star/{JOINT}/error_budget", messages_out.solution_budget(self.factory, self.budget_due))]
+        return [(f"star/{JOINT}/error_budget", solution_budget(self.factory, self.budget_due))]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The solutions, and what the places of stars rest on."""
@@ -162,6 +174,47 @@ class StarAttitudeAdapter(ReportingAdapter):
 
 def _topic(source: str) -> str:
     return f"star/{source.partition('.')[2]}/observations"
+
+
+def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str) -> Any:
+    """ship_msgs/StarHorizonAttitude; all NaN where there is no attitude."""
+    solution = solved.solution
+    covariance_n, noise_n, residual_rms = solution.covariance_n, solution.noise_n, solution.residual_rms
+    star_count = solution.star_count
+    azimuth, elevation, roll = angles_from_rotation(solution.rotation_nb).tolist()
+    covariance = angle_covariance(covariance_n, azimuth, elevation)
+    return factory.make(
+        "ship_msgs/msg/StarHorizonAttitude",
+        header={"stamp": solved.time_ns, "frame_id": frame_id},
+        sensor_id=solved.sensor_id,
+        azimuth=azimuth,
+        elevation=elevation,
+        roll=roll,
+        covariance=covariance.ravel(),
+        rotation_covariance=enu_covariance(covariance_n).ravel(),
+        noise_covariance=enu_covariance(noise_n).ravel(),
+        star_count=star_count,
+        rejected_count=len(solved.refused),
+        residual_rms=residual_rms,
+        status=int(solution.status),
+    )
+
+
+def solution_budget(factory: MessageFactory, solved: Solved) -> Any:
+    """ship_msgs/ErrorBudget of a joint solution."""
+    parts_n, covariance_n = solved.solution.parts_n, solved.solution.covariance_n
+    return error_budget(factory, f"star_{JOINT}", solved.time_ns, DECK_FRAME, SOLUTION_TERMS, parts_n, covariance_n)
+
+
+def refused_star(factory: MessageFactory, star: RefusedStar) -> Any:
+    """ship_msgs/Innovation of a star that was refused, compared with its place or not."""
+    told = Refusal(star.refusal.reason, f"{star.name}: {star.refusal.text}")
+    if not star.residual:
+        return refused_input(factory, star.source, star.time_ns, told)
+    residual = np.array(star.residual)
+    nis = float(residual @ residual / star.sigma**2)
+    sigma = np.full(len(residual), star.sigma)
+    return refused_input(factory, star.source, star.time_ns, told, ("up", "right"), residual, sigma, nis)
 
 
 def solution_statuses(

@@ -17,6 +17,8 @@ DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 INNOVATION_TYPE = "ship_msgs/msg/Innovation"
 BUDGET_TYPE = "ship_msgs/msg/ErrorBudget"
+DECK_FRAME = "deck"
+"""The frame_id of an attitude of the ship herself."""
 
 _NOTHING = np.empty(0)
 
