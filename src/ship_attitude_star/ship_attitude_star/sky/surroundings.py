@@ -5,17 +5,17 @@ that neither the date line nor a pole is special. The air is what was measured l
 parameters stand in. Whatever the order of arrival, the answers are the same.
 """
 
+import bisect
 import math
 import struct
 from dataclasses import dataclass
-from typing import Any
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from ship_attitude_star.measurements.readings import AirReading, PositionFix, SkyInput
 from ship_attitude_star.sky.config import SkyConfig
-from ship_estimation.refusals import Reason, Refusal
-from ship_estimation.stamped_values import StampedValues
+from ship_estimation.refusals import Content, Reason, Refusal, same_stamp
 from ship_geometry.geodetic import (
     ecef_from_geodetic,
     geodetic_from_ecef,
@@ -26,6 +26,8 @@ from ship_geometry.refraction import Weather
 from ship_geometry.rotations import FloatArray
 from ship_geometry.star_directions import Observer
 from ship_geometry.time_scales import SECOND_NS
+
+Value = TypeVar("Value", bound=Content)
 
 ACCELERATION_SIGMA_M_PER_S2 = 0.1
 """Acceleration with which a ship leaves the straight line, standard deviation of each horizontal axis.
@@ -91,6 +93,53 @@ class _Value:
         return struct.pack("<dd", self.value, self.sigma)
 
 
+class _StampedValues(Generic[Value]):
+    """Values in the order of their stamps; of two with the same stamp the one whose bytes sort first is kept.
+
+    Attributes:
+        times: stamps, increasing.
+        values: of the same length.
+    """
+
+    def __init__(self) -> None:
+        self.times: list[int] = []
+        self.values: list[Value] = []
+
+    def refusal(self, time_ns: int, value: Value) -> Refusal | None:
+        """DUPLICATE or CONFLICT where there is a value of that stamp."""
+        known = self._at(time_ns)
+        return None if known is None else same_stamp(known, value)[1]
+
+    def insert(self, time_ns: int, value: Value) -> int | None:
+        """Put a value in its place; returns its index, None where another one of its stamp is kept."""
+        index = bisect.bisect_left(self.times, time_ns)
+        known = self._at(time_ns)
+        if known is None:
+            self.times.insert(index, time_ns)
+            self.values.insert(index, value)
+            return index
+        if known.content() <= value.content():
+            return None
+        self.values[index] = value
+        return index
+
+    def last_before(self, time_ns: int) -> int:
+        """Index of the last value at or before a moment; -1 where there is none."""
+        return bisect.bisect_right(self.times, time_ns) - 1
+
+    def drop_before(self, time_ns: int, keep: int = 1) -> None:
+        """Forget old values, but keep the last ``keep`` at or before a moment and all after it."""
+        count = bisect.bisect_right(self.times, time_ns) - keep
+        if count > 0:
+            del self.times[:count]
+            del self.values[:count]
+
+    def _at(self, time_ns: int) -> Value | None:
+        index = bisect.bisect_left(self.times, time_ns)
+        found = index < len(self.times) and self.times[index] == time_ns
+        return self.values[index] if found else None
+
+
 class _Quantity:
     """One quantity of the air: its readings, and the value that holds without any.
 
@@ -104,23 +153,25 @@ class _Quantity:
         self._default = default
         self._measured_sigma = measured_sigma
         self._max_age_ns = max_age_s * SECOND_NS
-        self.readings: StampedValues[_Value] = StampedValues()
+        self.readings: _StampedValues[_Value] = _StampedValues()
 
     def measured(self, reading: AirReading) -> _Value:
         return _Value(reading.value, self._measured_sigma if reading.sigma is None else reading.sigma)
 
-    def holds(self, last: int, time_ns: int) -> bool:
-        """Whether the last reading before a moment, by its index (-1: none), still holds then."""
-        return last >= 0 and time_ns - self.readings.times[last] <= self._max_age_ns
+    def holding(self, time_ns: int) -> int | None:
+        """Index of the reading that holds at a moment, the last one before it; None where none does."""
+        last = self.readings.last_before(time_ns)
+        return last if last >= 0 and time_ns - self.readings.times[last] <= self._max_age_ns else None
 
-    def at(self, last: int, time_ns: int) -> _Value:
-        """The value at a moment by the last reading before it, by its index (-1: none).
+    def at(self, time_ns: int) -> _Value:
+        """The value at a moment.
 
         The variance of a reading grows in its life to that of the default, unless it is larger from the beginning.
         """
-        if not self.holds(last, time_ns):
+        index = self.holding(time_ns)
+        if index is None:
             return self._default
-        reading, age_ns = self.readings.values[last], time_ns - self.readings.times[last]
+        reading, age_ns = self.readings.values[index], time_ns - self.readings.times[index]
         growth = max(0.0, self._default.sigma**2 - reading.sigma**2)
         return _Value(reading.value, math.sqrt(reading.sigma**2 + growth * age_ns / self._max_age_ns))
 
@@ -135,7 +186,7 @@ class Surroundings:
     def __init__(self, config: SkyConfig) -> None:
         self._fix_max_age_s = config.fix_max_age_s
         self._fix_max_age_ns = round(config.fix_max_age_s * SECOND_NS)
-        self._fixes: StampedValues[_Fix] = StampedValues()
+        self._fixes: _StampedValues[_Fix] = _StampedValues()
         pressure = _Value(config.pressure_hpa, config.pressure_sigma_hpa)
         temperature = _Value(config.temperature_c, config.temperature_sigma_k)
         # The error of humidity is left out: from dry to saturated air, refraction changes as by 0.5 K at 10 °C, and as
@@ -147,8 +198,6 @@ class Surroundings:
             "temperature": _Quantity(temperature, config.measured_temperature_sigma_k, max_age_s),
             "humidity": _Quantity(humidity, 0.0, max_age_s),
         }
-        readings = [quantity.readings for quantity in self._air.values()]
-        self._stamped: tuple[StampedValues[Any], ...] = (self._fixes, *readings)
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
@@ -204,27 +253,19 @@ class Surroundings:
         error that the straight line leaves out grows with the time to its two fixes. The air is that of the last
         readings at or before the moment.
         """
-        last_fix, *last = [values.last_before(time_ns) for values in self._stamped]
-        pressure, temperature, humidity = [
-            quantity.at(index, time_ns) for quantity, index in zip(self._air.values(), last, strict=True)
-        ]
-        place = self._place(last_fix, time_ns)
+        place = self._place(time_ns)
         if isinstance(place, Refusal):
             return place
+        pressure, temperature, humidity = [quantity.at(time_ns) for quantity in self._air.values()]
         weather = Weather(pressure.value, temperature.value, humidity.value)
         return place, Air(weather, pressure.sigma, temperature.sigma)
 
     def not_measured(self, time_ns: int) -> list[str]:
         """Names of the quantities of the air that are taken from parameters at a moment."""
-        return [
-            name
-            for name, quantity in self._air.items()
-            if not quantity.holds(quantity.readings.last_before(time_ns), time_ns)
-        ]
+        return [name for name, quantity in self._air.items() if quantity.holding(time_ns) is None]
 
-    def _place(self, last: int, time_ns: int) -> Place | Refusal:
-        """The place at a moment; ``last`` is the index of the last fix before it (-1: none)."""
-        times = self._fixes.times
+    def _place(self, time_ns: int) -> Place | Refusal:
+        times, last = self._fixes.times, self._fixes.last_before(time_ns)
         if not times:
             return Refusal(Reason.NO_FIX, "no position fix yet: is gnss/fix published?")
         # Of two fixes equally near the earlier one counts.

@@ -31,8 +31,7 @@ from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import no_attitude
 from ship_estimation.estimator_shell import LagWindow
-from ship_estimation.refusals import Reason, Refusal, failure
-from ship_estimation.stamped_values import StampedValues
+from ship_estimation.refusals import Reason, Refusal, failure, same_stamp
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray
@@ -153,7 +152,7 @@ class StarCore:
         self._guards = StreamGuards(self._config.ins)
         self._ins = InsMotion(self._config.ins, self._guards)
         self._sources = [f"star.{id_}" for id_ in self._config.star_sensors]
-        self._taken: dict[str, StampedValues[StarExposure]] = {source: StampedValues() for source in self._sources}
+        self._taken: dict[tuple[str, int], StarExposure] = {}
         self._waiting: list[_Waiting] = []
         self._window = JointWindow(self._sources, self._config.joint)
         self._arrivals = LagWindow(self._config.lag_s)
@@ -190,11 +189,10 @@ class StarCore:
             refused: further stars of the message that cannot be used.
             arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
         """
-        refusal = self._refusal(exposure)
-        if refusal is not None and refusal.reason is not Reason.CONFLICT:
+        used, refusal = self._judged(exposure)
+        if not used:
             return StarOutcome(refusal)
-        if self._taken[exposure.source].insert(exposure.time_ns, exposure) is None:
-            return StarOutcome(refusal)
+        self._taken[exposure.source, exposure.time_ns] = exposure
         self._arrivals.move_to(exposure.time_ns)
         arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
         self._wait(_Waiting(exposure, refused, arrival_ns, exposure.reach_ns))
@@ -219,14 +217,19 @@ class StarCore:
 
     # -- what is used ---------------------------------------------------------------------------------------
 
-    def _refusal(self, exposure: StarExposure) -> Refusal | None:
-        late = self._arrivals.late(exposure.time_ns)
-        if late is not None:
-            return late
-        refusal = self._taken[exposure.source].refusal(exposure.time_ns, exposure)
-        if refusal is not None and refusal.reason is Reason.CONFLICT:
-            return replace(refusal, text=f"{refusal.text}; do two sensors publish on one topic?")
-        return refusal or self._guards.check(exposure, self._ins.track)
+    def _judged(self, exposure: StarExposure) -> tuple[bool, Refusal | None]:
+        """Whether an exposure is used, and what is to be said of it; a conflict is told even of one that is used."""
+        refusal = self._arrivals.late(exposure.time_ns)
+        if refusal is not None:
+            return False, refusal
+        known = self._taken.get((exposure.source, exposure.time_ns))
+        if known is None:
+            refusal = self._guards.check(exposure, self._ins.track)
+            return refusal is None, refusal
+        used, told = same_stamp(known, exposure)
+        if told.reason is Reason.CONFLICT:
+            told = replace(told, text=f"{told.text}; do two sensors publish on one topic?")
+        return used, told
 
     def _wait(self, new: _Waiting) -> None:
         """Put an exposure among those that wait, in the place of one of the same sensor and stamp."""
@@ -244,8 +247,7 @@ class StarCore:
         self._solve(outcome, None)
         oldest_ns = self._arrivals.oldest_ns - self._wait_ns
         self._watch.surroundings.drop_before(oldest_ns)
-        for taken in self._taken.values():
-            taken.drop_before(oldest_ns)
+        self._taken = {key: exposure for key, exposure in self._taken.items() if exposure.time_ns >= oldest_ns}
         self._ins.drop_before(oldest_ns - _LONGEST_REACH_NS)
 
     def _solve(self, outcome: StarOutcome, waiting_ns: int | None) -> None:
