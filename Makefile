@@ -41,6 +41,6 @@ campaign: setup ## many seeds, consistency of the estimates
 kills: setup ## kill -9 of recorder and node at random moments: what is lost
 	@$(RUN) python tools/kill_campaign.py
 
-clean: ## remove what was built; the wheels stay (rm -r .venv removes them)
-	@rm -rf build install log out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+clean: ## remove what was built; out/ with your files stays, and the wheels (rm -r .venv removes them)
+	@rm -rf build install log .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	@find src test tools -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

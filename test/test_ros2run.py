@@ -42,5 +42,5 @@ def test_before_the_first_build_the_list_says_how_to_get_one_and_builds_nothing(
 def test_an_executable_that_moved_is_named_where_it_used_to_be(name: str, package: str) -> None:
     asked = ros2run(ROOT, "ship_replay", name, "--help")
     assert asked.returncode == 2
-    assert asked.stderr == f"{name}: moved from ship_replay: ros2 run {package} {name}\n"
+    assert asked.stderr == f"{name} has moved from ship_replay to {package}: ros2 run {package} {name}\n"
     assert ros2run(ROOT, package, name, "--help").returncode == 0

@@ -286,6 +286,22 @@ def test_bytes_that_are_not_the_message(tmp_path):
             record.decode()
 
 
+def test_a_live_message_that_ends_with_an_empty_sequence_is_read(tmp_path):
+    """rclpy writes the padding before elements that are not there, of whatever was in its memory."""
+    from rclpy.serialization import serialize_message
+
+    from ship_msgs.msg import InputHealth
+
+    kind, health = "ship_msgs/msg/InputHealth", InputHealth(topic="ins/imu", received=7)
+    path = tmp_path / "live.mcap"
+    with BagWriter(path) as bag:
+        bag.write_raw("input_health", kind, bytes(serialize_message(health)), START_NS)
+    with read_bag(path) as bag:
+        (record,) = bag.records()
+        back = record.decode()
+    assert (back.topic, back.received, list(back.reason_counts)) == ("ins/imu", 7, [])
+
+
 def test_damaged_attachment_is_told(tmp_path):
     path = write_imu_bag(tmp_path / "bag.mcap", 10, attachments=[("suite.yaml", "a: 12345\n")])
     path.write_bytes(path.read_bytes().replace(b"a: 12345", b"a: 12346"))

@@ -1,6 +1,7 @@
 """What chi² says: is a residual too improbable to use its measurement, is a covariance honest?
 
-Normalised errors and their bands after Bar-Shalom, Li, Kirubarajan 2001, §5.4.
+This module computes; the filters decide. Normalised errors and their bands follow Bar-Shalom, Li, Kirubarajan 2001,
+§5.4.
 """
 
 from dataclasses import dataclass

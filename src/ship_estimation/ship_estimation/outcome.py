@@ -29,7 +29,7 @@ class Measurement(Protocol):
 
     @property
     def source(self) -> str:
-        """Who measured: ``star.<id>``, ``reference.<name>``, ``theodolite/beacons``."""
+        """Who measured: ``star.<id>``, ``reference.<name>``, ``beacons``."""
         ...
 
     @property

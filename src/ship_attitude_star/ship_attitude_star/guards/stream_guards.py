@@ -44,7 +44,10 @@ class StreamGuards:
         source, time_ns = measurement.source, measurement.time_ns
         if time_ns <= self._latest_ns.get(source, time_ns - 1):
             return None
-        value, sigmas, stands_still = _watched(measurement)
+        watched = _watched(measurement)
+        if watched is None:
+            return None
+        value, sigmas, stands_still = watched
         # An exposure that shows no star may be followed by another one, also on a moving ship.
         if len(value) > 0:
             sigma_rad = float(np.max(sigmas))
@@ -69,13 +72,17 @@ class StreamGuards:
         self.witnesses[attitude.source] = Witness(attitude.time_ns, attitude.rotation_nv, sigma_rad)
 
 
-def _watched(measurement: Measurement) -> tuple[FloatArray, FloatArray, str]:
-    """What must not stand still on a moving ship, the noise of its parts in rad, and what is said where it does."""
+def _watched(measurement: Measurement) -> tuple[FloatArray, FloatArray, str] | None:
+    """What must not stand still on a moving ship, the noise of its parts in rad, and what is said where it does.
+
+    None where a measurement is of a kind that may stand still.
+    """
     if isinstance(measurement, StarExposure):
         return measurement.directions_s, measurement.sigma, "stars stand still on the detector"
     if isinstance(measurement, InertialAttitude):
         # Against the stars even a ship at rest turns.
         sigmas = np.sqrt(np.diagonal(measurement.noise_s))
         return measurement.rotation_cs, sigmas, "attitude against the stars stands still"
-    assert isinstance(measurement, AttitudeMeasurement)
-    return measurement.rotation_nv, np.sqrt(np.diagonal(measurement.noise_v)), "attitude stands still"
+    if isinstance(measurement, AttitudeMeasurement):
+        return measurement.rotation_nv, np.sqrt(np.diagonal(measurement.noise_v)), "attitude stands still"
+    return None

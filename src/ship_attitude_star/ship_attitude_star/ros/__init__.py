@@ -3,8 +3,10 @@
 The room may import all others; only ``ship_replay`` and the executables import it. The method ``table`` of an adapter
 says which topic feeds which method of the core.
 
-A new kind of sensor is a struct in ``measurements/`` and a reader here that makes that struct of a message or refuses
-the message. A row in the table of ``ship_attitude_adapter``, with a value of the parameter ``input``, binds the topic
-to the reader and to ``ShipAttitudeCore.add_measurement``. What the filter compares it with stands in
-``ship_attitude/comparison``; refusing, health, waiting and the messages of decisions are the same for all sensors.
+A new kind of sensor is touched in this order: its struct in ``measurements/``; here a reader that makes the struct of
+a message or refuses the message, and a row in the table of ``ship_attitude_adapter`` that binds topic, reader and
+``ShipAttitudeCore.add_measurement``; its parameters in ``ship_attitude/config``; its errors as states and its device in
+``ship_attitude/model``; what the filter compares it with in ``ship_attitude/comparison``; in ``guards/stream_guards``
+what of it must not stand still; in ``ship_attitude/alignment`` what of it is saved. Lateness, doubles, waiting, revised
+decisions, health and the messages that tell of them are the same for all sensors.
 """

@@ -165,7 +165,7 @@ def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
     walk_per_sqrt_s = np.array(walk) * ARCSEC / _SQRT_HOUR
     blocks = [
         block(f"{name}.installation", star.installation_sigma_s, SOURCE_INSTALLATION, walk=walk_per_sqrt_s),
-        # Its size comes with the messages (ship_filter), so it starts without any.
+        # Its size comes with the messages (ShipFilter), so it starts without any.
         block(f"{name}.common", [0.0] * 3, SOURCE_STAR_COMMON, time_s=star.common_time_s),
     ]
     if star.time_offset_sigma_s > 0.0:

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any, NamedTuple
 
 from mcap.records import Message
+from rosbags.serde import SerdeError
 from rosbags.typesys.store import Typestore
 
 from ship_bags.command_line import with_bar
@@ -37,6 +38,10 @@ _RECORD_BYTES = 250
 """Memory that a message takes besides its own bytes."""
 
 
+_PADDING_BYTES = 4
+"""What stands before an 8-byte element at the most."""
+
+
 @dataclass(slots=True)
 class BagRecord:
     """One message as it lies in the bag; sequence number and publish time are those that its writer noted."""
@@ -56,7 +61,12 @@ class BagRecord:
             BadInput: the bytes are not such a message.
         """
         try:
-            return self.store.deserialize_cdr(self.data, self.type_name)
+            try:
+                return self.store.deserialize_cdr(self.data, self.type_name)
+            except SerdeError:
+                # A message that ends with an empty sequence of 8-byte elements comes from rclpy with the padding that
+                # its first element would need.
+                return self.store.deserialize_cdr(self.data[:-_PADDING_BYTES], self.type_name)
         except Exception as problem:
             # The generated decoder may fail in any way over bytes that are no such message.
             raise BadInput(

@@ -10,5 +10,6 @@ PLACES = {"record": "ship_bags", "play": "ship_bags", "import_nmea": "ship_bags"
 def say() -> int:
     """Tell where the executable that was called is."""
     name = Path(sys.argv[0]).name
-    print(f"{name}: moved from ship_replay: ros2 run {PLACES[name]} {name}", file=sys.stderr)
+    package = PLACES[name]
+    print(f"{name} has moved from ship_replay to {package}: ros2 run {package} {name}", file=sys.stderr)
     return 2
