@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
-from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, PredictedAttitude, ShipStateModel
+from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.camera import tangent_basis
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
@@ -25,6 +25,22 @@ from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, left_jacobian, log_rotation, skew
+
+
+@dataclass(frozen=True)
+class PredictedAttitude:
+    """A device's attitude as the state predicts it.
+
+    Attributes:
+        rotation_nv: horizon from device, shape (3, 3).
+        jacobian_v: rotation vector in the device frame per state error, shape (3, n).
+        interpolation_v: covariance of the error of the INS's attitude between its samples, rotation vector in the
+            device frame, rad², shape (3, 3).
+    """
+
+    rotation_nv: FloatArray
+    jacobian_v: FloatArray
+    interpolation_v: FloatArray
 
 
 @dataclass(frozen=True)

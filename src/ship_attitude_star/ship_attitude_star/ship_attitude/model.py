@@ -1,4 +1,4 @@
-"""Which devices and which states the ship-attitude filter has, and what a predicted attitude is.
+"""Which devices and which states the ship-attitude filter has.
 
 docs/explanation/filter.md tells the model.
 
@@ -200,19 +200,3 @@ def _reference_blocks(name: str, reference: ReferenceConfig) -> list[StateBlock]
         slow_sigma = np.array(slow) * ARCSEC
         blocks.append(block(f"{name}.slow", slow_sigma, SOURCE_REFERENCE_SLOW, time_s=reference.slow_time_s))
     return blocks
-
-
-@dataclass(frozen=True)
-class PredictedAttitude:
-    """A device's attitude as the state predicts it.
-
-    Attributes:
-        rotation_nv: horizon from device, shape (3, 3).
-        jacobian_v: rotation vector in the device frame per state error, shape (3, n).
-        interpolation_v: covariance of the error of the INS's attitude between its samples, rotation vector in the
-            device frame, rad², shape (3, 3).
-    """
-
-    rotation_nv: FloatArray
-    jacobian_v: FloatArray
-    interpolation_v: FloatArray
