@@ -1,4 +1,4 @@
-"""Adapter, messages in and out, the saved calibration, node: where the core meets ROS.
+"""Adapter with the messages that it gives, messages in, the saved calibration, node: where the core meets ROS.
 
 The room may import all others; only ``ship_replay``, ``axis_fit`` (which writes the saved calibration) and the
 executable import it.

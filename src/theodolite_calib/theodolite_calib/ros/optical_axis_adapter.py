@@ -1,7 +1,7 @@
 """The node ``optical_axis``: which topic feeds which method of its core, what a pointing becomes, its diagnostics."""
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -9,18 +9,31 @@ import numpy as np
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Refusal
+from ship_geometry.frames import angle_covariance, angles_from_rotation
+from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.messages_out import BUDGET_TYPE, INNOVATION_TYPE, DiagnosticStatus, Level, refused_input
+from ship_node.edge.messages_out import (
+    BUDGET_TYPE,
+    INNOVATION_TYPE,
+    DiagnosticStatus,
+    Level,
+    error_budget,
+    refused_input,
+)
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import Exposure, Mode, PointingEstimate
 from theodolite_calib.optical_axis.calibration import Calibration
 from theodolite_calib.optical_axis.core import OpticalAxisCore
-from theodolite_calib.ros import messages_in, messages_out
+from theodolite_calib.ros import messages_in
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
+
+MAIN_FRAME = "theodolite_main"
+BASE_FRAME = "theodolite_base"
+POINTING_TOPIC = "theodolite/pointing"
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 _SHIP = {
@@ -57,10 +70,10 @@ class OpticalAxisAdapter(ReportingAdapter):
     node_name: ClassVar[str] = "optical_axis"
     config_type: ClassVar[type] = OpticalAxisConfig
     services: ClassVar[tuple[str, ...]] = ("reset", "save_alignment", "load_alignment")
-    main_topic: ClassVar[str] = messages_out.POINTING_TOPIC
+    main_topic: ClassVar[str] = POINTING_TOPIC
     innovation_topic: ClassVar[str] = "theodolite/innovation"
     outputs: tuple[OutputTopic, ...] = (
-        OutputTopic(messages_out.POINTING_TOPIC, "ship_msgs/msg/OpticalAxisPointing"),
+        OutputTopic(POINTING_TOPIC, "ship_msgs/msg/OpticalAxisPointing"),
         OutputTopic("theodolite/calibration", "ship_msgs/msg/TheodoliteCalibration", latched=True),
         OutputTopic("theodolite/error_budget", BUDGET_TYPE),
         OutputTopic(innovation_topic, INNOVATION_TYPE),
@@ -78,7 +91,7 @@ class OpticalAxisAdapter(ReportingAdapter):
             to_save=core.calibration_to_save,
             nothing="no light was used yet: there is no calibration to save",
         )
-        super().__init__(config, core, factory, functools.partial(messages_out.pointing_messages, factory), saved)
+        super().__init__(config, core, factory, functools.partial(pointing_messages, factory), saved)
 
     def table(self, config: OpticalAxisConfig) -> Iterator[Feed]:
         """Which topic feeds which method of the core."""
@@ -111,10 +124,10 @@ class OpticalAxisAdapter(ReportingAdapter):
         if estimate is not None:
             sources = self.core.filter.model.sources
             published += [
-                ("theodolite/error_budget", messages_out.pointing_budget(factory, estimate, sources)),
-                ("theodolite/error_arcsec", messages_out.error_arcsec(factory, estimate)),
+                ("theodolite/error_budget", pointing_budget(factory, estimate, sources)),
+                ("theodolite/error_arcsec", error_arcsec(factory, estimate)),
             ]
-        calibration = messages_out.calibration(factory, self.core.calibration(), now_ns)
+        calibration = calibration_message(factory, self.core.calibration(), now_ns)
         return [*published, ("theodolite/calibration", calibration)]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
@@ -125,6 +138,67 @@ class OpticalAxisAdapter(ReportingAdapter):
             calibration_status(self.core.calibration(), told),
             *self.conflict_statuses(),
         ]
+
+
+def pointing_messages(factory: MessageFactory, estimate: PointingEstimate) -> list[Published]:
+    """What a pointing becomes: ship_msgs/OpticalAxisPointing; all NaN where no pointing is claimed."""
+    azimuth, elevation, image_rotation = angles_from_rotation(estimate.rotation_nm).tolist()
+    telescope_azimuth, telescope_elevation, telescope_rotation = angles_from_rotation(estimate.rotation_nt).tolist()
+    angles_covariance = angle_covariance(estimate.covariance_n, azimuth, elevation)
+    message = factory.make(
+        "ship_msgs/msg/OpticalAxisPointing",
+        header={"stamp": estimate.time_ns, "frame_id": MAIN_FRAME},
+        azimuth=azimuth,
+        elevation=elevation,
+        image_rotation=image_rotation,
+        covariance=angles_covariance.ravel(),
+        rotation_covariance=enu_covariance(estimate.covariance_n).ravel(),
+        telescope_azimuth=telescope_azimuth,
+        telescope_elevation=telescope_elevation,
+        telescope_rotation=telescope_rotation,
+        mode=int(estimate.mode),
+        status=int(estimate.status),
+        light_count=estimate.light_count,
+    )
+    return [(POINTING_TOPIC, message)]
+
+
+def pointing_budget(factory: MessageFactory, estimate: PointingEstimate, sources: Sequence[str]) -> Any:
+    """ship_msgs/ErrorBudget of a published pointing; ``sources`` name the parts of its covariance."""
+    parts_n, covariance_n = estimate.parts_n, estimate.covariance_n
+    return error_budget(factory, "optical_axis", estimate.time_ns, MAIN_FRAME, sources, parts_n, covariance_n)
+
+
+def error_arcsec(factory: MessageFactory, estimate: PointingEstimate) -> Any:
+    """ship_msgs/PointingErrorArcsec: predicted sigmas; an estimator never sees the truth, so errors are NaN."""
+    azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
+    sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, azimuth, elevation))) / ARCSEC
+    unknown = float("nan")
+    return factory.make(
+        "ship_msgs/msg/PointingErrorArcsec",
+        header={"stamp": estimate.time_ns, "frame_id": MAIN_FRAME},
+        sigma_azimuth_cos_elevation=float(sigma[0] * np.cos(elevation)),
+        sigma_elevation=float(sigma[1]),
+        sigma_image_rotation=float(sigma[2]),
+        error_azimuth_cos_elevation=unknown,
+        error_elevation=unknown,
+        error_image_rotation=unknown,
+    )
+
+
+def calibration_message(factory: MessageFactory, values: Calibration, now_ns: int) -> Any:
+    """ship_msgs/TheodoliteCalibration, stamped with the last sighting, or now where there was none."""
+    return factory.make(
+        "ship_msgs/msg/TheodoliteCalibration",
+        header={"stamp": values.time_ns or now_ns, "frame_id": BASE_FRAME},
+        names=list(values.names),
+        values=values.values,
+        covariance=values.covariance.ravel(),
+        units=list(values.units),
+        unobservable=list(values.unobservable),
+        sighting_count=values.sighting_count,
+        residual_rms=values.residual_rms,
+    )
 
 
 def pointing_status(estimate: PointingEstimate | None, clock_jumps: int) -> DiagnosticStatus:
