@@ -1,3 +1,4 @@
+# The same lines stand in the setup.py of every package: colcon builds each package from its own file alone.
 from setuptools import find_packages, setup
 
 package_name = "ship_bags"

@@ -30,6 +30,9 @@ _J2000 = 2_451_545.0
 _JULIAN_YEAR_D = 365.25
 _EPOCHS_KEPT = 4
 
+_NO_REFRACTION = 0.0
+"""ERFA's refraction constants: the air is allowed for in :mod:`ship_geometry.refraction`."""
+
 
 @dataclass(frozen=True)
 class StarPositions:
@@ -149,22 +152,17 @@ def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orient
         >>> print(np.rad2deg([np.arctan2(east, north), np.arcsin(up)]).round(4))  # azimuth, elevation
         [71.9496 42.2137]
     """
-    tt, position = tt_julian_date(time_ns), observer.position
+    tt = tt_julian_date(time_ns)
     heliocentric, barycentric = erfa.epv00(*tt)
     astrom = erfa.apco(
         *tt,
         barycentric,
         heliocentric["p"],
         *erfa.xys06a(*tt),
-        erfa.era00(*_ut1(time_ns, orientation)),
-        position.longitude,
-        position.latitude,
-        position.height_m,
-        orientation.pole_x,
-        orientation.pole_y,
+        *_site(time_ns, observer, orientation),
         erfa.sp00(*tt),
-        0.0,
-        0.0,
+        _NO_REFRACTION,
+        _NO_REFRACTION,
     )
     return _horizon_directions(stars, astrom, astrom, observer)
 
@@ -213,17 +211,8 @@ class RefreshedSky:
             OutsideEarthOrientation: the table has no value for this moment.
         """
         epoch = self._epoch(time_ns)
-        orientation, position = epoch.orientation, observer.position
         to_horizon = erfa.apio(
-            epoch.tio_locator,
-            erfa.era00(*_ut1(time_ns, orientation)),
-            position.longitude,
-            position.latitude,
-            position.height_m,
-            orientation.pole_x,
-            orientation.pole_y,
-            0.0,
-            0.0,
+            epoch.tio_locator, *_site(time_ns, observer, epoch.orientation), _NO_REFRACTION, _NO_REFRACTION
         )
         return _horizon_directions(stars, epoch.to_cirs, to_horizon, observer)
 
@@ -260,6 +249,13 @@ class RefreshedSky:
 
 def _ut1(time_ns: TimeNs, orientation: EarthOrientation) -> JulianDate:
     return julian_date(time_ns, orientation.ut1_minus_utc_s)
+
+
+def _site(time_ns: TimeNs, observer: Observer, orientation: EarthOrientation) -> tuple[Any, ...]:
+    """How the ship lies in space, in the order of ERFA's arguments: Earth rotation angle, place and pole, rad and m."""
+    place = observer.position
+    angle = erfa.era00(*_ut1(time_ns, orientation))
+    return angle, place.longitude, place.latitude, place.height_m, orientation.pole_x, orientation.pole_y
 
 
 def _horizon_directions(stars: StarPositions, to_cirs: Any, to_horizon: Any, observer: Observer) -> FloatArray:
