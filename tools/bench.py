@@ -25,7 +25,7 @@ from ship_attitude_star.stars.solution import SolutionStatus
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_estimation.parameters import build
 from ship_replay.trials.live_run import LiveFailure, LiveRun
-from ship_replay.trials.monte_carlo import sky_input
+from ship_replay.trials.monte_carlo import sky_input, star_exposure
 from ship_simulation.run import SKY_SOURCES, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import star_attitude_configuration
@@ -93,7 +93,7 @@ def star_solution() -> list[Row]:
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
             watch.surroundings.insert(sky_input(run, source, index))
-    exposures = [sightings.exposure(0) for sightings in run.stars.values()]
+    exposures = [star_exposure(run, id_, 0) for id_ in run.stars]
     time_ns = exposures[0].time_ns
     mounted = [
         Mounted(solve_exposure(exposure, (), None, watch)[0], config.star_sensors[id_].rotation_ds, np.zeros((3, 3)))
