@@ -1,7 +1,7 @@
 """Files that are written: where that may be, files that get their name when they are whole, and the way onto the disk.
 
-A command writes over nothing that is there unless it is told to, and over nothing but files ever. It looks at that
-before the work begins, for a run of minutes must not be lost for a name.
+A command writes over nothing that is there unless it is told to. It never replaces a folder, device or pipe. It
+looks at that before the work begins, for a run of minutes must not be lost for a name.
 
 Until a file is whole it is written beside its name, as ``NAME.part``. A part is opened exclusively and follows no link,
 so that nobody else's file is written. A part that a killed program left is taken away; one that another program writes

@@ -386,8 +386,8 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
     ) -> None:
         """Say, once a second, that there is no estimate, where none went out for too long whatever came in.
 
-        Such an output carries the time of a tick. It stands outside the order of those that claim something, and holds
-        none of them back.
+        Such an output carries the time of a tick. An INVALID output does not count for output order; an
+        older valid estimate may follow.
         """
         if self._silent_after_ns is not None and waiting_ns <= self._silent_after_ns:
             return

@@ -16,7 +16,7 @@ from ship_geometry.rotations import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class GateConfig:
-    """When a measurement is too improbable to use, and what a run of such means."""
+    """When a measurement is too improbable to use, and what several refusals in a row mean."""
 
     probability: float = parameter(
         0.9999, doc="a consistent measurement passes with this probability", minimum=0.5, maximum=0.999999999, live=True

@@ -34,7 +34,7 @@ _STUCK = Refusal(Reason.STUCK, "orientation stands still while other sources mov
 _LARGEST_ACCELERATION = math.radians(60.0)
 """Of a hull, rad/s²: a small craft that rolls by 30 degrees in five seconds comes to 47 degrees per second squared."""
 _FASTEST_RAD_PER_S = math.radians(60.0)
-"""Nothing that floats turns faster: a bound where nothing leads from one attitude to another."""
+"""Nothing that floats turns faster: the limit used when no rate predicts the next attitude."""
 _LONGEST_STEP_S = 1.0
 
 
@@ -298,9 +298,9 @@ def _gate_refusal(match: Match) -> Refusal:
 
 
 def _moved_back(sample: AttitudeSample, taken: _Seen) -> AttitudeSample | None:
-    """Where the deck would have been before a sample, had it moved as it did before the last sample that was taken.
+    """The deck at the time of the last accepted sample, extrapolated back from a new sample.
 
-    After a jump this leads to the next sample.
+    It moves as it did before the last accepted sample. After a jump, the next sample is predicted with it.
     """
     if taken.before is None:
         return None

@@ -21,7 +21,10 @@ _LONGEST_STEP_NS = _SECOND_NS
 _CHANGE_SHARE = 0.25
 """The mean of two rates may miss this share of their change, times the time between them."""
 _SHORTEST_PERIOD_S = 4.0
-"""Of a hull's motion: the mean of two rates then gives the turn but for (2 pi h / period)² / 12 of it."""
+"""Shortest period of a hull's motion, s.
+
+The mean of two rates then misses at most (2 pi h / period)² / 12 of the turn.
+"""
 
 
 class Rates(enum.Enum):

@@ -84,7 +84,9 @@ class Refusal:
 
 
 def failure(error: Exception) -> Refusal:
-    """The refusal of an input on which our own code stumbled: a defect, told as such, that must harm nothing else.
+    """The refusal of an input on which our own code stumbled.
+
+    Reported as a defect of this software; other inputs go on.
 
     Example:
         >>> failure(ZeroDivisionError("division by zero"))

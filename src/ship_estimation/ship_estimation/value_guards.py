@@ -204,7 +204,8 @@ class Match(NamedTuple):
         difference: from that place to the value, rad, shape (n,).
         bound_rad: how large the difference may be.
         fits: whether it is within that bound; NaN is not.
-        led: False where nothing leads from the earlier value, and only the time that has passed bounds the difference.
+        led: False where the value cannot be predicted from the earlier one; then only elapsed time limits the
+            difference.
     """
 
     difference: FloatArray

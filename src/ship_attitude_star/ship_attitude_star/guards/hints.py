@@ -17,7 +17,7 @@ _PLAIN_RAD = np.deg2rad(10.0)
 """Up to this a disagreement in heading needs no mistake to explain it; near 45° and 225° any mistake would."""
 
 _SAME_TILT_RAD = np.deg2rad(15.0)
-"""Mistakes in heading leave the tilt as it is, but for a pitch with the other sign: the tilts agree within this."""
+"""A heading mistake does not change the tilt; a pitch sign error does. Tilts closer than this agree."""
 
 _QUARTER_TURN = 0.5 * np.pi
 _STAR = "star."

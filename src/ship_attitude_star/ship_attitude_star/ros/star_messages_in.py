@@ -195,7 +195,7 @@ def _refusals(
 def _left_out(
     stars: Sequence[Any], refusals: Sequence[Refusal | None], named_by_number: bool
 ) -> tuple[tuple[str, Refusal], ...]:
-    """Stars that are not used, by name; of those that nobody looks at, the first stands for all."""
+    """Stars that are not used, by name. Those beyond ``MOST_STARS`` are told once, by the first of them."""
     rows = [(row, refusal) for row, refusal in enumerate(refusals) if refusal is not None]
     if len(stars) > MOST_STARS:
         text = f"{len(stars)} stars in one exposure: only the first {MOST_STARS} are looked at"

@@ -119,7 +119,7 @@ def prior_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState
 def state_from_prior(
     filter_: ShipFilter, config: ShipAttitudeConfig, prior: AlignmentPrior, now_ns: int
 ) -> tuple[FilterState, list[str]]:
-    """The start of a voyage with a saved alignment, and what is to be said of it.
+    """The start of a voyage with a saved alignment, and remarks for the operator.
 
     A sensor with another serial number keeps its configured prior. An alignment older than
     ``alignment_max_age_d`` keeps its values, with the configured uncertainty added; a random walk is added for

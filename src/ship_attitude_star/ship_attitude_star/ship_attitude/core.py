@@ -70,13 +70,13 @@ class ShipAttitudeCore:
         self.reset()
 
     def start_from(self, prior: AlignmentPrior, now_ns: int) -> list[str]:
-        """Reset to a saved alignment; returns what is to be said of it."""
+        """Reset to a saved alignment; returns remarks for the operator."""
         self._start = (prior, now_ns)
         self.reset()
         return self._initial()[1]
 
     def _initial(self) -> tuple[FilterState, list[str]]:
-        """The state before any measurement, as configured or by the saved alignment, and what is to be said of it."""
+        """The state before any measurement, as configured or by the saved alignment, and remarks for the operator."""
         if self._start is None:
             return self.filter.initial_state(), []
         return state_from_prior(self.filter, self.config, *self._start)
@@ -113,7 +113,7 @@ class ShipAttitudeCore:
         outcome = AttitudeOutcome()
         judged = self._guards.ins.judge(sample, self._track, self._guards.witnesses)
         if judged.rates_wrong_after_ns is not None:
-            # What was compared by rates that were none is compared anew without them.
+            # The rates proved wrong. Measurements compared with their help are compared again without rates.
             changed_after_ns = self._track.forget_rates(judged.rates_wrong_after_ns)
             if changed_after_ns is not None:
                 self._shell.data_changed(changed_after_ns)
@@ -126,7 +126,8 @@ class ShipAttitudeCore:
             self._track.cut(judged.jump.time_ns)
         if not self._shell.add_sample(self._track, judged.sample, outcome):
             return outcome
-        # An attitude that is moved by a clock offset needs its rate. Without it the sample leads to nothing.
+        # An attitude that is moved by a clock offset needs its rate. Without a rate no attitude is put out for the
+        # sample.
         if self._track.newest is judged.sample and (self._track.newest_rate_known or self.state.time_ns is None):
             self._ins_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
             if estimate:

@@ -2,9 +2,8 @@
 
 The core knows no ROS, no files and no clock. Each exposure gives the attitude of its sensor, at its own time; exposures
 may come in any order within ``lag_s``. Exposures of different sensors that are near in time give the attitude of the
-deck, in order of time. No attitude depends on the one before, so that of the shell of the estimators
-(:mod:`ship_estimation.estimator_shell`) only the window of arrivals is needed here. How long something waits is
-measured in the time of waiting, as there.
+deck, in order of time. No attitude depends on the one before, so this core needs only the shell's window of arrivals
+(:mod:`ship_estimation.estimator_shell`). How long something waits is measured in the time of waiting, as there.
 """
 
 from collections.abc import Callable, Collection, Iterator

@@ -119,7 +119,7 @@ class InsMotion:
 
         Returns:
             The exposure, and the variance of the error that turns all its directions alike, each axis, rad²: of the
-            INS's noise, or of the turn that the ship may have made untold.
+            INS's noise, or of the turn during the exposure, where no INS sample shows it.
         """
         length = exposure.length
         if length is None:

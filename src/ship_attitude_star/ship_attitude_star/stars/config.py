@@ -21,9 +21,10 @@ JOINT = "joint"
 
 
 class StarSensorsById:
-    """What the parameters of both nodes have in common: star sensors by id, none of which is called JOINT.
+    """What the parameters of both nodes have in common: star sensors by id.
 
-    A sensor of that name would publish on the topic of the joint solution, and its stars would count twice.
+    No sensor may have the id JOINT, which names the joint solution. A sensor of that name would publish on the
+    topic of the joint solution, and its stars would count twice.
     """
 
     star_sensors: Mapping[str, "MountingConfig"]

@@ -257,8 +257,8 @@ def identified(
     close = _mahalanobis(seen_n, reference_n, variance, smear_n, prior) < chi_square_gate(GATE_PROBABILITY, 2)
     unlike = np.abs(exposure.magnitude[rows, None] - catalogue.magnitude[candidates]) > MAGNITUDE_TOLERANCE
     close &= ~unlike
-    # No catalogue star counts twice: one that two detections could be is given to neither, and one that a detection
-    # already has by its number is given to no other.
+    # No catalogue star counts twice: one that two detections could be is given to neither. A catalogue star
+    # already assigned by its number is not assigned to another detection.
     claimed_once = (np.count_nonzero(close, axis=0) == 1) & ~np.isin(catalogue.hip[candidates], exposure.hip)
     chosen = np.full(len(rows), -1)
     reasons: dict[int, Refusal] = {}

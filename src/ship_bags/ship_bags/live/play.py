@@ -214,7 +214,7 @@ class Player:
     def _wait_for_subscribers(self) -> None:
         """Return when every topic has its subscribers, or nobody else is to be expected.
 
-        A topic has them when there are as many as asked for (one, but for truth, which nobody needs) and none that
+        A topic has them when it has the number asked for (by default one; none for truth topics) and none that
         the graph already shows is still unmatched. Nobody else is expected when the time-out is over; or, unless
         subscribers were asked for by name, some time after the last match, when one topic has them at least.
 

@@ -1,7 +1,7 @@
 """Reads bags — one .mcap file or a rosbag2 folder with its split files — in order of log time.
 
 Chunks are read one by one, so that memory does not grow with the length of the bag; where chunks overlap in time
-their messages are merged. Damage costs what is damaged and is told in ``Bag.problems``.
+their messages are merged. Damaged records are skipped and listed in ``Bag.problems``.
 """
 
 import re

@@ -27,7 +27,7 @@ class SavedStart(Generic[Prior]):
         kind: the format.
         path: of the file; empty for none.
         files: where it is read and written.
-        start_from: gives the core a content at a time in ns, and returns what is to be said of it.
+        start_from: gives the core a content at a time in ns, and returns remarks for the operator.
         to_save: what the core has to save; None where it has nothing yet.
         nothing: why it has nothing, for people.
 

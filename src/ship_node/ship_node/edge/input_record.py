@@ -228,7 +228,7 @@ class InputRecords:
         self.records[topic].add_rejected(refusal, waiting_ns, receive_ns, stamp_ns)
 
     def noted(self, topic: str, reason: Reason) -> None:
-        """Something about a message is worth a count, although it may be used, as COVARIANCE_UNKNOWN."""
+        """Count a remark (such as COVARIANCE_UNKNOWN) on a message that is used."""
         self.records[topic].reasons[reason] += 1
         self.records[topic].noted[reason] += 1
 

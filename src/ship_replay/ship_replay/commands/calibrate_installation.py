@@ -54,7 +54,7 @@ def _arcsec(text: str) -> float:
         value = float(text)
     except ValueError:
         value = 0.0
-    # Errors of more than a few degrees are not small: the filter would believe to have told apart what it has not.
+    # Errors of more than a few degrees are not small: the filter's covariance would be too small.
     if not 0.001 <= value <= 3600.0:
         raise argparse.ArgumentTypeError(f"'{text}' is no sigma: expected 0.001 to 3600 arcsec")
     return value

@@ -134,7 +134,7 @@ class EncoderWatch:
             self._unconfirmed = judged.jump.time_ns, "the encoders have jumped"
         self._watch_motion(sample)
         if self._stuck.observe(sample.time_ns, sample.vector, self._sigma_rad, self._witnesses):
-            # Nothing leads to the place where stuck encoders go on.
+            # After a freeze the reading cannot be extrapolated.
             self._taken = self._all = ()
             self._unconfirmed = sample.time_ns, "the encoders were stuck"
             text = "both encoders stand still while the lights say that the telescope turns in the deck"
@@ -264,7 +264,7 @@ class ShipWatch:
 
 
 def _before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSample, ...]:
-    """The two readings before a moment, as far as there are."""
+    """Up to two readings before a moment."""
     found: tuple[EncoderSample, ...] = ()
     while len(found) < 2:
         sample = track.last_before(time_ns - 1)
@@ -276,9 +276,9 @@ def _before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSam
 
 
 def _moved_back(sample: EncoderSample, first: EncoderSample, second: EncoderSample) -> EncoderSample:
-    """Where the axis would have read before a reading, had it moved as it did from ``first`` to ``second``.
+    """The reading at the time of ``second``, extrapolated back from ``sample``.
 
-    After a slip this leads to the next reading.
+    The axis moves as it did from ``first`` to ``second``. After a slip, the next reading is predicted with it.
     """
     ratio = (sample.time_ns - second.time_ns) / (second.time_ns - first.time_ns)
     return replace(second, vector=sample.vector - ratio * _short(second.vector - first.vector))

@@ -68,7 +68,7 @@ class CalibrationPrior:
 
 
 def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> Calibration:
-    """The named values of a state; an axis error that is held at nothing is left out."""
+    """The named values of a state; a flexure with value and sigma zero is left out."""
     model = filter_.model
     axes = config.axes.values + state.mean[model.slices["axes"]]
     variance = np.diagonal(state.covariance)
@@ -99,7 +99,7 @@ def prior_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: Calib
 def state_from_prior(
     filter_: CalibrationFilter, config: OpticalAxisConfig, prior: CalibrationPrior, now_ns: int
 ) -> tuple[CalibrationState, list[str]]:
-    """The start of a session with a saved calibration, and what is to be said of it.
+    """The start of a session with a saved calibration, and remarks for the operator.
 
     A calibration of another theodolite is not used at all, and one of another telescope is used without focal length
     and parallelism. A calibration older than ``calibration_max_age_d`` keeps its values, and the configured uncertainty

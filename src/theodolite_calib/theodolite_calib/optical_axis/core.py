@@ -75,7 +75,7 @@ class OpticalAxisCore:
         self.reset()
 
     def start_from(self, prior: CalibrationPrior, now_ns: int) -> list[str]:
-        """Reset to a saved calibration; returns what is to be said of it."""
+        """Reset to a saved calibration; returns remarks for the operator."""
         self._start = (prior, now_ns)
         return self.reset()
 
