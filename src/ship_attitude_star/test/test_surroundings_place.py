@@ -9,7 +9,8 @@ from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.surroundings import ACCELERATION_SIGMA_M_PER_S2, SPEED_SIGMA_M_PER_S, Place, Surroundings
 from ship_estimation.refusals import Reason, Refusal
-from ship_geometry.geodetic import GeodeticPosition, vector_between
+from ship_geometry.geodetic import GeodeticPosition
+from ship_testing.horizon_vectors import vector_between
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS

@@ -95,6 +95,17 @@ def failure(error: Exception) -> Refusal:
     return Refusal(Reason.FAILED, f"{type(error).__name__}: {shortened(str(error))} ({_place_of(error)})")
 
 
+def singular_covariance() -> Refusal:
+    """The refusal of a measurement whose residual cannot be judged, nor weighed, by its covariance.
+
+    Example:
+        >>> singular_covariance().reason.word
+        'bad_covariance'
+    """
+    text = "the covariance of the residual cannot be inverted: it is singular, or not positive definite"
+    return Refusal(Reason.BAD_COVARIANCE, text)
+
+
 def _place_of(error: Exception) -> str:
     """File and line that raised; where the file lies is known from its name."""
     trace = error.__traceback__

@@ -44,7 +44,6 @@ class EarthOrientation:
         pole_x: polar motion, rad.
         pole_y: polar motion, rad.
         pole_sigma: standard deviation of either, rad.
-        days_predicted: days since the last measurement; 0 where the value is measured.
     """
 
     ut1_minus_utc_s: FloatArray
@@ -52,7 +51,6 @@ class EarthOrientation:
     pole_x: FloatArray
     pole_y: FloatArray
     pole_sigma: FloatArray
-    days_predicted: FloatArray
 
 
 def prediction_sigma_s(days_ahead: FloatArray | float) -> FloatArray:
@@ -106,11 +104,6 @@ class EarthOrientationTable:
         return _ns_from_mjd(self.mjd[0])
 
     @property
-    def measured_until_ns(self) -> int:
-        """End of the measured values."""
-        return _ns_from_mjd(self.measured_until_mjd)
-
-    @property
     def last_ns(self) -> int:
         """End of the predictions, or of what is known about leap seconds where that is earlier."""
         return min(_ns_from_mjd(self.mjd[-1]), self.leap_seconds.known_until_ns)
@@ -147,7 +140,6 @@ class EarthOrientationTable:
             pole_x=np.interp(mjd, self.mjd, self.pole_x),
             pole_y=np.interp(mjd, self.mjd, self.pole_y),
             pole_sigma=np.hypot(np.interp(mjd, self.mjd, self.pole_sigma), _POLE_FLOOR),
-            days_predicted=days_predicted,
         )
 
 

@@ -1,4 +1,4 @@
-"""Positions on the WGS 84 ellipsoid, the horizon there, and the way from one position to another.
+"""Positions on the WGS 84 ellipsoid, the horizon there, and how it turns with the way.
 
 ECEF is the Earth-fixed frame of WGS 84 (x to Greenwich on the equator, z to the north pole). The horizon's Up is the
 ellipsoid normal, so a level instrument differs from it by the deflection of the vertical.
@@ -77,23 +77,6 @@ def rotation_horizon_from_ecef(latitude: FloatArray | float, longitude: FloatArr
     rotation[..., 2, 0] = -sin_lon
     rotation[..., 2, 1] = cos_lon
     return rotation
-
-
-def vector_between(start: GeodeticPosition, end: GeodeticPosition) -> FloatArray:
-    """The straight line from ``start`` to ``end`` in the horizon (North, Up, East) of ``start``, metres, (..., 3).
-
-    Example:
-        A minute of arc to the north at the equator; the line is straight, so it ends 27 cm below the horizon:
-
-        >>> start = GeodeticPosition(latitude=0.0, longitude=0.0, height_m=0.0)
-        >>> end = GeodeticPosition(latitude=np.deg2rad(1.0 / 60.0), longitude=0.0, height_m=0.0)
-        >>> north_m, up_m, east_m = vector_between(start, end)
-        >>> print(f"{north_m:.2f} {up_m:.2f} {east_m:.2f}")
-        1842.90 -0.27 0.00
-    """
-    line_ecef_m = ecef_from_geodetic(end) - ecef_from_geodetic(start)
-    rotation = rotation_horizon_from_ecef(start.latitude, start.longitude)
-    return (rotation @ line_ecef_m[..., None])[..., 0]
 
 
 def horizon_radii_m(position: GeodeticPosition) -> tuple[FloatArray, FloatArray]:

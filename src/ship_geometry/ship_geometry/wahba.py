@@ -131,17 +131,3 @@ def _inverse(information: FloatArray) -> FloatArray:
     # dpotri fills the lower triangle only.
     inverse[0, 1], inverse[0, 2], inverse[1, 2] = inverse[1, 0], inverse[2, 0], inverse[2, 1]
     return inverse
-
-
-def residual_angles(solution: WahbaSolution, reference_n: FloatArray, measured_d: FloatArray) -> FloatArray:
-    """Residuals as small rotations R u × v that would bring each measured direction to its reference, rad, (..., k, 3).
-
-    A residual has two components, across its line of sight; along v it is zero.
-
-    Example:
-        >>> directions = np.eye(3)
-        >>> print(np.abs(residual_angles(solve(directions, directions, 1e-5), directions, directions)).max())
-        0.0
-    """
-    turned_n = measured_d @ np.swapaxes(solution.rotation_nd, -1, -2)
-    return np.cross(turned_n, reference_n)

@@ -9,8 +9,8 @@ from ship_geometry.geodetic import (
     geodetic_from_ecef,
     horizon_radii_m,
     rotation_horizon_from_ecef,
-    vector_between,
 )
+from ship_testing.horizon_vectors import vector_between
 
 # NIMA TR8350.2, third edition, table 3.1 and 3.3: a, b.
 WGS84_SEMI_MAJOR_M = 6378137.0

@@ -11,7 +11,7 @@ from skyfield.api import Loader, wgs84
 
 from ship_estimation.gates import sigma_ratio_band
 from ship_geometry.earth_orientation import earth_orientation_table
-from ship_geometry.geodetic import GeodeticPosition, vector_between
+from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.refraction import elevation_of
 from ship_geometry.rotations import ARCSEC, angle_between, log_rotation
 from ship_geometry.star_directions import Observer, directions, fixed_stars
@@ -20,6 +20,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import start_of
 from ship_simulation.ship.ship_track import ShipTrack
 from ship_simulation.stars.sky import draw_sky, place_of_date
+from ship_testing.horizon_vectors import vector_between
 from ship_testing.paper_stars import paper_stars, with_position
 
 MAS = 1e-3 * ARCSEC

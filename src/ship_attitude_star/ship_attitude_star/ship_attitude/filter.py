@@ -22,7 +22,7 @@ from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import innovation, predict, slow_error_later, update
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.rotations import FloatArray, log_rotation
@@ -175,8 +175,8 @@ class ShipFilter:
             return compared
         try:
             covariance, nis = innovation(predicted.parts, compared.linear)
-        except np.linalg.LinAlgError as error:
-            return Refusal(Reason.BAD_COVARIANCE, str(error))
+        except np.linalg.LinAlgError:
+            return singular_covariance()
         decision = AttitudeDecision(
             measurement=measurement,
             reason=Reason.NONE,

@@ -17,6 +17,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import write_csv
 from ship_estimation.refusals import Reason
+from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi, wrap_two_pi
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import suite_chain
@@ -24,7 +25,6 @@ from ship_replay.offline.replay import ReplayRun, ReplaySummary, Watcher, match_
 from theodolite_calib.axis_fit.exposure_errors import slow_effects
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, LABEL_COLUMN, TIME_COLUMN, slow_column
 from theodolite_calib.axis_fit.sightings import MOST_SIGHTINGS
-from theodolite_calib.chain.parallelism import Parallelism
 from theodolite_calib.lights.telescope_attitude import solve
 from theodolite_calib.measured.samples import ExposureDecision, PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
@@ -165,8 +165,8 @@ def _row(core: OpticalAxisCore, decision: ExposureDecision) -> AxisSighting | No
     attitude = solve(sighting.image, prediction.camera, prediction.lines)
     if not attitude.solved:
         return None
-    parallelism = Parallelism(telescope.parallelism, np.zeros((3, 3)))
-    direction_d = sighting.in_deck(attitude.rotation_nt) @ parallelism.rotation_tm[:, 0]
+    rotation_tm = rotation_from_angles(*telescope.parallelism)
+    direction_d = sighting.in_deck(attitude.rotation_nt) @ rotation_tm[:, 0]
     bow, up, starboard = direction_d
     azimuth, elevation = np.arctan2(starboard, bow), np.arctan2(up, np.hypot(bow, starboard))
     encoder = sighting.encoder

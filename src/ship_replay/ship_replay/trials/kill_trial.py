@@ -40,7 +40,6 @@ class KillTrial:
     from: samples that still wait in its queue were not used.
 
     Attributes:
-        killed_after_s: from the first message sent to the kill.
         sent: messages before the kill that must be kept.
         kept: of these, the ones on the disk.
         lost_s: how much of their time is missing, from the first of them that is not on the disk to the last; 0 where
@@ -51,7 +50,6 @@ class KillTrial:
         readable: messages of all topics in the killed file, and in the recovered one by the seeking ``mcap`` reader.
     """
 
-    killed_after_s: float
     sent: int
     kept: int
     lost_s: float
@@ -119,7 +117,6 @@ def _trial(command: Sequence[str], folder: Path, path: Path, seed: int, output_t
     missing = [number for number, (stamp_ns, _) in enumerate(due) if stamp_ns not in stamps]
     recovered = recover(path, recovered_path(path)).path
     return KillTrial(
-        killed_after_s=killed_after_s,
         sent=len(due),
         kept=len(due) - len(missing),
         lost_s=due[-1][1] - due[missing[0]][1] + 1.0 / RATE_HZ if missing else 0.0,

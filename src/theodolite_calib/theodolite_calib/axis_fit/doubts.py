@@ -48,13 +48,11 @@ class UnseenRun:
         names: names of the errors that take part.
         run: how far each of them runs for one sigma of the combination, with its sign, rad.
         effect: what this run changes in the pointing, RMS over the sightings, rad.
-        condition_index: condition index of the combination.
     """
 
     names: tuple[str, ...]
     run: tuple[float, ...]
     effect: float
-    condition_index: float
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,7 @@ def poorly_told_apart(fit: AxisFit) -> list[UnseenRun]:
         if index < POORLY_TOLD_APART or np.any(np.abs(run) > _KNOWN_BEFORE) or len(part) == 0:
             continue
         signed = run[part] * np.sign(run[part[0]])
-        found.append(UnseenRun(tuple(fit.fitted[i] for i in part), tuple(signed.tolist()), effect, float(index)))
+        found.append(UnseenRun(tuple(fit.fitted[i] for i in part), tuple(signed.tolist()), effect))
     return found[::-1]
 
 

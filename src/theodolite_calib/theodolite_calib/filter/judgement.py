@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_estimation.gates import GateConfig, chi_square_gate, normalized_error_squared
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
@@ -189,8 +189,9 @@ class SightingStep:
         predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
         try:
             judgement = self._judge.judge(predicted, sighting, exposure)
-        except np.linalg.LinAlgError as error:
-            return state, ExposureDecision(exposure, Reason.BAD_COVARIANCE, text=str(error))
+        except np.linalg.LinAlgError:
+            refusal = singular_covariance()
+            return state, ExposureDecision(exposure, refusal.reason, text=refusal.text)
         if judgement.sighting is not None and judgement.comparison is not None:
             return self._filter.used(predicted, judgement.sighting, judgement.comparison), judgement.decision
         # The state stays, to the last bit, as without this sighting: not even the prediction is kept.
