@@ -251,7 +251,8 @@ class Player:
             time.sleep(_POLL_S)
 
     def _matched(self, name: str, publisher: Publisher, wanted: int) -> bool:
-        return publisher.get_subscription_count() >= max(wanted, self._node.count_subscribers(name))
+        matched: bool = publisher.get_subscription_count() >= max(wanted, self._node.count_subscribers(name))
+        return matched
 
     def _say(self, line: str) -> None:
         self._node.get_logger().warning(line)

@@ -292,7 +292,8 @@ class BagWriter:
         for record in self._unrepeated:
             record.write(records)
         self._unrepeated.clear()
-        self._file.write(records.end())
+        end: Callable[[], bytes] = records.end  # mcap gives it no type
+        self._file.write(end())
 
 
 def _opened(path: Path, atomic: bool, exclusive: bool) -> BinaryIO:

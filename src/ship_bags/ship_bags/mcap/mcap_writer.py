@@ -7,7 +7,7 @@ a recorder begins fifteen chunks a second, for weeks, beside an estimator that n
 import struct
 import tempfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -230,4 +230,5 @@ class McapWriter:
 def _bytes_of(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
-    return builder.end()
+    end: Callable[[], bytes] = builder.end  # mcap gives it no type
+    return end()

@@ -219,12 +219,13 @@ def _unfolded(chunk: Chunk) -> bytes:
 
 def _decompressed(compression: str, data: bytes) -> bytes:
     """Content of compressed bytes, up to one byte more than a chunk may hold."""
+    unfolded: bytes = data
     if compression == "zstd":
         with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-            return stream.read(_MAX_CHUNK_BYTES + 1)
-    if compression == "lz4":
-        return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=_MAX_CHUNK_BYTES + 1)
-    return data
+            unfolded = stream.read(_MAX_CHUNK_BYTES + 1)
+    elif compression == "lz4":
+        unfolded = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=_MAX_CHUNK_BYTES + 1)
+    return unfolded
 
 
 def _record_count(content: bytes) -> int:
@@ -303,7 +304,7 @@ def _is_sound(opcode: int, body: bytes) -> bool:
 
 
 def _is_message_index(body: bytes) -> bool:
-    entries_bytes = _U32.unpack_from(body, _U16.size)[0]
+    entries_bytes: int = _U32.unpack_from(body, _U16.size)[0]
     return _U16.size + _U32.size + entries_bytes == len(body) and entries_bytes % 16 == 0
 
 

@@ -172,7 +172,8 @@ def _rewrite(
             file.problems.append(f"{file.path.name}: {unknown} messages are lost: their topic is not in the file")
         notes = {str(number): problem for number, problem in enumerate(file.problems, 1)}
         writer.add_metadata(_NOTE, {"from": file.path.name, **notes})
-        writer.finish()
+        finish: Callable[[], None] = writer.finish  # mcap gives it no type
+        finish()
         stream.flush()
         os.fsync(stream.fileno())
     return tally, information

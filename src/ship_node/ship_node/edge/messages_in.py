@@ -216,7 +216,7 @@ def _covariance_of_bytes(content: bytes, what: str) -> FloatArray | None:
     asymmetry = np.abs(matrix - matrix.T)
     if (asymmetry > _COVARIANCE_TOLERANCE * limit).any():
         raise Refused(Reason.BAD_COVARIANCE, f"{what} is not symmetric: elements differ by {asymmetry.max():.3g}")
-    symmetric = 0.5 * matrix + 0.5 * matrix.T
+    symmetric: FloatArray = 0.5 * matrix + 0.5 * matrix.T
     if (np.abs(symmetric) > limit * (1.0 + _COVARIANCE_TOLERANCE)).any():
         raise Refused(Reason.BAD_COVARIANCE, f"{what} is not positive semidefinite: a correlation exceeds 1")
     correlation = symmetric / np.where(limit > 0.0, limit, 1.0)

@@ -69,7 +69,8 @@ class Detector(CameraConfig):
     def holds(self, pixels: FloatArray) -> np.ndarray:
         """Whether pixels (u, v), shape (..., 2), lie on the detector; NaN does not."""
         least, greatest = self.edges_px
-        return np.all((pixels >= least) & (pixels < greatest), axis=-1)
+        inside: np.ndarray = np.all((pixels >= least) & (pixels < greatest), axis=-1)
+        return inside
 
 
 STAR_OUTPUTS = ("horizon_attitude", "observations", "inertial_attitude")

@@ -76,7 +76,8 @@ class SteadyTurn:
     def _sum_over_corners(self, terms: FloatArray) -> FloatArray:
         # The rate's slope changes by +-slope at each corner.
         slope = np.sign(self.angle) * self.rate / self.ramp_s
-        return slope * (terms @ np.array([1.0, -1.0, -1.0, 1.0]))
+        summed: FloatArray = slope * (terms @ np.array([1.0, -1.0, -1.0, 1.0]))
+        return summed
 
 
 class HarmonicMotion:
@@ -160,7 +161,8 @@ class RecordedMotion:
             BadInput: the record does not reach that far.
         """
         t_s = np.asarray(t_s, dtype=float)
-        return self._spline(self._record_time(t_s)).as_matrix().reshape(*t_s.shape, 3, 3)
+        rotation_nd: FloatArray = self._spline(self._record_time(t_s)).as_matrix()
+        return rotation_nd.reshape(*t_s.shape, 3, 3)
 
     def body_rate(self, t_s: FloatArray) -> FloatArray:
         """See :class:`Carrier`.
@@ -169,7 +171,8 @@ class RecordedMotion:
             BadInput: the record does not reach that far.
         """
         t_s = np.asarray(t_s, dtype=float)
-        return self._spline(self._record_time(t_s), 1).reshape(*t_s.shape, 3)
+        rate: FloatArray = self._spline(self._record_time(t_s), 1)
+        return rate.reshape(*t_s.shape, 3)
 
     def _record_time(self, t_s: FloatArray) -> FloatArray:
         moments = t_s.ravel() + self._start_s

@@ -97,7 +97,7 @@ def swapped_identities(
     Returns:
         The rows claimed, shape (k,).
     """
-    claimed = rows.copy()
+    claimed: Rows = rows.copy()
     _, first, count = np.unique(exposure, return_index=True, return_counts=True)
     chosen = (rng.random(first.size) < probability) & (count >= 2)
     # Two different stars of each: the second is counted on from the first.

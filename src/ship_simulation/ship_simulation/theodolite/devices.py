@@ -118,7 +118,8 @@ def in_view(config: Telescope, scene: Scene, t_s: FloatArray, point_m: FloatArra
     """Whether the lights are there, not hidden, and on the detector, shape (k, N)."""
     on_detector = np.all(np.abs(point_m) <= 0.5 * np.array([config.width_m, config.height_m]), axis=-1)
     shown = [light.shows(t_s) for light in scene.lights.values()]
-    return on_detector & (np.stack(shown, axis=-1) if shown else np.empty((t_s.size, 0), dtype=bool))
+    seen: np.ndarray = on_detector & (np.stack(shown, axis=-1) if shown else np.empty((t_s.size, 0), dtype=bool))
+    return seen
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,8 @@ def _escorting(escort: Escort, programme: Programme, t_s: FloatArray) -> FloatAr
     azimuth, elevation = sweep_angles(programme, t_s)
     beside = np.array([1.0, np.tan(np.deg2rad(escort.up_deg)), np.tan(np.deg2rad(escort.right_deg))])
     upright = rotation_from_angles(azimuth, elevation, np.zeros_like(azimuth))
-    return upright @ (escort.distance_m * beside / np.linalg.norm(beside))
+    place: FloatArray = upright @ (escort.distance_m * beside / np.linalg.norm(beside))
+    return place
 
 
 def _hovering(hover: Hover, t_s: FloatArray) -> FloatArray:
@@ -86,7 +87,8 @@ def _on_legs(waypoints: list[Waypoint], t_s: FloatArray) -> FloatArray:
     places = np.array([_place(w.azimuth_deg, w.elevation_deg, w.distance_m) for w in waypoints])
     leg = np.clip(np.searchsorted(moments_s, t_s, side="right") - 1, 0, len(waypoints) - 2)
     flown = smooth_step((t_s - moments_s[leg]) / (moments_s[leg + 1] - moments_s[leg]))
-    return places[leg] + flown[:, None] * (places[leg + 1] - places[leg])
+    place: FloatArray = places[leg] + flown[:, None] * (places[leg + 1] - places[leg])
+    return place
 
 
 def _place(azimuth_deg: FloatArray | float, elevation_deg: FloatArray | float, distance_m: float) -> FloatArray:
@@ -121,7 +123,8 @@ class Aim:
         """Unit vectors to the middle of all drones. One that has left still counts, so that the line does not jump."""
         places = np.stack([path(t_s) for path in self.paths])
         summed = np.sum(places / np.linalg.norm(places, axis=-1, keepdims=True), axis=0)
-        return summed / np.linalg.norm(summed, axis=-1, keepdims=True)
+        middle_n: FloatArray = summed / np.linalg.norm(summed, axis=-1, keepdims=True)
+        return middle_n
 
     def _angles_after(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Azimuth and elevation of the sweep that begins where the lights were last, rad."""

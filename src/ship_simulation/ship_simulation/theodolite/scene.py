@@ -105,7 +105,8 @@ class TrueLight:
 
     def shows(self, t_s: FloatArray) -> np.ndarray:
         """Whether the light is there and not hidden, shape (k,)."""
-        return (t_s < self.config.leaves_s) & outside(t_s, self.config.hidden)
+        shown: np.ndarray = (t_s < self.config.leaves_s) & outside(t_s, self.config.hidden)
+        return shown
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,8 @@ class Scene:
 
     def rotation_nt(self, mount: MountState) -> FloatArray:
         """Horizon from telescope, shape (k, 3, 3)."""
-        return mount.rotation_nm @ rotation_from_angles(*self.theodolite.parallelism).T
+        rotation_nt: FloatArray = mount.rotation_nm @ rotation_from_angles(*self.theodolite.parallelism).T
+        return rotation_nt
 
     def directions_n(self, t_s: FloatArray, mount: MountState) -> FloatArray:
         """Unit vectors along which the lights are seen, shape (k, N, 3)."""
