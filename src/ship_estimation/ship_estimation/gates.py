@@ -55,7 +55,8 @@ def normalized_error_squared(error: FloatArray, covariance: FloatArray) -> Float
         5.0
     """
     solution = np.linalg.solve(covariance, error[..., None])[..., 0]
-    return np.sum(error * solution, axis=-1)
+    squared: FloatArray = np.sum(error * solution, axis=-1)
+    return squared
 
 
 def mean_nees_band(samples: int, degrees: int, probability: float = 0.999) -> tuple[float, float]:

@@ -42,9 +42,11 @@ def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu"
     parent, device = _axes(convention)
     quaternion = np.asarray(quaternion, dtype=float)
     if quaternion.ndim == 1:
-        return parent.T @ _matrix_of_one(quaternion) @ device
-    matrix = _matrix_from_quaternion(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True))
-    return parent.T @ matrix @ device
+        matrix = _matrix_of_one(quaternion)
+    else:
+        matrix = _matrix_from_quaternion(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True))
+    rotation: FloatArray = parent.T @ matrix @ device
+    return rotation
 
 
 def celestial_rotation_from_quaternion(quaternion: FloatArray) -> FloatArray:
@@ -55,7 +57,8 @@ def celestial_rotation_from_quaternion(quaternion: FloatArray) -> FloatArray:
         >>> print(rotation_cs[:, 1])  # the sensor's up is the celestial north pole
         [0. 0. 1.]
     """
-    return _matrix_of_one(np.asarray(quaternion, dtype=float)) @ FLU_FROM_DEVICE
+    rotation_cs: FloatArray = _matrix_of_one(np.asarray(quaternion, dtype=float)) @ FLU_FROM_DEVICE
+    return rotation_cs
 
 
 def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
@@ -72,7 +75,8 @@ def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
     if matrix.ndim == 2:
         return _quaternion_of_one(matrix)
     flat = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_quat(canonical=True)
-    return flat.reshape(*rotation.shape[:-2], 4)
+    quaternion: FloatArray = flat.reshape(*rotation.shape[:-2], 4)
+    return quaternion
 
 
 def device_vector_from_ros(vector: FloatArray, convention: str = "enu_flu") -> FloatArray:
@@ -92,7 +96,8 @@ def flu_from_device_vector(vector: FloatArray) -> FloatArray:
         >>> print(flu_from_device_vector([1.0, 3.0, -2.0]))  # 3 up and 2 to the left
         [1. 2. 3.]
     """
-    return np.asarray(vector, dtype=float) @ FLU_FROM_DEVICE.T
+    vector_flu: FloatArray = np.asarray(vector, dtype=float) @ FLU_FROM_DEVICE.T
+    return vector_flu
 
 
 def enu_covariance(covariance_n: FloatArray) -> FloatArray:
@@ -102,7 +107,8 @@ def enu_covariance(covariance_n: FloatArray) -> FloatArray:
         >>> print(np.diagonal(enu_covariance(np.diag([1.0, 2.0, 3.0]))))  # from North, Up, East
         [3. 1. 2.]
     """
-    return ENU_FROM_HORIZON @ covariance_n @ ENU_FROM_HORIZON.T
+    covariance_enu: FloatArray = ENU_FROM_HORIZON @ covariance_n @ ENU_FROM_HORIZON.T
+    return covariance_enu
 
 
 def horizon_covariance(covariance_enu: FloatArray) -> FloatArray:
@@ -112,7 +118,8 @@ def horizon_covariance(covariance_enu: FloatArray) -> FloatArray:
         >>> print(np.diagonal(horizon_covariance(np.diag([3.0, 1.0, 2.0]))))  # from East, North, Up
         [1. 2. 3.]
     """
-    return ENU_FROM_HORIZON.T @ covariance_enu @ ENU_FROM_HORIZON
+    covariance_n: FloatArray = ENU_FROM_HORIZON.T @ covariance_enu @ ENU_FROM_HORIZON
+    return covariance_n
 
 
 def _axes(convention: str) -> tuple[FloatArray, FloatArray]:

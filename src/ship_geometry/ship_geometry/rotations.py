@@ -60,7 +60,8 @@ def skew(vector: FloatArray) -> FloatArray:
         [0. 0. 1.]
     """
     vector = np.asarray(vector, dtype=float)
-    return (vector @ _SKEW).reshape(*vector.shape, 3)
+    matrix: FloatArray = (vector @ _SKEW).reshape(*vector.shape, 3)
+    return matrix
 
 
 def _sinc_coefficients(angle_squared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -211,4 +212,5 @@ def angle_between(first: FloatArray, second: FloatArray) -> FloatArray:
     """
     a = first / np.linalg.norm(first, axis=-1, keepdims=True)
     b = second / np.linalg.norm(second, axis=-1, keepdims=True)
-    return 2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
+    angle: FloatArray = 2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
+    return angle

@@ -228,7 +228,8 @@ class RefreshedSky:
         polar_motion = erfa.pom00(epoch.orientation.pole_x, epoch.orientation.pole_y, epoch.tio_locator)
         earth_rotation = erfa.era00(*_ut1(time_ns, epoch.orientation))
         rotation_ec = erfa.c2tcio(epoch.to_cirs["bpn"], earth_rotation, polar_motion)
-        return rotation_horizon_from_ecef(position.latitude, position.longitude) @ rotation_ec
+        rotation_nc: FloatArray = rotation_horizon_from_ecef(position.latitude, position.longitude) @ rotation_ec
+        return rotation_nc
 
     def orientation(self, time_ns: int) -> EarthOrientation:
         """Earth orientation used at a moment, with its error."""
@@ -279,4 +280,5 @@ def _horizon_directions(stars: StarPositions, to_cirs: Any, to_horizon: Any, obs
     direction[..., 2] = np.sin(azimuth) * horizontal
     # Aberration to first order: the square of beta is 1e-15, its product with the Earth's velocity 1 µas.
     direction += beta
-    return direction / np.sqrt(np.einsum("...i,...i->...", direction, direction))[..., None]
+    unit: FloatArray = direction / np.sqrt(np.einsum("...i,...i->...", direction, direction))[..., None]
+    return unit

@@ -127,7 +127,7 @@ def _inverse(information: FloatArray) -> FloatArray:
     lower, failed = lapack.dpotrf(information, lower=1)
     if failed:
         raise np.linalg.LinAlgError("information is not positive definite")
-    inverse, _ = lapack.dpotri(lower, lower=1)
+    inverse: FloatArray = lapack.dpotri(lower, lower=1)[0]
     # dpotri fills the lower triangle only.
     inverse[0, 1], inverse[0, 2], inverse[1, 2] = inverse[1, 0], inverse[2, 0], inverse[2, 1]
     return inverse

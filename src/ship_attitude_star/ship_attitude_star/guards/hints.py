@@ -10,7 +10,7 @@ from ship_estimation.gates import chi_square_gate, normalized_error_squared
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
 
-_EXPLAINED_RAD = np.deg2rad(5.0)
+_EXPLAINED_RAD: float = np.deg2rad(5.0)
 """A mistake explains a disagreement where no more than this is left once the mistake is taken out."""
 
 _PLAIN_RAD = np.deg2rad(10.0)

@@ -253,4 +253,5 @@ def source_errors_arcsec(point: OperatingPoint, azimuth_deg: float, reading: Ins
     model = linearise(angles[:3], angles[3:], reading)
     factors = np.concatenate([model.star, model.installation], axis=-1)
     errors = np.concatenate([point.star_errors_arcsec(), point.installation_errors_arcsec()])
-    return (factors * errors).T
+    by_source: FloatArray = (factors * errors).T
+    return by_source

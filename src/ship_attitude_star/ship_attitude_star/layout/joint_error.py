@@ -178,4 +178,5 @@ def error_map(layout: Layout, number: int, step_deg: float = 2.5) -> ErrorMap:
 
 def total_arcsec(sigmas_arcsec: FloatArray) -> FloatArray:
     """The one number a layout is judged by: root sum of squares of heading, pitch and roll."""
-    return np.sqrt(np.sum(sigmas_arcsec**2, axis=-1))
+    total: FloatArray = np.sqrt(np.sum(sigmas_arcsec**2, axis=-1))
+    return total

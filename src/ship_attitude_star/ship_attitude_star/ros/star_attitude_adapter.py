@@ -105,7 +105,8 @@ class StarAttitudeAdapter(ReportingAdapter):
             yield Feed(ins, "ins", read_ins, untimed(core.add_ins))
 
     def _take_stars(self, seen: SeenStars, waiting_ns: int) -> StarOutcome:
-        return self.core.add_exposure(seen.exposure, seen.refused, waiting_ns)
+        core: StarCore = self.core
+        return core.add_exposure(seen.exposure, seen.refused, waiting_ns)
 
     # -- results of the core --------------------------------------------------------------------------------
 

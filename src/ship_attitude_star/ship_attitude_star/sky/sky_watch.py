@@ -119,7 +119,8 @@ class SkyMoment:
     def bright_rows_around(self, centre_n: FloatArray, radius: float) -> NDArray[np.int64]:
         """Rows of the catalogue with the bright stars within a radius (rad) of a direction (N, U, E), shape (3,)."""
         centre_c = self.rotation_horizon_from_icrs().T @ centre_n
-        return self.bright.rows[self.bright.directions_c @ centre_c > np.cos(radius)]
+        rows: NDArray[np.int64] = self.bright.rows[self.bright.directions_c @ centre_c > np.cos(radius)]
+        return rows
 
     def refraction_at(self, elevation: float) -> tuple[float, float]:
         """Refraction at an elevation without air and its standard deviation, rad; NaN where the model does not hold."""

@@ -182,7 +182,8 @@ def equivalent_sigma(covariance: FloatArray) -> FloatArray:
 
     Wahba's problem knows one sigma a direction. Off axis the sigmas up and right differ by the cosine: 3 % at 14°.
     """
-    return np.sqrt(0.5 * np.trace(covariance, axis1=-2, axis2=-1))
+    sigma: FloatArray = np.sqrt(0.5 * np.trace(covariance, axis1=-2, axis2=-1))
+    return sigma
 
 
 def _direction(point: FloatArray) -> FloatArray:

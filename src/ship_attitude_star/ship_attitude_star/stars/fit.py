@@ -62,7 +62,8 @@ class SightedStars:
         """Upper bound of the standard deviation of the same in any direction, streaks included, rad, shape (k,)."""
         if self.smear_b is None:
             return self.white_sigma
-        return np.sqrt(self.white_sigma**2 + np.trace(self.smear_b, axis1=-2, axis2=-1))
+        sigma: FloatArray = np.sqrt(self.white_sigma**2 + np.trace(self.smear_b, axis1=-2, axis2=-1))
+        return sigma
 
     def __len__(self) -> int:
         return len(self.sigma)
@@ -131,7 +132,8 @@ class StarFit:
         left = self.displacement[members] - jacobian @ judgement.solution
         leverage = jacobian @ np.linalg.inv(judgement.constrained) @ np.swapaxes(jacobian, -1, -2)
         # Along the line of sight there is no displacement. There the matrix is the identity and adds nothing.
-        return np.einsum("ki,ki->k", left, np.linalg.solve(np.eye(3) - leverage, left[..., None])[..., 0])
+        gain: FloatArray = np.einsum("ki,ki->k", left, np.linalg.solve(np.eye(3) - leverage, left[..., None])[..., 0])
+        return gain
 
 
 @dataclass(frozen=True)
@@ -224,4 +226,5 @@ def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> 
 def square_roots(covariance: FloatArray) -> FloatArray:
     """Matrices L with L Lᵀ the covariances, shape (..., 3, 3), which may be singular."""
     values, vectors = np.linalg.eigh(covariance)
-    return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    roots: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    return roots

@@ -124,7 +124,7 @@ def _unambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
     be told.
     """
     limit = fit.judge(members).chi_square + CLEARLY_BETTER
-    kept = members.copy()
+    kept: BoolArray = members.copy()
     for outsider in np.flatnonzero(~members):
         both = members.copy()
         both[outsider] = True
@@ -175,7 +175,7 @@ def _pair_trials(stars: SightedStars) -> list[Trial]:
 
 def _common_variance(stars: SightedStars) -> FloatArray:
     """Variance that mounting and shared errors add to a star's direction, mean of both axes, rad², shape (k,)."""
-    variance = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
+    variance: FloatArray = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
     if len(stars.mounting_b):
         about_star = skew(stars.measured_b)
         mounted = about_star @ stars.mounting_b[stars.sensor]
@@ -212,7 +212,7 @@ def _refined_by_prior(fit: StarFit, members: BoolArray) -> BoolArray:
 
 def _without_worst(fit: StarFit, judgement: StarJudgement, members: BoolArray) -> BoolArray:
     """The members without the one that explains most of the misfit."""
-    kept = members.copy()
+    kept: BoolArray = members.copy()
     kept[np.flatnonzero(members)[np.argmax(fit.gain_by_leaving_out(judgement, members))]] = False
     return kept
 
@@ -245,7 +245,8 @@ def _by_size(members: BoolArray, spread: FloatArray) -> list[Trial]:
 
 def distance(left: FloatArray, covariance: FloatArray) -> FloatArray:
     """Mahalanobis² of residuals, shape (..., 2), under their covariances, shape (..., 2, 2)."""
-    return np.einsum("...i,...i->...", left, np.linalg.solve(covariance, left[..., None])[..., 0])
+    squared: FloatArray = np.einsum("...i,...i->...", left, np.linalg.solve(covariance, left[..., None])[..., 0])
+    return squared
 
 
 def across(direction: FloatArray) -> FloatArray:

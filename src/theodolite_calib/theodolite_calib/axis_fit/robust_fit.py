@@ -139,7 +139,8 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
 
 def sizes(residuals: FloatArray) -> FloatArray:
     """Angles on the sky of residuals, shape (n,)."""
-    return np.linalg.norm(residuals, axis=-1)
+    angles: FloatArray = np.linalg.norm(residuals, axis=-1)
+    return angles
 
 
 def rms(residuals: FloatArray) -> float:
@@ -193,11 +194,13 @@ def _weights(residuals: FloatArray, scale: float) -> FloatArray:
 def _normal(design: FloatArray, stiffness: FloatArray) -> FloatArray:
     """Sum of Jᵀ D J, shape (k, k), for a stiffness D per sighting, shape (n, 2, 2)."""
     terms = design.shape[-1]
-    return design.reshape(-1, terms).T @ (stiffness @ design).reshape(-1, terms)
+    normal: FloatArray = design.reshape(-1, terms).T @ (stiffness @ design).reshape(-1, terms)
+    return normal
 
 
 def _gradient(design: FloatArray, weights: FloatArray, residuals: FloatArray) -> FloatArray:
-    return design.reshape(-1, design.shape[-1]).T @ (weights[:, None] * residuals).ravel()
+    gradient: FloatArray = design.reshape(-1, design.shape[-1]).T @ (weights[:, None] * residuals).ravel()
+    return gradient
 
 
 def _result(problem: _Problem, vector: FloatArray, shared: FloatArray, scale: float, taken: float) -> AxisFit:
@@ -243,7 +246,8 @@ def _covariance(
     variance = np.sum((weights * sizes(residuals)) ** 2) / freedom / np.mean(stiffness)
     seen = _normal(design, stiffness[:, None, None] * np.eye(2)) / max(variance, _LEAST_SCALE**2)
     root = _root_of_inverse(seen, information)
-    return root @ root.T
+    covariance: FloatArray = root @ root.T
+    return covariance
 
 
 def _root_of_inverse(seen: FloatArray, information: FloatArray) -> FloatArray:

@@ -104,7 +104,7 @@ class Observability:
         taking_part = np.flatnonzero(np.abs(scaled) > _TAKES_PART * np.max(np.abs(scaled)))
         part = sorted(taking_part.tolist(), key=lambda index: (*NAMES, *DEFORMATION_NAMES).index(self._names[index]))
         sizes = run[part] / run[part[0]]
-        words = self._names[part[0]]
+        words: str = self._names[part[0]]
         for index, size in zip(part[1:], sizes[1:], strict=True):
             factor = "" if abs(abs(size) - 1.0) < _TAKES_PART else f"{abs(size):.2g} "
             words += f" {'-' if size < 0.0 else '+'} {factor}{self._names[index]}"

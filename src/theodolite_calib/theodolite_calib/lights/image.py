@@ -36,7 +36,8 @@ class Camera:
     def directions(self, point_m: FloatArray) -> FloatArray:
         """Unit vectors in the telescope frame, shape (..., N, 3), of detector points."""
         ray = self._rays(point_m)
-        return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+        direction_t: FloatArray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+        return direction_t
 
     def points(self, direction_t: FloatArray) -> FloatArray:
         """Detector points, shape (..., N, 2), of directions of any length; NaN behind the telescope."""
@@ -79,7 +80,8 @@ class Camera:
             sigma_m: their standard deviation in x and in z, shape (..., N).
         """
         jacobian = self.direction_by_point(point_m) * np.asarray(sigma_m, dtype=float)[..., None, None]
-        return jacobian @ np.swapaxes(jacobian, -1, -2)
+        covariance: FloatArray = jacobian @ np.swapaxes(jacobian, -1, -2)
+        return covariance
 
     def _rays(self, point_m: FloatArray) -> FloatArray:
         offset = np.asarray(point_m, dtype=float) - self.principal_point_m
@@ -208,7 +210,8 @@ def unit_vector_jacobian(vector: FloatArray) -> FloatArray:
     """Change of v / |v| with v, (I - u uᵀ) / |v| with u = v / |v|, shape (..., 3, 3)."""
     length = np.linalg.norm(vector, axis=-1)[..., None, None]
     unit = vector[..., None] / length
-    return (np.eye(3) - unit * np.swapaxes(unit, -1, -2)) / length
+    jacobian: FloatArray = (np.eye(3) - unit * np.swapaxes(unit, -1, -2)) / length
+    return jacobian
 
 
 def block_diagonal(blocks: FloatArray) -> FloatArray:

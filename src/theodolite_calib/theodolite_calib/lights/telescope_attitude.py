@@ -206,7 +206,8 @@ def _transported(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
 
 def total(parts: Mapping[str, FloatArray]) -> FloatArray:
     """Covariance of an error budget."""
-    return np.sum(np.stack(np.broadcast_arrays(*parts.values())), axis=0)
+    covariance: FloatArray = np.sum(np.stack(np.broadcast_arrays(*parts.values())), axis=0)
+    return covariance
 
 
 def linearised(

@@ -35,7 +35,8 @@ class EncoderSample(VectorSample):
 
     def content(self) -> bytes:
         """See :meth:`VectorSample.content`."""
-        return super().content() + np.float64(self.sigma).tobytes()
+        sigma: bytes = np.float64(self.sigma).tobytes()
+        return super().content() + sigma
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,8 @@ class Exposure:
             light.beacon_id.encode() + light.point_m.tobytes() + np.float64(light.sigma_m).tobytes()
             for light in self.lights
         )
-        return lights + np.float64(self.exposure_s).tobytes()
+        exposure: bytes = np.float64(self.exposure_s).tobytes()
+        return lights + exposure
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,8 @@ def _values(given: dict[str, Any], said: NDArray[np.bool_]) -> FloatArray:
     for key, number in numbers.items():
         if key != _KEYS["focal_length"] and not abs(number) * ARCSEC <= np.pi:
             raise ValueError(f"{key} is {number:g}: expected an angle within half a turn")
-    return _UNITS * np.array(list(numbers.values()))
+    values: FloatArray = _UNITS * np.array(list(numbers.values()))
+    return values
 
 
 CALIBRATION_FILE = SavedFormat("optical_axis calibration", 1, "calibration", _document, _prior)
