@@ -232,3 +232,5 @@ def test_a_saved_document_is_given_to_the_core_as_soon_as_there_is_a_time(tmp_pa
     assert later.notices == [f"alignment {path}, 10 min old; of another voyage"]
     answer = later.service("load_alignment", NOW_NS)
     assert answer == (True, f"alignment loaded from {path}; of another voyage")
+    for with_or_without in (later, TinyAdapter(TinyConfig(), TinyCore(), FACTORY)):
+        assert with_or_without.service("explode", NOW_NS) == (False, "tiny has no service 'explode'")

@@ -5,6 +5,7 @@ core; health counts what became of it; refusals, decisions, failures and estimat
 nodes add the table, what an estimate becomes, and diagnostics of their own.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -61,7 +62,7 @@ def untimed(take: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
     return lambda value, _waiting_ns: take(value)
 
 
-class ReportingAdapter:
+class ReportingAdapter(ABC):
     """What the adapters of all nodes do alike; see :class:`ship_node.edge.adapter.Adapter` for its methods.
 
     Args:
@@ -113,17 +114,17 @@ class ReportingAdapter:
 
     # -- what a node adds -----------------------------------------------------------------------------------
 
+    @abstractmethod
     def table(self, config: Any) -> Iterable[Feed]:
         """Which topic feeds which method of the core."""
-        raise NotImplementedError
 
+    @abstractmethod
     def own_slow_topics(self, now_ns: int) -> list[Published]:
         """What the node tells once a period beside health and diagnostics."""
-        raise NotImplementedError
 
+    @abstractmethod
     def own_statuses(self, waiting_ns: int) -> Iterable[DiagnosticStatus]:
         """What the diagnostics say beside the inputs."""
-        raise NotImplementedError
 
     def left_out_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
         """ship_msgs/Innovation of a part of a measurement, a star or a light, that was not used."""
@@ -188,10 +189,10 @@ class ReportingAdapter:
             if name == "reset":
                 self._restart(clock_jumped=False)
                 return ServiceResult(True, self.reset_text)
-            if self.saved is None or name not in self.services:
-                raise KeyError(name)
-            if name == "save_alignment":
+            if self.saved is not None and name == "save_alignment":
                 return ServiceResult(True, self.saved.save())
+            if self.saved is None or name != "load_alignment":
+                return ServiceResult(False, f"{self.node_name} has no service '{name}'")
             told = self.saved.load(now_ns)
         except BadInput as error:
             return ServiceResult(False, str(error))

@@ -1,4 +1,4 @@
 """What is wrong with a suite configuration, by itself and against a bag: said before the voyage.
 
-The room imports ``offline/`` alone.
+Of this package the room imports ``offline/`` alone.
 """

@@ -1,4 +1,5 @@
 """Many runs for one claim: Monte Carlo through the cores, nodes as processes, and what a kill leaves on the disk.
 
-The room serves tests and tools. It imports ``offline/`` alone.
+The room serves tests and tools. Of this package it imports ``offline/`` alone, and as the only room it knows the
+simulation.
 """

@@ -1,4 +1,5 @@
 """What is simulated: scenario files, read and checked, as frozen dataclasses, and the names that follow from them.
 
-The room draws nothing and imports no other room.
+The room draws nothing and imports no other room. Of the nodes it knows the parameters of a star camera
+(``ship_attitude_star.stars.config``).
 """
