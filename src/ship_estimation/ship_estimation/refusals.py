@@ -65,6 +65,7 @@ class Reason(enum.IntEnum):
     UNKNOWN_SENSOR = 27
     CLOCK = 28
     FAILED = 29
+    EXCLUDED = 30
 
     @property
     def word(self) -> str:

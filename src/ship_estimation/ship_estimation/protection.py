@@ -1,0 +1,180 @@
+"""Protection levels: how far an estimate may be wrong under a fault of one source that nothing has told.
+
+An estimate by all sources stands beside one by all but source i. Where source i is right, the two differ by d_i with
+the covariance P_i - P_0. A source whose |d_i| is above K_fa σ(d_i) is excluded. What is not excluded may still be
+wrong, but not by more than the level
+
+    max( K_0 σ_0,  max over i of  K_fa σ(d_i) + K_md,i σ_i )
+
+of each component: where source i is wrong the estimate without it is right, and the estimate with it is at most the
+threshold away. This is the solution separation of ARAIM (Blanch et al. 2015, IEEE Trans. Aerosp. Electron. Syst. 51,
+DOI 10.1109/TAES.2014.130739).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri
+
+from ship_estimation.parameter_fields import parameter, section
+from ship_estimation.parameters import ParameterError
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+TESTS_PER_H = 360
+"""Independent values of a separation in an hour: it changes over ten seconds and more, as the slow error of an INS is
+found anew."""
+
+_COMPONENTS = 3
+_MOST_PROBABLE_MISS = 0.5
+"""A level never lies below the threshold itself, however improbable the fault is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorConfig:
+    """How often a source of each kind goes wrong without a word."""
+
+    ins: float = parameter(1e-4, doc="INS: a step or a drift", unit="1/h", minimum=1e-12, maximum=1.0)
+    star_sensor: float = parameter(1e-4, doc="star sensor: knocked or drifting", unit="1/h", minimum=1e-12, maximum=1.0)
+    reference: float = parameter(1e-3, doc="other attitude system", unit="1/h", minimum=1e-12, maximum=1.0)
+    ship_attitude: float = parameter(
+        1e-4, doc="the ship's attitude under the theodolite", unit="1/h", minimum=1e-12, maximum=1.0
+    )
+    beacon: float = parameter(1e-3, doc="drone: a wrong baseline or light", unit="1/h", minimum=1e-12, maximum=1.0)
+    encoder: float = parameter(1e-4, doc="encoders: a slip", unit="1/h", minimum=1e-12, maximum=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntegrityConfig:
+    """How sure the protection levels are, and when a source is excluded and returns."""
+
+    p_hmi: float = parameter(
+        1e-5,
+        doc="probability that an error is above its protection level and nothing says so",
+        unit="1/h",
+        minimum=1e-12,
+        maximum=0.1,
+    )
+    false_exclusions_per_h: float = parameter(
+        1e-3, doc="exclusions of sources that are right", unit="1/h", minimum=1e-9, maximum=10.0
+    )
+    alert_limit_arcsec: tuple[float, ...] = parameter(
+        (),
+        doc="largest protection level of heading, pitch, roll; or of azimuth times cos E, elevation, image rotation; "
+        "above it the output is DEGRADED; empty: the level is told and limits nothing",
+        unit="arcsec",
+        minimum=0.001,
+        maximum=648_000.0,
+    )
+    return_after_s: float = parameter(
+        60.0, doc="an excluded source is used again once it has agreed so long", unit="s", minimum=1.0, maximum=86400.0
+    )
+    max_hypotheses: int = parameter(
+        8, doc="most estimates side by side: all sources, and without each of them", minimum=2, maximum=64
+    )
+    prior_per_h: PriorConfig = section(PriorConfig)
+
+    def __post_init__(self) -> None:
+        if len(self.alert_limit_arcsec) not in (0, _COMPONENTS):
+            raise ParameterError(
+                f"parameter 'integrity.alert_limit_arcsec' must have three values or none, got "
+                f"{len(self.alert_limit_arcsec)}",
+                "integrity.alert_limit_arcsec",
+                value=self.alert_limit_arcsec,
+            )
+
+    @property
+    def alert_limit(self) -> FloatArray:
+        """Of each component, rad, shape (3,); NaN where none is configured."""
+        return ARCSEC * np.array(self.alert_limit_arcsec or [math.nan] * _COMPONENTS)
+
+
+@dataclass(frozen=True)
+class Factors:
+    """Numbers of sigmas for a set of hypotheses.
+
+    Attributes:
+        right: K_0, of the estimate by all sources.
+        false_exclusion: K_fa, of a separation.
+        missed: K_md of each hypothesis, of the estimate without its source, shape (h,).
+    """
+
+    right: float
+    false_exclusion: float
+    missed: FloatArray
+
+
+def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
+    """The numbers of sigmas that keep the configured probabilities.
+
+    The probability of misleading information is shared out in equal parts to "all sources are right" and to each
+    hypothesis. That of a false exclusion is shared out to all separations and to their independent values in an hour
+    (:data:`TESTS_PER_H`).
+
+    Args:
+        config: the probabilities.
+        priors_per_h: how often the source of each hypothesis goes wrong in an hour.
+
+    Example:
+        Two star sensors and an INS, each of which fails once in ten thousand hours:
+
+        >>> found = factors(IntegrityConfig(), [1e-4, 1e-4, 1e-4])
+        >>> print(round(found.right, 2), round(found.false_exclusion, 2), found.missed.round(2))
+        5.97 5.12 [1.96 1.96 1.96]
+    """
+    share = config.p_hmi / (len(priors_per_h) + 1)
+    tests = _COMPONENTS * TESTS_PER_H
+    missed = [_sigmas(min(share / prior, _MOST_PROBABLE_MISS)) for prior in priors_per_h]
+    return Factors(
+        right=_sigmas(0.5 * share / tests),
+        false_exclusion=_sigmas(0.5 * config.false_exclusions_per_h / (tests * max(len(priors_per_h), 1))),
+        missed=np.array(missed),
+    )
+
+
+@dataclass(frozen=True)
+class Separation:
+    """An estimate beside those that leave one source out each; h hypotheses, three components.
+
+    Attributes:
+        statistic: largest |d_i| / σ(d_i) over the components, shape (h,).
+        level: protection level of each component, shape (3,).
+        dominant: which hypothesis makes the largest level; -1 for that of all sources.
+    """
+
+    statistic: FloatArray
+    level: FloatArray
+    dominant: int
+
+
+def separation(distance: FloatArray, left_out: FloatArray, all_sources: FloatArray, k: Factors) -> Separation:
+    """The separations of the estimates without one source from the estimate by all, and the protection levels.
+
+    Args:
+        distance: components of the estimate without each source minus those by all, shape (h, 3).
+        left_out: covariance of the components without each source, shape (h, 3, 3).
+        all_sources: that by all sources, shape (3, 3).
+        k: numbers of sigmas.
+
+    Example:
+        A source is left out; the estimate moves by 4″, and its sigma grows from 1.8″ to 3″, in each component alike:
+
+        >>> k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0]))
+        >>> found = separation(np.full((1, 3), 4.0), 9.0 * np.eye(3)[None], 3.24 * np.eye(3), k)
+        >>> print(found.statistic.round(2), found.level.round(1), found.dominant)
+        [1.67] [18. 18. 18.] 0
+    """
+    variance_0 = np.diagonal(all_sources)
+    variance = np.diagonal(left_out, axis1=-2, axis2=-1)
+    # Rounding may leave nothing of a small difference; a thousandth of the sigma is nothing to a level.
+    apart = np.sqrt(np.maximum(variance - variance_0, 1e-6 * variance_0))
+    levels = k.false_exclusion * apart + k.missed[:, None] * np.sqrt(variance)
+    levels = np.vstack([k.right * np.sqrt(variance_0), levels])
+    dominant = int(np.argmax(np.max(levels, axis=-1))) - 1
+    return Separation(np.max(np.abs(distance) / apart, axis=-1), np.max(levels, axis=0), dominant)
+
+
+def _sigmas(probability: float) -> float:
+    """Of a normal error, that it exceeds on one side with a probability."""
+    return float(-ndtri(probability))
