@@ -175,8 +175,8 @@ def test_mend_09_the_filter_s_jacobian_with_streaks_is_the_derivative(watch):
 
     def compared(mean: FloatArray):
         predicted = predict_attitude(ship_filter.devices["star.fore"], ship_filter.model, mean, ins)
-        device, parts = ship_filter.devices["star.fore"], state.parts
-        return compare(seen, device, predicted, ship_filter.model, mean, parts, watch).linear
+        device, covariance = ship_filter.devices["star.fore"], state.covariance
+        return compare(seen, device, predicted, ship_filter.model, mean, covariance, watch).linear
 
     here = compared(mean)
     noise = here.noise_by_source[ship_filter.model.sources.index("star_noise")]

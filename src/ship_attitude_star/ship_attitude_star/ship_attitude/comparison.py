@@ -110,7 +110,7 @@ def compare(
     predicted: PredictedAttitude,
     model: ShipStateModel,
     mean: FloatArray,
-    parts: FloatArray,
+    covariance: FloatArray,
     watch: SkyWatch | None,
 ) -> Compared | Refusal:
     """Compare a measurement with the attitude predicted for its device.
@@ -121,7 +121,7 @@ def compare(
         predicted: attitude of the device at the moment of the measurement.
         model: what the states are.
         mean: of the state, shape (n,).
-        parts: covariance of the state by source, shape (n_sources, n, n).
+        covariance: of the state, shape (n, n).
         watch: the sky; None where no sensor needs it.
 
     Returns:
@@ -140,7 +140,7 @@ def compare(
         )
     assert watch is not None
     assert isinstance(measurement, StarExposure)
-    stars = star_residuals(measurement, predicted, parts.sum(axis=0), watch, model, mean)
+    stars = star_residuals(measurement, predicted, covariance, watch, model, mean)
     if isinstance(stars, Refusal):
         return stars
     interpolation = stars.by_turn @ predicted.interpolation_v @ stars.by_turn.T
