@@ -1,0 +1,264 @@
+"""Which source is wrong, since when it is excluded, and when it may return.
+
+Every row of hypotheses (:mod:`ship_estimation.hypotheses`) sees the measurements of every source. Where the row is
+right and uses a source, the whitened turns of that source have the mean zero, the covariance one, and are independent
+of one another. Their running means over few and over many measurements therefore tell a knock within three
+measurements and a creeping error later. A source is wrong where the row of all sources does not agree with what it
+sees, or stands too far from the row without that source, while all that the row without it uses agrees.
+
+What is excluded is watched by the row that leaves it out. It returns once it has agreed with the others for a while:
+the others know how it is mounted now, be it as before or, after a knock, anew.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_estimation.gates import chi_square_gate
+from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.protection import IntegrityConfig
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+MEANS_OVER = (3, 30, 300)
+"""Measurements over which whitened turns are averaged."""
+
+MEASUREMENTS_PER_H = 18_000
+"""Of one source, for the probability of a false exclusion: five in a second."""
+
+REFUSED_IN_A_ROW = 3
+"""Refusals in a row of one source that contradict a row: as many as the shortest mean has measurements."""
+
+_HEARD_NS = 10 * SECOND_NS
+"""A source not heard of for so long contradicts nobody."""
+
+_LARGEST_TURN = 5.0
+"""A whitened turn counts as no larger: a single gross error must not look like a lasting one."""
+
+_CLEARER = 0.4
+"""By so much of its limit the chi² of the row that explains a fault is smaller than that of any other row: with the
+usual limits the fault is a thousand times as probable there."""
+
+_FARTHER = 1.3
+"""Where all rows agree with what they see, the one that stands so many times farther off than any other explains it."""
+
+_WEIGHTS = np.array([2.0 / (count + 1.0) for count in MEANS_OVER])
+
+
+@dataclass(frozen=True)
+class Means:
+    """Running means of whitened turns; h rows, s sources, w lengths.
+
+    Attributes:
+        turn: the means, shape (h, s, w, 3).
+        variance: of a mean of independent turns, as a share of that of one turn, shape (h, s, w).
+        filled: share of the mean that measurements fill: 0 at the start, 1 soon, shape (h, s, w).
+        excess: largest chi² of a mean over its limit, shape (h, s).
+        refused: refusals in a row, shape (h, s).
+        heard_ns: stamp of the last measurement of each source, shape (s,).
+    """
+
+    turn: FloatArray
+    variance: FloatArray
+    filled: FloatArray
+    excess: FloatArray
+    refused: NDArray[np.int64]
+    heard_ns: NDArray[np.int64]
+
+
+def no_means(rows: int, sources: int) -> Means:
+    """Before any measurement.
+
+    Example:
+        >>> no_means(rows=3, sources=2).turn.shape
+        (3, 2, 3, 3)
+    """
+    shape = (rows, sources, len(MEANS_OVER))
+    return Means(
+        turn=np.zeros((*shape, 3)),
+        variance=np.zeros(shape),
+        filled=np.zeros(shape),
+        excess=np.zeros((rows, sources)),
+        refused=np.zeros((rows, sources), dtype=np.int64),
+        heard_ns=np.full(sources, -(2**62)),
+    )
+
+
+def excess_limit(config: IntegrityConfig, sources: int) -> float:
+    """The chi² that no mean of a source that is right exceeds, but for half of the false exclusions configured.
+
+    A mean over N measurements has an independent value every N measurements.
+
+    Example:
+        >>> print(round(excess_limit(IntegrityConfig(), sources=2), 1))
+        37.4
+    """
+    tests_per_h = sources * MEASUREMENTS_PER_H * sum(1.0 / count for count in MEANS_OVER)
+    return chi_square_gate(1.0 - 0.5 * config.false_exclusions_per_h / tests_per_h, 3)
+
+
+def observed(
+    means: Means,
+    source: int,
+    compared: RowsCompared,
+    accepted: NDArray[np.bool_],
+    leaves_out: NDArray[np.bool_],
+    time_ns: int,
+    limit: float,
+) -> Means:
+    """The means after a measurement.
+
+    Args:
+        means: before.
+        source: its index.
+        compared: with every row.
+        accepted: whether its NIS passed the gate of each row, shape (h,).
+        leaves_out: which rows do without the source, shape (h,).
+        time_ns: its stamp.
+        limit: by :func:`excess_limit`.
+
+    Example:
+        Turns of three sigmas, always in the same direction, are too many after a few measurements:
+
+        >>> one = RowsCompared(*(np.empty(0),) * 4, np.array([[3.0, 0.0, 0.0]]), 0.5 * np.eye(3)[None], np.eye(3)[None])
+        >>> found, used = no_means(1, 1), np.array([False])
+        >>> for number in range(8):
+        ...     found = observed(found, 0, one, np.array([True]), used, number, limit=37.4)
+        ...     if found.excess[0, 0] > 1.0: break
+        >>> number
+        4
+    """
+    size = np.sqrt(np.einsum("hi,hi->h", compared.turn, compared.turn))
+    bounded = compared.turn * np.minimum(1.0, _LARGEST_TURN / np.maximum(size, _LARGEST_TURN))[:, None]
+    kept = 1.0 - _WEIGHTS
+    turn, variance, filled = means.turn.copy(), means.variance.copy(), means.filled.copy()
+    turn[:, source] = kept[:, None] * turn[:, source] + _WEIGHTS[:, None] * bounded[:, None, :]
+    variance[:, source] = kept**2 * variance[:, source] + _WEIGHTS**2
+    filled[:, source] = kept * filled[:, source] + _WEIGHTS
+    # What a row uses it has whitened to independent turns. What it does without it sees against an error of its own
+    # that lasts: only the measurement's noise averages out.
+    own = compared.turn_noise[:, None]
+    lasting = filled[:, source, :, None, None] ** 2 * (np.eye(3) - own)
+    covariance = variance[:, source, :, None, None] * np.where(leaves_out[:, None, None, None], own, np.eye(3))
+    covariance = covariance + np.where(leaves_out[:, None, None, None], lasting, 0.0) + 1e-9 * np.eye(3)
+    solved = np.linalg.solve(covariance, turn[:, source, :, :, None])[..., 0]
+    excess, refused, heard_ns = means.excess.copy(), means.refused.copy(), means.heard_ns.copy()
+    excess[:, source] = np.max(np.einsum("hwi,hwi->hw", turn[:, source], solved), axis=-1) / limit
+    refused[:, source] = np.where(accepted, 0, refused[:, source] + 1)
+    heard_ns[source] = max(int(heard_ns[source]), time_ns)
+    return Means(turn, variance, filled, excess, refused, heard_ns)
+
+
+def forgotten(means: Means, rows: Sequence[int] | slice, sources: Sequence[int] | slice) -> Means:
+    """The means without what some rows saw of some sources.
+
+    Example:
+        >>> seen = replace(no_means(2, 2), refused=np.array([[1, 2], [3, 4]]))
+        >>> forgotten(seen, slice(None), [1]).refused.tolist()
+        [[1, 0], [3, 0]]
+    """
+    cut = {}
+    for name in ("turn", "variance", "filled", "excess", "refused"):
+        values = getattr(means, name).copy()
+        values[rows, sources] = 0
+        cut[name] = values
+    return replace(means, **cut)
+
+
+@dataclass(frozen=True)
+class Exclusion:
+    """A source that is not used.
+
+    Attributes:
+        since_ns: stamp of the measurement that led to it.
+        agrees_since_ns: since when it has agreed with the others; None where it does not.
+    """
+
+    since_ns: int
+    agrees_since_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What the rows say together.
+
+    Attributes:
+        fault: whether a source is wrong.
+        row: of the hypothesis that explains it; None where none does, or more than one.
+    """
+
+    fault: bool
+    row: int | None = None
+
+
+def find_fault(
+    means: Means,
+    uses: NDArray[np.bool_],
+    statistic: FloatArray,
+    threshold: float,
+    candidates: Sequence[int],
+    now_ns: int,
+) -> Finding:
+    """Which source is wrong, if any.
+
+    Args:
+        means: what every row has seen of every source.
+        uses: which sources each row uses, shape (h, s).
+        statistic: distance of each row from the first one, sigmas, shape (h,); 0 for the first.
+        threshold: that a distance does not exceed where all sources are right.
+        candidates: the rows that may explain a fault, in the order of their preference.
+        now_ns: the moment.
+
+    Example:
+        Three rows: by both sources, without the first one, without the second. The first source contradicts all that
+        use it; so it is wrong:
+
+        >>> seen = replace(no_means(3, 2), excess=np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), heard_ns=np.zeros(2))
+        >>> uses = np.array([[True, True], [False, True], [True, False]])
+        >>> find_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
+        Finding(fault=True, row=1)
+    """
+    heard = means.heard_ns >= now_ns - _HEARD_NS
+    contradicted = np.where(means.refused >= REFUSED_IN_A_ROW, np.maximum(means.excess, 2.0), means.excess)
+    worst = np.max(np.where(uses & heard, contradicted, 0.0), axis=-1)
+    agrees = worst <= 1.0  # NaN does not agree
+    apart = any(not statistic[row] <= threshold for row in candidates)
+    if agrees[0] and not apart:
+        return Finding(fault=False)
+    explaining = sorted((row for row in candidates if agrees[row]), key=lambda row: worst[row])
+    if not explaining:
+        return Finding(fault=True)
+    best = explaining[0]
+    if all(not worst[row] < worst[best] + _CLEARER for row in candidates if row != best):
+        return Finding(fault=True, row=best)
+    if agrees[0] and len(explaining) > 1:
+        farthest, second = sorted(explaining, key=lambda row: -statistic[row])[:2]
+        if statistic[farthest] > _FARTHER * statistic[second]:
+            return Finding(fault=True, row=farthest)
+    return Finding(fault=True)
+
+
+def watched(
+    exclusion: Exclusion, means: Means, source: int, time_ns: int, return_after_s: float
+) -> tuple[Exclusion, bool]:
+    """An excluded source after one of its measurements, and whether it is used again.
+
+    Args:
+        exclusion: before.
+        means: with that measurement; the first row is that without the source.
+        source: its index.
+        time_ns: the stamp.
+        return_after_s: how long it must agree.
+
+    Example:
+        >>> agreed = Exclusion(since_ns=0, agrees_since_ns=5 * SECOND_NS)
+        >>> watched(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
+        True
+    """
+    agrees = means.excess[0, source] <= 0.5 and means.refused[0, source] == 0  # NaN does not agree
+    if not agrees:
+        return replace(exclusion, agrees_since_ns=None), False
+    since_ns = time_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
+    return replace(exclusion, agrees_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= return_after_s

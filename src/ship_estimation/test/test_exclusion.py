@@ -1,0 +1,126 @@
+"""Which source is wrong: two, three sensors on a shaken base, each sensor knocked in turn."""
+
+import numpy as np
+import pytest
+
+from ship_estimation.exclusion import (
+    Exclusion,
+    excess_limit,
+    find_fault,
+    forgotten,
+    no_means,
+    observed,
+    watched,
+)
+from ship_estimation.hypotheses import compare_rows, update_rows
+from ship_estimation.kalman import LinearMeasurement
+from ship_estimation.protection import IntegrityConfig
+from ship_geometry.time_scales import SECOND_NS
+
+NOISE, WALK, MOUNTING = 3.0, 0.3, 20.0
+
+
+class Bank:
+    """An angle about each axis that wanders, seen by sensors whose mounting is to be learnt; a row without each."""
+
+    def __init__(self, sensors):
+        self.sensors, size = sensors, 3 * (sensors + 1)
+        self.uses = np.vstack([np.ones(sensors, dtype=bool), ~np.eye(sensors, dtype=bool)])
+        self.means = np.zeros((sensors + 1, size))
+        prior = np.diag(np.repeat([10.0, *[MOUNTING] * sensors], 3) ** 2)
+        self.parts = np.tile(prior, (sensors + 1, 1, 1, 1))
+        self.seen, self.limit = no_means(sensors + 1, sensors), excess_limit(IntegrityConfig(), sensors)
+
+    def take(self, sensor, residual, time_ns):
+        jacobian = np.zeros((3, self.means.shape[1]))
+        jacobian[:, :3] = jacobian[:, 3 * sensor + 3 : 3 * sensor + 6] = np.eye(3)
+        self.parts[:, 0, range(3), range(3)] += WALK**2
+        measured = LinearMeasurement(residual, jacobian, {0: NOISE**2 * np.eye(3)})
+        compared = compare_rows(self.means, self.parts, measured, np.zeros(self.means.shape[1]), np.eye(3))
+        accepted, left = compared.nis < 21.1, ~self.uses[:, sensor]
+        own = np.isin(np.arange(self.means.shape[1]), range(3 * sensor + 3, 3 * sensor + 6))
+        learns = np.where(left[:, None], own, True) & accepted[:, None]
+        correction, self.parts = update_rows(self.parts, measured, compared, learns)
+        self.means = self.means + correction
+        self.seen = observed(self.seen, sensor, compared, accepted, left, time_ns, self.limit)
+
+    def finding(self, time_ns):
+        apart = self.means[1:, :3] - self.means[0, :3]
+        total = self.parts.sum(1)[:, range(3), range(3)]
+        statistic = np.max(np.abs(apart) / np.sqrt(np.maximum(total[1:] - total[0], 1e-6 * total[0])), axis=-1)
+        rows = range(1, self.sensors + 1)
+        return find_fault(self.seen, self.uses, np.concatenate([[0.0], statistic]), 5.1, rows, time_ns)
+
+
+def _voyage(seed, sensors, knock=0.0, knocked=0, epochs=400, at=200):
+    """Epochs after the knock until a fault is told, and the sensor first named; None where none is told."""
+    rng, bank = np.random.default_rng(seed), Bank(sensors)
+    told = None
+    mounting, angle = MOUNTING * rng.standard_normal((sensors, 3)), 10.0 * rng.standard_normal(3)
+    for epoch in range(epochs):
+        for sensor in range(sensors):
+            angle = angle + WALK * rng.standard_normal(3)
+            wrong = knock * np.array([0.0, 1.0, 0.0]) if sensor == knocked and epoch >= at else 0.0
+            measured = angle + mounting[sensor] + wrong + NOISE * rng.standard_normal(3)
+            bank.take(sensor, measured, epoch * SECOND_NS // 5)
+            found = bank.finding(epoch * SECOND_NS // 5)
+            told = epoch - at if found.fault and told is None else told
+            if found.row is not None:
+                return told, found.row - 1
+    return None if told is None else (told, None)
+
+
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_sources_that_are_right_are_not_called_wrong(sensors):
+    assert [_voyage(seed, sensors, epochs=1000) for seed in range(3)] == [None] * 3
+
+
+@pytest.mark.parametrize("knocked", [0, 2])
+@pytest.mark.parametrize("knock", [30.0, 60.0, -60.0])
+def test_a_knock_of_ten_sigmas_is_told_within_three_measurements_and_the_right_one_of_three_is_named(knock, knocked):
+    found = [_voyage(seed, 3, knock, knocked) for seed in range(8)]
+    assert [named for _, named in found] == [knocked] * 8
+    assert max(epochs for epochs, _ in found) <= 3
+
+
+def test_small_knocks_are_told_within_seconds_and_named():
+    """Of 4 σ of one measurement: no single one tells it, their mean does."""
+    found = [_voyage(seed, 3, 12.0, 1) for seed in range(8)]
+    assert [named for _, named in found] == [1] * 8
+    assert max(epochs for epochs, _ in found) <= 50
+
+
+def test_of_two_sensors_the_right_one_is_named_by_what_the_base_can_turn():
+    found = [_voyage(seed, 2, 40.0, seed % 2) for seed in range(8)]
+    assert [named for _, named in found] == [seed % 2 for seed in range(8)]
+
+
+def test_a_single_gross_error_excludes_nobody():
+    bank, rng = Bank(3), np.random.default_rng(8)
+    for epoch in range(100):
+        for sensor in range(3):
+            wrong = 1e6 if (sensor, epoch) == (1, 50) else 0.0
+            bank.take(sensor, NOISE * rng.standard_normal(3) + wrong, epoch * SECOND_NS)
+            assert not bank.finding(epoch * SECOND_NS).fault
+
+
+def test_nan_does_not_agree():
+    means = no_means(2, 1)
+    means.excess[0, 0], means.heard_ns[0] = np.nan, 0
+    uses = np.array([[True], [False]])
+    assert find_fault(means, uses, np.zeros(2), 5.0, [1], 0).fault
+    assert find_fault(no_means(2, 1), uses, np.array([0.0, np.nan]), 5.0, [1], 0).fault
+
+
+def test_a_source_returns_after_it_agreed_for_long_enough_without_a_break():
+    means, exclusion = no_means(1, 1), Exclusion(since_ns=0)
+    for second in range(30):
+        exclusion, back = watched(exclusion, means, 0, second * SECOND_NS, 60.0)
+        assert not back
+    means.excess[0, 0] = 0.6
+    exclusion, _ = watched(exclusion, means, 0, 30 * SECOND_NS, 60.0)
+    means = forgotten(means, slice(None), [0])
+    for second in range(31, 91):
+        exclusion, back = watched(exclusion, means, 0, second * SECOND_NS, 60.0)
+        assert not back
+    assert watched(exclusion, means, 0, 91 * SECOND_NS, 60.0)[1]
