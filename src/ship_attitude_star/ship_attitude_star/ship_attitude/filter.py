@@ -12,19 +12,14 @@ import numpy as np
 from ship_attitude_star.guards.hints import Departure, who_is_wrong
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.linearised import (
-    Linearisation,
-    Linearised,
-    NotCompared,
-    horizon_measurement,
-)
+from ship_attitude_star.ship_attitude.linearised import Linearisation, Linearised, NotCompared
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, SOURCE_STAR_COMMON, Device, ShipStateModel, devices
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import innovation, predict, slow_error_later, update
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Reason, Refusal, singular_covariance
+from ship_estimation.refusals import Reason, singular_covariance
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray, log_rotation
 
@@ -129,21 +124,15 @@ class ShipFilter:
         Returns:
             The next state and the decision; None where samples that may still come belong to the measurement.
         """
-        ins_time_ns = self.linearisation.ins_time_ns(state.mean, measurement)
-        if may_wait and not track.covers(ins_time_ns + measurement.reach_ns):
-            return None
-        prepared = horizon_measurement(measurement, watch)
-        if isinstance(prepared, Refusal):
-            return self._refused(state, measurement, NotCompared(prepared, ins_time_ns))
         predicted = self.predicted(state, measurement.time_ns)
-        if isinstance(prepared, AttitudeMeasurement) and prepared.common_n.any():
-            predicted = self._with_common(predicted, prepared)
         mean, covariance = predicted.mean, predicted.covariance
-        found = self.linearisation.of(prepared, mean, covariance, track, watch, may_wait)
+        found = self.linearisation.of(measurement, mean, covariance, track, watch, may_wait)
         if found is None:
             return None
         if isinstance(found, NotCompared):
             return self._refused(state, measurement, found)
+        if isinstance(found.measured, AttitudeMeasurement) and found.measured.common_n.any():
+            predicted = self._with_common(predicted, found.measured)
         return self._judged(state, predicted, measurement, found)
 
     def _judged(

@@ -39,6 +39,7 @@ class Linearised:
     """A measurement as the filter uses it.
 
     Attributes:
+        measured: the measurement as it is compared: an attitude against the ICRS is one in the horizon here.
         compared: the comparison at the point of linearisation; its ``linear.residual`` is told relative to the
             predicted mean: measured - predicted(x) + jacobian @ (x - mean), where x is that point. One Kalman step with
             it, from the predicted state, leads to the estimate, and its NIS is the least sum of squares that any state
@@ -47,6 +48,7 @@ class Linearised:
         ins_time_ns: the latest stamp of the INS that the comparison rests on.
     """
 
+    measured: Measurement
     compared: Compared
     ins: InterpolatedAttitude
     ins_time_ns: int
@@ -63,14 +65,6 @@ class NotCompared:
 
     refusal: Refusal
     ins_time_ns: int
-
-
-def horizon_measurement(measurement: Measurement, watch: SkyWatch | None) -> Measurement | Refusal:
-    """The measurement as the filter compares it: an attitude against the ICRS becomes one in the horizon."""
-    if not isinstance(measurement, InertialAttitude):
-        return measurement
-    assert watch is not None
-    return in_horizon(measurement, watch)
 
 
 class Linearisation:
@@ -113,7 +107,7 @@ class Linearisation:
         """The measurement linearised where it leads the predicted state.
 
         Args:
-            measurement: in the horizon (:func:`horizon_measurement`).
+            measurement: of any kind.
             mean: of the predicted state, shape (n,).
             covariance: of the predicted state, shape (n, n).
             track: attitudes of the INS.
@@ -126,19 +120,25 @@ class Linearisation:
         ins_time_ns = self.ins_time_ns(mean, measurement)
         if may_wait and not track.covers(ins_time_ns + measurement.reach_ns):
             return None
-        paired = self._paired(measurement, track, ins_time_ns)
+        paired = self._paired(measurement, track, ins_time_ns, watch)
         if isinstance(paired, Refusal):
             return NotCompared(paired, ins_time_ns)
         compared = self._settled(paired, mean, covariance, watch)
         if isinstance(compared, Refusal):
             return NotCompared(compared, ins_time_ns)
-        return Linearised(compared, paired.ins, ins_time_ns)
+        return Linearised(paired.measurement, compared, paired.ins, ins_time_ns)
 
-    def _paired(self, measurement: Measurement, track: AttitudeTrack, ins_time_ns: int) -> "_Paired | Refusal":
+    def _paired(
+        self, measurement: Measurement, track: AttitudeTrack, ins_time_ns: int, watch: SkyWatch | None
+    ) -> "_Paired | Refusal":
         """What of a measurement is compared, with the attitude of the INS that belongs to it; or why it cannot be."""
         device, ins = self._devices[measurement.source], track.at(ins_time_ns)
         if ins is None:
             return Refusal(Reason.GAP, "no INS samples on both sides of it: it cannot be compared")
+        if isinstance(measurement, InertialAttitude):
+            assert watch is not None
+            turned = in_horizon(measurement, watch)
+            return turned if isinstance(turned, Refusal) else _Paired(turned, device, ins)
         if isinstance(measurement, StarExposure) and measurement.length is not None:
             turning = turning_over(track, ins_time_ns, measurement.length.nodes)
             if turning is None:
