@@ -97,6 +97,7 @@ class InsGuard:
         self._taken: _Seen | None = None
         # Whether each sample since the last one taken goes on with the motion before it.
         self._smooth_since_taken = True
+        self._told_rad = 0.0
         self.by_rates: Witness | None = None
         self.reconfigure(config)
 
@@ -112,7 +113,9 @@ class InsGuard:
         """What the rates are worth."""
         return self._rates.rates
 
-    def judge(self, sample: AttitudeSample, used: AttitudeTrack, witnesses: Mapping[str, Witness]) -> JudgedIns:
+    def judge(
+        self, sample: AttitudeSample, used: AttitudeTrack, witnesses: Mapping[str, Witness], told_rad: float = 0.0
+    ) -> JudgedIns:
         """Judge a sample by those before it in time.
 
         The guards watch the stream in order. A sample that comes after later ones is judged by its neighbour alone.
@@ -121,7 +124,9 @@ class InsGuard:
             sample: the sample.
             used: the samples used so far.
             witnesses: by name, the attitude as other sources have it at about this time.
+            told_rad: by so much the source itself says that it may have stepped with this sample.
         """
+        self._told_rad = told_rad
         previous = self._previous
         if previous is not None and sample.time_ns <= previous.sample.time_ns:
             judged = JudgedIns(sample, self._late_refusal(sample, used.last_before(sample.time_ns - 1)))
@@ -287,7 +292,7 @@ class InsGuard:
         return self._by_motion.match(log_rotation(end.rotation_nd @ start.rotation_nd.T), step, led=False)
 
     def _step(self, seconds: float, uncertain_rad: float, samples: int = 1) -> Step:
-        return Step(seconds, samples, uncertain_rad, 2.0, self._stuck.coarseness_rad)
+        return Step(seconds, samples, uncertain_rad + self._told_rad, 2.0, self._stuck.coarseness_rad)
 
 
 def _gate_refusal(match: Match) -> Refusal:

@@ -1,4 +1,4 @@
-"""The watches over what a pointing rests on: the encoders and, where it alone tells the ship's attitude, the INS.
+"""The watches over what a pointing rests on: the encoders and the ship's attitude.
 
 A watch refuses readings that cannot be true, believes a jump that lasts, and doubts what comes after until lights have
 confirmed it.
@@ -8,10 +8,11 @@ apart: when they say that the telescope has turned in the deck, the encoders are
 the midst of a motion are in doubt. A reading that the mount could reach only with a larger acceleration than it has is
 wrong; a few such readings that agree among themselves are a slip of the encoders.
 
-**The INS.** Its rates judge its attitudes and are judged by them. They go no further: the pointing rests on the
-attitudes alone, and no rate, true or not, can spoil it.
+**The ship.** The rates that come with its attitudes judge these and are judged by them, be they of the INS alone or of
+``ship/attitude``. The rates of the INS alone go no further: the pointing then rests on the attitudes alone.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ import numpy as np
 
 from ship_estimation.ins import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard, JudgedIns
+from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Reason, Refusal, same_stamp
 from ship_estimation.value_guards import (
     Continuation,
@@ -34,6 +36,7 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack
+from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import EncoderSample, ShipSample
 
 _LIGHTS = "lights"
@@ -218,31 +221,43 @@ class EncoderWatch:
 
 
 class ShipWatch:
-    """Watches the INS's samples of one run in the order of their stamps.
+    """Watches the attitudes of the ship of one run in the order of their stamps.
+
+    An attitude that states its covariance may step by what the covariance changes with it: a fused attitude that was
+    put right by stars says so by a covariance that has shrunk.
 
     Args:
-        config: the INS.
+        config: the ship and the INS.
         shift_ns: the attitudes are valid so much later than their stamps.
     """
 
-    def __init__(self, config: GuardedInsConfig, shift_ns: int) -> None:
-        self._guard, self._shift_ns = InsGuard(config), shift_ns
+    def __init__(self, config: OpticalAxisConfig, shift_ns: int) -> None:
+        self._source = "the INS" if config.ship.source == "ins/imu" else "the ship's attitude"
+        watched = _watched(config)
+        self._guard, self._shift_ns = InsGuard(watched), shift_ns
         # The samples used, with their rates: a sample that comes after later ones is judged by these.
-        self._used = AttitudeTrack(round(config.max_gap_s * SECOND_NS))
+        self._used = AttitudeTrack(round(watched.max_gap_s * SECOND_NS))
+        self._stated: FloatArray | None = None
         self._unconfirmed_ns: int | None = None
 
-    def reconfigure(self, config: GuardedInsConfig) -> None:
+    def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Go on with another noise."""
-        self._guard.reconfigure(config)
+        self._guard.reconfigure(_watched(config))
+
+    @property
+    def proven(self) -> bool:
+        """Whether the rates are measured: then no step of some sigmas of a sample passes unseen."""
+        return self._guard.rates is Rates.MEASURED
 
     def judge(self, sample: ShipSample) -> JudgedIns:
         """What is to be done with a sample."""
-        judged = self._guard.judge(sample, self._used, {})
+        judged = self._guard.judge(sample, self._used, {}, self._told_rad(sample))
         if judged.rates_wrong_after_ns is not None:
             self._used.forget_rates(judged.rates_wrong_after_ns)
         if judged.jump is not None:
             self._unconfirmed_ns = judged.jump.time_ns + self._shift_ns
         if judged.refusal is None:
+            self._stated = sample.slow_covariance_n
             known = self._used.get(sample.time_ns)
             if known is None or same_stamp(known, judged.sample)[0]:
                 self._used.insert(judged.sample)
@@ -256,11 +271,24 @@ class ShipWatch:
     def doubt(self, time_ns: int) -> str:
         """Why the attitude of a moment is in doubt; empty where it is not."""
         jumped = self._unconfirmed_ns is not None and time_ns > self._unconfirmed_ns
-        return "the INS has jumped, and no light has confirmed it since" if jumped else ""
+        return f"{self._source} has jumped, and no light has confirmed it since" if jumped else ""
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what no sample at or after a stamp is judged by."""
         self._used.drop_before(time_ns)
+
+    def _told_rad(self, sample: ShipSample) -> float:
+        """How far the source may have stepped with a sample by what it states of its covariance."""
+        if self._stated is None or sample.slow_covariance_n is None:
+            return 0.0
+        return _SIGMAS * math.sqrt(abs(float(np.trace(sample.slow_covariance_n - self._stated))))
+
+
+def _watched(config: OpticalAxisConfig) -> GuardedInsConfig:
+    """The INS itself, or the fused attitude as if it were one."""
+    if config.ship.source == "ins/imu":
+        return config.ins
+    return GuardedInsConfig(white_sigma_arcsec=config.ship.white_sigma_arcsec, max_gap_s=config.ship.max_gap_s)
 
 
 def _before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSample, ...]:

@@ -93,9 +93,7 @@ class OpticalAxisCore:
         self._tracks = MeasuredTracks(self.config)
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._watch = EncoderWatch(*_encoder_limits(self.config))
-        self._ship_watch: ShipWatch | None = None
-        if self.config.ship.source == "ins/imu":
-            self._ship_watch = ShipWatch(self.config.ins, self._tracks.ship_shift_ns)
+        self._ship_watch = ShipWatch(self.config, self._tracks.ship_shift_ns)
         self._waiting: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
         self._ship_covered_until_ns: int | None = None
@@ -107,8 +105,7 @@ class OpticalAxisCore:
         self._tracks.reconfigure(config)
         self._sightings = SightingAssembler(config, self._tracks)
         self._watch.reconfigure(*_encoder_limits(config))
-        if self._ship_watch is not None:
-            self._ship_watch.reconfigure(config.ins)
+        self._ship_watch.reconfigure(config)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> PointingOutcome:
         """A reading of the encoders; the pointing of its moment follows.
@@ -136,9 +133,8 @@ class OpticalAxisCore:
     def add_ship(self, sample: ShipSample, arrival_ns: int | None = None) -> PointingOutcome:
         """An attitude of the ship; the arrival is that of :meth:`add_encoder`."""
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
-        if outcome.refusal is None and self._ship_watch is not None:
-            outcome.refusal = self._judge_ins(self._ship_watch, sample)
-            sample = replace(sample, rate_d=None)
+        if outcome.refusal is None:
+            outcome.refusal, sample = self._judge_ship(sample, outcome)
         if outcome.refusal is None and self._shell.add_sample(self._tracks.ship, sample, outcome):
             self._ship_covered_until_ns = self._tracks.ship_covered_until_ns
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
@@ -210,14 +206,23 @@ class OpticalAxisCore:
             self._shell.add_sample(track, sample, outcome)
         return outcome
 
-    def _judge_ins(self, watch: ShipWatch, sample: ShipSample) -> Refusal | None:
-        """Why a sample of the INS is not used."""
-        judged = watch.judge(sample)
+    def _judge_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Refusal | None, ShipSample]:
+        """Why an attitude of the ship is not used, and the attitude as it may be used."""
+        judged = self._ship_watch.judge(sample)
+        if judged.rates_wrong_after_ns is not None:
+            # What was compared with the help of these rates is compared again without them.
+            changed_after_ns = self._tracks.ship.forget_rates(judged.rates_wrong_after_ns)
+            if changed_after_ns is not None:
+                self._shell.data_changed(changed_after_ns + self._tracks.ship_shift_ns)
+                self._shell.apply(outcome)
         if judged.jump is not None:
             self._tracks.ship.cut(judged.jump.time_ns)
             time_ns = judged.jump.time_ns + self._tracks.ship_shift_ns  # in the time of the exposures
             self._shell.add_jump(time_ns, "ins", replace(judged.jump, time_ns=time_ns))
-        return judged.refusal
+        assert isinstance(judged.sample, ShipSample)
+        # The pointing rests on the attitudes of the INS alone: no rate of it, true or not, can spoil that.
+        by_ins = self.config.ship.source == "ins/imu"
+        return judged.refusal, replace(judged.sample, rate_d=None) if by_ins else judged.sample
 
     # -- the model in the shell -----------------------------------------------------------------------------
 
@@ -240,8 +245,7 @@ class OpticalAxisCore:
     def _forget_before(self, time_ns: int) -> None:
         """Forget what no exposure at or after a stamp is compared with."""
         self._tracks.drop_before(time_ns)
-        if self._ship_watch is not None:
-            self._ship_watch.drop_before(time_ns)
+        self._ship_watch.drop_before(time_ns)
 
     def _tell_watches(self, decision: ExposureDecision) -> None:
         """What the lights of an exposure say of the encoders and of the INS."""
@@ -250,8 +254,7 @@ class OpticalAxisCore:
             self._watch.see_lights(time_ns, *decision.telescope_dt)
         if decision.accepted:
             self._watch.confirm(time_ns)
-            if self._ship_watch is not None:
-                self._ship_watch.confirm(time_ns)
+            self._ship_watch.confirm(time_ns)
 
     # -- outputs --------------------------------------------------------------------------------------------
 
@@ -263,8 +266,7 @@ class OpticalAxisCore:
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
             sample, doubt = self._waiting.popleft()
-            if not doubt and self._ship_watch is not None:
-                doubt = self._ship_watch.doubt(sample.time_ns)
+            doubt = doubt or self._ship_watch.doubt(sample.time_ns)
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
                 estimate = functools.partial(self._pointing.estimate, sample, ship, doubt)

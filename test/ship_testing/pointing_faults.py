@@ -1,0 +1,125 @@
+"""Sessions of the theodolite in which one device lies: what the core then claims, against the truth.
+
+The session is that of ``bags/theodolite.mcap`` with both lights all the time. The lies are put into what the devices
+say, array by array, before the core is given it.
+"""
+
+import dataclasses
+import functools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_estimation.outcome import Status
+from ship_estimation.parameters import build, flatten, nest
+from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_replay.trials.monte_carlo import feed_pointing
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.suite.suite import optical_axis_configuration
+from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.measured.samples import PointingEstimate
+from theodolite_calib.optical_axis.core import OpticalAxisCore
+
+FAULT_S, DURATION_S = 40.0, 100.0
+
+
+@functools.cache
+def clean_session(seed: int, lights_leave_s: float = 1e4, duration_s: float = DURATION_S) -> SimulatedRun:
+    """The session without a lie, at rates that cost little."""
+    scenario = with_beacons(bag_scenario(duration_s=duration_s), leaves_s=lights_leave_s, hidden={})
+    scenario = with_theodolite(scenario, encoder__rate_hz=20.0)
+    return simulate(dataclasses.replace(scenario, ins=replaced(scenario.ins, rate_hz=1.0)), seed)
+
+
+def ship_turned(run: SimulatedRun, arcsec_n: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
+    """``ship/attitude`` turned about North, Up and East from FAULT_S on."""
+    fused = run.fused
+    rotation_nd, lying = fused.rotation_nd.copy(), _lying(run, fused.time_ns, until_s)
+    rotation_nd[lying] = exp_rotation(ARCSEC * np.array(arcsec_n)) @ rotation_nd[lying]
+    return replace(run, fused=replace(fused, rotation_nd=rotation_nd))
+
+
+def baseline_moved(run: SimulatedRun, beacon: str, moved_n: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
+    """The baseline to a drone, FIXED as before, moved (North, Up, East), m, from FAULT_S on."""
+    found = run.theodolite.baselines[beacon]
+    moved = found.baseline_n + _lying(run, found.time_ns, until_s)[:, None] * np.array(moved_n)
+    baselines = {**run.theodolite.baselines, beacon: replace(found, baseline_n=moved)}
+    return replace(run, theodolite=replace(run.theodolite, baselines=baselines))
+
+
+def encoders_slipped(
+    run: SimulatedRun, azimuth_arcsec: float, elevation_arcsec: float, until_s: float = np.inf
+) -> SimulatedRun:
+    """The encoders read more from FAULT_S on."""
+    readings = run.theodolite.encoder
+    lying = ARCSEC * _lying(run, readings.time_ns, until_s)
+    azimuth, elevation = readings.azimuth + azimuth_arcsec * lying, readings.elevation + elevation_arcsec * lying
+    slipped = replace(readings, azimuth=azimuth, elevation=elevation)
+    return replace(run, theodolite=replace(run.theodolite, encoder=slipped))
+
+
+def _lying(run: SimulatedRun, time_ns: np.ndarray, until_s: float) -> np.ndarray:
+    since_s = (time_ns - run.start_ns) * 1e-9
+    lying: np.ndarray = (since_s >= FAULT_S) & (since_s < until_s)
+    return lying
+
+
+@dataclass(frozen=True)
+class Claims:
+    """What the core claimed at the stamps of the truth, k of them.
+
+    Attributes:
+        time_s: after the start, shape (k,).
+        status: shape (k,).
+        sigmas: largest error of azimuth·cosE, elevation and image rotation in sigmas as claimed, shape (k,).
+        estimates: the claims themselves.
+        core: after the session.
+        refused: inputs and exposures that were not used.
+    """
+
+    time_s: FloatArray
+    status: np.ndarray
+    sigmas: FloatArray
+    estimates: list[PointingEstimate]
+    core: OpticalAxisCore
+    refused: int
+
+    def worst(self, *statuses: Status, from_s: float = FAULT_S) -> float:
+        """The largest error in sigmas while one of some statuses was claimed; 0 where none was."""
+        chosen = np.isin(self.status, statuses) & (self.time_s >= from_s)
+        return float(np.max(self.sigmas[chosen], initial=0.0))
+
+    def seconds(self, status: Status, from_s: float = FAULT_S, beyond: float = 0.0) -> float:
+        """For how long a status was claimed with an error beyond so many sigmas."""
+        chosen = (self.status == status) & (self.time_s >= from_s) & (self.sigmas >= beyond)
+        return float(np.count_nonzero(chosen) * np.median(np.diff(self.time_s)))
+
+
+def claims(run: SimulatedRun, **changes: object) -> Claims:
+    """Feed a session into a core, with dotted parameters changed (``__`` for the dot), and compare with the truth."""
+    config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
+    if changes:
+        values = {**flatten(config), **{name.replace("__", "."): value for name, value in changes.items()}}
+        config = build(OpticalAxisConfig, nest(values))
+    core = OpticalAxisCore(config)
+    estimates, _, refused = feed_pointing(core, run)
+    truth = run.theodolite.truth
+    rows = {int(stamp): row for row, stamp in enumerate(run.theodolite.encoder.time_ns[truth.encoder_index])}
+    kept = [found for found in estimates if found.time_ns in rows and found.status is not Status.INVALID]
+    return Claims(
+        time_s=np.array([(found.time_ns - run.start_ns) * 1e-9 for found in kept]),
+        status=np.array([found.status for found in kept]),
+        sigmas=np.array([_sigmas(found, truth.mount.rotation_nm[rows[found.time_ns]]) for found in kept]),
+        estimates=kept,
+        core=core,
+        refused=refused,
+    )
+
+
+def _sigmas(found: PointingEstimate, true_nm: FloatArray) -> float:
+    azimuth, elevation, _ = angles_from_rotation(found.rotation_nm)
+    to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
+    errors = to_angles @ log_rotation(true_nm @ found.rotation_nm.T)
+    return float(np.max(np.abs(errors) / np.sqrt(np.diagonal(to_angles @ found.covariance_n @ to_angles.T))))
