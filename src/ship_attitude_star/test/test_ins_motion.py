@@ -1,5 +1,6 @@
 """What the INS says of the ship's motion: about where the deck is, how it turned, and how well that is known."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +8,15 @@ import pytest
 
 from ship_attitude_star.guards.stream_guards import StreamGuards
 from ship_attitude_star.star_attitude.ins_motion import InsMotion
+from ship_attitude_star.stars.camera import StarCamera
+from ship_attitude_star.stars.config import MountingConfig
+from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
+from ship_estimation.gates import sigma_ratio_band
 from ship_estimation.ins import StarInsConfig
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+from ship_geometry.star_directions import fixed_stars
 from ship_testing.small_voyage import attitude
 
 MS = 1_000_000
@@ -34,6 +40,21 @@ def motion(config: StarInsConfig, *samples: AttitudeSample) -> InsMotion:
     for one in samples:
         assert result.add(one) is None
     return result
+
+
+def exposure_at(time_ns: int) -> StarExposure:
+    """An exposure of no length without stars: its moment alone tells the turn."""
+    nothing = np.zeros(0)
+    positions = fixed_stars(nothing, nothing)
+    return StarExposure(
+        "star.fore", time_ns, nothing.astype(int), np.zeros((0, 3)), nothing, positions, nothing, nothing
+    )
+
+
+def turn_of(some: InsMotion, to_ms: int, from_ms: int) -> tuple[np.ndarray, np.ndarray]:
+    """The turn from one moment to another, and its covariance."""
+    turns = some.turns(START_NS + to_ms * MS, [exposure_at(START_NS + from_ms * MS)])
+    return turns.rotations[0], turns.covariance_d[0, :, 0]
 
 
 def test_the_deck_is_where_the_ins_has_it_and_as_uncertain_as_configured() -> None:
@@ -65,7 +86,7 @@ def test_samples_are_taken_at_their_stamp_plus_the_offset() -> None:
 def test_the_turn_is_that_of_the_deck_and_its_slow_error_cancels() -> None:
     slow = exp_rotation(np.array([10.0, 200.0, -30.0]) * ARCSEC)
     samples = (AttitudeSample(s.time_ns, slow @ s.rotation_nd, s.rate_d) for s in map(sample, range(0, 400, 20)))
-    turn, _ = motion(StarInsConfig(), *samples).turn(START_NS + 100 * MS, START_NS + 230 * MS)
+    turn, _ = turn_of(motion(StarInsConfig(), *samples), 100, 230)
     expected = attitude(0.1, HEADING_DEG).T @ attitude(0.23, HEADING_DEG)
     assert np.linalg.norm(log_rotation(expected)) > 500 * ARCSEC
     assert np.linalg.norm(log_rotation(turn @ expected.T)) < 0.01 * ARCSEC
@@ -80,15 +101,67 @@ def test_the_error_of_the_turn_is_what_noise_and_time_offset_make_of_it() -> Non
         # Valid at the stamp plus an offset that nobody knows.
         offset_s = 0.02 * rng.standard_normal()
         samples = (sample(t, offset_s, ARCSEC * rng.standard_normal(3)) for t in range(80, 260, 10))
-        turn, covariance_d = motion(config, *samples).turn(START_NS + 100 * MS, START_NS + 230 * MS)
+        turn, covariance_d = turn_of(motion(config, *samples), 100, 230)
         error = log_rotation(expected @ turn.T)
         total += error @ np.linalg.solve(covariance_d, error)
     # χ² with 3 degrees of freedom each, 99.9 % band.
     assert 3 - 3.3 * np.sqrt(6 / draws) < total / draws < 3 + 3.3 * np.sqrt(6 / draws)
 
 
+@pytest.mark.parametrize(
+    ("periods", "rates"),
+    # Without measured rates the estimate of the interpolation's error is made of the samples' noise, and is a fifth of
+    # the little variance that a turn over a third of a period has: sigma is then 10 % too large.
+    [*itertools.product([0.0, 0.3, 1.0, 2.5, 10.0], [True]), *itertools.product([0.0, 1.0, 2.5, 10.0], [False])],
+)
+def test_turns_between_moments_close_together_have_the_noise_that_these_do_not_share(
+    periods: float, rates: bool
+) -> None:
+    """Turns to one moment from ``periods`` and from twice as many INS periods later, and the mean of the two."""
+    period_ms, draws = 20, 400
+    config = StarInsConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.0)
+    rng = np.random.default_rng(round(10.0 * periods) + 1000 * rates)
+    times_ms = range(0, 30 * period_ms, period_ms)
+    true = [replace(sample(t), rate_d=rate_d(1e-3 * t) if rates else None) for t in times_ms]
+    shares = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]])
+    squares, variance = np.zeros(len(shares)), np.zeros(len(shares))
+    for _ in range(draws):
+        some = InsMotion(config, StreamGuards(config))
+        for one in true:
+            noise = exp_rotation(ARCSEC * rng.standard_normal(3))
+            some.track.insert(replace(one, rotation_nd=noise @ one.rotation_nd))
+        start_ms = rng.uniform(4.0, 5.0) * period_ms
+        to_ns, *from_ns = (START_NS + round((start_ms + k * periods * period_ms) * MS) for k in range(3))
+        turns = some.turns(to_ns, [exposure_at(time_ns) for time_ns in from_ns])
+        to_nd, *from_nd = (attitude(1e-9 * (t - START_NS), HEADING_DEG) for t in (to_ns, *from_ns))
+        errors = [log_rotation(to_nd.T @ one @ turn.T) for one, turn in zip(from_nd, turns.rotations, strict=True)]
+        if periods == 0.0:
+            np.testing.assert_array_equal(turns.covariance_d, 0.0)
+            np.testing.assert_allclose(errors, 0.0, atol=1e-15)
+            continue
+        squares += np.sum((shares @ errors) ** 2, axis=-1)
+        variance += np.einsum("sj,jaka,sk->s", shares, turns.covariance_d, shares)
+    if periods > 0.0:
+        low, high = sigma_ratio_band(3 * draws)
+        ratio = np.sqrt(squares / variance)
+        assert np.all((low < ratio) & (ratio < high)), ratio
+
+
+def test_streaks_of_two_sensors_at_one_moment_share_the_noise_of_their_correction() -> None:
+    """The streaks are brought to the moment by the same samples: all of the noise of the correction is common."""
+    some = motion(StarInsConfig(time_offset_sigma_s=0.0), *(sample(t) for t in range(0, 2000, 40)))
+    camera = StarCamera(0.06, 24e-6, 511.5, 511.5)
+    streak = replace(exposure_at(START_NS + 1013 * MS), length=ExposureLength(0.2, camera, 0.8))
+    middle = some.at_middle(streak, MountingConfig(azimuth_deg=0.0, elevation_deg=45.0))
+    assert middle.noise_variance > (0.3 * ARCSEC) ** 2
+    covariance_d = some.turns(streak.time_ns, [middle.exposure, middle.exposure]).covariance_d
+    for one, other in itertools.product(range(2), range(2)):
+        np.testing.assert_allclose(covariance_d[one, :, other], middle.noise_variance * np.eye(3), rtol=1e-12)
+
+
 def test_no_way_needs_no_ins() -> None:
-    turn, covariance_d = motion(StarInsConfig()).turn(START_NS, START_NS)
+    assert motion(StarInsConfig()).tells_turn(START_NS, START_NS)
+    turn, covariance_d = turn_of(motion(StarInsConfig()), 0, 0)
     np.testing.assert_array_equal(turn, np.eye(3))
     np.testing.assert_array_equal(covariance_d, 0.0)
 
@@ -96,7 +169,7 @@ def test_no_way_needs_no_ins() -> None:
 def test_where_the_ins_does_not_reach_it_says_nothing() -> None:
     some = motion(StarInsConfig(), *(sample(t) for t in range(0, 200, 40)))
     assert some.deck(START_NS + 200 * MS) is None
-    assert some.turn(START_NS, START_NS + 200 * MS) is None
+    assert not some.tells_turn(START_NS, START_NS + 200 * MS)
     assert motion(StarInsConfig()).deck(START_NS) is None
 
 
@@ -150,14 +223,14 @@ def test_mend_10_after_a_jump_the_ins_may_be_as_far_off_and_no_way_leads_across(
     assert sigma_up[0] < 0.001
     assert sigma_up[1] == pytest.approx(0.01, rel=0.02)
     assert some.deck(START_NS + 900 * MS) is None
-    assert some.turn(START_NS + 700 * MS, START_NS + 1500 * MS) is None
-    assert some.turn(START_NS + 1400 * MS, START_NS + 1500 * MS) is not None
+    assert not some.tells_turn(START_NS + 700 * MS, START_NS + 1500 * MS)
+    assert some.tells_turn(START_NS + 1400 * MS, START_NS + 1500 * MS)
 
 
 def test_mend_06_rates_that_are_none_leave_the_track() -> None:
     some = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig()))
     for one in map(sample, range(0, 1000, 40)):
         assert some.add(replace(one, rate_d=np.zeros(3))) is None
-    turn, _ = some.turn(START_NS + 20 * MS, START_NS + 500 * MS)
+    turn, _ = turn_of(some, 20, 500)
     expected = attitude(0.02, HEADING_DEG).T @ attitude(0.5, HEADING_DEG)
     assert np.linalg.norm(log_rotation(turn @ expected.T)) < 2.0 * ARCSEC

@@ -13,6 +13,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
 
@@ -50,6 +51,37 @@ def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = ma
     every_diagonal_element = slice(None, None, rows.shape[1] + 1)
     covariance.ravel()[every_diagonal_element] += _ANY_DIRECTION**2 * squares
     return covariance if squares <= largest else covariance * (largest / squares)
+
+
+def joint_covariance(errors: FloatArray, interval: NDArray[np.int64]) -> FloatArray:
+    """Covariance of the errors of several interpolated values together, from estimates of them.
+
+    Within one interval the error is one curve: its values go together, and at two moments close to one another they are
+    nearly the same. In different intervals they count as independent.
+
+    Args:
+        errors: signed estimates as :func:`as_covariance` takes them, shape (n, n_estimates, k); zero where there is no
+            error.
+        interval: number of the interval in which each value lies, shape (n,).
+
+    Returns:
+        Shape (n, k, n, k).
+
+    Example:
+        The difference of two values of one interval whose errors are 2 and 1.5; then of different intervals:
+
+        >>> errors = np.array([[[2.0]], [[1.5]]])
+        >>> for interval in ([0, 0], [0, 1]):
+        ...     covariance = joint_covariance(errors, np.array(interval))[:, 0, :, 0]
+        ...     print(round(float(np.array([1, -1]) @ covariance @ [1, -1]), 4))
+        0.2725
+        6.8125
+    """
+    products = np.einsum("irx,jry->ixjy", errors, errors)
+    squares = np.trace(products, axis1=1, axis2=3)
+    products += _ANY_DIRECTION**2 * squares[:, None, :, None] * np.eye(errors.shape[-1])[:, None, :]
+    covariance: FloatArray = products * (interval[:, None] == interval)[:, None, :, None]
+    return covariance
 
 
 def by_miss(miss: FloatArray, missed_at: float, at: float) -> FloatArray:

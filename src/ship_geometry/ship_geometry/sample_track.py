@@ -1,7 +1,7 @@
 """Samples of one source in the order of their stamps, whatever the order of their arrival, to be interpolated."""
 
 import bisect
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -198,6 +198,42 @@ class SampleTrack(Generic[Sample]):
         Args:
             moments: (ns, weight) of each value; none outside the track or in a gap.
         """
+        return sum(weight * weight for weight in self._weights_of_sum(moments).values())
+
+    def noise_covariance_of_sums(self, sums: Sequence[Iterable[tuple[int, float]]]) -> FloatArray:
+        """Covariance of weighted sums of interpolated values per variance of the samples' independent noise.
+
+        Two values between the same samples have most of their noise in common, and their difference has little.
+
+        Args:
+            sums: for each of m sums (ns, weight) of its values; none outside the track or in a gap.
+
+        Returns:
+            Shape (m, m).
+
+        Example:
+            Two values a tenth of an interval apart, and their difference:
+
+            >>> from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+            >>> track = AttitudeTrack(max_gap_ns=SECOND_NS)
+            >>> for second in range(4):
+            ...     _ = track.insert(AttitudeSample(second * SECOND_NS, np.eye(3), np.zeros(3)))
+            >>> one, other = [(1_450_000_000, 1.0)], [(1_550_000_000, 1.0)]
+            >>> covariance = track.noise_covariance_of_sums([one, other])
+            >>> print(covariance.round(3).tolist(), round(float(np.array([1, -1]) @ covariance @ [1, -1]), 3))
+            [[0.511, 0.489], [0.489, 0.511]] 0.045
+        """
+        weights = [self._weights_of_sum(moments) for moments in sums]
+        columns = {index: column for column, index in enumerate(sorted(set().union(*weights)))}
+        by_sample = np.zeros((len(weights), len(columns)))
+        for row, of_sum in enumerate(weights):
+            for index, weight in of_sum.items():
+                by_sample[row, columns[index]] = weight
+        covariance: FloatArray = by_sample @ by_sample.T
+        return covariance
+
+    def _weights_of_sum(self, moments: Iterable[tuple[int, float]]) -> dict[int, float]:
+        """Weight of each sample in a weighted sum of interpolated values."""
         weights: dict[int, float] = {}
         for time_ns, share in moments:
             interval = self._interval(time_ns)
@@ -205,7 +241,7 @@ class SampleTrack(Generic[Sample]):
             left, fraction = interval
             for index, weight in self._weights(left, fraction).items():
                 weights[index] = weights.get(index, 0.0) + share * weight
-        return sum(weight * weight for weight in weights.values())
+        return weights
 
     def _noise_gain(self, left: int, fraction: float) -> float:
         """Sum of the squared weights of the samples' values."""

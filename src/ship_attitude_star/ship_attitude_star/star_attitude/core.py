@@ -37,7 +37,6 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
-_AT_REST: FloatArray = np.eye(3)
 _EXACT: FloatArray = np.zeros((3, 3))
 
 
@@ -267,7 +266,7 @@ class StarCore:
             if not self._window.add(placed, waiting.arrival_ns):
                 outcome.not_joined.append((placed.source, placed.time_ns))
         self._waiting = still_waiting
-        for group in self._window.closed(self._movable, waiting_ns):
+        for group in self._window.closed(self._ins.tells_turn, waiting_ns):
             try:
                 joint = self._joint(group)
             except Exception as error:
@@ -277,9 +276,11 @@ class StarCore:
     def _solve_one(self, waiting: _Waiting) -> tuple[PlacedExposure, Solved]:
         """The attitude of one sensor by one exposure; the guards see by it whether another sensor stands still."""
         sensor = self._sensor(waiting.exposure.source)
-        exposure, turn_variance = self._ins.at_middle(waiting.exposure, sensor)
-        prior = self._ins.sensor(exposure.time_ns, sensor)
-        placed, solved = solve_exposure(exposure, waiting.refused, prior, self._watch, turn_variance)
+        middle = self._ins.at_middle(waiting.exposure, sensor)
+        exposure, prior = middle.exposure, self._ins.sensor(waiting.exposure.time_ns, sensor)
+        placed, solved = solve_exposure(
+            exposure, waiting.refused, prior, self._watch, middle.noise_variance, middle.error_variance
+        )
         if exposure.length is not None and exposure.smear_s is None and solved.valid:
             text = f"ins/imu does not tell how the ship turned in {exposure.length.exposure_s:g} s of exposure"
             solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
@@ -291,19 +292,15 @@ class StarCore:
 
     def _joint(self, group: list[PlacedExposure]) -> Solved:
         time_ns = group[0].time_ns
-        mounted = []
-        for placed in group:
-            # Where the INS does not tell the turn, the exposures are so close in time that the ship is at rest.
-            turn, covariance_d = self._ins.turn(time_ns, placed.time_ns) or (_AT_REST, _EXACT)
-            covariance_d = covariance_d + placed.turn_variance * np.eye(3)
-            mounted.append(Mounted(placed, turn @ self._sensor(placed.source).rotation_ds, covariance_d))
+        # Where the INS does not tell the turn, the exposures are so close in time that the ship is at rest.
+        turns = self._ins.turns(time_ns, [placed.exposure for placed in group])
+        mounted = [
+            Mounted(placed, turn @ self._sensor(placed.source).rotation_ds)
+            for placed, turn in zip(group, turns.rotations, strict=True)
+        ]
         prior = self._ins.deck(time_ns)
         self.joined_by_ins = prior is not None
-        return solve_deck(time_ns, mounted, self._config.star_sensors, prior)
-
-    def _movable(self, to_ns: int, from_ns: int) -> bool:
-        """Whether the INS tells how the deck turned between two moments."""
-        return self._ins.turn(to_ns, from_ns) is not None
+        return solve_deck(time_ns, mounted, turns.covariance_d, self._config.star_sensors, prior)
 
     def _sensor(self, source: str) -> ObservingSensorConfig:
         return self._config.star_sensors[source.partition(".")[2]]

@@ -18,7 +18,6 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import FloatArray
 
 _SAME_FRAME: FloatArray = np.eye(3)
-_EXACT: FloatArray = np.zeros((3, 3))
 _AGAINST_INS = "the stars agree with one another, but not with ins/imu"
 
 
@@ -95,7 +94,7 @@ class PlacedExposure:
         stars: the same stars with their places, in the sensor frame; None where no star can be placed in the sky.
         refused: stars that had no part in the solution of the sensor.
         turn_variance: variance of an error that turns all directions alike, each axis, rad². The correction for the
-            length of the exposure leaves it.
+            length of the exposure leaves it, beside the noise of the INS.
     """
 
     source: str
@@ -113,12 +112,10 @@ class Mounted:
     Attributes:
         placed: the exposure.
         rotation_ds: deck at that moment from sensor at its exposure, shape (3, 3).
-        covariance_d: of this rotation, rotation vector in the deck frame, rad², shape (3, 3).
     """
 
     placed: PlacedExposure
     rotation_ds: FloatArray
-    covariance_d: FloatArray
 
 
 def solve_exposure(
@@ -126,6 +123,7 @@ def solve_exposure(
     refused: tuple[RefusedStar, ...],
     prior: StarPrior | None,
     watch: SkyWatch,
+    noise_variance: float = 0.0,
     turn_variance: float = 0.0,
 ) -> tuple[PlacedExposure, Solved]:
     """The attitude of a sensor by one exposure.
@@ -135,7 +133,8 @@ def solve_exposure(
         refused: stars that were refused before.
         prior: attitude of the sensor that helps to choose among the stars; None where it is not known.
         watch: the sky.
-        turn_variance: variance of an error that turns all directions alike, new at each exposure, each axis, rad².
+        noise_variance: variance that the noise of the INS gives to a turn of all directions alike, each axis, rad².
+        turn_variance: the same of another such error, new at each exposure.
     """
     source, time_ns = exposure.source, exposure.time_ns
     sensor_id = source.partition(".")[2]
@@ -148,32 +147,39 @@ def solve_exposure(
     if invisible:
         refused += tuple(RefusedStar(source, time_ns, name, refusal) for name, refusal in invisible)
     solution, against_prior = solve_in_doubt_alone(stars, prior)
-    if turn_variance > 0.0:
-        solution = solution.with_more_noise(turn_variance)
+    if noise_variance + turn_variance > 0.0:
+        solution = solution.with_more_noise(noise_variance + turn_variance)
     placed = PlacedExposure(source, time_ns, exposure, stars, refused, turn_variance)
     if solution.rejected:
-        refused += tuple(_rejected(solution, [Mounted(placed, _SAME_FRAME, _EXACT)]))
+        refused += tuple(_rejected(solution, [Mounted(placed, _SAME_FRAME)]))
         placed = replace(placed, refused=refused)
     sources = (source,) if solution.status is not SolutionStatus.INVALID else ()
     return placed, Solved(sensor_id, time_ns, solution, refused, sources, _AGAINST_INS if against_prior else "")
 
 
 def solve_deck(
-    time_ns: int, group: Sequence[Mounted], sensors: dict[str, ObservingSensorConfig], prior: StarPrior | None
+    time_ns: int,
+    group: Sequence[Mounted],
+    turn_covariance_d: FloatArray,
+    sensors: dict[str, ObservingSensorConfig],
+    prior: StarPrior | None,
 ) -> Solved:
     """The attitude of the deck by exposures of different sensors.
 
     Args:
         time_ns: moment of the attitude.
-        group: the exposures.
+        group: the m exposures.
+        turn_covariance_d: of the errors of the turns to this moment, rotation vectors in the deck, rad², shape
+            (m, 3, m, 3).
         sensors: parameters of the sensors by id; they tell how well the mounting is known.
         prior: attitude of the deck that helps to choose among the stars; None where it is not known.
     """
-    seeing = [mounted for mounted in group if mounted.placed.stars is not None]
+    with_stars = [index for index, mounted in enumerate(group) if mounted.placed.stars is not None]
+    seeing, turn_covariance_d = [group[index] for index in with_stars], turn_covariance_d[with_stars][:, :, with_stars]
     if not seeing:
         refusal = Refusal(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
         return Solved(JOINT, time_ns, no_attitude(np.zeros(0, dtype=bool), refusal), (), ())
-    solution, against_prior = solve_in_doubt_alone(_in_deck(seeing, sensors), prior)
+    solution, against_prior = solve_in_doubt_alone(_in_deck(seeing, turn_covariance_d, sensors), prior)
     rejected = _rejected(solution, seeing)
     known = {(star.source, star.name) for mounted in group for star in mounted.placed.refused} if rejected else set()
     refused = tuple(star for star in rejected if (star.source, star.name) not in known)
@@ -184,15 +190,18 @@ def solve_deck(
     return Solved(JOINT, time_ns, solution, refused, sources, _AGAINST_INS if against_prior else "")
 
 
-def _in_deck(group: Sequence[Mounted], sensors: dict[str, ObservingSensorConfig]) -> SightedStars:
-    """All stars in the deck frame, with the errors of their sensors' mounting and of the turn to this moment."""
+def _in_deck(
+    group: Sequence[Mounted], turn_covariance_d: FloatArray, sensors: dict[str, ObservingSensorConfig]
+) -> SightedStars:
+    """All stars in the deck frame, with the errors of their sensors' mounting and of the turns to this moment."""
     stars = [mounted.placed.stars for mounted in group if mounted.placed.stars is not None]
     mounting_b = np.empty((len(group), 3, 3))
+    turn_covariance_d = turn_covariance_d.copy()
     for index, mounted in enumerate(group):
-        sigma_s = sensors[mounted.placed.source.partition(".")[2]].installation_sigma_s
-        turned = mounted.rotation_ds * sigma_s
-        exact = not mounted.covariance_d.any()
-        mounting_b[index] = turned if exact else square_roots(turned @ turned.T + mounted.covariance_d)
+        mounting_b[index] = mounted.rotation_ds * sensors[mounted.placed.source.partition(".")[2]].installation_sigma_s
+        turn_covariance_d[index, :, index] += mounted.placed.turn_variance * np.eye(3)
+    size = 3 * len(group)
+    turned_b = square_roots(turn_covariance_d.reshape(size, size)).reshape(len(group), 3, size)
     return SightedStars(
         measured_b=np.concatenate([s.measured_b @ m.rotation_ds.T for s, m in zip(stars, group, strict=True)]),
         reference_n=np.concatenate([s.reference_n for s in stars]),
@@ -202,6 +211,7 @@ def _in_deck(group: Sequence[Mounted], sensors: dict[str, ObservingSensorConfig]
         sensor=np.repeat(np.arange(len(stars)), [len(s) for s in stars]),
         mounting_b=mounting_b,
         smear_b=_smear_in_deck(stars, group),
+        turned_b=turned_b if turn_covariance_d.any() else None,
     )
 
 

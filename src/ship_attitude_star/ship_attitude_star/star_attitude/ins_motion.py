@@ -2,7 +2,15 @@
 
 The attitude helps to choose among stars. Turns move the stars of an exposure to its middle, and exposures of several
 sensors to one moment.
+
+A turn is the difference of two attitudes by the INS, and has the noise of both. Between two samples an attitude is a
+weighted mean of the samples around, so attitudes that lie close together share the noise of the same samples. The noise
+of a turn with the weights w1 at one end and w2 at the other is therefore (w1 - w2)² of each sample: nothing where the
+ends meet, and the sum of both where they are samples apart. Several turns to one moment share its noise likewise.
 """
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,8 +22,39 @@ from ship_estimation.ins import InsJump, StarInsConfig
 from ship_estimation.refusals import Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
+from ship_geometry.interpolation_error import joint_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
+
+
+@dataclass(frozen=True)
+class MiddleOfExposure:
+    """The stars of an exposure where they stood at its middle, as far as the INS tells it.
+
+    Attributes:
+        exposure: the stars.
+        noise_variance: variance that the noise of the INS's samples gives to a turn of all directions alike, each
+            axis, rad².
+        error_variance: the same of what else is wrong with the correction: of the interpolation, or of the whole turn
+            during an exposure over which the INS has no samples.
+    """
+
+    exposure: StarExposure
+    noise_variance: float
+    error_variance: float
+
+
+@dataclass(frozen=True)
+class DeckTurns:
+    """How the deck turned from each of m exposures to one moment.
+
+    Attributes:
+        rotations: "deck at that moment from deck at the exposure", shape (m, 3, 3).
+        covariance_d: of the errors of all of them, rotation vectors in the deck, rad², shape (m, 3, m, 3).
+    """
+
+    rotations: FloatArray
+    covariance_d: FloatArray
 
 
 class InsMotion:
@@ -81,26 +120,59 @@ class InsMotion:
             covariance_n += np.outer(jumped_n, jumped_n)
         return StarPrior(found.rotation_nd, covariance_n + found.error_covariance_n)
 
-    def turn(self, to_ns: int, from_ns: int) -> tuple[FloatArray, FloatArray] | None:
-        """The deck's turn between two moments.
+    def tells_turn(self, to_ns: int, from_ns: int) -> bool:
+        """Whether it is known how the deck turned between two moments; at one and the same moment it did not turn."""
+        if to_ns == from_ns:
+            return True
+        told = self._at(to_ns) is not None and self._at(from_ns) is not None
+        return told and bool(np.all(self._jumped_n(to_ns) == self._jumped_n(from_ns)))
 
-        The slow error of the INS is the same at both and cancels. What is left is its noise, and its time offset where
-        the rate changes.
+    def turns(self, to_ns: int, exposures: Sequence[StarExposure]) -> DeckTurns:
+        """The turns of the deck from the middles of exposures to one moment.
+
+        The slow error of the INS is the same at all moments and cancels. What is left is its noise, and its time offset
+        where the rate changes. The noise of :meth:`at_middle` is included, because the turn to the middle and that from
+        there on have it in common. Where the INS does not tell a turn, the deck is taken to have been at rest.
+        """
+        moved = [
+            row
+            for row, exposure in enumerate(exposures)
+            if exposure.time_ns != to_ns and self.tells_turn(to_ns, exposure.time_ns)
+        ]
+        noise = self.track.noise_covariance_of_sums(
+            [self._noise_of_turn(to_ns if row in moved else e.time_ns, e) for row, e in enumerate(exposures)]
+        )
+        noise *= (self._config.white_sigma_arcsec * ARCSEC) ** 2
+        rotations = np.tile(np.eye(3), (len(exposures), 1, 1))
+        covariance_d = noise[:, None, :, None] * np.eye(3)[:, None, :]
+        if moved:
+            ends = [self._at(time_ns) for time_ns in (to_ns, *(exposures[row].time_ns for row in moved))]
+            told = [end for end in ends if end is not None]
+            rotations[moved], between = self._turns_between(told[0], told[1:])
+            covariance_d[np.ix_(moved, range(3), moved, range(3))] += between
+        return DeckTurns(rotations, covariance_d)
+
+    def _turns_between(
+        self, end: InterpolatedAttitude, starts: Sequence[InterpolatedAttitude]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Turns from m attitudes by the INS to one, and the covariance of what is wrong with them beside noise.
 
         Returns:
-            Rotation "deck at ``to_ns`` from deck at ``from_ns``", and the covariance of its rotation vector in the
-            deck, rad²; None where the INS does not tell.
+            Rotations, shape (m, 3, 3), and the covariance of their rotation vectors, rad², shape (m, 3, m, 3).
         """
-        if to_ns == from_ns:
-            return np.eye(3), np.zeros((3, 3))
-        end, start = self._at(to_ns), self._at(from_ns)
-        if end is None or start is None or np.any(self._jumped_n(to_ns) != self._jumped_n(from_ns)):
-            return None
-        rotation = end.rotation_nd.T @ start.rotation_nd
-        shifted = self._config.time_offset_sigma_s * (rotation @ start.rate_d - end.rate_d)
-        white_variance = (end.noise_gain + start.noise_gain) * (self._config.white_sigma_arcsec * ARCSEC) ** 2
-        interpolated = end.error_covariance_d + rotation @ start.error_covariance_d @ rotation.T
-        return rotation, white_variance * np.eye(3) + np.outer(shifted, shifted) + interpolated
+        to_end = np.array([end.rotation_nd.T @ start.rotation_nd for start in (end, *starts)])
+        rates_d = np.array([found.rate_d for found in (end, *starts)])
+        # At a sample there is no error of interpolation, between samples there are one or two estimates of it.
+        errors_d = np.zeros((len(to_end), 2, 3))
+        for row, found in enumerate((end, *starts)):
+            if found.errors_d:
+                errors_d[row, : len(found.errors_d)] = found.errors_d
+        interval = np.array([-1 if found.sample is None else found.sample.time_ns for found in (end, *starts)])
+        errors = joint_covariance(errors_d @ np.swapaxes(to_end, -1, -2), interval)
+        shifted_d = self._config.time_offset_sigma_s * (to_end @ rates_d[..., None])[..., 0]
+        errors += np.multiply.outer(shifted_d, shifted_d)
+        of_turns = errors[1:, :, 1:] - errors[1:, :, :1] - errors[:1, :, 1:] + errors[:1, :, :1]
+        return to_end[1:], of_turns
 
     def sensor(self, time_ns: int, mounting: MountingConfig) -> StarPrior | None:
         """The attitude of a sensor (horizon from sensor) at a moment, with the errors of INS and mounting."""
@@ -111,29 +183,35 @@ class InsMotion:
         mounting_n = rotation_ns * mounting.installation_sigma_s
         return StarPrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
 
-    def at_middle(self, exposure: StarExposure, mounting: MountingConfig) -> tuple[StarExposure, float]:
+    def at_middle(self, exposure: StarExposure, mounting: MountingConfig) -> MiddleOfExposure:
         """The stars where they stood at the middle of the exposure, by the turning of the deck meanwhile.
 
         Constant errors of the INS have no part in the turning. Where the INS does not tell it, the stars stay where
         they were seen.
-
-        Returns:
-            The exposure, and the variance of the error that turns all its directions alike, each axis, rad²: of the
-            INS's noise, or of the turn during the exposure, where no INS sample shows it.
         """
         length = exposure.length
         if length is None:
-            return exposure, 0.0
+            return MiddleOfExposure(exposure, 0.0, 0.0)
         turning = turning_over(self.track, exposure.time_ns - self._offset_ns, length.nodes)
         if turning is None:
             untold = np.deg2rad(self._config.untold_acceleration_deg_per_s2)
-            return exposure, length.untold_turn_variance(float(untold))
+            return MiddleOfExposure(exposure, 0.0, length.untold_turn_variance(float(untold)))
         white_variance = turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
-        return at_middle(exposure, turning.mounted(mounting.rotation_ds)), white_variance + turning.correction_error
+        corrected = at_middle(exposure, turning.mounted(mounting.rotation_ds))
+        return MiddleOfExposure(corrected, white_variance, turning.correction_error)
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed for moments at or after ``time_ns``."""
         self.track.drop_before(time_ns - self._offset_ns)
+
+    def _noise_of_turn(self, to_ns: int, exposure: StarExposure) -> list[tuple[int, float]]:
+        """Moments (ns, stamps of the INS) whose attitudes make the turn from an exposure, each with its weight."""
+        middle_ns, length = exposure.time_ns - self._offset_ns, exposure.length
+        if length is not None and exposure.smear_s is not None:
+            return [*length.nodes.moments(middle_ns), (to_ns - self._offset_ns, -1.0)]
+        if to_ns == exposure.time_ns:
+            return []
+        return [(middle_ns, 1.0), (to_ns - self._offset_ns, -1.0)]
 
     def _jumped_n(self, time_ns: int) -> FloatArray:
         """Sum of all jumps of the INS until a moment, rotation vector, rad: its attitude may be wrong by as much."""

@@ -4,11 +4,13 @@ The frame b is the frame in which the stars were measured: the deck, or the fram
 the direction u_i (frame b), and stands in the sky in the direction v_i (horizon frame n). At an attitude R_nb near the
 truth its displacement d_i is linear in small unknowns:
 
-    d_i = v_i - R u_i = δ × v_i + (R m_s) × v_i - G_i z + noise
+    d_i = v_i - R u_i = δ × v_i + (R m_s) × v_i + (R T_s t) × v_i - G_i z + noise
 
-δ is the error of the attitude, and m_s the mounting error of the star's sensor. z are the errors that all stars share
-(refraction, Earth rotation, position), and G_i is the displacement of the star by one sigma of each of them. The
-unknowns m and z are counted in their standard deviations, so that their prior information is the identity.
+δ is the error of the attitude, and m_s the mounting error of the star's sensor. t are the errors of the turns that
+brought the exposures to one moment; T_s turns the sensor by one sigma of each, and sensors may share them. z are the
+errors that all stars share (refraction, Earth rotation, position), and G_i is the displacement of the star by one
+sigma of each of them. The unknowns m, t and z are counted in their standard deviations, so that their prior
+information is the identity.
 """
 
 from dataclasses import dataclass
@@ -23,7 +25,7 @@ from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, exp_rotation, skew
 
 ATTITUDE = slice(0, 3)
-"""Columns of δ among the unknowns; the columns of mounting errors come next, those of shared errors last."""
+"""Columns of δ among the unknowns; those of mounting errors and of turns come next, those of shared errors last."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,9 @@ class SightedStars:
             vectors in b as columns, rad, shape (n_sensors, 3, 3); (0, 3, 3) where b is the frame of the one sensor.
         smear_b: what the motion during the exposure adds to the error of a measured direction, covariance in b, rad²,
             shape (k, 3, 3); None where it adds nothing.
+        turned_b: turn of each sensor by one sigma of each of c independent errors of the turns that brought the
+            exposures to one moment, rotation vectors in b as columns, rad, shape (n_sensors, 3, c); None where there
+            are none.
     """
 
     measured_b: FloatArray
@@ -51,6 +56,7 @@ class SightedStars:
     sensor: NDArray[np.intp]
     mounting_b: FloatArray
     smear_b: FloatArray | None = None
+    turned_b: FloatArray | None = None
 
     @cached_property
     def white_sigma(self) -> FloatArray:
@@ -165,8 +171,10 @@ class StarJudgement:
 def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
     """The stars linearised at an attitude (horizon from b), shape (3, 3), within a degree of the truth."""
     count, sensors, shared = len(stars), len(stars.mounting_b), stars.shared_n.shape[-1]
+    turns = 0 if stars.turned_b is None else stars.turned_b.shape[-1]
     mounting_columns = slice(ATTITUDE.stop, ATTITUDE.stop + 3 * sensors)
-    shared_columns = slice(mounting_columns.stop, mounting_columns.stop + shared)
+    turn_columns = slice(mounting_columns.stop, mounting_columns.stop + turns)
+    shared_columns = slice(turn_columns.stop, turn_columns.stop + shared)
     per_sigma = 1.0 / stars.white_sigma[:, None]
     # δ × v per sigma, column by column of δ.
     about_star = -skew(stars.reference_n * per_sigma)
@@ -178,6 +186,8 @@ def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
         own = stars.sensor[:, None] == np.arange(sensors)
         blocks = jacobian[:, :, mounting_columns].reshape(count, 3, sensors, 3)
         np.multiply(turned[:, :, None, :], own[:, None, :, None], out=blocks)
+    if stars.turned_b is not None:
+        jacobian[:, :, turn_columns] = about_star @ (rotation_nb @ stars.turned_b)[stars.sensor]
     np.multiply(stars.shared_n, -per_sigma[..., None], out=jacobian[:, :, shared_columns])
     residual_n = stars.reference_n - stars.measured_b @ rotation_nb.T
     displacement = residual_n * per_sigma
@@ -224,7 +234,7 @@ def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> 
 
 
 def square_roots(covariance: FloatArray) -> FloatArray:
-    """Matrices L with L Lᵀ the covariances, shape (..., 3, 3), which may be singular."""
+    """Matrices L with L Lᵀ the covariances, shape (..., n, n), which may be singular."""
     values, vectors = np.linalg.eigh(covariance)
     roots: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
     return roots

@@ -180,6 +180,9 @@ def _common_variance(stars: SightedStars) -> FloatArray:
         about_star = skew(stars.measured_b)
         mounted = about_star @ stars.mounting_b[stars.sensor]
         variance = variance + 0.5 * np.sum(mounted**2, axis=(-2, -1))
+    if stars.turned_b is not None:
+        turned = skew(stars.measured_b) @ stars.turned_b[stars.sensor]
+        variance = variance + 0.5 * np.sum(turned**2, axis=(-2, -1))
     return variance
 
 

@@ -1,0 +1,133 @@
+"""How good the joint solution is when the INS's noise moves exposures of two sensors to one moment: by Monte Carlo.
+
+Each seed draws the noise of the centroids, of every INS sample and the mounting of both sensors. The sky, the place and
+the air are as told. So the errors must be as large as the parts "star_noise" and "installation" of the covariance say;
+the second holds the errors of the turn.
+"""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.measurements.readings import SkyInput
+from ship_attitude_star.ros.messages_in import surroundings_reader
+from ship_attitude_star.ros.star_messages_in import seen_stars
+from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.star_attitude.core import StarCore
+from ship_attitude_star.stars.camera import tangent_basis
+from ship_attitude_star.stars.config import JOINT
+from ship_attitude_star.stars.exposure import StarExposure
+from ship_attitude_star.stars.solution import SOLUTION_TERMS
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_testing.adapter_runs import START_NS
+from ship_testing.small_voyage import attitude
+from ship_testing.star_voyage import (
+    CAMERA,
+    FIX,
+    FORE,
+    HEADING_DEG,
+    HUMIDITY,
+    PRESSURE,
+    STARBOARD,
+    TEMPERATURE,
+    air,
+    config,
+    fix,
+    observations,
+    true_deck,
+)
+
+SEEDS = 300
+INS_PERIOD_NS = 40_000_000
+WHITE_SIGMA_ARCSEC = 4.0
+"""Large against the stars' 1.3″, so that it is seen whether it counts rightly."""
+
+CONFIG = config(
+    ins__white_sigma_arcsec=WHITE_SIGMA_ARCSEC, ins__time_offset_sigma_s=0.0, joint__window_s=0.5, joint__wait_s=1.0
+)
+DRAWN = [SOLUTION_TERMS.index(term) for term in ("star_noise", "installation")]
+
+
+@functools.cache
+def sky() -> SkyWatch:
+    return installed_sky(CONFIG.sky)
+
+
+@functools.cache
+def surroundings() -> tuple[SkyInput, ...]:
+    """Place and air, twice."""
+    told = []
+    for since_ns in (0, 1_000_000_000):
+        for topic in (FIX, PRESSURE, TEMPERATURE, HUMIDITY):
+            message = fix(since_ns) if topic == FIX else air(topic, since_ns)
+            read = surroundings_reader(topic, CONFIG.sky)(message, receive_ns=START_NS + since_ns)
+            told.append(read.value)
+    return tuple(told)
+
+
+@functools.cache
+def seen_exactly(topic: str, since_ns: int) -> StarExposure:
+    id_ = topic.split("/")[1]
+    message = observations(topic, since_ns)
+    sensor = CONFIG.star_sensors[id_]
+    return seen_stars(
+        message,
+        sensor_id=id_,
+        frame_id=sensor.frame_id,
+        camera=CAMERA,
+        camera_config=sensor.camera,
+        catalogue=sky().catalogue,
+        receive_ns=START_NS + since_ns,
+    ).value.exposure
+
+
+@functools.cache
+def ins_exactly() -> tuple[tuple[int, FloatArray, FloatArray], ...]:
+    samples = []
+    for since_ns in range(0, 2_000_000_000, INS_PERIOD_NS):
+        t_s = 1e-9 * since_ns
+        turn = log_rotation(attitude(t_s - 1e-4, HEADING_DEG).T @ attitude(t_s + 1e-4, HEADING_DEG))
+        samples.append((START_NS + since_ns, true_deck(since_ns), turn / 2e-4))
+    return tuple(samples)
+
+
+def seen(topic: str, since_ns: int, rng: np.random.Generator) -> StarExposure:
+    """What a sensor sees that is mounted a little otherwise than it is said to be."""
+    exact = seen_exactly(topic, since_ns)
+    sensor = CONFIG.star_sensors[topic.split("/")[1]]
+    turned_s = exact.directions_s @ exp_rotation(sensor.installation_sigma_s * rng.standard_normal(3))
+    off = exact.sigma[:, None] * rng.standard_normal((len(exact), 2))
+    noisy_s = turned_s + np.einsum("kij,ki->kj", tangent_basis(turned_s), off)
+    return replace(exact, directions_s=noisy_s / np.linalg.norm(noisy_s, axis=-1, keepdims=True))
+
+
+def joint_nees(periods: float, seed: int) -> float:
+    """NEES of the joint solution of two exposures, so many INS periods apart."""
+    rng = np.random.default_rng([seed, round(10.0 * periods)])
+    # Of 16 places between two INS samples one, so that the exact skies are few.
+    first_ns = 800_000_000 + int(rng.integers(16)) * INS_PERIOD_NS // 16
+    core = StarCore(CONFIG, sky())
+    for told in surroundings():
+        assert core.add_surroundings(told) is None
+    for time_ns, rotation_nd, rate_d in ins_exactly():
+        noise = exp_rotation(WHITE_SIGMA_ARCSEC * ARCSEC * rng.standard_normal(3))
+        core.add_ins(AttitudeSample(time_ns, noise @ rotation_nd, rate_d))
+    solved = []
+    for topic, since_ns in ((FORE, first_ns), (STARBOARD, first_ns + round(periods * INS_PERIOD_NS))):
+        solved += core.add_exposure(seen(topic, since_ns, rng)).solved
+    joint = [one for one in solved if one.sensor_id == JOINT]
+    assert len(joint) == 1
+    assert len(joint[0].sources) == 2
+    error_n = log_rotation(true_deck(first_ns) @ joint[0].solution.rotation_nb.T)
+    return float(normalized_error_squared(error_n, joint[0].solution.parts_n[DRAWN].sum(axis=0)))
+
+
+@pytest.mark.parametrize("periods", [0.0, 0.3, 1.0, 2.5, 10.0])
+def test_the_joint_solution_is_as_good_as_it_says_however_close_the_exposures(periods: float) -> None:
+    low, high = mean_nees_band(SEEDS, 3)
+    mean = np.mean([joint_nees(periods, seed) for seed in range(SEEDS)])
+    assert low < mean < high
