@@ -131,6 +131,24 @@ def delayed(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
     )
 
 
+def flooded(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, seed: int = 1) -> Arrivals:
+    """For each arrival of a topic ``factor`` of them: the others are stamped earlier, each by another time."""
+    rng = np.random.default_rng(seed)
+
+    def earlier(message: Any) -> None:
+        ns = stamp_of(message) - int(rng.uniform(0.0, up_to_s * SECOND_NS))
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, SECOND_NS)
+
+    more = [changed_copy(a, earlier) for a in arrivals if a.topic == topic for _ in range(factor - 1)]
+    return in_order([*arrivals, *more])
+
+
+def without_refused(arrivals: Arrivals, topic: str, told: Iterable[Any]) -> Arrivals:
+    """Without the arrivals of a topic, all of different stamps, that innovations tell as refused."""
+    refused_ns = {stamp_of(message) for message in told}
+    return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in refused_ns)
+
+
 def hand_over(
     run: AdapterRun, arrivals: Iterable[Arrival], until_ns: int = 0, node_ns: Callable[[int], int] = lambda ns: ns
 ) -> None:

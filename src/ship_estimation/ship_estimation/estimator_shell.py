@@ -6,14 +6,16 @@ The shell knows nothing of what is measured. A measurement goes this way:
 1. Older than ``lag_s`` behind the newest data: refused as LATE (:class:`LagWindow`). The core asks this first, and then
    its guards whether the measurement can be true at all; what they refuse does not reach the shell.
 2. Of the same source and stamp as another one: refused as DUPLICATE, or where the bytes differ told as CONFLICT; the
-   one whose bytes sort first is kept.
+   one whose bytes sort first is kept. One that comes after too many later ones of its source is refused as OVERFLOW.
 3. It takes its place in the order of stamps (:class:`TimeOrderedLog`). What was applied after that place is applied
-   again, and a decision that turns out otherwise is told again as revised.
+   again, and a decision that turns out otherwise is told again as revised. How much is applied again is bounded for
+   each input and for each second; the rest waits.
 4. It waits, and all after it, as long as the model misses data that may still come within ``lag_s``.
 5. The model uses it or refuses it. Where the model raises, the measurement is refused as FAILED and the state stays.
 6. ``lag_s`` later the window closes behind it: the decision is final.
 
-Any order of arrival within the window therefore ends in the same state, to the last bit.
+Any order of arrival within the window therefore ends in the same state, to the last bit, as long as no source sends
+more out of order than :data:`MOST_OVERTAKEN_PER_S`.
 
 Two clocks are at work. Outputs are ordered by their stamps, the time of the data. Silence is measured in the time of
 waiting, a clock that nobody sets and that the shell of the node gives with each input and tick: old stamps, or a
@@ -66,9 +68,39 @@ class LagWindow:
         self.oldest_ns = self.newest_ns - self._lag_ns
 
 
-MOST_REPEATS_PER_S = 400
-"""Measurements applied again in a second of data: ten in ordinary data, two hundred where every input of a ship comes
-out of order by up to two seconds. A flood of late ones would make thousands, and hold up the output."""
+MOST_REPEATS_PER_S = 200
+"""Measurements applied again in a second: ten in ordinary data, as many as these where every input of a ship comes out
+of order by up to two seconds. A flood of late ones would make thousands, and hold up the output."""
+MOST_REPEATS_AT_ONCE = 50
+"""Of these for one input: the output that follows it waits no longer than they take."""
+MOST_OVERTAKEN_PER_S = 200
+"""Later measurements of its own source that those which come late may find here already, summed over a second. Star
+exposures at 14 Hz in any order within two seconds make so many, and so do attitudes at 100 Hz late by up to 0.1 s."""
+
+
+class _Allowance:
+    """So many a second: after a second of rest all of them at once.
+
+    Args:
+        per_s: the number.
+    """
+
+    def __init__(self, per_s: int) -> None:
+        self._cost_ns = SECOND_NS // per_s
+        self._paid_until_ns = -SECOND_NS
+
+    def covers(self, count: int, now_ns: int) -> bool:
+        """Whether so many are left."""
+        return self._since_ns(now_ns) + count * self._cost_ns <= now_ns
+
+    def spend(self, count: int, now_ns: int) -> None:
+        """Take so many of them, more than are left where need be."""
+        self._paid_until_ns = self._since_ns(now_ns) + count * self._cost_ns
+
+    def _since_ns(self, now_ns: int) -> int:
+        """Up to when all is spent: a second ago at the earliest, and in a second at the latest."""
+        return min(max(self._paid_until_ns, now_ns - SECOND_NS), now_ns + SECOND_NS)
+
 
 Key = tuple[int, Any]
 """(time_ns, tie-breaker): the order of application."""
@@ -103,7 +135,12 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
         self._entries: list[_Entry[State, Item, Verdict]] = []
         self.waiting = 0
         self.oldest_ns: int | None = None
-        self._repeats, self._repeats_since_ns = 0, 0
+        self._repeats = _Allowance(MOST_REPEATS_PER_S)
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether the next measurement to apply was applied before, and waits only because of the bounds."""
+        return self.waiting > 0 and self._entries[self._applied].decision is not None
 
     def not_applied(self) -> list[Item]:
         """The measurements that wait, in order."""
@@ -114,6 +151,10 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
         index = bisect.bisect_left(self._keys, key)
         found = index < len(self._keys) and self._keys[index] == key
         return self._entries[index].measurement if found else None
+
+    def overtaken(self, key: Key) -> int:
+        """How many measurements with the same tie-breaker and a later time are here already."""
+        return sum(other[1] == key[1] for other in self._keys[bisect.bisect_right(self._keys, key) :])
 
     def insert(self, key: Key, measurement: Item) -> None:
         """Put a measurement in its place; one with the same key is replaced."""
@@ -146,18 +187,21 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
         Args:
             step: state and decision after a measurement.
             failed: the decision about a measurement on which ``step`` raised; the state stays as it was before it.
-            window_ns: the oldest and the newest stamp of the window. What was applied before is applied again at
-                most :data:`MOST_REPEATS_PER_S` times in a second of data; beyond that it waits for the next one, or
-                until it leaves the window: the state is behind meanwhile, and ends the same. None: nothing waits.
+            window_ns: the stamp before which no data can come that matter, and the time now. What was applied before
+                is applied again :data:`MOST_REPEATS_AT_ONCE` times at most, and :data:`MOST_REPEATS_PER_S` times in a
+                second. What is beyond that waits for the next call, or until no more data can come: the state is
+                behind meanwhile, and ends the same. None: nothing waits.
 
         Returns:
             For each measurement applied: its decision and, where it had been applied before, the one it replaces.
         """
         decisions: list[tuple[Verdict, Verdict | None]] = []
+        repeats = 0
         while self.waiting:
             index = self._applied
             entry, self.state = self._entries[index], self._state_before(index)
-            if window_ns is not None and entry.decision is not None and not self._may_repeat(entry.key, *window_ns):
+            again = entry.decision is not None
+            if again and window_ns is not None and not self._may_repeat(entry.key, repeats, *window_ns):
                 break
             result: tuple[State, Verdict] | None
             try:
@@ -166,8 +210,11 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
                 result = self.state, failed(entry.measurement, error)
             if result is None:
                 break
+            if again:
+                repeats += 1
+                if window_ns is not None:
+                    self._repeats.spend(1, window_ns[1])
             previous = entry.decision
-            self._repeats += previous is not None
             self.state, entry.decision = result
             entry.state_after = self.state
             decisions.append((entry.decision, previous))
@@ -188,11 +235,9 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
         """Number of measurements of the window that are applied: always its first ones."""
         return len(self._entries) - self.waiting
 
-    def _may_repeat(self, key: Key, oldest_ns: int, newest_ns: int) -> bool:
-        if newest_ns - self._repeats_since_ns >= SECOND_NS:
-            self._repeats, self._repeats_since_ns = 0, newest_ns
-        # What leaves the window can only now be right; it does so once.
-        return self._repeats < MOST_REPEATS_PER_S or key[0] < oldest_ns
+    def _may_repeat(self, key: Key, repeats: int, closed_ns: int, now_ns: int) -> bool:
+        # What no data can reach any more is right once it is applied again, and is so never after.
+        return key[0] < closed_ns or (repeats < MOST_REPEATS_AT_ONCE and self._repeats.covers(1, now_ns))
 
     def _state_before(self, index: int) -> State:
         if index == 0:
@@ -255,6 +300,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self.state = state
         self._jumped = False
         self.window = LagWindow(self._lag_s)
+        self._overtaking: dict[str, _Allowance] = {}
         self._log: TimeOrderedLog[State, Measured | _Opening[Jump], Judged | _Opening[Jump]] = TimeOrderedLog(state)
         if clock_jumped:
             self._last_claim_ns: int | None = None
@@ -269,6 +315,10 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         known, taken = self._log.get(key), True
         if known is not None and not isinstance(known, _Opening):
             taken, outcome.refusal = same_stamp(known, measurement)
+        if taken and not self._may_overtake(key):
+            bound = f"{MOST_OVERTAKEN_PER_S} such pairs a second are taken"
+            text = f"too many come after later ones of their source: {bound}"
+            taken, outcome.refusal = False, Refusal(Reason.OVERFLOW, text)
         if taken:
             self._log.insert(key, measurement)
             self._advance(measurement.time_ns, outcome)
@@ -302,11 +352,28 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
         self._log.rewind_where(lambda verdict: not isinstance(verdict, _Opening) and affected(verdict))
 
-    def apply(self, outcome: Outcome[Judged, Estimate]) -> None:
-        """Apply what can be applied now, and tell the decisions that are new or turn out otherwise."""
+    def tick(self, now_ns: int, outcome: Outcome[Judged, Estimate]) -> None:
+        """Go on with what waits only because so much was applied again, where no data come that would do so."""
+        if self.is_behind:
+            self.apply(outcome, now_ns)
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether something is to be applied again, and waits only because of the bounds."""
+        return self._log.is_behind
+
+    def apply(self, outcome: Outcome[Judged, Estimate], now_ns: int | None = None) -> None:
+        """Apply what can be applied now, and tell the decisions that are new or turn out otherwise.
+
+        Args:
+            outcome: takes the decisions.
+            now_ns: the time now, for the bounds; None for the newest stamp.
+        """
         if not self._log.waiting:
             return
-        decisions = self._log.apply(self._step, self._failed, (self.window.oldest_ns, self.window.newest_ns))
+        closed_ns = self.window.oldest_ns - self._reach_ns
+        now_ns = self.window.newest_ns if now_ns is None else now_ns
+        decisions = self._log.apply(self._step, self._failed, (closed_ns, now_ns))
         self.state = self._log.state
         for decision, previous in decisions:
             if isinstance(decision, _Opening):
@@ -317,6 +384,17 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
                 outcome.decisions.append(decision)
             elif not isinstance(previous, _Opening) and previous.accepted != decision.accepted:
                 outcome.decisions.append(replace(decision, revised=True))
+
+    def _may_overtake(self, key: Key) -> bool:
+        """Whether a measurement may still take its place before later ones of its source."""
+        overtaken = self._log.overtaken(key)
+        if not overtaken:
+            return True
+        allowance, now_ns = self._overtaking.setdefault(key[1], _Allowance(MOST_OVERTAKEN_PER_S)), self.window.newest_ns
+        if not allowance.covers(overtaken, now_ns):
+            return False
+        allowance.spend(overtaken, now_ns)
+        return True
 
     def _advance(self, time_ns: int, outcome: Outcome[Judged, Estimate]) -> None:
         """Apply what can be applied now, then close the window."""

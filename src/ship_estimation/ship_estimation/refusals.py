@@ -7,7 +7,8 @@ This module names the reasons. A measurement meets those who decide in this orde
 3. the guards, which look at one stream by itself: :mod:`ship_estimation.ins_guard` at an INS, ``guards/`` at star
    sensors and references, ``theodolite_calib/measured/watches`` at encoders: STUCK, UNITS, and GATE for one sample
    that jumps;
-4. :class:`ship_estimation.estimator_shell.EstimatorShell`: DUPLICATE, CONFLICT, and FAILED for our own defects;
+4. :class:`ship_estimation.estimator_shell.EstimatorShell`: DUPLICATE, CONFLICT, OVERFLOW, and FAILED for our own
+   defects;
 5. the filter that compares it with its state (``ship_attitude/filter``, ``theodolite_calib/filter/judgement``) and, in
    it, what it is compared with (``ship_attitude/comparison``, ``theodolite_calib/measured/sighting``): all others.
 

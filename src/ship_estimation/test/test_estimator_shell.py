@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from ship_estimation.estimator_shell import EstimatorShell, LagWindow, Model
+from ship_estimation.estimator_shell import (
+    MOST_OVERTAKEN_PER_S,
+    MOST_REPEATS_AT_ONCE,
+    MOST_REPEATS_PER_S,
+    EstimatorShell,
+    LagWindow,
+    Model,
+)
 from ship_estimation.outcome import Decision, Outcome
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.time_scales import SECOND_NS
@@ -350,3 +357,75 @@ def test_the_window_closes_behind_the_lag_and_the_reach() -> None:
     late = estimator.add(toy(5000))
     assert late.refusal is not None
     assert late.refusal.reason is Reason.LATE
+
+
+def flood(rng: np.random.Generator, count: int, seconds: float) -> list[Toy]:
+    """Measurements of one source, evenly in time, each stamped up to the lag earlier."""
+    arrival_ns = np.linspace(0.0, seconds * SECOND_NS, count)
+    stamps_ns = (arrival_ns + (10.0 - rng.uniform(0.0, LAG_S, count)) * SECOND_NS).astype(int)
+    return [Toy(*one) for one in zip(stamps_ns.tolist(), rng.random(count).tolist(), strict=True)]
+
+
+def test_of_a_flood_with_random_stamps_the_steps_are_few_and_what_is_too_much_is_an_overflow() -> None:
+    """Fifty times an exposure at 2 Hz, beside a source in order; unbounded it would be some 100 repeats for each."""
+    seconds, estimator = 30.0, Estimator()
+    reasons, texts, at_once = [], [], []
+    flooded = flood(np.random.default_rng(7), 3000, seconds)
+    in_order = [toy(10_000 + 100 * number, source="prompt") for number in range(300)]
+    for number, late in enumerate(flooded):
+        for one in [late, *([in_order[number // 10]] if number % 10 == 0 else [])]:
+            steps = len(estimator.decided)
+            outcome = estimator.add(one)
+            at_once.append(len(estimator.decided) - steps)
+            if one is late:
+                reasons.append(outcome.refusal and outcome.refusal.reason)
+                texts.append(outcome.refusal.text if outcome.refusal else "")
+            else:
+                assert outcome.refusal is None
+    taken, late = reasons.count(None), reasons.count(Reason.LATE)
+    assert late < 20
+    assert reasons.count(Reason.OVERFLOW) == 3000 - taken - late > 1800
+    # Each once, once more as the window closes, and the repeats of each second; the first second has saved up one.
+    assert len(estimator.decided) < 2 * (taken + len(in_order)) + MOST_REPEATS_PER_S * (seconds + LAG_S + 1.0)
+    assert max(at_once) < MOST_REPEATS_AT_ONCE + 20
+    told = next(text for text in texts if "source" in text)
+    assert told.endswith(f"later ones of their source: {MOST_OVERTAKEN_PER_S} such pairs a second are taken")
+
+
+def test_what_is_refused_as_overflow_leaves_no_trace() -> None:
+    estimator, without = Estimator(), Estimator()
+    for number, late in enumerate(flood(np.random.default_rng(8), 1000, 10.0)):
+        outcome = estimator.add(late)
+        if outcome.refusal is None or outcome.refusal.reason is not Reason.OVERFLOW:
+            assert without.add(late).refusal == outcome.refusal
+        assert estimator.shell.state == without.shell.state, number
+    told, told_without = ([(d.measurement, d.accepted) for d in e.decided] for e in (estimator, without))
+    assert told == told_without
+
+
+def test_samples_that_come_late_without_end_cost_so_many_steps_a_second_and_end_in_the_same_state() -> None:
+    """Samples at 100 Hz, each up to two seconds late, under measurements at 20 Hz: each would repeat up to forty."""
+    rng, seconds, estimator, in_order = np.random.default_rng(9), 20.0, Estimator(), Estimator()
+    estimator.waits = in_order.waits = True
+    stamps_ms = np.arange(10_000, 10_000 + round(1000 * seconds), 10)
+    by_arrival = [(ms + rng.uniform(0.0, 1990.0), "sample", ms, 0.001 * (ms % 7)) for ms in stamps_ms.tolist()]
+    by_arrival += [(ms + 1.0, "toy", ms, 0.5) for ms in stamps_ms[::5].tolist()]
+    for _, kind, ms, value in sorted(by_arrival):
+        steps = len(estimator.decided)
+        if kind == "toy":
+            estimator.add(toy(ms, value))
+        else:
+            estimator.add_sample(ms, value)
+        assert len(estimator.decided) - steps <= MOST_REPEATS_AT_ONCE + 20
+    assert len(estimator.decided) < 2 * len(stamps_ms[::5]) + MOST_REPEATS_PER_S * (seconds + LAG_S + 1.0)
+    # When nothing comes any more, the ticks go on with it.
+    ticks = 0
+    while estimator.shell.is_behind:
+        ticks += 1
+        estimator.shell.tick((32_000 + 100 * ticks) * MS, ToyOutcome())
+    assert 0 < ticks < 10 * LAG_S
+    for number, ms in enumerate(stamps_ms.tolist()):
+        in_order.add_sample(ms, 0.001 * (ms % 7))
+        if number % 5 == 0:
+            in_order.add(toy(ms))
+    assert estimator.shell.state == in_order.shell.state

@@ -178,6 +178,7 @@ class ShipAttitudeCore:
         """
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = AttitudeOutcome()
+        self._shell.tick(now_ns, outcome)
         self._carry(outcome, waiting_ns)
         self._shell.say_invalid(outcome, waiting_ns, lambda: no_estimate(self.filter, self.state, now_ns))
         return outcome

@@ -168,6 +168,7 @@ class OpticalAxisCore:
         """
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = PointingOutcome()
+        self._shell.tick(now_ns, outcome)
         silent = self._encoder_arrival_ns is None or waiting_ns - self._encoder_arrival_ns > SECOND_NS
         missing = "no usable reading of the encoders" if silent else f"no attitude on {self.config.ship.source}"
         self._shell.say_invalid(outcome, waiting_ns, lambda: no_pointing(self.filter, now_ns, missing))
