@@ -66,6 +66,8 @@ class Decision(Generic[Measured]):
         components: names of the residuals.
         residual: measured minus predicted, rad, shape (m,); empty where the measurement was not compared at all.
         sigma: predicted standard deviation of each component of the residual, rad, shape (m,).
+        covariance: predicted covariance of the residual, rad², shape (m, m).
+        noise: the part of it that is the measurement's own noise, rad², shape (m, m).
         nis: normalised innovation squared, chi² with m degrees of freedom.
         gate: the value that ``nis`` must not exceed.
         text: explanation for people.
@@ -79,6 +81,8 @@ class Decision(Generic[Measured]):
     components: tuple[str, ...] = ()
     residual: FloatArray = field(default_factory=lambda: np.empty(0))
     sigma: FloatArray = field(default_factory=lambda: np.empty(0))
+    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    noise: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     nis: float = float("nan")
     gate: float = float("nan")
     text: str = ""

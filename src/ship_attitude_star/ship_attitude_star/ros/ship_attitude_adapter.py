@@ -26,6 +26,7 @@ from ship_node.edge.messages_in import ReadMessage, ins_sample
 from ship_node.edge.messages_out import BUDGET_TYPE, DECK_FRAME, INNOVATION_TYPE, DiagnosticStatus, Level, error_budget
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from ship_node.edge.verdict_report import clock_status
 
 ATTITUDE_TOPIC, IMU_TOPIC = "ship/attitude", "ship/imu"
 
@@ -51,6 +52,8 @@ _RATES = {
     ),
     Rates.WRONG_UNITS: (Level.ERROR, "angular_velocity is in another unit than rad/s: the INS is not used"),
 }
+_GROUPS = {"star": "star_sensors", "reference": "references"}
+"""First word of a source's name → where its parameters stand."""
 _NOT_GIVEN = np.array([-1.0] + [0.0] * 8)
 """Covariance that tells readers of sensor_msgs/Imu that nothing was measured."""
 
@@ -146,7 +149,7 @@ class ShipAttitudeAdapter(ReportingAdapter):
         return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns))]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
-        """The attitude, the alignment that the filter started from, the rates of the INS, conflicts with it."""
+        """The attitude, the alignment at the start, the rates of the INS, conflicts with it, verdicts, clocks."""
         told = [] if self.saved is None else self.saved.messages
         text = "; ".join(told) or "as configured or saved"
         return [
@@ -154,6 +157,8 @@ class ShipAttitudeAdapter(ReportingAdapter):
             DiagnosticStatus("alignment", Level.WARN if told else Level.OK, text),
             DiagnosticStatus("ins rates", *_RATES[self.core.rates]),
             *self.conflict_statuses(),
+            *self.verdicts.statuses(),
+            clock_status(self.core.filter.model, self.core.state.mean, _GROUPS),
         ]
 
 

@@ -152,6 +152,8 @@ class ShipFilter:
             residual=linear.residual,
             sigma=np.sqrt(np.diagonal(covariance)),
             components=found.compared.components,
+            covariance=covariance,
+            noise=linear.noise,
             nis=nis,
             gate=chi_square_gate(self._gate.probability, len(linear.residual)),
             left_out=found.compared.left_out,

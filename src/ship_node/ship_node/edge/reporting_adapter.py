@@ -23,6 +23,7 @@ from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from ship_node.edge.verdict_report import VerdictReport
 
 INPUT_HEALTH_TOPIC = "input_health"
 OWN_OUTPUTS = (
@@ -78,6 +79,7 @@ class ReportingAdapter(ABC):
         latest: the last estimate put out; None before.
         budget_due: the same until its error budget was told, as long as it claims something.
         conflicts: source → the text of its disagreement, for sources that keep disagreeing.
+        verdicts: what the innovations say of the sources.
         clock_jumps: how often the clock went back.
     """
 
@@ -110,6 +112,7 @@ class ReportingAdapter(ABC):
         self.latest: Any = None
         self.budget_due: Any = None
         self.conflicts: dict[str, str] = {}
+        self.verdicts = VerdictReport()
         self._slow_due_ns: int | None = None
 
     # -- what a node adds -----------------------------------------------------------------------------------
@@ -198,6 +201,7 @@ class ReportingAdapter(ABC):
             return ServiceResult(False, str(error))
         self.health.restart()
         self.conflicts.clear()
+        self.verdicts.clear()
         return ServiceResult(True, told)
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
@@ -223,6 +227,7 @@ class ReportingAdapter(ABC):
             elif decision.accepted:
                 self.conflicts.pop(feed.source, None)
             judged.append((feed.source, decision))
+        self.verdicts.pending += judged
         published: list[Published] = []
         for source, decision in judged:
             time_ns = decision.measurement.time_ns
@@ -277,3 +282,4 @@ class ReportingAdapter(ABC):
         self.health.restart()
         self.latest, self.budget_due, self._slow_due_ns = None, None, None
         self.conflicts.clear()
+        self.verdicts.clear()

@@ -159,6 +159,8 @@ class SightingJudge:
             components=tuple(f"{name} {axis}" for name in sighting.names for axis in ("x", "z")),
             residual=comparison.measurement.residual / focal_length_m,
             sigma=np.sqrt(np.diagonal(comparison.covariance)) / focal_length_m,
+            covariance=comparison.covariance / focal_length_m**2,
+            noise=comparison.measurement.noise / focal_length_m**2,
             nis=comparison.nis,
             gate=chi_square_gate(self._gate.probability, len(comparison.measurement.residual)),
         )

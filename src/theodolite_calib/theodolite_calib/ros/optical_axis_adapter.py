@@ -24,6 +24,7 @@ from ship_node.edge.messages_out import (
 )
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from ship_node.edge.verdict_report import clock_status
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import Exposure, Mode, PointingEstimate
 from theodolite_calib.optical_axis.calibration import Calibration
@@ -131,12 +132,14 @@ class OpticalAxisAdapter(ReportingAdapter):
         return [*published, ("theodolite/calibration", calibration)]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
-        """The pointing, the calibration, and lights in conflict with the rest."""
+        """The pointing, the calibration, lights in conflict with the rest, verdicts."""
         told = [] if self.saved is None else self.saved.messages
         return [
             pointing_status(self.latest, self.clock_jumps),
             calibration_status(self.core.calibration(), told),
             *self.conflict_statuses(),
+            *self.verdicts.statuses(),
+            clock_status(self.core.filter.model, self.core.state.mean, {"ship": "ins"}),
         ]
 
 

@@ -1,0 +1,198 @@
+"""Verdicts: what the innovations of a source say of its stated sigma, of its alignment and of its clock.
+
+An innovation is the residual of a measurement against the prediction. Where all that is stated is true, innovations
+have mean zero and the predicted covariance, and each is independent of the one before. A :class:`VerdictBook` keeps
+those of the last minute of data, source by source, and judges each source by them:
+
+- The bulk of the parts (stars, lights, whole attitudes) is larger or smaller than predicted: the sigma of the source is
+  optimistic or conservative. The factor is that of the source's own sigma, not of the prediction.
+- The bulk is as stated, but more parts lie far off than belong to it: they are misidentified.
+- The mean is not zero: a bias. One that stays the same is a matter of installation or alignment.
+- Each innovation is like the one before: an error lasts longer than the model says.
+
+Refused measurements are judged with the others: a source whose bad measurements are all refused would look perfect. A
+few measurements that are far off do not pass for many that are a little off (:mod:`ship_estimation.innovations`).
+
+Each of these tests speaks against a source that is as stated with the probability ``FALSE_VERDICT`` (1e-7). What is
+true but small (``TOLERATED_FACTOR``, ``TOLERATED_BIAS``, ``TOLERATED_CORRELATION``) is not told.
+"""
+
+import enum
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ship_estimation.gates import mean_nees_band
+from ship_estimation.innovations import FALSE_VERDICT, LEAST_COUNT, Axis, Innovation, Parts, axes_of, innovation_of
+from ship_estimation.kalman import StateModel
+from ship_estimation.outcome import Decision
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+WINDOW_S = 60.0
+"""So much of the newest data is judged."""
+
+CLOCK_SIGMAS = 4.0
+"""A clock offset that is estimated so many of its configured sigmas away from its configured value contradicts them."""
+
+_MOST_KEPT = 6000
+_LEAST_TOLD = 0.1
+
+
+class Finding(enum.Enum):
+    """What is found of a source."""
+
+    UNKNOWN = "not judged"
+    AS_STATED = "as stated"
+    OPTIMISTIC = "sigma optimistic"
+    CONSERVATIVE = "sigma conservative"
+    MISIDENTIFIED = "misidentified"
+    BIASED = "bias"
+    CORRELATED = "errors last"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is found of a source.
+
+    Attributes:
+        finding: the kind.
+        text: for people, with figures.
+        count: measurements judged.
+        nis: mean normalised innovation squared per component; NaN where too few were measured.
+        nis_band: where it lies with the probability 1 - FALSE_VERDICT if all is as stated; None likewise.
+        factor: true sigma of the source over the stated one, by the bulk of the parts; NaN where too few tell.
+        far_share: share of the parts that lie far off or were left out.
+        bias_sigma: median of the innovations in their sigmas, by axis.
+        correlation: of each innovation with the one before, by axis.
+    """
+
+    finding: Finding
+    text: str
+    count: int
+    nis: float = math.nan
+    nis_band: tuple[float, float] | None = None
+    factor: float = math.nan
+    far_share: float = math.nan
+    bias_sigma: Mapping[str, float] = field(default_factory=dict)
+    correlation: Mapping[str, float] = field(default_factory=dict)
+
+
+class VerdictBook:
+    """The innovations of the newest data by source, and the verdicts about the sources by them.
+
+    Example:
+        A sensor states 1″ about each axis, and measures with 2″:
+
+        >>> import numpy as np
+        >>> from ship_estimation.refusals import Reason
+        >>> from ship_geometry.rotations import ARCSEC
+        >>> from ship_geometry.vector_track import VectorSample
+        >>> book, rng, stated = VerdictBook(), np.random.default_rng(1), ARCSEC**2 * np.eye(3)
+        >>> for time_ns in range(0, 60 * SECOND_NS, SECOND_NS // 5):
+        ...     measured = VectorSample(time_ns, 2.0 * ARCSEC * rng.standard_normal(3))
+        ...     decision = Decision(measured, Reason.NONE, True, ("forward", "up", "right"), measured.vector,
+        ...                         covariance=stated, noise=stated)
+        ...     book.add("star.bow", decision)
+        >>> print(book.verdicts()["star.bow"].text)
+        sigma optimistic by 1.9: the noise is understated; 300 measurements
+    """
+
+    def __init__(self) -> None:
+        self._sources: dict[str, dict[int, Innovation]] = {}
+        self._newest_ns = 0
+
+    def clear(self) -> None:
+        """Forget all, as after a reset of the estimator."""
+        self._sources.clear()
+        self._newest_ns = 0
+
+    def add(self, source: str, decision: Decision[Any]) -> None:
+        """Take a decision; one about a measurement that was judged before takes the place of the earlier one."""
+        innovation = innovation_of(decision)
+        if innovation is not None:
+            self._sources.setdefault(source, {})[innovation.time_ns] = innovation
+            self._newest_ns = max(self._newest_ns, innovation.time_ns)
+
+    def verdicts(self) -> dict[str, Verdict]:
+        """The verdict about each source, in the order of their names."""
+        since_ns = self._newest_ns - round(WINDOW_S * SECOND_NS)
+        verdicts = {}
+        for source, innovations in sorted(self._sources.items()):
+            kept = sorted(time_ns for time_ns in innovations if time_ns > since_ns)[-_MOST_KEPT:]
+            self._sources[source] = {time_ns: innovations[time_ns] for time_ns in kept}
+            verdicts[source] = _verdict(list(self._sources[source].values()))
+        return verdicts
+
+
+def clock_verdicts(model: StateModel, mean: FloatArray, groups: Mapping[str, str]) -> list[str]:
+    """What there is to say of clocks whose estimated offset contradicts its configured sigma, one line each.
+
+    Args:
+        model: whose states named ``<device>.time_offset`` are clock offsets against what is configured, s.
+        mean: of the states, shape (n,).
+        groups: first word of a device's name → where its parameters stand, where that is another word.
+
+    Example:
+        >>> import numpy as np
+        >>> from ship_estimation.kalman import block
+        >>> model = StateModel([block("ins.time_offset", [0.0015], source="ins_time_offset")], noise_sources=[])
+        >>> clock_verdicts(model, np.array([0.012]), {})
+        ['ins clock off by 12 ms, 8 sigma of ins.time_offset_sigma_s']
+    """
+    told = []
+    for name, block in model.blocks.items():
+        device, _, kind = name.rpartition(".")
+        sigma_s = float(block.sigma[0])
+        if kind != "time_offset" or not sigma_s > 0.0:
+            continue
+        offset_s = float(mean[model.slices[name]][0])
+        if abs(offset_s) > CLOCK_SIGMAS * sigma_s:
+            group, dot, id_ = device.partition(".")
+            parameter = f"{groups.get(group, group)}{dot}{id_}.time_offset_sigma_s"
+            sigmas = abs(offset_s) / sigma_s
+            told.append(f"{device} clock off by {1e3 * offset_s:.3g} ms, {sigmas:.0f} sigma of {parameter}")
+    return told
+
+
+def _verdict(innovations: Sequence[Innovation]) -> Verdict:
+    """The verdict by the innovations of a source, in order of time."""
+    count = len(innovations)
+    if count < LEAST_COUNT:
+        return Verdict(Finding.UNKNOWN, f"too few measurements to judge: {count} of {LEAST_COUNT}", count)
+    parts, axes = Parts(innovations), axes_of(innovations)
+    components = sum(one.components for one in innovations)
+    finding, text = _finding(parts, axes)
+    return Verdict(
+        finding=finding,
+        text=f"{text}; {count} measurements",
+        count=count,
+        nis=sum(one.nis for one in innovations) / components if components else math.nan,
+        nis_band=mean_nees_band(components, 1, 1.0 - FALSE_VERDICT) if components else None,
+        factor=parts.factor,
+        far_share=parts.far_share,
+        bias_sigma={axis.name: axis.bias_sigma for axis in axes},
+        correlation={axis.name: axis.correlation for axis in axes},
+    )
+
+
+def _finding(parts: "Parts", axes: Iterable["Axis"]) -> tuple[Finding, str]:
+    """What weighs most. A bias makes a sigma look wrong, and a wrong sigma makes parts lie far off."""
+    biased = max((axis for axis in axes if axis.is_biased), key=lambda axis: abs(axis.bias_sigma), default=None)
+    if biased is not None:
+        return Finding.BIASED, biased.bias_text
+    if parts.is_optimistic:
+        return Finding.OPTIMISTIC, f"sigma optimistic by {parts.factor:.1f}: the noise is understated"
+    if parts.is_misidentified:
+        others = ", the others are as stated" if math.isfinite(parts.factor) else ""
+        return Finding.MISIDENTIFIED, f"misidentified: {100.0 * parts.far_share:.0f} % lie far off{others}"
+    if parts.is_conservative:
+        times = f"{1.0 / parts.factor:.1f}" if parts.factor > _LEAST_TOLD else f"more than {1.0 / _LEAST_TOLD:.0f}"
+        return Finding.CONSERVATIVE, f"sigma conservative by {times}: the noise is overstated"
+    lasting = max((axis for axis in axes if axis.is_lasting), key=lambda axis: abs(axis.correlation), default=None)
+    if lasting is not None:
+        return Finding.CORRELATED, lasting.correlation_text
+    if math.isnan(parts.factor):
+        return Finding.UNKNOWN, "its sigma cannot be judged: the prediction is less certain than the measurements"
+    return Finding.AS_STATED, f"as stated, to a factor of {parts.factor:.2f} in its sigma"

@@ -1,0 +1,263 @@
+"""Verdicts: each finding told from the others, with its figures, and none about a source that is as stated."""
+
+import numpy as np
+import pytest
+
+from ship_estimation.innovations import LEAST_COUNT
+from ship_estimation.kalman import StateModel, block
+from ship_estimation.outcome import Decision
+from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.verdicts import WINDOW_S, Finding, Verdict, VerdictBook, clock_verdicts
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.time_scales import SECOND_NS
+from ship_geometry.vector_track import VectorSample
+
+ATTITUDE = ("forward", "up", "right")
+SIGMA = np.array([100.0, 3.0, 3.0]) * ARCSEC
+PERIOD_NS = SECOND_NS // 5
+GATE = 21.11
+STARS = tuple(f"HIP {star} {axis}" for star in range(8) for axis in ("up", "right"))
+STAR_SIGMA = 5.0 * ARCSEC
+PREDICTED_SIGMA = 1.0 * ARCSEC
+"""Of the prediction, in each component of an attitude."""
+MINUTE = 300
+"""Measurements of a minute."""
+
+
+def attitude(k: int, noise: FloatArray) -> Decision[VectorSample]:
+    """Decision k about an attitude: residual of its noise (sigma 1) and of the prediction's error; gated."""
+    stated = np.diag(SIGMA**2)
+    covariance = stated + PREDICTED_SIGMA**2 * np.eye(3)
+    predicted = PREDICTED_SIGMA * np.random.default_rng([77, k]).standard_normal(3)
+    residual = noise * SIGMA + predicted
+    nis = float(residual @ np.linalg.solve(covariance, residual))
+    return Decision(
+        VectorSample(k * PERIOD_NS, residual),
+        Reason.NONE if nis <= GATE else Reason.GATE,
+        nis <= GATE,
+        ATTITUDE,
+        residual,
+        covariance=covariance,
+        noise=stated,
+        nis=nis,
+    )
+
+
+def exposure(k: int, noise: FloatArray) -> Decision[VectorSample]:
+    """Decision k about stars with noise of sigma 1, shape (8, 2): those far off are left out, as the selection does."""
+    squares = np.sum(noise**2, axis=-1)
+    kept = squares < 16.0
+    # The worst are left out until the others agree.
+    while kept.any() and np.sum(squares[kept]) > 2.5 * 2 * np.sum(kept):
+        kept[np.argmax(np.where(kept, squares, -1.0))] = False
+    names = tuple(name for row, name in enumerate(STARS) if kept[row // 2])
+    stated = STAR_SIGMA**2 * np.eye(len(names))
+    covariance = stated + PREDICTED_SIGMA**2 * np.ones_like(stated)
+    predicted = PREDICTED_SIGMA * np.random.default_rng([78, k]).standard_normal()
+    residual = noise[kept].ravel() * STAR_SIGMA + predicted
+    left_out = tuple((STARS[2 * row], Refusal(Reason.MISIDENTIFIED, "far")) for row in np.flatnonzero(~kept))
+    if not names:
+        return Decision(VectorSample(k * PERIOD_NS, noise), Reason.MISIDENTIFIED, left_out=left_out)
+    nis = float(residual @ np.linalg.solve(covariance, residual))
+    return Decision(
+        VectorSample(k * PERIOD_NS, residual),
+        Reason.NONE,
+        True,
+        names,
+        residual,
+        covariance=covariance,
+        noise=stated,
+        nis=nis,
+        left_out=left_out,
+    )
+
+
+def verdict(decisions: list[Decision[VectorSample]]) -> Verdict:
+    book = VerdictBook()
+    for decision in decisions:
+        book.add("star.bow", decision)
+    return book.verdicts()["star.bow"]
+
+
+def of_attitudes(noise: FloatArray) -> Verdict:
+    return verdict([attitude(k, row) for k, row in enumerate(noise)])
+
+
+def white(seed: int, count: int = MINUTE, shape: tuple[int, ...] = (3,)) -> FloatArray:
+    return np.random.default_rng(seed).standard_normal((count, *shape))
+
+
+@pytest.mark.parametrize("count", [LEAST_COUNT, 60, MINUTE])
+def test_nothing_is_found_where_all_is_as_stated(count: int) -> None:
+    """120 windows: by the stated probability one in a million is judged otherwise."""
+    found = [of_attitudes(white(seed, count)) for seed in range(40)]
+    assert {one.finding for one in found} == {Finding.AS_STATED}
+    # The median of n values of chi² with 3 degrees has a relative sigma of 1.05 / √n: 3.3 of them, halved for sigma.
+    assert all(abs(one.factor - 1.0) < 0.5 * 3.5 * 1.05 / np.sqrt(count) + 0.02 for one in found)
+    inside = [one.nis_band[0] < one.nis < one.nis_band[1] for one in found if one.nis_band]
+    assert len(inside) == 40
+    assert all(inside)
+
+
+def test_nothing_is_found_where_stars_are_as_stated() -> None:
+    found = [verdict([exposure(k, noise) for k, noise in enumerate(white(seed, 60, (8, 2)))]) for seed in range(40)]
+    assert {one.finding for one in found} == {Finding.AS_STATED}
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0, 3.0, 10.0])
+def test_an_understated_noise_of_attitudes_is_told_with_its_factor_though_the_gate_refuses_the_worst(
+    factor: float,
+) -> None:
+    for seed in range(10):
+        found = of_attitudes(factor * white(seed))
+        assert found.finding is Finding.OPTIMISTIC
+        assert found.factor == pytest.approx(factor, rel=0.2)
+    assert f"optimistic by {found.factor:.1f}" in found.text
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0, 3.0])
+def test_an_understated_noise_of_stars_is_told_from_misidentified_stars(factor: float) -> None:
+    """Many stars a little too far off, of which the selection leaves out the worst."""
+    for seed in range(5):
+        found = verdict([exposure(k, factor * noise) for k, noise in enumerate(white(seed, shape=(8, 2)))])
+        assert found.finding is Finding.OPTIMISTIC
+        assert found.factor == pytest.approx(factor, rel=0.2)
+
+
+def test_one_star_of_each_exposure_far_off_is_misidentified_and_the_sigma_is_as_stated() -> None:
+    noise = white(3, shape=(8, 2))
+    noise[:, 5] += 30.0
+    found = verdict([exposure(k, one) for k, one in enumerate(noise)])
+    assert found.finding is Finding.MISIDENTIFIED
+    assert found.far_share == pytest.approx(1 / 8, abs=0.01)
+    assert found.factor == pytest.approx(1.0, abs=0.1)
+    assert found.text.startswith("misidentified: 13 % lie far off, the others are as stated")
+
+
+def test_some_attitudes_far_off_are_misidentified() -> None:
+    noise = white(4)
+    rng = np.random.default_rng(5)
+    wrong = rng.random(MINUTE) < 0.2
+    noise[wrong] = 50.0 * rng.standard_normal((int(wrong.sum()), 3))
+    assert of_attitudes(noise).finding is Finding.MISIDENTIFIED
+
+
+def test_exposures_of_which_no_star_could_be_used_are_misidentified() -> None:
+    found = verdict([exposure(k, one) for k, one in enumerate(1000.0 * white(6, shape=(8, 2)))])
+    assert found.finding is Finding.MISIDENTIFIED
+    assert "100 % lie far off; " in found.text
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0, 4.0])
+def test_an_overstated_noise_is_conservative(factor: float) -> None:
+    found = of_attitudes(white(7) / factor)
+    assert found.finding is Finding.CONSERVATIVE
+    # The prediction's error, 1″ where 3″ are stated, is as stated and limits how well a small noise is seen.
+    assert found.factor == pytest.approx(1.0 / factor, abs=0.1)
+
+
+def test_a_knocked_sensor_all_of_whose_measurements_are_refused_is_biased() -> None:
+    noise = white(8)
+    noise[:, 1] += 50.0 / 3.0  # 50″ about up, where 3″ are stated
+    decisions = [attitude(k, row) for k, row in enumerate(noise)]
+    assert not any(decision.accepted for decision in decisions)
+    found = verdict(decisions)
+    assert found.finding is Finding.BIASED
+    assert found.text.startswith("bias of +50.")
+    assert "arcsec in up" in found.text
+    assert "steady: look at installation and alignment" in found.text
+
+
+def test_a_bias_that_grows_is_not_steady() -> None:
+    noise = white(9)
+    noise[:, 2] += np.linspace(0.0, 8.0, MINUTE)
+    found = of_attitudes(noise)
+    assert found.finding is Finding.BIASED
+    assert "it drifts" in found.text
+
+
+def test_errors_that_last_are_told_by_their_correlation() -> None:
+    noise, rho = white(10), 0.6
+    for k in range(1, MINUTE):
+        noise[k] = rho * noise[k - 1] + np.sqrt(1.0 - rho**2) * noise[k]
+    found = of_attitudes(noise)
+    assert found.finding is Finding.CORRELATED
+    assert found.correlation["forward"] == pytest.approx(rho, abs=0.15)
+
+
+def test_innovations_that_alternate_are_told() -> None:
+    noise = white(11, MINUTE + 1)
+    found = of_attitudes((noise[1:] - noise[:-1]) / np.sqrt(2.0))  # correlation -0.5
+    assert found.finding is Finding.CORRELATED
+    assert "too closely" in found.text
+
+
+def test_too_few_measurements_are_no_verdict_nor_are_those_of_before_the_window() -> None:
+    wrong = [attitude(k, 5.0 * row) for k, row in enumerate(white(12, LEAST_COUNT - 1))]
+    found = verdict(wrong)
+    assert (found.finding, found.count) == (Finding.UNKNOWN, LEAST_COUNT - 1)
+    later = round(WINDOW_S * SECOND_NS) // PERIOD_NS + LEAST_COUNT
+    good = [attitude(later + k, row) for k, row in enumerate(white(13))]
+    assert verdict([*wrong, *wrong, *good]).finding is Finding.AS_STATED
+
+
+def test_a_prediction_that_is_less_certain_than_the_measurements_tells_nothing_of_their_sigma() -> None:
+    rng, decisions = np.random.default_rng(14), []
+    for k in range(MINUTE):
+        residual = 10.0 * ARCSEC * rng.standard_normal(3)
+        covariance = (10.0 * ARCSEC) ** 2 * np.eye(3)
+        decision = Decision(
+            VectorSample(k * PERIOD_NS, residual), Reason.NONE, True, ATTITUDE, residual, covariance=covariance,
+            noise=0.01 * covariance, nis=float(np.sum(residual**2)) / (10.0 * ARCSEC) ** 2,
+        )  # fmt: skip
+        decisions.append(decision)
+    found = verdict(decisions)
+    assert found.finding is Finding.UNKNOWN
+    assert "less certain than the measurements" in found.text
+
+
+def test_what_was_never_compared_or_is_not_finite_counts_for_nothing() -> None:
+    book = VerdictBook()
+    sample = VectorSample(1, np.zeros(3))
+    book.add("star.bow", Decision(sample, Reason.GAP))
+    book.add("star.bow", Decision(sample, Reason.NONE, True, ATTITUDE, np.full(3, np.nan), covariance=np.eye(3)))
+    assert book.verdicts() == {}
+
+
+def test_a_decision_made_anew_takes_the_place_of_the_earlier_one_and_order_does_not_matter() -> None:
+    noise = white(15)
+    decisions = [attitude(k, row) for k, row in enumerate(noise)]
+    wrong = [attitude(k, row + 100.0) for k, row in enumerate(noise)]
+    expected = verdict(decisions)
+    assert verdict([*wrong, *decisions]) == expected
+    assert verdict(decisions[::-1]) == expected
+
+
+def test_a_cleared_book_is_empty() -> None:
+    book = VerdictBook()
+    book.add("star.bow", attitude(0, np.zeros(3)))
+    book.clear()
+    assert book.verdicts() == {}
+
+
+def test_values_that_stand_still_are_judged_without_a_division_by_zero() -> None:
+    sample = [Decision(VectorSample(k, np.zeros(3)), Reason.NONE, True, ATTITUDE, np.zeros(3), covariance=np.eye(3),
+                       noise=np.eye(3), nis=0.0) for k in range(40)]  # fmt: skip
+    assert verdict(sample).finding is Finding.CONSERVATIVE
+
+
+def test_a_clock_is_told_beyond_four_of_its_configured_sigmas() -> None:
+    blocks = [
+        block("ins.attitude", [1.0, 1.0, 1.0], "ins"),
+        block("ins.time_offset", [0.0015], "ins_time"),
+        block("star.bow.time_offset", [0.001], "star_time"),
+        block("star.aft.time_offset", [0.0], "star_time"),
+    ]
+    model = StateModel(blocks, noise_sources=[])
+    mean = np.array([9.0, 9.0, 9.0, 0.012, -0.0039, 1.0])
+    assert clock_verdicts(model, mean, {"star": "star_sensors"}) == [
+        "ins clock off by 12 ms, 8 sigma of ins.time_offset_sigma_s"
+    ]
+    mean[4] = -0.0041
+    told = clock_verdicts(model, mean, {"star": "star_sensors"})
+    assert told[1:] == ["star.bow clock off by -4.1 ms, 4 sigma of star_sensors.bow.time_offset_sigma_s"]
