@@ -96,6 +96,8 @@ def innovation_of(decision: Decision[Any]) -> Innovation | None:
         return Innovation(time_ns, np.full(max(left_out, 1), np.inf), 0, 0.0, 0, 1.0, {})
     if not (np.all(np.isfinite(decision.residual)) and np.all(np.isfinite(decision.covariance))):
         return None
+    if len(decision.covariance) != len(decision.residual):
+        return None  # its covariance is not known
     parts, axes = _grouped(decision.components)
     residual, covariance = decision.residual, decision.covariance
     squares = [float(normalized_error_squared(residual[rows], covariance[np.ix_(rows, rows)])) for rows in parts]

@@ -66,13 +66,13 @@ class Decision(Generic[Measured]):
         components: names of the residuals.
         residual: measured minus predicted, rad, shape (m,); empty where the measurement was not compared at all.
         sigma: predicted standard deviation of each component of the residual, rad, shape (m,).
-        covariance: predicted covariance of the residual, rad², shape (m, m).
-        noise: the part of it that is the measurement's own noise, rad², shape (m, m).
         nis: normalised innovation squared, chi² with m degrees of freedom.
         gate: the value that ``nis`` must not exceed.
         text: explanation for people.
         left_out: parts of the measurement (stars, lights) that were not used, by name, and why.
         revised: True where a measurement that arrived late changed an earlier decision.
+        covariance: predicted covariance of the residual, rad², shape (m, m).
+        noise: the part of it that is the measurement's own noise, rad², shape (m, m).
     """
 
     measurement: Measured
@@ -81,13 +81,13 @@ class Decision(Generic[Measured]):
     components: tuple[str, ...] = ()
     residual: FloatArray = field(default_factory=lambda: np.empty(0))
     sigma: FloatArray = field(default_factory=lambda: np.empty(0))
-    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    noise: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     nis: float = float("nan")
     gate: float = float("nan")
     text: str = ""
     left_out: tuple[tuple[str, Refusal], ...] = ()
     revised: bool = False
+    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    noise: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
 
 Judged = TypeVar("Judged", bound=Decision[Measurement])

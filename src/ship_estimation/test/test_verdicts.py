@@ -221,6 +221,7 @@ def test_what_was_never_compared_or_is_not_finite_counts_for_nothing() -> None:
     sample = VectorSample(1, np.zeros(3))
     book.add("star.bow", Decision(sample, Reason.GAP))
     book.add("star.bow", Decision(sample, Reason.NONE, True, ATTITUDE, np.full(3, np.nan), covariance=np.eye(3)))
+    book.add("star.bow", Decision(sample, Reason.NONE, True, ATTITUDE, np.zeros(3)))  # without a covariance
     assert book.verdicts() == {}
 
 

@@ -157,6 +157,7 @@ def test_decisions_count_on_the_topic_of_their_device_and_carry_its_name(adapter
     )
     adapter.core.next = Outcome(decisions=[used, refused])
     told = [m for _, m in adapter.handle(JUDGED, message(), NOW_NS)]
+    assert list(adapter.verdicts.pending) == [("device", used), ("device", refused)]
     assert [(m.source, m.accepted, m.reason_text) for m in told] == [("device", True, ""), ("device", False, "too far")]
     assert health(adapter, JUDGED) == (1, 1, 1, {"gate": 1})
 

@@ -41,6 +41,17 @@ def _three():
     return step, state, given[-1]
 
 
+def test_a_decision_tells_the_covariance_of_its_residual_and_the_part_that_is_noise(three) -> None:
+    step, state, last = three
+    _, decision = step(state, last, exposure(last))
+    residual, covariance = decision.residual, decision.covariance
+    assert float(residual @ np.linalg.solve(covariance, residual)) == pytest.approx(decision.nis)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance)), decision.sigma)
+    # What is left is the error of the prediction: a covariance of its own.
+    assert np.linalg.eigvalsh(covariance - decision.noise)[0] > -1e-6 * np.trace(covariance)
+    assert np.trace(decision.noise) > 0.1 * np.trace(covariance)
+
+
 @pytest.mark.parametrize("wrong", range(3))
 def test_of_three_lights_the_wrong_one_is_left_out(three, wrong: int) -> None:
     step, state, last = three

@@ -1,0 +1,90 @@
+"""Verdicts over the bags of this repository: none against a source in clean data, the right one where sigmas lie."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.message_store import RosbagsFactory
+from ship_replay.commands.replay import ADAPTERS
+from ship_replay.offline.adapter_chain import suite_chain
+from ship_replay.offline.replay import match_inputs
+
+BAGS = Path(__file__).parents[3] / "bags"
+MINUTE_NS = 60_000_000_000
+TICK_NS = 1_000_000_000
+
+
+def verdicts(
+    name: str, change: Callable[[str, Any], None] = lambda topic, message: None, until_ns: int = 2 * MINUTE_NS
+) -> dict[str, list[tuple[int, str]]]:
+    """Level and text of each verdict and of the clocks, second by second, of a bag whose messages are changed."""
+    told: dict[str, list[tuple[int, str]]] = {}
+    with read_bag(BAGS / name) as bag:
+        chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory(), None, "")
+        topics = {name_in_bag: relative for relative, name_in_bag in match_inputs(bag, chain, "").items()}
+        due_ns = bag.start_ns
+        for record in bag.records(topics):
+            if record.log_time_ns > bag.start_ns + until_ns:
+                break
+            while record.log_time_ns >= due_ns:
+                for topic, message in chain.tick(due_ns):
+                    for status in message.status if topic == "/diagnostics" else ():
+                        thing = status.name.partition(": ")[2]
+                        if thing.startswith("verdict ") or thing == "clocks":
+                            told.setdefault(thing, []).append((int(status.level), status.message))
+                due_ns += TICK_NS
+            message = record.decode()
+            change(topics[record.topic], message)
+            chain.handle(topics[record.topic], message, record.log_time_ns)
+    return told
+
+
+@pytest.mark.parametrize(
+    ("bag", "sources"),
+    [
+        ("demo.mcap", ["clocks", "verdict star.fore", "verdict star.starboard"]),
+        ("theodolite.mcap", ["clocks", "verdict lights"]),
+    ],
+)
+def test_clean_data_raise_no_verdict(bag: str, sources: list[str]) -> None:
+    told = verdicts(bag)
+    assert sorted(told) == sources
+    for name, course in told.items():
+        assert {level for level, _ in course} == {0}
+        assert course[-1][1].startswith("within what" if name == "clocks" else "as stated")
+        assert len(course) > 100
+
+
+def test_a_sigma_understated_by_two_is_told_within_a_minute_and_of_that_sensor_alone() -> None:
+    def understated(topic: str, message: Any) -> None:
+        if topic == "star/fore/horizon_attitude":
+            for name in ("covariance", "rotation_covariance", "noise_covariance"):
+                setattr(message, name, np.asarray(getattr(message, name)) / 4.0)
+
+    told = verdicts("demo.mcap", understated, MINUTE_NS)
+    level, text = told["verdict star.fore"][-1]
+    assert level == 1
+    assert text.startswith("sigma optimistic by ")
+    assert float(text.split(" by ")[1].split(":")[0]) == pytest.approx(2.0, rel=0.2)
+    assert {level for level, _ in told["verdict star.starboard"]} == {0}
+
+
+def test_a_knocked_sensor_is_biased_although_its_measurements_are_refused() -> None:
+    knocked_ns: list[int] = []
+
+    def knocked(topic: str, message: Any) -> None:
+        if topic == "star/fore/horizon_attitude":
+            stamp_ns = message.header.stamp.sec * TICK_NS + message.header.stamp.nanosec
+            knocked_ns.append(stamp_ns)
+            if stamp_ns - knocked_ns[0] > MINUTE_NS // 4:
+                message.elevation += np.deg2rad(60.0 / 3600.0)
+
+    told = verdicts("demo.mcap", knocked, MINUTE_NS)
+    level, text = told["verdict star.fore"][-1]
+    assert level == 1
+    assert text.startswith("bias of ")
+    assert "arcsec in right" in text
