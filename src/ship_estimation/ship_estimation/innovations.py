@@ -41,6 +41,7 @@ _LEAST_OWN_SHARE = 0.5
 """A residual of which a larger part is the prediction's error says little of the source."""
 
 _MANY_FAR = 0.25
+_STEADY = 0.25
 _MISFIT = (Reason.MISIDENTIFIED, Reason.LIGHT_CONFLICT)
 _MOST_CORRELATED = 0.95
 _CLIPPED_AT = 3.0
@@ -237,15 +238,14 @@ class Axis:
     @property
     def bias_text(self) -> str:
         """The size of a bias, and what it may come from."""
-        half = len(self.normalised) // 2
-        before, after = float(np.median(self.normalised[:half])), float(np.median(self.normalised[half:]))
-        # The noise by successive differences, which a drift leaves small.
-        spread = max(1.0, _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(self.normalised)))) / math.sqrt(2.0))
-        steady = abs(after - before) < _SIGMAS * _MEDIAN_SIGMA * spread * math.sqrt(2.0 / half)
-        size = f"bias of {np.median(self.residual) / ARCSEC:+.1f} arcsec in {self.name} ({self.bias_sigma:+.1f} sigma)"
-        if steady:
+        # In rad, as the sigma changes with the prediction's; the noise by successive differences, free of a drift.
+        half, bias = len(self.residual) // 2, float(np.median(self.residual))
+        change = float(np.median(self.residual[half:]) - np.median(self.residual[:half]))
+        noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(self.residual)))) / math.sqrt(2.0)
+        size = f"bias of {bias / ARCSEC:+.1f} arcsec in {self.name} ({self.bias_sigma:+.1f} sigma)"
+        if abs(change) < max(_STEADY * abs(bias), _SIGMAS * _MEDIAN_SIGMA * noise * math.sqrt(4.0 / half)):
             return f"{size}, steady: look at installation and alignment"
-        return f"{size}, from {before:+.1f} to {after:+.1f} sigma within the window: it drifts, or it has just begun"
+        return f"{size}, changing by {change / ARCSEC:+.1f} arcsec within the window: it drifts, or has just begun"
 
     @property
     def correlation_text(self) -> str:
@@ -253,7 +253,7 @@ class Axis:
         if self.correlation > 0.0:
             return (
                 f"errors last: innovations in {self.name} are like the ones before "
-                f"(correlation {self.correlation:.2f}); the source, or the INS, changes more slowly than is stated"
+                f"(correlation {self.correlation:.2f}); an error of the source or of the INS lasts, or a clock is off"
             )
         return (
             f"innovations in {self.name} contradict the ones before (correlation {self.correlation:.2f}): "
