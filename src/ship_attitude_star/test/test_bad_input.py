@@ -8,14 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import (
     SECOND_NS,
+    START_NS,
     Arrival,
     added,
     changed_copy,
     changed_where,
+    exactly,
     in_order,
     index_at,
     replaced,
@@ -262,8 +265,62 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
     assert one_first.state() in (alone[0].state(), alone[1].state())
     for run in (one_first, another_first):
         assert_told_once(run, topic, "conflict", "sort first", second_ns)
-    # Where the first one is kept, the second one has changed nothing at all.
-    assert (one_first.results() == alone[0].results()) != (another_first.results() == alone[1].results())
+    # Where the first one is kept, the second one has changed nothing but the status.
+    kept = [attitudes(run) == attitudes(only) for run, only in zip((one_first, another_first), alone, strict=True)]
+    assert sorted(kept) == [False, True]
+    for run in (one_first, another_first):
+        assert {message.status for message in run.messages("ship/attitude")[-10:]} == {Status.DEGRADED}
+        text = f"{SOURCE[topic]} says different things of one moment"
+        assert run.diagnostics("attitude", second_ns, run.now_ns)[-1] == (1, f"DEGRADED: {text}")
+
+
+def attitudes(run: Run) -> list[Any]:
+    """All attitudes to the last bit, without what they are worth."""
+    published = run.messages("ship/attitude")
+    return [exactly([m.header.stamp.sec, m.header.stamp.nanosec, m.heading, m.pitch, *m.covariance]) for m in published]
+
+
+@pytest.mark.parametrize("topic", [INS, FORE])
+def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_itself_for_ten_seconds(
+    topic: str,
+) -> None:
+    """By 20″, once: whichever of the two is kept, what rests on it is not VALID."""
+    arrivals = voyage(16.0)
+    index = index_at(arrivals, topic, 3.0)
+    run = drive(new_adapter(), added(arrivals, index, turned_by(20.0), arrivals[index].receive_ns + 1))
+    # The INS's own rates refuse the second one, which contradicts the first one all the same.
+    assert run.reasons(topic) == {"gate" if topic == INS else "conflict": 1}
+    until_ns = arrivals[index].stamp_ns + 10 * SECOND_NS
+    status = {stamp_of(m): m.status for m in run.messages("ship/attitude") if stamp_of(m) > START_NS + 3.3 * SECOND_NS}
+    assert {value for ns, value in status.items() if ns <= until_ns} == {Status.DEGRADED}
+    assert {value for ns, value in status.items() if ns > until_ns} == {Status.VALID}
+
+
+def turned_by(arcsec: float) -> Change:
+    """Another heading."""
+
+    def change(message: Any) -> None:
+        if hasattr(message, "azimuth"):
+            message.azimuth += arcsec * ARCSEC
+            return
+        q, half = message.orientation, 0.5 * arcsec * ARCSEC
+        q.x, q.y, q.z, q.w = q.x - half * q.y, q.y + half * q.x, q.z + half * q.w, q.w - half * q.z
+
+    return change
+
+
+def test_a_star_sensor_that_contradicts_itself_and_is_refused_does_no_harm_to_the_others() -> None:
+    """Two publishers on one topic, 400″ apart from all else: nothing of them is used, and the others are VALID."""
+    arrivals = voyage(8.0)
+    since_ns = START_NS + 3 * SECOND_NS
+    wrong = changed_where(arrivals, lambda a: a.topic == FORE and a.stamp_ns > since_ns, turned_by(400.0))
+    doubled = [a for a in wrong if a.topic == FORE and a.stamp_ns > since_ns]
+    twice = [replace(changed_copy(a, turned_by(50.0)), receive_ns=a.receive_ns + 1) for a in doubled]
+    run = drive(new_adapter(), in_order((*wrong, *twice)))
+    assert run.reasons(FORE)["conflict"] == len(twice)
+    last = run.messages("ship/attitude")[-1]
+    assert last.status == Status.VALID
+    assert list(last.sources) == ["ins", "star.starboard"]
 
 
 @pytest.mark.parametrize("topic", [INS, FORE])

@@ -182,12 +182,18 @@ def test_a_sample_is_awaited_only_while_it_may_still_help() -> None:
 
 def test_the_same_stamp_again_is_told_and_the_order_does_not_matter() -> None:
     one, other = sample(40), sample(40, white_n=np.full(3, ARCSEC))
-    decks = []
+    """While the INS contradicts itself it tells nothing."""
+    decks, later_ms = [], [10_030, 10_070, 10_110]
     for pair in ((one, other), (other, one)):
         some = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig()))
         refusals = [some.add(s) for s in (sample(0), pair[0], pair[1], sample(80))]
         assert [None if r is None else r.reason for r in refusals] == [None, None, Reason.CONFLICT, None]
-        decks.append(some.deck(START_NS + 40 * MS).rotation_nb)
+        assert some.deck(START_NS + 40 * MS) is None
+        assert not some.awaited(START_NS + 100 * MS)
+        for ms in later_ms:
+            assert some.add(sample(ms)) is None
+        assert some.deck(START_NS + 10_035 * MS) is None
+        decks.append(some.deck(START_NS + 10_050 * MS).rotation_nb)
     np.testing.assert_array_equal(decks[0], decks[1])
     assert motion(StarInsConfig(), one).add(one).reason is Reason.DUPLICATE
 

@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 from ship_estimation.outcome import Estimate, Judged, Measurement, Outcome
-from ship_estimation.refusals import Reason, Refusal, failure, same_stamp
+from ship_estimation.refusals import Contradictions, Reason, Refusal, failure, same_stamp
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 
@@ -288,6 +288,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
     Attributes:
         state: after the last measurement applied.
         window: the stamps that are still taken.
+        contradictions: the sources that said different things of one moment.
     """
 
     def __init__(self, model: Model[State, Measured, Judged, Jump], state: State, lag_s: float, reach_ns: int) -> None:
@@ -300,6 +301,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self.state = state
         self._jumped = False
         self.window = LagWindow(self._lag_s)
+        self.contradictions = Contradictions()
         self._overtaking: dict[str, _Allowance] = {}
         self._log: TimeOrderedLog[State, Measured | _Opening[Jump], Judged | _Opening[Jump]] = TimeOrderedLog(state)
         if clock_jumped:
@@ -315,6 +317,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         known, taken = self._log.get(key), True
         if known is not None and not isinstance(known, _Opening):
             taken, outcome.refusal = same_stamp(known, measurement)
+            self.contradictions.note(measurement.source, measurement.time_ns, outcome.refusal)
         if taken and not self._may_overtake(key):
             bound = f"{MOST_OVERTAKEN_PER_S} such pairs a second are taken"
             text = f"too many come after later ones of their source: {bound}"
@@ -324,7 +327,9 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
             self._advance(measurement.time_ns, outcome)
         return taken
 
-    def add_sample(self, track: SampleTrack[Any], sample: Any, outcome: Outcome[Judged, Estimate]) -> bool:
+    def add_sample(
+        self, source: str, track: SampleTrack[Any], sample: Any, outcome: Outcome[Judged, Estimate]
+    ) -> bool:
         """Take a sample that is not late into a track that measurements are compared with; False as with :meth:`add`.
 
         What was compared with values of the track that change now is compared anew.
@@ -332,12 +337,19 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         known, taken = track.get(sample.time_ns), True
         if known is not None:
             taken, outcome.refusal = same_stamp(known, sample)
+            self.contradictions.note(source, sample.time_ns, outcome.refusal)
         if taken:
             changed_after_ns = track.insert(sample)
             if changed_after_ns is not None:
                 self.data_changed(changed_after_ns)
             self._advance(sample.time_ns, outcome)
         return taken
+
+    def add_refused(self, source: str, track: SampleTrack[Any], sample: Any) -> None:
+        """A guard refuses a sample: where one of its stamp was taken before, the source contradicts itself."""
+        known = track.get(sample.time_ns)
+        if known is not None:
+            self.contradictions.note(source, sample.time_ns, same_stamp(known, sample)[1])
 
     def add_jump(self, time_ns: int, source: str, jump: Jump) -> None:
         """A source has jumped at a moment: the state after it is open by as much."""

@@ -16,8 +16,14 @@ This module names the reasons. A measurement meets those who decide in this orde
 """
 
 import enum
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
+
+from ship_geometry.time_scales import SECOND_NS
+
+AGREES_AGAIN_AFTER_S = 10.0
+"""So long a source that contradicted itself must have agreed with itself before what rests on it is VALID again."""
 
 LONGEST_TEXT = 200
 """Characters of a reason; and what comes from outside is never longer than that in anything that goes out."""
@@ -144,3 +150,44 @@ def same_stamp(known: Content, new: Content) -> tuple[bool, Refusal]:
         return False, Refusal(Reason.DUPLICATE, "the same stamp and the same content again")
     text = "the same stamp with other content: the one whose bytes sort first is kept"
     return new_bytes < known_bytes, Refusal(Reason.CONFLICT, text)
+
+
+class Contradictions:
+    """The sources that said different things of one moment not long ago.
+
+    Of the two things one is kept, which may as well be the wrong one: what rests on such a source is not VALID.
+
+    Example:
+        >>> told = Contradictions()
+        >>> told.note("ship", 5 * SECOND_NS, Refusal(Reason.CONFLICT, "the same stamp with other content"))
+        >>> told.note("encoder", 5 * SECOND_NS, Refusal(Reason.DUPLICATE, "the same again"))
+        >>> told.at(12 * SECOND_NS)
+        {'ship': 5000000000}
+        >>> told.at(16 * SECOND_NS)
+        {}
+    """
+
+    def __init__(self) -> None:
+        self._latest_ns: dict[str, int] = {}
+
+    def note(self, source: str, time_ns: int, refusal: Refusal | None) -> None:
+        """Take note of what was said of an input with this stamp; only CONFLICT counts."""
+        if refusal is not None and refusal.reason is Reason.CONFLICT:
+            self._latest_ns[source] = max(time_ns, self._latest_ns.get(source, time_ns))
+
+    def at(self, time_ns: int) -> dict[str, int]:
+        """The sources that have not agreed with themselves for long, each with the stamp of its last conflict."""
+        if not self._latest_ns:
+            return {}
+        since_ns = time_ns - round(AGREES_AGAIN_AFTER_S * SECOND_NS)
+        return {source: latest_ns for source, latest_ns in self._latest_ns.items() if latest_ns >= since_ns}
+
+
+def contradiction_text(sources: Iterable[str]) -> str:
+    """Words for sources that contradict themselves; empty where there are none.
+
+    Example:
+        >>> contradiction_text(["ship"])
+        'ship says different things of one moment'
+    """
+    return " and ".join(f"{source} says different things of one moment" for source in sorted(sources))

@@ -85,7 +85,7 @@ class Estimator:
 
     def add_sample(self, time_ms: int, value: float) -> ToyOutcome:
         outcome = ToyOutcome()
-        self.shell.add_sample(self.track, VectorSample(time_ms * MS, np.array([value])), outcome)
+        self.shell.add_sample("track", self.track, VectorSample(time_ms * MS, np.array([value])), outcome)
         return outcome
 
 

@@ -2,7 +2,9 @@
 
 import copy
 import functools
+import itertools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from ship_testing.adapter_runs import (
     SECOND_NS,
     Arrival,
     added,
+    changed_copy,
     changed_where,
     in_order,
     index_at,
@@ -172,6 +175,51 @@ def test_of_two_contents_of_one_stamp_the_order_of_arrival_does_not_choose(topic
     first = drive(new_adapter(), added(session(), index, change, before_ns))
     assert second.state() == first.state()
     assert second.reasons(topic)["conflict"] == first.reasons(topic)["conflict"] == 1
+
+
+@pytest.mark.parametrize(("topic", "change"), OTHER)
+def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_itself_for_ten_seconds(
+    topic: str, change: Change
+) -> None:
+    arrivals = session(15.0)
+    index = index_at(arrivals, topic, MOMENT_S)
+    run = drive(new_adapter(), added(arrivals, index, change, arrivals[index].receive_ns + 1))
+    source, until_s = NAMED[topic], MOMENT_S + 10.0
+    told = run.diagnostics("pointing", arrivals[index].receive_ns + SECOND_NS, run.now_ns)[0]
+    assert told == (1, f"DEGRADED: {source} says different things of one moment")
+    in_doubt = [m.status for m in run.pointings if MOMENT_S + 0.2 < seconds(m) < until_s]
+    assert set(in_doubt) == {Status.DEGRADED}
+    assert {m.status for m in run.pointings if seconds(m) > until_s + 0.2} == {Status.VALID}
+
+
+NAMED = {
+    ENCODER: "encoder",
+    SHIP: "ship/attitude",
+    ALPHA: "baseline.alpha",
+    IMU["alpha"]: "drone.alpha",
+    BEACONS: "beacons",
+}
+
+
+def test_two_attitudes_of_the_ship_at_every_stamp_are_never_called_valid() -> None:
+    """Two publishers, 20″ apart in heading: which of the two is right nothing tells."""
+    turned = [
+        replace(changed_copy(a, turned_by(20.0)), receive_ns=a.receive_ns + order)
+        for a, order in zip([a for a in session() if a.topic == SHIP], itertools.cycle([-1, 1, 2]))
+    ]
+    run = drive(new_adapter(), in_order((*session(), *turned)))
+    assert {m.status for m in run.pointings} == {Status.DEGRADED}
+    assert max(error_in_sigmas(m) for m in run.pointings) > 5.0
+
+
+def turned_by(arcsec: float) -> Change:
+    """Another heading."""
+
+    def change(message: Any) -> None:
+        q, half = message.orientation, 0.5 * arcsec * ARCSEC
+        q.x, q.y, q.z, q.w = q.x - half * q.y, q.y + half * q.x, q.z + half * q.w, q.w - half * q.z
+
+    return change
 
 
 def test_mend_09_without_a_length_lights_are_points():

@@ -4,6 +4,7 @@ The stars of an exposure have a struct of their own, :class:`ship_attitude_star.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.rotations import FloatArray
@@ -62,6 +63,8 @@ class PositionFix:
         covariance_m2: of the position in (North, Up, East), m², shape (3, 3).
     """
 
+    source: ClassVar[str] = "gnss/fix"
+
     time_ns: int
     position: GeodeticPosition
     covariance_m2: FloatArray
@@ -83,6 +86,11 @@ class AirReading:
     time_ns: int
     value: float
     sigma: float | None = None
+
+    @property
+    def source(self) -> str:
+        """What is measured."""
+        return self.quantity
 
 
 SkyInput = PositionFix | AirReading

@@ -78,6 +78,7 @@ class AttitudeEstimate:
         horizon: what "up" means.
         sources: what it rests on, for example ``("ins", "star.fore")``.
         star_age_s: time since the last star measurement used; NaN where there was none.
+        text: why it is DEGRADED where neither ``sources`` nor ``star_age_s`` tells; mostly empty.
     """
 
     time_ns: int
@@ -89,6 +90,7 @@ class AttitudeEstimate:
     horizon: Horizon
     sources: tuple[str, ...]
     star_age_s: float
+    text: str = ""
 
 
 AttitudeOutcome = Outcome[AttitudeDecision, AttitudeEstimate]

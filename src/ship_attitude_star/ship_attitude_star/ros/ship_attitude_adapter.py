@@ -276,6 +276,8 @@ def attitude_status(
 
 
 def _why_degraded(estimate: AttitudeEstimate) -> str:
+    if estimate.text:
+        return estimate.text
     if "ins" not in estimate.sources:
         return "INS gone, stars alone"
     if math.isnan(estimate.star_age_s):

@@ -35,7 +35,7 @@ from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
 _STARS_TYPE = "ship_msgs/msg/StarObservationArray"
 _SOLUTION_TYPE = "ship_msgs/msg/StarHorizonAttitude"
-_NOT_LOOKED_AT = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION, Reason.FAILED)
+_NOT_LOOKED_AT = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION, Reason.FAILED, Reason.CONFLICT)
 """Why an exposure is refused as a whole."""
 
 _WORDS = {

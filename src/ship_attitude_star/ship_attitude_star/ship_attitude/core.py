@@ -6,6 +6,8 @@ measurement is applied and which output may follow. What belongs to the ship's a
 of the INS and of the star sensors, and who carries the attitude when the INS is gone.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ship_attitude_star.guards.stream_guards import StreamGuards
@@ -29,12 +31,14 @@ from ship_attitude_star.ship_attitude.output import CorrectedIns, attitude_alone
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.ins import InsJump
-from ship_estimation.outcome import Measurement
+from ship_estimation.outcome import Measurement, Status
 from ship_estimation.rate_guard import Rates
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Refusal, contradiction_text
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.time_scales import SECOND_NS
+
+INS = "ins"
 
 
 class ShipAttitudeCore:
@@ -120,11 +124,12 @@ class ShipAttitudeCore:
                 self._shell.apply(outcome)
         if judged.refusal is not None:
             outcome.refusal = judged.refusal
+            self._shell.add_refused(INS, self._track, judged.sample)
             return outcome
         if judged.jump is not None:
-            self._shell.add_jump(judged.jump.time_ns, "ins", judged.jump)
+            self._shell.add_jump(judged.jump.time_ns, INS, judged.jump)
             self._track.cut(judged.jump.time_ns)
-        if not self._shell.add_sample(self._track, judged.sample, outcome):
+        if not self._shell.add_sample(INS, self._track, judged.sample, outcome):
             return outcome
         # An attitude that is moved by a clock offset needs its rate. Without a rate no attitude is put out for the
         # sample.
@@ -142,6 +147,7 @@ class ShipAttitudeCore:
         """Where the ship is, or the air around it; what was compared with another sky is compared anew."""
         assert self._watch is not None
         outcome = AttitudeOutcome(self._watch.surroundings.refusal(sky_input))
+        self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.refusal)
         changed_after_ns = self._watch.surroundings.insert(sky_input)
         if changed_after_ns is not None:
             self._shell.rewind_where(
@@ -226,7 +232,20 @@ class ShipAttitudeCore:
         if state is not self._corrected.state:
             self._corrected = CorrectedIns(self.filter, state)
         moved_s = -(self.config.ins.time_offset_s + self._corrected.time_offset_s)
-        return self._corrected.estimate(time_ns, self._track.newest_moved(moved_s), self.config)
+        return self._doubted(self._corrected.estimate(time_ns, self._track.newest_moved(moved_s), self.config))
+
+    def _doubted(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
+        """An estimate is DEGRADED where a source that it rests on contradicted itself not long ago."""
+        used_ns, devices = self.state.used_ns, self.filter.devices
+        contradictory = [
+            source
+            for source, since_ns in self._shell.contradictions.at(estimate.time_ns).items()
+            if source not in devices or used_ns.get(source, since_ns - 1) >= since_ns
+        ]
+        if not contradictory:
+            return estimate
+        status = max(estimate.status, Status.DEGRADED)
+        return replace(estimate, status=status, text=contradiction_text(contradictory))
 
     def _carry(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
         """With the INS gone, put out the attitude by the newest star measurement, once, while it is young."""

@@ -22,6 +22,7 @@ from ship_attitude_star.star_attitude.exposure_solver import (
     RefusedStar,
     Solved,
     StarOutcome,
+    not_solved,
     solve_deck,
     solve_exposure,
 )
@@ -30,7 +31,15 @@ from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import no_attitude
 from ship_estimation.estimator_shell import LagWindow
-from ship_estimation.refusals import Reason, Refusal, failure, same_stamp
+from ship_estimation.refusals import (
+    AGREES_AGAIN_AFTER_S,
+    Contradictions,
+    Reason,
+    Refusal,
+    contradiction_text,
+    failure,
+    same_stamp,
+)
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray
@@ -153,6 +162,7 @@ class StarCore:
         self._taken: dict[tuple[str, int], StarExposure] = {}
         self._waiting: list[_Waiting] = []
         self._window = JointWindow(self._sources, self._config.joint)
+        self._contradictions = Contradictions()
         self._arrivals = LagWindow(self._config.lag_s)
         self.joined_by_ins = False
 
@@ -180,7 +190,7 @@ class StarCore:
     def add_exposure(
         self, exposure: StarExposure, refused: tuple[RefusedStar, ...] = (), arrival_ns: int | None = None
     ) -> StarOutcome:
-        """The stars of a sensor. Of two exposures with the same stamp the one whose bytes sort first is kept.
+        """The stars of a sensor. Of two exposures with one stamp neither is solved, where they differ.
 
         Args:
             exposure: the stars.
@@ -224,10 +234,12 @@ class StarCore:
         if known is None:
             refusal = self._guards.check(exposure, self._ins.track)
             return refusal is None, refusal
-        used, told = same_stamp(known, exposure)
-        if told.reason is Reason.CONFLICT:
-            told = replace(told, text=f"{told.text}; do two sensors publish on one topic?")
-        return used, told
+        told = same_stamp(known, exposure)[1]
+        if told.reason is Reason.DUPLICATE:
+            return False, told
+        # Neither of the two is solved: a solution that is out already is taken back by one that claims nothing.
+        self._contradictions.note(exposure.source, exposure.time_ns, told)
+        return True, replace(told, text="the same stamp with other content; do two sensors publish on one topic?")
 
     def _wait(self, new: _Waiting) -> None:
         """Put an exposure among those that wait, in the place of one of the same sensor and stamp."""
@@ -275,6 +287,9 @@ class StarCore:
 
     def _solve_one(self, waiting: _Waiting) -> tuple[PlacedExposure, Solved]:
         """The attitude of one sensor by one exposure; the guards see by it whether another sensor stands still."""
+        contradiction = self._contradiction(waiting.exposure.source, waiting.exposure.time_ns)
+        if contradiction is not None:
+            return not_solved(waiting.exposure, waiting.refused, contradiction)
         sensor = self._sensor(waiting.exposure.source)
         middle = self._ins.at_middle(waiting.exposure, sensor)
         exposure, prior = middle.exposure, self._ins.sensor(waiting.exposure.time_ns, sensor)
@@ -292,6 +307,11 @@ class StarCore:
 
     def _joint(self, group: list[PlacedExposure]) -> Solved:
         time_ns = group[0].time_ns
+        # A sensor may have contradicted itself after its exposure was solved.
+        group = [
+            placed if self._contradiction(placed.source, placed.time_ns) is None else replace(placed, stars=None)
+            for placed in group
+        ]
         # Where the INS does not tell the turn, the exposures are so close in time that the ship is at rest.
         turns = self._ins.turns(time_ns, [placed.exposure for placed in group])
         mounted = [
@@ -301,6 +321,13 @@ class StarCore:
         prior = self._ins.deck(time_ns)
         self.joined_by_ins = prior is not None
         return solve_deck(time_ns, mounted, turns.covariance_d, self._config.star_sensors, prior)
+
+    def _contradiction(self, source: str, time_ns: int) -> Refusal | None:
+        """Why an exposure is not solved: not long ago its sensor said different things of one moment."""
+        if source not in self._contradictions.at(time_ns):
+            return None
+        text = f"its stars are used again when it has agreed with itself for {AGREES_AGAIN_AFTER_S:g} s"
+        return Refusal(Reason.CONFLICT, f"{contradiction_text([source])}: {text}")
 
     def _sensor(self, source: str) -> ObservingSensorConfig:
         return self._config.star_sensors[source.partition(".")[2]]

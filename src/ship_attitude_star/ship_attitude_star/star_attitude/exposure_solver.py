@@ -118,6 +118,15 @@ class Mounted:
     rotation_ds: FloatArray
 
 
+def not_solved(
+    exposure: StarExposure, refused: tuple[RefusedStar, ...], refusal: Refusal
+) -> tuple[PlacedExposure, Solved]:
+    """What becomes of an exposure that is refused as a whole: no attitude, and nothing to join."""
+    solution = no_attitude(np.zeros(len(exposure), dtype=bool), refusal)
+    placed = PlacedExposure(exposure.source, exposure.time_ns, exposure, None, refused)
+    return placed, Solved(exposure.source.partition(".")[2], exposure.time_ns, solution, refused, ())
+
+
 def solve_exposure(
     exposure: StarExposure,
     refused: tuple[RefusedStar, ...],
@@ -140,9 +149,7 @@ def solve_exposure(
     sensor_id = source.partition(".")[2]
     visible = visible_stars(exposure, watch, prior)
     if isinstance(visible, Refusal):
-        solution = no_attitude(np.zeros(len(exposure), dtype=bool), visible)
-        placed = PlacedExposure(source, time_ns, exposure, None, refused)
-        return placed, Solved(sensor_id, time_ns, solution, refused, ())
+        return not_solved(exposure, refused, visible)
     exposure, stars, invisible = visible
     if invisible:
         refused += tuple(RefusedStar(source, time_ns, name, refusal) for name, refusal in invisible)

@@ -19,12 +19,14 @@ from ship_attitude_star.stars.config import MountingConfig
 from ship_attitude_star.stars.exposure import StarExposure, at_middle
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.ins import InsJump, StarInsConfig
-from ship_estimation.refusals import Refusal, same_stamp
+from ship_estimation.refusals import Contradictions, Refusal, same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.interpolation_error import joint_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
+
+INS = "ins"
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class InsMotion:
         self._max_gap_ns = round(config.max_gap_s * SECOND_NS)
         self._offset_ns = round(config.time_offset_s * SECOND_NS)
         self.track = AttitudeTrack(self._max_gap_ns)
+        self._contradictions = Contradictions()
         self._jumps: list[InsJump] = []
 
     def reconfigure(self, config: StarInsConfig) -> None:
@@ -94,6 +97,7 @@ class InsMotion:
         sample = judged.sample
         known = self.track.get(sample.time_ns)
         taken, refusal = (True, None) if known is None else same_stamp(known, sample)
+        self._contradictions.note(INS, sample.time_ns, refusal)
         if taken:
             self.track.insert(sample)
         return refusal
@@ -101,7 +105,7 @@ class InsMotion:
     def awaited(self, time_ns: int, reach_ns: int = 0) -> bool:
         """Whether samples still to come may tell the attitude from a moment until ``reach_ns`` later."""
         newest, stamp_ns = self.track.newest, time_ns - self._offset_ns
-        if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns:
+        if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns or self._contradicts_itself(stamp_ns):
             return False
         return not self.track.covers(stamp_ns + reach_ns)
 
@@ -192,7 +196,8 @@ class InsMotion:
         length = exposure.length
         if length is None:
             return MiddleOfExposure(exposure, 0.0, 0.0)
-        turning = turning_over(self.track, exposure.time_ns - self._offset_ns, length.nodes)
+        stamp_ns = exposure.time_ns - self._offset_ns
+        turning = None if self._contradicts_itself(stamp_ns) else turning_over(self.track, stamp_ns, length.nodes)
         if turning is None:
             untold = np.deg2rad(self._config.untold_acceleration_deg_per_s2)
             return MiddleOfExposure(exposure, 0.0, length.untold_turn_variance(float(untold)))
@@ -219,4 +224,9 @@ class InsMotion:
         return np.sum(before, axis=0) if before else np.zeros(3)
 
     def _at(self, time_ns: int) -> InterpolatedAttitude | None:
-        return self.track.at(time_ns - self._offset_ns)
+        stamp_ns = time_ns - self._offset_ns
+        return None if self._contradicts_itself(stamp_ns) else self.track.at(stamp_ns)
+
+    def _contradicts_itself(self, stamp_ns: int) -> bool:
+        """Whether the INS said different things of one moment not long ago: then it tells nothing."""
+        return INS in self._contradictions.at(stamp_ns)

@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from ship_estimation.estimator_shell import EstimatorShell, Model
-from ship_estimation.refusals import Refusal
+from ship_estimation.refusals import Refusal, contradiction_text
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SampleTrack
@@ -42,6 +42,8 @@ from theodolite_calib.optical_axis.calibration import (
     state_from_prior,
 )
 from theodolite_calib.optical_axis.output import PointingOutput, no_pointing
+
+ENCODER = "encoder"
 
 
 class _WaitingReading(NamedTuple):
@@ -119,11 +121,12 @@ class OpticalAxisCore:
         judged = self._watch.judge(sample, track, shell.window.late(sample.time_ns))
         outcome = PointingOutcome(judged.refusal)
         if judged.refusal is not None:
+            shell.add_refused(ENCODER, track, sample)
             return outcome
         if judged.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
             track.cut(judged.jump.time_ns)
-            shell.add_jump(judged.jump.time_ns, "encoder", judged.jump)
-        shell.add_sample(track, sample, outcome)
+            shell.add_jump(judged.jump.time_ns, ENCODER, judged.jump)
+        shell.add_sample(ENCODER, track, sample, outcome)
         if outcome.refusal is None and track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
             self._waiting.append(_WaitingReading(sample, self._watch.doubt))
@@ -135,14 +138,17 @@ class OpticalAxisCore:
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
         if outcome.refusal is None:
             outcome.refusal, sample = self._judge_ship(sample, outcome)
-        if outcome.refusal is None and self._shell.add_sample(self._tracks.ship, sample, outcome):
+        source, track = self.config.ship.source, self._tracks.ship
+        if outcome.refusal is not None:
+            self._shell.add_refused(source, track, sample)
+        elif self._shell.add_sample(source, track, sample, outcome):
             self._ship_covered_until_ns = self._tracks.ship_covered_until_ns
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
 
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
         """A baseline to a drone. One that must not be used is refused, and no exposure waits for a better one."""
-        outcome = self._add(self._tracks.baselines[beacon_id], sample)
+        outcome = self._add(f"baseline.{beacon_id}", self._tracks.baselines[beacon_id], sample)
         if outcome.refusal is None:
             outcome.refusal = sample.refusal
         return outcome
@@ -150,7 +156,7 @@ class OpticalAxisCore:
     def add_drone_attitude(self, beacon_id: str, sample: AttitudeSample) -> PointingOutcome:
         """An attitude of a drone; not needed where its light is at its antenna."""
         track = self._tracks.drones.get(beacon_id)
-        return PointingOutcome() if track is None else self._add(track, sample)
+        return PointingOutcome() if track is None else self._add(f"drone.{beacon_id}", track, sample)
 
     def add_exposure(self, exposure: Exposure) -> PointingOutcome:
         """Lights on the detector, one or more."""
@@ -201,10 +207,10 @@ class OpticalAxisCore:
         self._step_to = SightingStep(config, self.filter)
         self._pointing = PointingOutput(config, self.filter)
 
-    def _add(self, track: SampleTrack[Any], sample: Any) -> PointingOutcome:
+    def _add(self, source: str, track: SampleTrack[Any], sample: Any) -> PointingOutcome:
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
         if outcome.refusal is None:
-            self._shell.add_sample(track, sample, outcome)
+            self._shell.add_sample(source, track, sample, outcome)
         return outcome
 
     def _judge_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Refusal | None, ShipSample]:
@@ -267,11 +273,15 @@ class OpticalAxisCore:
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
             sample, doubt = self._waiting.popleft()
-            doubt = doubt or self._ship_watch.doubt(sample.time_ns)
+            doubt = doubt or self._ship_watch.doubt(sample.time_ns) or self._contradiction(sample.time_ns)
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
                 estimate = functools.partial(self._pointing.estimate, sample, ship, doubt)
                 self._shell.put_out(outcome, sample.time_ns, waiting_ns, estimate)
+
+    def _contradiction(self, time_ns: int) -> str:
+        """Why what a pointing rests on is in doubt since a source contradicted itself; empty where none did."""
+        return contradiction_text(self._shell.contradictions.at(time_ns))
 
 
 def _encoder_limits(config: OpticalAxisConfig) -> tuple[float, float]:
