@@ -22,6 +22,7 @@ setup(
         "console_scripts": [
             "replay = ship_replay.commands.replay:main",
             "evaluate = ship_replay.commands.evaluate:main",
+            "stanford = ship_replay.commands.stanford:main",
             "check_config = ship_replay.commands.check_config:main",
             "axis_sightings = ship_replay.commands.axis_sightings:main",
             "calibrate_installation = ship_replay.commands.calibrate_installation:main",

@@ -33,10 +33,12 @@ class Truth:
         self.orientation = orientation
         self._track = AttitudeTrack(_TRUTH_GAP_NS)
         self._rotations: dict[int, FloatArray] = {}
+        self._has_rates = True
 
     def add(self, message: Any) -> None:
         """A message of the truth."""
         sample = self.orientation.sample(message)
+        self._has_rates &= sample.rate_d is not None
         self._track.insert(sample)
         self._rotations[sample.time_ns] = sample.rotation_nd
 
@@ -46,6 +48,11 @@ class Truth:
     def exactly_at(self, stamp_ns: int) -> FloatArray | None:
         """Horizon from deck, shape (3, 3), at a stamp of the truth."""
         return self._rotations.get(stamp_ns)
+
+    def known_at(self, stamp_ns: int) -> FloatArray | None:
+        """Horizon from deck, shape (3, 3): at a stamp of the truth, and between them where the truth has rates."""
+        exact = self.exactly_at(stamp_ns)
+        return self.around(stamp_ns) if exact is None and self._has_rates else exact
 
     def around(self, stamp_ns: int) -> FloatArray | None:
         """Horizon from deck, shape (3, 3), interpolated; None outside the truth."""
