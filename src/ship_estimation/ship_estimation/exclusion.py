@@ -44,6 +44,12 @@ usual limits the fault is a thousand times as probable there."""
 _FARTHER = 1.3
 """Where all rows agree with what they see, the one that stands so many times farther off than any other explains it."""
 
+_WELL = 0.5
+"""A source that returns stays below this share of the chi² that excludes it."""
+
+_HALF_BACK = 0.5
+"""A source that was not knocked, and yet contradicted all others, has come back when less of its distance is left."""
+
 _WEIGHTS = np.array([2.0 / (count + 1.0) for count in MEANS_OVER])
 
 
@@ -174,10 +180,15 @@ class Exclusion:
     Attributes:
         since_ns: stamp of the measurement that led to it.
         agrees_since_ns: since when it has agreed with the others; None where it does not.
+        relearns: whether its mounting is learnt anew; it is not where nothing tells that this source is the wrong one.
+        apart: where it is not, how far the source was from the others at first, rotation vector of the device, rad,
+            shape (3,); None before the first measurement since.
     """
 
     since_ns: int
     agrees_since_ns: int | None = None
+    relearns: bool = True
+    apart: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -241,24 +252,39 @@ def find_fault(
 
 
 def watched(
-    exclusion: Exclusion, means: Means, source: int, time_ns: int, return_after_s: float
+    exclusion: Exclusion, means: Means, source: int, compared: RowsCompared, time_ns: int, return_after_s: float
 ) -> tuple[Exclusion, bool]:
     """An excluded source after one of its measurements, and whether it is used again.
+
+    A source whose mounting is not learnt anew must have come back: that the covariance of the others has grown, until
+    its error is small beside that, is no agreement.
 
     Args:
         exclusion: before.
         means: with that measurement; the first row is that without the source.
         source: its index.
+        compared: the measurement with every row.
         time_ns: the stamp.
         return_after_s: how long it must agree.
 
     Example:
+        >>> one = RowsCompared(*(np.empty(0),) * 4, np.zeros((1, 3)), 0.5 * np.eye(3)[None], np.eye(3)[None])
         >>> agreed = Exclusion(since_ns=0, agrees_since_ns=5 * SECOND_NS)
-        >>> watched(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
+        >>> watched(agreed, no_means(1, 1), 0, one, 70 * SECOND_NS, return_after_s=60.0)[1]
         True
     """
-    agrees = means.excess[0, source] <= 0.5 and means.refused[0, source] == 0  # NaN does not agree
+    if not exclusion.relearns and exclusion.apart is None:
+        exclusion = replace(exclusion, apart=compared.turn_root[0] @ compared.turn[0])
+    agrees = means.excess[0, source] <= _WELL and means.refused[0, source] == 0  # NaN does not agree
+    if exclusion.apart is not None:
+        agrees = agrees and _share_left(exclusion.apart, compared) <= _HALF_BACK
     if not agrees:
         return replace(exclusion, agrees_since_ns=None), False
     since_ns = time_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
     return replace(exclusion, agrees_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= return_after_s
+
+
+def _share_left(apart: FloatArray, compared: RowsCompared) -> float:
+    """How much of the distance at first, rotation vector of the device in rad, the measurement still has."""
+    whitened = np.linalg.pinv(compared.turn_root[0]) @ apart
+    return float(whitened @ compared.turn[0] / max(float(whitened @ whitened), 1e-12))

@@ -12,7 +12,7 @@ from ship_estimation.exclusion import (
     observed,
     watched,
 )
-from ship_estimation.hypotheses import compare_rows, update_rows
+from ship_estimation.hypotheses import RowsCompared, compare_rows, update_rows
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.protection import IntegrityConfig
 from ship_geometry.time_scales import SECOND_NS
@@ -114,13 +114,28 @@ def test_nan_does_not_agree():
 
 def test_a_source_returns_after_it_agreed_for_long_enough_without_a_break():
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0)
+    one = RowsCompared(*(np.empty(0),) * 4, np.zeros((1, 3)), np.eye(3)[None], np.eye(3)[None])
     for second in range(30):
-        exclusion, back = watched(exclusion, means, 0, second * SECOND_NS, 60.0)
+        exclusion, back = watched(exclusion, means, 0, one, second * SECOND_NS, 60.0)
         assert not back
     means.excess[0, 0] = 0.6
-    exclusion, _ = watched(exclusion, means, 0, 30 * SECOND_NS, 60.0)
+    exclusion, _ = watched(exclusion, means, 0, one, 30 * SECOND_NS, 60.0)
     means = forgotten(means, slice(None), [0])
     for second in range(31, 91):
-        exclusion, back = watched(exclusion, means, 0, second * SECOND_NS, 60.0)
+        exclusion, back = watched(exclusion, means, 0, one, second * SECOND_NS, 60.0)
         assert not back
-    assert watched(exclusion, means, 0, 91 * SECOND_NS, 60.0)[1]
+    assert watched(exclusion, means, 0, one, 91 * SECOND_NS, 60.0)[1]
+
+
+def test_a_source_that_was_not_knocked_must_come_back_however_wide_the_others_grow():
+    means, exclusion = no_means(1, 1), Exclusion(since_ns=0, relearns=False)
+    for second in range(200):
+        # The sigma of the others grows from 1 to 200: the turn of 30 becomes small beside it.
+        sigma, turn = 1.0 + second, 30.0 if second < 100 else 2.0
+        wide = RowsCompared(
+            *(np.empty(0),) * 4, np.array([[0.0, turn / sigma, 0.0]]), np.eye(3)[None], sigma * np.eye(3)[None]
+        )
+        exclusion, back = watched(exclusion, means, 0, wide, second * SECOND_NS, 60.0)
+        if back:
+            break
+    assert second == 160

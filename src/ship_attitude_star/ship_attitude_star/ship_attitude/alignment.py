@@ -4,13 +4,14 @@ Two views of the same state: :class:`Alignment`, named values for people and for
 :class:`AlignmentPrior`, what the next voyage starts from.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
+from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import SOURCE_SAVED_ALIGNMENT, Device
+from ship_attitude_star.ship_attitude.state import FilterState
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation, wrap_pi
 
@@ -160,7 +161,7 @@ def state_from_prior(
         parts[:, rows, :] = 0.0
         parts[:, :, rows] = 0.0
     parts[model.sources.index(SOURCE_SAVED_ALIGNMENT)] += saved
-    return replace(initial, mean=mean, parts=parts), messages
+    return filter_.suspects.start(mean, parts), messages
 
 
 def _installation(filter_: ShipFilter, state: FilterState, name: str) -> tuple[FloatArray, FloatArray]:

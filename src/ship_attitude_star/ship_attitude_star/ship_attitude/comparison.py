@@ -49,6 +49,7 @@ class Compared:
 
     Attributes:
         linear: residual, rad, shape (m,), its Jacobian per state and its noise by source.
+        by_turn: derivative of the residual by a turn of the device, rotation vector in its own frame, shape (m, 3).
         components: names of the residuals.
         rotation_nv: horizon from device as measured, shape (3, 3); as predicted where single stars agree with that.
         predicted_nv: the same as predicted, shape (3, 3).
@@ -58,6 +59,7 @@ class Compared:
     """
 
     linear: LinearMeasurement
+    by_turn: FloatArray
     components: tuple[str, ...]
     rotation_nv: FloatArray
     predicted_nv: FloatArray
@@ -133,6 +135,7 @@ def compare(
         noise, interpolation = measurement.noise_v, predicted.interpolation_v
         return Compared(
             linear=LinearMeasurement(residual, jacobian, {index(device.noise_source): noise, between: interpolation}),
+            by_turn=np.eye(3),
             components=ATTITUDE_COMPONENTS,
             rotation_nv=measurement.rotation_nv,
             predicted_nv=predicted.rotation_nv,
@@ -147,6 +150,7 @@ def compare(
     noise_by_source = {index(device.noise_source): stars.noise, between: interpolation}
     return Compared(
         linear=LinearMeasurement(stars.residual, stars.jacobian, noise_by_source),
+        by_turn=stars.by_turn,
         components=stars.components,
         rotation_nv=predicted.rotation_nv if stars.rotation_ns is None else stars.rotation_ns,
         predicted_nv=predicted.rotation_nv,

@@ -7,6 +7,7 @@ from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSe
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameter_fields import arcsec, degrees, mapping_of, parameter, section, stamp_age
+from ship_estimation.protection import IntegrityConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,6 +131,7 @@ class ShipAttitudeConfig(StarSensorsById):
     star_sensors: dict[str, StarSensorConfig] = mapping_of("star sensors by id")
     references: dict[str, ReferenceConfig] = mapping_of("other attitude systems by name")
     gate: GateConfig = section(GateConfig)
+    integrity: IntegrityConfig = section(IntegrityConfig)
     sky: SkyConfig = section(SkyConfig)
     lag_s: float = parameter(
         2.0, doc="measurements up to this late are applied at their own time", unit="s", minimum=0.0, maximum=600.0

@@ -26,8 +26,9 @@ from ship_attitude_star.ship_attitude.alignment import (
     state_from_prior,
 )
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
+from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.output import CorrectedIns, attitude_alone, estimate_from_star, no_estimate
+from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.ins import InsJump

@@ -1,63 +1,28 @@
-"""The error-state filter: one measurement in, one decision and the next state out. No time, no memory of its own.
+"""The error-state filter: one measurement in, one decision and the next state out. No time, no memory of its own."""
 
-A :class:`FilterState` is never changed in place, so that the time-ordered log can keep and return to any of them.
-"""
-
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
-from typing import TypeVar
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_attitude_star.guards.hints import Departure, who_is_wrong
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
+from ship_attitude_star.ship_attitude.comparison import Compared
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.linearised import Linearisation, Linearised, NotCompared
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, SOURCE_STAR_COMMON, Device, ShipStateModel, devices
+from ship_attitude_star.ship_attitude.state import FilterState, with_entry, without
+from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_estimation.exclusion import no_means
 from ship_estimation.gates import GateConfig, chi_square_gate
+from ship_estimation.hypotheses import RowsCompared, compare_rows, update_rows
 from ship_estimation.ins import InsJump
-from ship_estimation.kalman import innovation, predict, slow_error_later, update
+from ship_estimation.kalman import predict, slow_error_later
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, singular_covariance
 from ship_geometry.attitude_track import AttitudeTrack
-from ship_geometry.rotations import FloatArray, log_rotation
-
-Value = TypeVar("Value")
-
-
-@dataclass(frozen=True)
-class FilterState:
-    """Everything the filter knows after its last measurement.
-
-    :meth:`ShipFilter.predicted` and :meth:`ShipFilter.opened` take ``mean`` and ``parts`` with leading axes (...) too,
-    one entry for each of several hypotheses; a measurement is compared with one of them.
-
-    Attributes:
-        time_ns: moment of the state; None before the first measurement.
-        mean: estimated errors, shape (..., n).
-        parts: covariance by source, shape (..., n_sources, n, n).
-        common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
-        refusals: by source, its refusals in a row.
-        used_ns: by source, the stamp of its last measurement used.
-        jumped: whether the INS has jumped since the last star measurement used.
-        departures: by source, its last measurement refused.
-    """
-
-    time_ns: int | None
-    mean: FloatArray
-    parts: FloatArray
-    common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
-    refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    jumped: bool = False
-    departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the errors, shape (..., n, n)."""
-        total: FloatArray = self.parts.sum(axis=-3)
-        return total
+from ship_geometry.rotations import log_rotation
 
 
 class ShipFilter:
@@ -71,35 +36,38 @@ class ShipFilter:
         self.model = ShipStateModel(config)
         self.devices: dict[str, Device] = devices(config)
         self.linearisation = Linearisation(self.model, self.devices)
+        self.suspects = Suspects(config, self.model, self.devices)
         self._gate: GateConfig = config.gate
         self._ins_index = self.model.sources.index(SOURCE_INS)
         self._common_index = self.model.sources.index(SOURCE_STAR_COMMON) if config.star_sensors else -1
 
     def initial_state(self) -> FilterState:
         """The state before any measurement: no error known, all of them possible."""
-        return FilterState(None, np.zeros(self.model.size), self.model.initial_parts())
+        return self.suspects.start(np.zeros(self.model.size), self.model.initial_parts())
 
     def predicted(self, state: FilterState, time_ns: int) -> FilterState:
         """The state carried to a later moment."""
         if state.time_ns is None:
             return replace(state, time_ns=time_ns)
-        decay, noise = self.model.transition(max(time_ns - state.time_ns, 0) * 1e-9)
-        parts = predict(state.parts, decay, self.model.booked_noise(noise))
+        dt_s = max(time_ns - state.time_ns, 0) * 1e-9
+        decay, noise = self.model.transition(dt_s)
+        parts = predict(state.parts_by_row, decay, self.model.booked_noise(noise))
         for source, steady in state.common_n.items():
             rows = self.model.slices[f"{source}.common"]
             fresh = 1.0 - decay[rows.start] ** 2
             parts[..., self._common_index, rows, rows] += fresh * steady
-        mean, rows = decay * state.mean, self.model.slices["ins.attitude"]
+        self.suspects.carried(parts, dt_s)
+        means, rows = decay * state.means, self.model.slices["ins.attitude"]
         sigma = self.model.blocks["ins.attitude"].sigma
-        mean[..., rows] = slow_error_later(state.mean[..., rows], decay[rows], sigma)
-        return replace(state, time_ns=max(time_ns, state.time_ns), mean=mean, parts=parts)
+        means[..., rows] = slow_error_later(state.means[..., rows], decay[rows], sigma)
+        return replace(state, time_ns=max(time_ns, state.time_ns), means=means, parts_by_row=parts)
 
     def opened(self, state: FilterState, jump: InsJump) -> FilterState:
         """The state after a jump of the INS: its slow error may be as large as that."""
         state = self.predicted(state, jump.time_ns)
-        rows, parts = self.model.slices["ins.attitude"], state.parts.copy()
+        rows, parts = self.model.slices["ins.attitude"], state.parts_by_row.copy()
         parts[..., self._ins_index, rows, rows] += jump.covariance_n
-        return replace(state, parts=parts, jumped=True)
+        return replace(state, parts_by_row=parts, jumped=True)
 
     def step(
         self,
@@ -138,31 +106,83 @@ class ShipFilter:
     def _judged(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
     ) -> tuple[FilterState, AttitudeDecision]:
-        """The next state and the decision, by the gate."""
-        linear = found.compared.linear
+        """The next state and the decision: by the gate of each row, and by the verdict of all of them together."""
+        linear, source = found.compared.linear, measurement.source
+        gate = chi_square_gate(self._gate.probability, len(linear.residual))
         try:
-            covariance, nis = innovation(predicted.parts, linear)
+            predicted, compared = self._beside(predicted, source, found.compared, gate)
         except np.linalg.LinAlgError:
             return self._refused(state, measurement, NotCompared(singular_covariance(), found.ins_time_ns))
+        # Written so that NaN fails.
+        accepted = compared.nis <= gate
         decision = AttitudeDecision(
             measurement=measurement,
             reason=Reason.NONE,
-            accepted=True,
+            accepted=bool(accepted[0]) and source not in state.excluded,
             ins_time_ns=found.ins_time_ns,
             residual=linear.residual,
-            sigma=np.sqrt(np.diagonal(covariance)),
+            sigma=np.sqrt(np.diagonal(compared.covariance[0])),
             components=found.compared.components,
-            covariance=covariance,
+            covariance=compared.covariance[0],
             noise=linear.noise,
-            nis=nis,
-            gate=chi_square_gate(self._gate.probability, len(linear.residual)),
+            nis=float(compared.nis[0]),
+            gate=gate,
             left_out=found.compared.left_out,
         )
-        # Written so that NaN fails.
-        if not nis <= decision.gate:
-            return self._held(state, decision, found)
-        correction, parts = update(predicted.parts, linear, covariance)
-        return self._used(predicted, measurement, correction, parts), decision
+        after = self._updated(state, predicted, source, found.compared, compared, accepted, measurement.time_ns)
+        if decision.accepted:
+            after = self._used(after, measurement)
+        elif source in state.excluded and state.excluded[source].relearns:
+            decision = replace(decision, reason=Reason.EXCLUDED)
+        else:
+            after, decision = self._held(after, decision, found, compared)
+        vouched = found.ins.sample is not None and found.ins.sample.rate_d is not None
+        after, text = self.suspects.judged(after, source, compared, vouched, measurement.time_ns)
+        return after, self._told(decision, after, text)
+
+    def _beside(
+        self, predicted: FilterState, source: str, compared: Compared, gate: float
+    ) -> tuple[FilterState, RowsCompared]:
+        """A measurement beside all rows; that where the INS is wrong is opened where they differ."""
+        linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.mean
+        rows = compare_rows(predicted.means, predicted.parts_by_row, linear, at_mean, by_turn)
+        row = self.suspects.ins_row
+        if row is None or source in predicted.excluded or rows.nis[row] <= gate:
+            return predicted, rows
+        turn_n = compared.predicted_nv @ rows.turn_root[row] @ rows.turn[row]
+        opened = self.suspects.opened_for(predicted.parts_by_row, turn_n)
+        wider = compare_rows(predicted.means, opened, linear, at_mean, by_turn)
+        # What the row has seen is judged as it was before it was opened.
+        judged = replace(wider, turn=np.where(np.arange(len(rows.nis))[:, None] == row, rows.turn, wider.turn))
+        return replace(predicted, parts_by_row=opened), judged
+
+    def _updated(
+        self,
+        state: FilterState,
+        predicted: FilterState,
+        source: str,
+        measured: Compared,
+        compared: RowsCompared,
+        accepted: NDArray[np.bool_],
+        time_ns: int,
+    ) -> FilterState:
+        """All rows with what each learns of a measurement; where none learns, not even the prediction is kept."""
+        learns = self.suspects.learns(predicted, source) & accepted[:, None]
+        seen = self.suspects.seen(predicted, source, compared, accepted, time_ns)
+        if not learns.any():
+            return replace(state, seen=seen)
+        corrections, parts = update_rows(predicted.parts_by_row, measured.linear, compared, learns)
+        return replace(predicted, means=predicted.means + corrections, parts_by_row=parts, seen=seen)
+
+    def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
+        """The decision with what the verdict says; a source excluded by its own measurement is told at once."""
+        if not text:
+            return decision
+        if decision.measurement.source not in state.excluded:
+            return replace(decision, text=f"{decision.text}; {text}" if decision.text else text)
+        if decision.reason in (Reason.NONE, Reason.EXCLUDED):
+            return replace(decision, accepted=False, reason=Reason.EXCLUDED, text=text)
+        return replace(decision, text=f"{decision.text}; {text}")
 
     def _refused(
         self, state: FilterState, measurement: Measurement, why: NotCompared
@@ -171,31 +191,28 @@ class ShipFilter:
         refusal = why.refusal
         return state, AttitudeDecision(measurement, refusal.reason, text=refusal.text, ins_time_ns=why.ins_time_ns)
 
-    def _used(
-        self, state: FilterState, measurement: Measurement, correction: FloatArray, parts: FloatArray
-    ) -> FilterState:
-        """The state after a measurement that passed the gate."""
+    def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
+        """The state, with a measurement that passed the gate, told of it."""
         source = measurement.source
         return replace(
             state,
-            mean=state.mean + correction,
-            parts=parts,
-            refusals=_with(state.refusals, source, 0),
-            used_ns=_with(state.used_ns, source, measurement.time_ns),
+            refusals=with_entry(state.refusals, source, 0),
+            apart_n=without(state.apart_n, source),
+            used_ns=with_entry(state.used_ns, source, measurement.time_ns),
             jumped=state.jumped and not self.devices[source].is_star,
         )
 
     def _with_common(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
         """The common error of this sensor's messages, as large as the message says."""
-        parts = state.parts
-        if measurement.source not in state.common_n:
-            rows = self.model.slices[f"{measurement.source}.common"]
+        parts, source = state.parts_by_row, measurement.source
+        if source not in state.common_n:
+            rows = self.model.slices[f"{source}.common"]
             parts = parts.copy()
             parts[..., self._common_index, rows, rows] += measurement.common_n
-        return replace(state, parts=parts, common_n=_with(state.common_n, measurement.source, measurement.common_n))
+        return replace(state, parts_by_row=parts, common_n=with_entry(state.common_n, source, measurement.common_n))
 
     def _held(
-        self, state: FilterState, decision: AttitudeDecision, found: Linearised
+        self, state: FilterState, decision: AttitudeDecision, found: Linearised, rows: RowsCompared
     ) -> tuple[FilterState, AttitudeDecision]:
         """Hold the estimate; after a run of refusals say so and, where configured, re-open the gate."""
         source, ins, compared = decision.measurement.source, found.ins, found.compared
@@ -206,8 +223,9 @@ class ShipFilter:
         run = state.refusals.get(source, 0) + 1
         state = replace(
             state,
-            refusals=_with(state.refusals, source, run),
-            departures=_with(state.departures, source, departure),
+            refusals=with_entry(state.refusals, source, run),
+            departures=with_entry(state.departures, source, departure),
+            apart_n=with_entry(state.apart_n, source, compared.predicted_nv @ rows.turn_root[0] @ rows.turn[0]),
         )
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
         if run >= self._gate.conflict_after:
@@ -215,10 +233,8 @@ class ShipFilter:
             who = who_is_wrong(source, state.refusals, state.used_ns, state.departures, ins.rotation_nd, measured_nd)
             text = f"{run} refusals in a row: {source} and the INS disagree{who}"
         if self._gate.reopen_after and run % self._gate.reopen_after == 0:
-            state = replace(state, parts=state.parts * self._gate.reopen_factor)
+            opened = state.parts_by_row * self._gate.reopen_factor
+            seen = no_means(len(opened), len(self.devices))
+            state = replace(state, parts_by_row=opened, seen=seen, excluded=without(state.excluded, source))
             text += f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
         return state, replace(decision, reason=reason, accepted=False, text=text)
-
-
-def _with(mapping: MappingProxyType[str, Value], key: str, value: Value) -> MappingProxyType[str, Value]:
-    return MappingProxyType({**mapping, key: value})

@@ -8,8 +8,9 @@ import numpy as np
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Horizon
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
+from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import SOURCE_INS_NOISE, SOURCE_INTERPOLATION
+from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
@@ -92,7 +93,7 @@ class CorrectedIns:
         recent_ns = time_ns - config.coasting_after_s * SECOND_NS
         used = sorted([source for source, used_ns in self.state.used_ns.items() if used_ns >= recent_ns])
         star_age_s = _age_s(self._newest_star_ns, time_ns)
-        if math.isnan(star_age_s) or self.state.jumped:
+        if math.isnan(star_age_s) or self.state.jumped or self.state.doubt is not None:
             status = Status.DEGRADED
         elif star_age_s <= config.coasting_after_s:
             status = Status.VALID
@@ -102,6 +103,8 @@ class CorrectedIns:
         horizon = Horizon.GEODETIC if star_age_s <= config.ins.tilt_time_s else Horizon.GRAVITY
         since_ns = 0 if self.state.time_ns is None else max(time_ns - self.state.time_ns, 0)
         rotation_nd, parts = self.attitude(since_ns * 1e-9, ins)
+        if self.state.doubt is not None:
+            parts[self._drift_index] += self.state.doubt.covariance_n
         return AttitudeEstimate(
             time_ns=time_ns,
             rotation_nd=rotation_nd,

@@ -1,0 +1,90 @@
+"""Everything the filter knows after its last measurement.
+
+A :class:`FilterState` is never changed in place, so that the time-ordered log can keep and return to any of them.
+"""
+
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TypeVar
+
+from ship_attitude_star.guards.hints import Departure
+from ship_estimation.exclusion import Exclusion, Means
+from ship_geometry.rotations import FloatArray
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What the sources contradict of one another, where nothing tells which of them is wrong.
+
+    Attributes:
+        text: for people.
+        covariance_n: of an attitude that may be wrong by all that is in dispute, rotation vector in the horizon frame,
+            rad², shape (3, 3).
+    """
+
+    text: str
+    covariance_n: FloatArray
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """The estimate by all sources, in the first of h rows, and beside it those without each of them.
+
+    Attributes:
+        time_ns: moment of the state; None before the first measurement.
+        means: estimated errors, shape (h, n).
+        parts_by_row: covariance by error source, shape (h, n_sources, n, n).
+        seen: what each row has seen of each source.
+        excluded: by source, its exclusion.
+        doubt: what is in dispute; None where nothing is.
+        apart_n: by source, how far its last measurement refused was from the first row, rotation vector in the horizon
+            frame, rad, shape (3,).
+        common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
+        refusals: by source, its refusals in a row.
+        used_ns: by source, the stamp of its last measurement used.
+        jumped: whether the INS has jumped since the last star measurement used.
+        departures: by source, its last measurement refused.
+    """
+
+    time_ns: int | None
+    means: FloatArray
+    parts_by_row: FloatArray
+    seen: Means
+    excluded: MappingProxyType[str, Exclusion] = field(default_factory=lambda: MappingProxyType({}))
+    doubt: Doubt | None = None
+    apart_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
+    common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
+    refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    jumped: bool = False
+    departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def mean(self) -> FloatArray:
+        """Estimated errors by all sources that are not excluded, shape (n,)."""
+        mean: FloatArray = self.means[0]
+        return mean
+
+    @property
+    def parts(self) -> FloatArray:
+        """Their covariance by error source, shape (n_sources, n, n)."""
+        parts: FloatArray = self.parts_by_row[0]
+        return parts
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Their covariance, shape (n, n)."""
+        total: FloatArray = self.parts.sum(axis=0)
+        return total
+
+
+def with_entry(mapping: MappingProxyType[str, Value], key: str, value: Value) -> MappingProxyType[str, Value]:
+    """The mapping with another value for a key."""
+    return MappingProxyType({**mapping, key: value})
+
+
+def without(mapping: MappingProxyType[str, Value], key: str) -> MappingProxyType[str, Value]:
+    """The mapping without a key."""
+    return MappingProxyType({name: value for name, value in mapping.items() if name != key})

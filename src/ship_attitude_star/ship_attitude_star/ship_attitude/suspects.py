@@ -1,0 +1,262 @@
+"""Who is suspected: the rows of hypotheses of a ship, and what they say of her sources after each measurement.
+
+The first row is by all sources that are not excluded; each other row does without one source more. In the last row the
+INS is the one that is wrong: its slow error is unknown there, but its turn from one measurement to the next is used. A
+ship with a single source has no such row: it would be nothing but that source.
+
+A source is excluded where the row without it explains what the others cannot. The INS is not excluded by stars: that
+they all contradict it is told as a doubt, and they are not used until they agree with it again, for a wrong position
+moves all stars alike. Whether the INS has jumped its own rates tell (:mod:`ship_estimation.ins_guard`).
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.model import SOURCE_INS, Device, ShipStateModel
+from ship_attitude_star.ship_attitude.state import Doubt, FilterState, with_entry, without
+from ship_estimation.exclusion import (
+    REFUSED_IN_A_ROW,
+    Exclusion,
+    Means,
+    excess_limit,
+    find_fault,
+    forgotten,
+    no_means,
+    observed,
+    watched,
+)
+from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.parameters import ParameterError
+from ship_estimation.protection import Factors, factors
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+INS = "ins"
+_UNKNOWN_RAD = 600.0 * ARCSEC
+_UNKNOWN_RAD_PER_SQRT_S = 3.0 * ARCSEC
+"""Where the INS is the one that is wrong, its slow error starts with the first sigma and walks by the second."""
+
+_KNOCKED_SIGMA = 2.0
+"""After a knock the mounting may be off by so many times what is seen of the knock."""
+
+_LEAST_KNOCK_RAD = 10.0 * ARCSEC
+
+
+class Suspects:
+    """The rows of a configuration, and the verdicts by them.
+
+    Args:
+        config: the node's configuration.
+        model: what the states are.
+        devices: the sources by name.
+
+    Attributes:
+        sources: names, in the order of their index.
+        names: of the hypotheses, one for each row after the first.
+        limit: chi² of a mean of whitened turns that no source exceeds which is right.
+        k: numbers of sigmas of the protection levels.
+        ins_row: where the INS is the one that is wrong; None where there is no such row.
+
+    Raises:
+        ParameterError: there are more rows than ``integrity.max_hypotheses``.
+    """
+
+    def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
+        self._integrity, self._model, self._devices = config.integrity, model, devices
+        self.sources = tuple(devices)
+        self.names = (*self.sources, INS) if len(self.sources) > 1 else self.sources
+        rows, most = len(self.names) + 1, config.integrity.max_hypotheses
+        if rows > most:
+            reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {rows} of these sources: "
+            raise ParameterError(reason + ", ".join(self.names), "integrity.max_hypotheses", value=most)
+        self.ins_row = rows - 1 if len(self.sources) > 1 else None
+        self._leaves_out = np.arange(rows)[:, None] == np.arange(1, len(self.sources) + 1)
+        self._own = {name: _own_states(model, name) for name in self.sources}
+        prior = config.integrity.prior_per_h
+        kinds = [prior.star_sensor if device.is_star else prior.reference for device in devices.values()]
+        self.k: Factors = factors(config.integrity, [*kinds, prior.ins][: len(self.names)])
+        self.limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
+        self._ins = model.slices["ins.attitude"]
+        self._ins_index = model.sources.index(SOURCE_INS)
+
+    def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
+        """All rows at one state, before any measurement; shapes (n,) and (n_sources, n, n)."""
+        rows = len(self.names) + 1
+        by_row = np.tile(parts, (rows, 1, 1, 1))
+        if self.ins_row is not None:
+            self._open_ins(by_row[self.ins_row], _UNKNOWN_RAD**2 * np.eye(3))
+        return FilterState(None, np.tile(mean, (rows, 1)), by_row, no_means(rows, len(self.sources)))
+
+    def carried(self, parts_by_row: FloatArray, dt_s: float) -> None:
+        """Let the INS wander, in place, where it is the one that is wrong."""
+        if self.ins_row is not None:
+            self._open_ins(parts_by_row[..., self.ins_row, :, :, :], _UNKNOWN_RAD_PER_SQRT_S**2 * dt_s * np.eye(3))
+
+    def uses(self, state: FilterState) -> NDArray[np.bool_]:
+        """Which source each row uses, shape (h, s)."""
+        excluded = np.array([name in state.excluded for name in self.sources], dtype=bool)
+        used: NDArray[np.bool_] = ~self._leaves_out & ~excluded
+        return used
+
+    def learns(self, state: FilterState, source: str) -> NDArray[np.bool_]:
+        """Which states each row learns of a measurement of a source, shape (h, n)."""
+        exclusion, index = state.excluded.get(source), self.sources.index(source)
+        if exclusion is not None and not exclusion.relearns:
+            return np.zeros((len(self._leaves_out), self._model.size), dtype=bool)
+        return self.uses(state)[:, index, None] | self._own[source]
+
+    def seen(
+        self,
+        state: FilterState,
+        source: str,
+        compared: RowsCompared,
+        accepted: NDArray[np.bool_],
+        time_ns: int,
+    ) -> Means:
+        """What each row has seen of each source, with a measurement; the arguments are those of ``observed``."""
+        index = self.sources.index(source)
+        left_out = ~self.uses(state)[:, index]
+        return observed(state.seen, index, compared, accepted, left_out, time_ns, self.limit)
+
+    def opened_for(self, parts_by_row: FloatArray, turn_n: FloatArray) -> FloatArray:
+        """Covariances where the INS, being the one that is wrong, has turned by a rotation vector, rad, shape (3,)."""
+        assert self.ins_row is not None
+        parts_by_row = parts_by_row.copy()
+        self._open_ins(parts_by_row[self.ins_row], np.outer(turn_n, turn_n) + 0.01 * (turn_n @ turn_n) * np.eye(3))
+        return parts_by_row
+
+    def separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
+        """Distances of the rows from the first one, about North, Up and East, and these in sigmas at most.
+
+        Shapes (h, 3), rad, and (h,).
+        """
+        apart_n = state.means[:, self._ins] - state.means[0, self._ins]
+        columns = np.arange(self._ins.start, self._ins.stop)
+        variance = state.parts_by_row[:, :, columns, columns].sum(axis=1)
+        sigma = np.sqrt(np.maximum(variance - variance[0], 1e-6 * variance[0]))
+        return apart_n, np.max(np.abs(apart_n) / sigma, axis=-1)
+
+    def judged(
+        self, state: FilterState, source: str, compared: RowsCompared, ins_vouched: bool, time_ns: int
+    ) -> tuple[FilterState, str]:
+        """The state after the verdict that a measurement leads to, and what is to be said of its source.
+
+        Args:
+            state: with that measurement.
+            source: who measured.
+            compared: the measurement with every row.
+            ins_vouched: whether the INS's rates would have told a step of it.
+            time_ns: stamp of the measurement.
+        """
+        if source in state.excluded:
+            state, text = self._watched(state, source, compared, time_ns)
+            if source in state.excluded:
+                return state, text
+        apart_n, statistic = self.separations(state)
+        uses = self.uses(state)
+        candidates = [row for row, name in enumerate(self.names, start=1) if name not in state.excluded]
+        if ins_vouched and self.ins_row in candidates:
+            candidates.remove(self.ins_row)
+        finding = find_fault(state.seen, uses, statistic, self.k.false_exclusion, candidates, time_ns)
+        if not finding.fault:
+            return replace(state, doubt=None), ""
+        wrong = None if finding.row is None else self.names[finding.row - 1]
+        if wrong is not None and wrong != INS and self._others_remain(state, wrong, time_ns):
+            return self._without(state, wrong, compared if wrong == source else None, time_ns)
+        contradicting = self._stars_contradicting(state, wrong, time_ns)
+        if contradicting:
+            # Nothing tells that they were knocked: how they are mounted is not learnt anew.
+            excluded = {name: Exclusion(time_ns, relearns=False) for name in contradicting}
+            state = replace(state, excluded=MappingProxyType({**state.excluded, **excluded}))
+        return self._in_doubt(state, apart_n, statistic, contradicting), ""
+
+    # -- verdicts -------------------------------------------------------------------------------------------
+
+    def _without(
+        self, state: FilterState, wrong: str, compared: RowsCompared | None, time_ns: int
+    ) -> tuple[FilterState, str]:
+        """The state once a source is excluded: the row without it is the first one now, and the start of all others."""
+        row, index = self.sources.index(wrong) + 1, self.sources.index(wrong)
+        means = np.tile(state.means[row], (len(state.means), 1))
+        parts = np.tile(state.parts_by_row[row], (len(state.means), 1, 1, 1))
+        # How the source is mounted is to be learnt anew: it may have been knocked.
+        turn = np.zeros(3) if compared is None else compared.turn_root[row] @ compared.turn[row]
+        knock = max(_KNOCKED_SIGMA * float(np.linalg.norm(turn)), _LEAST_KNOCK_RAD)
+        block = self._model.slices[f"{wrong}.installation"]
+        source = self._model.sources.index(self._model.blocks[f"{wrong}.installation"].source)
+        parts[:, source, block, block] += knock**2 * np.eye(3)
+        seen = forgotten(state.seen, slice(None), slice(None))
+        excluded = with_entry(state.excluded, wrong, Exclusion(time_ns))
+        state = replace(
+            state, means=means, parts_by_row=parts, seen=seen, excluded=excluded, doubt=None,
+            apart_n=without(state.apart_n, wrong), used_ns=without(state.used_ns, wrong),
+        )
+        return state, f"{wrong} is excluded: without it {self._listed(state, index)} agree"
+
+    def _watched(
+        self, state: FilterState, source: str, compared: RowsCompared, time_ns: int
+    ) -> tuple[FilterState, str]:
+        """The state after a measurement of an excluded source, which may return with it."""
+        index, exclusion = self.sources.index(source), state.excluded[source]
+        after_s = self._integrity.return_after_s
+        exclusion, back = watched(exclusion, state.seen, index, compared, time_ns, after_s)
+        if not back:
+            state = replace(state, excluded=with_entry(state.excluded, source, exclusion))
+            since_s = (time_ns - exclusion.since_ns) / SECOND_NS
+            agrees = "it does not agree with the others"
+            if exclusion.agrees_since_ns is not None:
+                agreed_s = (time_ns - exclusion.agrees_since_ns) / SECOND_NS
+                agrees = f"it has agreed with the others for {agreed_s:.0f} s of {after_s:g} s"
+            return state, f"{source} is excluded for {since_s:.0f} s: {agrees}"
+        seen = forgotten(state.seen, slice(None), [index])
+        excluded = without(state.excluded, source)
+        return replace(state, seen=seen, excluded=excluded, doubt=None), f"{source} is used again"
+
+    def _in_doubt(
+        self, state: FilterState, apart_n: FloatArray, statistic: FloatArray, contradicting: tuple[str, ...]
+    ) -> FilterState:
+        """The state in which nothing tells who is wrong: the attitude may be off by all that is in dispute."""
+        disputed = [state.apart_n[name] for name in state.apart_n if state.refusals.get(name, 0)]
+        disputed += [vector for vector, size in zip(apart_n, statistic, strict=True) if size > 1.0]
+        covariance_n = sum((np.outer(vector, vector) for vector in disputed), start=np.zeros((3, 3)))
+        if contradicting:
+            text = f"{', '.join(contradicting)} {'are' if len(contradicting) > 1 else 'is'} refused: the INS and all "
+            text += "stars contradict one another"
+        else:
+            text = "the sources contradict one another, and which of them is wrong nothing tells"
+        return replace(state, doubt=Doubt(text, covariance_n))
+
+    def _stars_contradicting(self, state: FilterState, wrong: str | None, time_ns: int) -> tuple[str, ...]:
+        """All stars in use, where each of them contradicts the rest; none where some do not."""
+        heard = [name for name in self._in_use(state, time_ns) if self._devices[name].is_star]
+        refused = state.seen.refused[0]
+        against = [name for name in heard if name == wrong or refused[self.sources.index(name)] >= REFUSED_IN_A_ROW]
+        return tuple(heard) if heard and len(against) == len(heard) else ()
+
+    def _others_remain(self, state: FilterState, wrong: str, time_ns: int) -> bool:
+        """Whether another source beside the INS is in use."""
+        return any(name != wrong for name in self._in_use(state, time_ns))
+
+    def _in_use(self, state: FilterState, time_ns: int) -> list[str]:
+        heard = state.seen.heard_ns >= time_ns - 10 * SECOND_NS
+        return [name for index, name in enumerate(self.sources) if heard[index] and name not in state.excluded]
+
+    def _listed(self, state: FilterState, without_index: int) -> str:
+        names = [name for index, name in enumerate(self.sources) if index != without_index]
+        return ", ".join(["the INS", *(name for name in names if name not in state.excluded)])
+
+    def _open_ins(self, parts: FloatArray, covariance_n: FloatArray) -> None:
+        parts[..., self._ins_index, self._ins, self._ins] += covariance_n
+
+
+def _own_states(model: ShipStateModel, source: str) -> NDArray[np.bool_]:
+    """The states that belong to one source alone, shape (n,)."""
+    own = np.zeros(model.size, dtype=bool)
+    for name, rows in model.slices.items():
+        own[rows] = name.startswith(f"{source}.")
+    return own
