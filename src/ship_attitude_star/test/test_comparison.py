@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
+from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import devices
 from ship_attitude_star.ship_attitude.output import CorrectedIns
 from ship_estimation.parameters import build
@@ -107,7 +107,7 @@ def test_clock_offsets_have_the_signs_of_the_contract() -> None:
     mean[MODEL.slices["ins.time_offset"]] = 0.005
     mean[MODEL.slices["star.fore.time_offset"]] = 0.001
     mean[MODEL.slices["reference.other.time_offset"]] = 0.002
-    one_second, state = 1_000_000_000, replace(FILTER.initial_state(), mean=mean)
+    one_second, state = 1_000_000_000, FILTER.suspects.start(mean, FILTER.initial_state().parts)
     shifts_ms = {"star.plain": -15, "star.fore": -14, "reference.other": -102}
     for source, shift_ms in shifts_ms.items():
         measurement = AttitudeMeasurement(source, one_second, np.eye(3), np.eye(3))
@@ -122,7 +122,7 @@ def test_covariance_of_the_output_is_that_of_its_errors(seed: int) -> None:
     root = rng.normal(scale=1e-5, size=(MODEL.size, MODEL.size))
     parts = np.zeros((len(MODEL.sources), MODEL.size, MODEL.size))
     parts[0] = root @ root.T
-    state = FilterState(1_000_000_000, mean, parts)
+    state = replace(FILTER.suspects.start(mean, parts), time_ns=1_000_000_000)
     rotation, covariance_parts = CorrectedIns(FILTER, state).attitude(0.0, ins)
 
     jacobian = np.zeros((3, MODEL.size))
@@ -130,7 +130,7 @@ def test_covariance_of_the_output_is_that_of_its_errors(seed: int) -> None:
     for index in range(MODEL.size):
         turns = []
         for by in (STEP, -STEP):
-            changed = FilterState(state.time_ns, moved(mean, index, by), parts)
+            changed = replace(FILTER.suspects.start(moved(mean, index, by), parts), time_ns=state.time_ns)
             shift_s = -by if index == tau else 0.0
             shifted = InterpolatedAttitude(ins.rotation_nd @ exp_rotation(ins.rate_d * shift_s), ins.rate_d, 0.6)
             turns.append(log_rotation(CorrectedIns(FILTER, changed).attitude(0.0, shifted)[0] @ rotation.T))

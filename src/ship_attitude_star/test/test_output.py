@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.filter import FilterState, ShipFilter
+from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.output import CorrectedIns
 from ship_estimation.ins import InsJump
 from ship_estimation.parameters import build
@@ -27,7 +27,8 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
     initial = FILTER.initial_state()
     root = rng.normal(scale=sigma_rad, size=initial.parts.shape)
     mean = rng.normal(scale=sigma_rad, size=FILTER.model.size)
-    state = FilterState(1_000_000_000, mean, root @ root.transpose(0, 2, 1))
+    started = FILTER.suspects.start(mean, root @ root.transpose(0, 2, 1))
+    state = replace(started, time_ns=1_000_000_000)
     corrected = CorrectedIns(FILTER, state)
     since_s = np.concatenate([[0.0], rng.uniform(0.0, 1e4, SAMPLES - 1)])
     lower = rng.normal(scale=1e-5, size=(SAMPLES, 3, 3))
@@ -59,12 +60,10 @@ def test_a_state_of_several_hypotheses_is_predicted_and_opened_as_each_alone_to_
     parts = root @ root.swapaxes(-1, -2)
     common_n = MappingProxyType({"star.fore": (20.0 * ARCSEC) ** 2 * np.eye(3)})
     jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)
-    stacked = FilterState(1_000_000_000, mean, parts, common_n)
+    stacked = replace(initial, time_ns=1_000_000_000, means=mean, parts_by_row=parts, common_n=common_n)
     together = FILTER.opened(FILTER.predicted(stacked, 31_000_000_000), jump)
-    assert together.covariance.shape == (hypotheses, FILTER.model.size, FILTER.model.size)
     for row in range(hypotheses):
-        one = replace(stacked, mean=mean[row], parts=parts[row])
+        one = replace(stacked, means=mean[row : row + 1], parts_by_row=parts[row : row + 1])
         alone = FILTER.opened(FILTER.predicted(one, 31_000_000_000), jump)
-        assert together.mean[row].tobytes() == alone.mean.tobytes()
-        assert together.parts[row].tobytes() == alone.parts.tobytes()
-        assert together.covariance[row].tobytes() == alone.covariance.tobytes()
+        assert together.means[row].tobytes() == alone.mean.tobytes()
+        assert together.parts_by_row[row].tobytes() == alone.parts.tobytes()

@@ -10,6 +10,7 @@ What is excluded is watched by the row that leaves it out. It returns once it ha
 the others know how it is mounted now, be it as before or, after a knock, anew.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -34,8 +35,9 @@ REFUSED_IN_A_ROW = 3
 _HEARD_NS = 10 * SECOND_NS
 """A source not heard of for so long contradicts nobody."""
 
-_LARGEST_TURN = 5.0
-"""A whitened turn counts as no larger: a single gross error must not look like a lasting one."""
+_LARGEST_TURN = math.sqrt(0.5)
+"""A whitened turn counts as no larger, as a share of the root of the limit: two gross errors in a row leave the mean
+over three below the limit, the third does not."""
 
 _CLEARER = 0.4
 """By so much of its limit the chi² of the row that explains a fault is smaller than that of any other row: with the
@@ -45,7 +47,9 @@ _FARTHER = 1.3
 """Where all rows agree with what they see, the one that stands so many times farther off than any other explains it."""
 
 _WELL = 0.5
-"""A source that returns stays below this share of the chi² that excludes it."""
+"""A source that well agrees stays below this share of the chi² that excludes it."""
+
+_LONG_AGO_NS = -(2**62)
 
 _HALF_BACK = 0.5
 """A source that was not knocked, and yet contradicted all others, has come back when less of its distance is left."""
@@ -64,6 +68,8 @@ class Means:
         excess: largest chi² of a mean over its limit, shape (h, s).
         refused: refusals in a row, shape (h, s).
         heard_ns: stamp of the last measurement of each source, shape (s,).
+        contradicts_ns: since when the first row does not well agree with each source, shape (s,); far in the past where
+            it does.
     """
 
     turn: FloatArray
@@ -72,6 +78,7 @@ class Means:
     excess: FloatArray
     refused: NDArray[np.int64]
     heard_ns: NDArray[np.int64]
+    contradicts_ns: NDArray[np.int64]
 
 
 def no_means(rows: int, sources: int) -> Means:
@@ -88,7 +95,8 @@ def no_means(rows: int, sources: int) -> Means:
         filled=np.zeros(shape),
         excess=np.zeros((rows, sources)),
         refused=np.zeros((rows, sources), dtype=np.int64),
-        heard_ns=np.full(sources, -(2**62)),
+        heard_ns=np.full(sources, _LONG_AGO_NS),
+        contradicts_ns=np.full(sources, _LONG_AGO_NS),
     )
 
 
@@ -137,7 +145,13 @@ def observed(
         4
     """
     size = np.sqrt(np.einsum("hi,hi->h", compared.turn, compared.turn))
-    bounded = compared.turn * np.minimum(1.0, _LARGEST_TURN / np.maximum(size, _LARGEST_TURN))[:, None]
+    largest = _LARGEST_TURN * math.sqrt(limit)
+    if not np.all(np.isfinite(size)):
+        # What is no number has no mean; it is a refusal.
+        refused = means.refused.copy()
+        refused[:, source] += 1
+        return replace(means, refused=refused)
+    bounded = compared.turn * np.minimum(1.0, largest / np.maximum(size, largest))[:, None]
     kept = 1.0 - _WEIGHTS
     turn, variance, filled = means.turn.copy(), means.variance.copy(), means.filled.copy()
     turn[:, source] = kept[:, None] * turn[:, source] + _WEIGHTS[:, None] * bounded[:, None, :]
@@ -154,7 +168,13 @@ def observed(
     excess[:, source] = np.max(np.einsum("hwi,hwi->hw", turn[:, source], solved), axis=-1) / limit
     refused[:, source] = np.where(accepted, 0, refused[:, source] + 1)
     heard_ns[source] = max(int(heard_ns[source]), time_ns)
-    return Means(turn, variance, filled, excess, refused, heard_ns)
+    contradicts_ns = means.contradicts_ns.copy()
+    well = excess[0, source] <= _WELL and refused[0, source] == 0  # NaN does not agree
+    if well:
+        contradicts_ns[source] = _LONG_AGO_NS
+    elif contradicts_ns[source] == _LONG_AGO_NS:
+        contradicts_ns[source] = time_ns
+    return Means(turn, variance, filled, excess, refused, heard_ns, contradicts_ns)
 
 
 def forgotten(means: Means, rows: Sequence[int] | slice, sources: Sequence[int] | slice) -> Means:
@@ -226,25 +246,30 @@ def find_fault(
         Three rows: by both sources, without the first one, without the second. The first source contradicts all that
         use it; so it is wrong:
 
-        >>> seen = replace(no_means(3, 2), excess=np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), heard_ns=np.zeros(2))
+        >>> excess, heard_ns = np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), np.zeros(2, dtype=int)
+        >>> seen = replace(no_means(3, 2), excess=excess, heard_ns=heard_ns)
         >>> uses = np.array([[True, True], [False, True], [True, False]])
         >>> find_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
         Finding(fault=True, row=1)
     """
     heard = means.heard_ns >= now_ns - _HEARD_NS
+    counts = uses & heard
     contradicted = np.where(means.refused >= REFUSED_IN_A_ROW, np.maximum(means.excess, 2.0), means.excess)
-    worst = np.max(np.where(uses & heard, contradicted, 0.0), axis=-1)
-    agrees = worst <= 1.0  # NaN does not agree
-    apart = any(not statistic[row] <= threshold for row in candidates)
-    if agrees[0] and not apart:
+    worst = np.max(np.where(counts, contradicted, 0.0), axis=-1, initial=0.0)
+    apart = any(not statistic[row] <= threshold for row in candidates)  # NaN is apart
+    if worst[0] <= 1.0 and not apart:
         return Finding(fault=False)
-    explaining = sorted((row for row in candidates if agrees[row]), key=lambda row: worst[row])
+    # A row explains a fault where all that it uses was heard since the contradiction began, and well agrees with it.
+    began_ns = np.max(means.contradicts_ns, initial=_LONG_AGO_NS, where=heard)
+    well = (means.excess <= _WELL) & (means.refused == 0) & (means.heard_ns >= began_ns)
+    explains = np.all(well | ~counts, axis=-1)
+    explaining = sorted((row for row in candidates if explains[row]), key=lambda row: worst[row])
     if not explaining:
         return Finding(fault=True)
     best = explaining[0]
     if all(not worst[row] < worst[best] + _CLEARER for row in candidates if row != best):
         return Finding(fault=True, row=best)
-    if agrees[0] and len(explaining) > 1:
+    if worst[0] <= 1.0 and len(explaining) > 1:
         farthest, second = sorted(explaining, key=lambda row: -statistic[row])[:2]
         if statistic[farthest] > _FARTHER * statistic[second]:
             return Finding(fault=True, row=farthest)

@@ -39,7 +39,7 @@ class Bank:
         compared = compare_rows(self.means, self.parts, measured, np.zeros(self.means.shape[1]), np.eye(3))
         accepted, left = compared.nis < 21.1, ~self.uses[:, sensor]
         own = np.isin(np.arange(self.means.shape[1]), range(3 * sensor + 3, 3 * sensor + 6))
-        learns = np.where(left[:, None], own, True) & accepted[:, None]
+        learns = np.where(left[:, None], own, True) & accepted[:, None] & np.any(accepted & ~left)
         correction, self.parts = update_rows(self.parts, measured, compared, learns)
         self.means = self.means + correction
         self.seen = observed(self.seen, sensor, compared, accepted, left, time_ns, self.limit)

@@ -11,7 +11,7 @@ from ship_attitude_star.ship_attitude.comparison import Compared
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.linearised import Linearisation, Linearised, NotCompared
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, SOURCE_STAR_COMMON, Device, ShipStateModel, devices
-from ship_attitude_star.ship_attitude.state import FilterState, with_entry, without
+from ship_attitude_star.ship_attitude.state import Apart, FilterState, with_entry, without
 from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.exclusion import no_means
@@ -67,7 +67,7 @@ class ShipFilter:
         state = self.predicted(state, jump.time_ns)
         rows, parts = self.model.slices["ins.attitude"], state.parts_by_row.copy()
         parts[..., self._ins_index, rows, rows] += jump.covariance_n
-        return replace(state, parts_by_row=parts, jumped=True)
+        return replace(self.suspects.acquitted(state), parts_by_row=parts, jumped=True)
 
     def step(
         self,
@@ -132,10 +132,10 @@ class ShipFilter:
         after = self._updated(state, predicted, source, found.compared, compared, accepted, measurement.time_ns)
         if decision.accepted:
             after = self._used(after, measurement)
-        elif source in state.excluded and state.excluded[source].relearns:
+        elif source in state.excluded and (accepted[0] or state.excluded[source].relearns):
             decision = replace(decision, reason=Reason.EXCLUDED)
         else:
-            after, decision = self._held(after, decision, found, compared)
+            after, decision = self._held(after, decision, found)
         vouched = found.ins.sample is not None and found.ins.sample.rate_d is not None
         after, text = self.suspects.judged(after, source, compared, vouched, measurement.time_ns)
         return after, self._told(decision, after, text)
@@ -147,7 +147,7 @@ class ShipFilter:
         linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.mean
         rows = compare_rows(predicted.means, predicted.parts_by_row, linear, at_mean, by_turn)
         row = self.suspects.ins_row
-        if row is None or source in predicted.excluded or rows.nis[row] <= gate:
+        if row is None or rows.nis[row] <= gate or not self.suspects.contradicted(predicted, source, row):
             return predicted, rows
         turn_n = compared.predicted_nv @ rows.turn_root[row] @ rows.turn[row]
         opened = self.suspects.opened_for(predicted.parts_by_row, turn_n)
@@ -167,12 +167,14 @@ class ShipFilter:
         time_ns: int,
     ) -> FilterState:
         """All rows with what each learns of a measurement; where none learns, not even the prediction is kept."""
-        learns = self.suspects.learns(predicted, source) & accepted[:, None]
+        learns = self.suspects.learns(predicted, source, accepted)
         seen = self.suspects.seen(predicted, source, compared, accepted, time_ns)
+        turn_v = compared.turn_root[0] @ compared.turn[0]
+        apart = with_entry(state.apart, source, Apart(turn_v, measured.predicted_nv @ turn_v))
         if not learns.any():
-            return replace(state, seen=seen)
+            return replace(state, seen=seen, apart=apart)
         corrections, parts = update_rows(predicted.parts_by_row, measured.linear, compared, learns)
-        return replace(predicted, means=predicted.means + corrections, parts_by_row=parts, seen=seen)
+        return replace(predicted, means=predicted.means + corrections, parts_by_row=parts, seen=seen, apart=apart)
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """The decision with what the verdict says; a source excluded by its own measurement is told at once."""
@@ -197,7 +199,6 @@ class ShipFilter:
         return replace(
             state,
             refusals=with_entry(state.refusals, source, 0),
-            apart_n=without(state.apart_n, source),
             used_ns=with_entry(state.used_ns, source, measurement.time_ns),
             jumped=state.jumped and not self.devices[source].is_star,
         )
@@ -212,7 +213,7 @@ class ShipFilter:
         return replace(state, parts_by_row=parts, common_n=with_entry(state.common_n, source, measurement.common_n))
 
     def _held(
-        self, state: FilterState, decision: AttitudeDecision, found: Linearised, rows: RowsCompared
+        self, state: FilterState, decision: AttitudeDecision, found: Linearised
     ) -> tuple[FilterState, AttitudeDecision]:
         """Hold the estimate; after a run of refusals say so and, where configured, re-open the gate."""
         source, ins, compared = decision.measurement.source, found.ins, found.compared
@@ -225,7 +226,6 @@ class ShipFilter:
             state,
             refusals=with_entry(state.refusals, source, run),
             departures=with_entry(state.departures, source, departure),
-            apart_n=with_entry(state.apart_n, source, compared.predicted_nv @ rows.turn_root[0] @ rows.turn[0]),
         )
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
         if run >= self._gate.conflict_after:

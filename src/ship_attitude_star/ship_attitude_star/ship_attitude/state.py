@@ -29,6 +29,19 @@ class Doubt:
 
 
 @dataclass(frozen=True)
+class Apart:
+    """How far a measurement was from what the others made expect.
+
+    Attributes:
+        turn_v: rotation vector of the device in its own frame, rad, shape (3,).
+        turn_n: the same in the horizon frame.
+    """
+
+    turn_v: FloatArray
+    turn_n: FloatArray
+
+
+@dataclass(frozen=True)
 class FilterState:
     """The estimate by all sources, in the first of h rows, and beside it those without each of them.
 
@@ -39,8 +52,7 @@ class FilterState:
         seen: what each row has seen of each source.
         excluded: by source, its exclusion.
         doubt: what is in dispute; None where nothing is.
-        apart_n: by source, how far its last measurement refused was from the first row, rotation vector in the horizon
-            frame, rad, shape (3,).
+        apart: by source, how far its last measurement was from the first row.
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
         used_ns: by source, the stamp of its last measurement used.
@@ -54,7 +66,7 @@ class FilterState:
     seen: Means
     excluded: MappingProxyType[str, Exclusion] = field(default_factory=lambda: MappingProxyType({}))
     doubt: Doubt | None = None
-    apart_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
+    apart: MappingProxyType[str, Apart] = field(default_factory=lambda: MappingProxyType({}))
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))

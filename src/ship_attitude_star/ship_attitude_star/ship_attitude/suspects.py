@@ -44,7 +44,11 @@ _UNKNOWN_RAD_PER_SQRT_S = 3.0 * ARCSEC
 _KNOCKED_SIGMA = 2.0
 """After a knock the mounting may be off by so many times what is seen of the knock."""
 
-_LEAST_KNOCK_RAD = 10.0 * ARCSEC
+_TINY_RAD2 = 1e-24
+"""Of an INS that is taken for exact nothing is apart by more than rounding."""
+
+_LEAST_KNOCK_RAD, _LARGEST_KNOCK_RAD = 10.0 * ARCSEC, 3600.0 * ARCSEC
+"""As its sigma."""
 
 
 class Suspects:
@@ -103,12 +107,20 @@ class Suspects:
         used: NDArray[np.bool_] = ~self._leaves_out & ~excluded
         return used
 
-    def learns(self, state: FilterState, source: str) -> NDArray[np.bool_]:
-        """Which states each row learns of a measurement of a source, shape (h, n)."""
-        exclusion, index = state.excluded.get(source), self.sources.index(source)
-        if exclusion is not None and not exclusion.relearns:
-            return np.zeros((len(self._leaves_out), self._model.size), dtype=bool)
-        return self.uses(state)[:, index, None] | self._own[source]
+    def learns(self, state: FilterState, source: str, accepted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which states each row learns of a measurement of a source, shape (h, n).
+
+        Args:
+            state: before it.
+            source: who measured.
+            accepted: whether the measurement passed the gate of each row, shape (h,).
+        """
+        exclusion, used = state.excluded.get(source), self.uses(state)[:, self.sources.index(source)]
+        # A measurement that no row uses leaves all of them, to the last bit, as they are without it.
+        if (exclusion is None and not np.any(used & accepted)) or (exclusion is not None and not exclusion.relearns):
+            return np.zeros((len(used), self._model.size), dtype=bool)
+        learns: NDArray[np.bool_] = (used[:, None] | self._own[source]) & accepted[:, None]
+        return learns
 
     def seen(
         self,
@@ -122,6 +134,11 @@ class Suspects:
         index = self.sources.index(source)
         left_out = ~self.uses(state)[:, index]
         return observed(state.seen, index, compared, accepted, left_out, time_ns, self.limit)
+
+    def contradicted(self, state: FilterState, source: str, row: int) -> bool:
+        """Whether a source that a row uses has contradicted it for so long that one refusal more makes it a fault."""
+        refused = state.seen.refused[row, self.sources.index(source)]
+        return source not in state.excluded and bool(refused >= REFUSED_IN_A_ROW - 1)
 
     def opened_for(self, parts_by_row: FloatArray, turn_n: FloatArray) -> FloatArray:
         """Covariances where the INS, being the one that is wrong, has turned by a rotation vector, rad, shape (3,)."""
@@ -138,7 +155,7 @@ class Suspects:
         apart_n = state.means[:, self._ins] - state.means[0, self._ins]
         columns = np.arange(self._ins.start, self._ins.stop)
         variance = state.parts_by_row[:, :, columns, columns].sum(axis=1)
-        sigma = np.sqrt(np.maximum(variance - variance[0], 1e-6 * variance[0]))
+        sigma = np.sqrt(np.maximum(variance - variance[0], np.maximum(1e-6 * variance[0], _TINY_RAD2)))
         return apart_n, np.max(np.abs(apart_n) / sigma, axis=-1)
 
     def judged(
@@ -167,7 +184,7 @@ class Suspects:
             return replace(state, doubt=None), ""
         wrong = None if finding.row is None else self.names[finding.row - 1]
         if wrong is not None and wrong != INS and self._others_remain(state, wrong, time_ns):
-            return self._without(state, wrong, compared if wrong == source else None, time_ns)
+            return self._without(state, wrong, time_ns)
         contradicting = self._stars_contradicting(state, wrong, time_ns)
         if contradicting:
             # Nothing tells that they were knocked: how they are mounted is not learnt anew.
@@ -175,26 +192,37 @@ class Suspects:
             state = replace(state, excluded=MappingProxyType({**state.excluded, **excluded}))
         return self._in_doubt(state, apart_n, statistic, contradicting), ""
 
+    def acquitted(self, state: FilterState) -> FilterState:
+        """The state after the INS has told itself that it jumped: those that contradicted it were right."""
+        knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.relearns}
+        seen = forgotten(state.seen, slice(None), slice(None))
+        return replace(state, excluded=MappingProxyType(knocked), seen=seen, doubt=None)
+
     # -- verdicts -------------------------------------------------------------------------------------------
 
-    def _without(
-        self, state: FilterState, wrong: str, compared: RowsCompared | None, time_ns: int
-    ) -> tuple[FilterState, str]:
+    def _without(self, state: FilterState, wrong: str, time_ns: int) -> tuple[FilterState, str]:
         """The state once a source is excluded: the row without it is the first one now, and the start of all others."""
         row, index = self.sources.index(wrong) + 1, self.sources.index(wrong)
         means = np.tile(state.means[row], (len(state.means), 1))
         parts = np.tile(state.parts_by_row[row], (len(state.means), 1, 1, 1))
-        # How the source is mounted is to be learnt anew: it may have been knocked.
-        turn = np.zeros(3) if compared is None else compared.turn_root[row] @ compared.turn[row]
-        knock = max(_KNOCKED_SIGMA * float(np.linalg.norm(turn)), _LEAST_KNOCK_RAD)
-        block = self._model.slices[f"{wrong}.installation"]
-        source = self._model.sources.index(self._model.blocks[f"{wrong}.installation"].source)
-        parts[:, source, block, block] += knock**2 * np.eye(3)
+        # How the source is mounted is to be learnt anew: it may have been knocked. What is farther off than a knock can
+        # make it has another mistake: that must be mended.
+        knock_v = _KNOCKED_SIGMA * state.apart[wrong].turn_v
+        relearns = bool(np.linalg.norm(knock_v) <= _LARGEST_KNOCK_RAD)
+        if relearns:
+            block = self._model.slices[f"{wrong}.installation"]
+            cause = self._model.sources.index(self._model.blocks[f"{wrong}.installation"].source)
+            parts[:, cause, block, block] += np.outer(knock_v, knock_v) + _LEAST_KNOCK_RAD**2 * np.eye(3)
         seen = forgotten(state.seen, slice(None), slice(None))
-        excluded = with_entry(state.excluded, wrong, Exclusion(time_ns))
+        excluded = with_entry(state.excluded, wrong, Exclusion(time_ns, relearns=relearns))
         state = replace(
-            state, means=means, parts_by_row=parts, seen=seen, excluded=excluded, doubt=None,
-            apart_n=without(state.apart_n, wrong), used_ns=without(state.used_ns, wrong),
+            state,
+            means=means,
+            parts_by_row=parts,
+            seen=seen,
+            excluded=excluded,
+            doubt=None,
+            used_ns=without(state.used_ns, wrong),
         )
         return state, f"{wrong} is excluded: without it {self._listed(state, index)} agree"
 
@@ -221,7 +249,7 @@ class Suspects:
         self, state: FilterState, apart_n: FloatArray, statistic: FloatArray, contradicting: tuple[str, ...]
     ) -> FilterState:
         """The state in which nothing tells who is wrong: the attitude may be off by all that is in dispute."""
-        disputed = [state.apart_n[name] for name in state.apart_n if state.refusals.get(name, 0)]
+        disputed = [apart.turn_n for name, apart in state.apart.items() if state.refusals.get(name, 0)]
         disputed += [vector for vector, size in zip(apart_n, statistic, strict=True) if size > 1.0]
         covariance_n = sum((np.outer(vector, vector) for vector in disputed), start=np.zeros((3, 3)))
         if contradicting:
