@@ -29,9 +29,6 @@ MEANS_OVER = (3, 30, 300)
 MEASUREMENTS_PER_H = 18_000
 """Of one source, for the probability of a false exclusion: five in a second."""
 
-REFUSED_IN_A_ROW = 3
-"""Refusals in a row of one source that contradict a row: as many as the shortest mean has measurements."""
-
 _HEARD_NS = 10 * SECOND_NS
 """A source not heard of for so long contradicts nobody."""
 
@@ -231,6 +228,7 @@ def find_fault(
     threshold: float,
     candidates: Sequence[int],
     now_ns: int,
+    degraded_after: int = 3,
 ) -> Finding:
     """Which source is wrong, if any.
 
@@ -241,6 +239,7 @@ def find_fault(
         threshold: that a distance does not exceed where all sources are right.
         candidates: the rows that may explain a fault, in the order of their preference.
         now_ns: the moment.
+        degraded_after: refusals in a row of one source that contradict a row.
 
     Example:
         Three rows: by both sources, without the first one, without the second. The first source contradicts all that
@@ -254,7 +253,7 @@ def find_fault(
     """
     heard = means.heard_ns >= now_ns - _HEARD_NS
     counts = uses & heard
-    contradicted = np.where(means.refused >= REFUSED_IN_A_ROW, np.maximum(means.excess, 2.0), means.excess)
+    contradicted = np.where(means.refused >= degraded_after, np.maximum(means.excess, 2.0), means.excess)
     worst = np.max(np.where(counts, contradicted, 0.0), axis=-1, initial=0.0)
     apart = any(not statistic[row] <= threshold for row in candidates)  # NaN is apart
     if worst[0] <= 1.0 and not apart:

@@ -24,6 +24,13 @@ class GateConfig:
     conflict_after: int = parameter(
         10, doc="refusals in a row of one source that are reported as a conflict", minimum=1, live=True
     )
+    degraded_after: int = parameter(
+        3,
+        doc="refusals in a row by which a source contradicts the rest; where all do, the output is DEGRADED",
+        minimum=1,
+        maximum=1000,
+        live=True,
+    )
     reopen_after: int = parameter(
         0, doc="refusals in a row that inflate the covariance to let the source back in; 0 never", minimum=0, live=True
     )

@@ -11,6 +11,7 @@ threshold away. This is the solution separation of ARAIM (Blanch et al. 2015, IE
 DOI 10.1109/TAES.2014.130739).
 """
 
+import enum
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -173,6 +174,86 @@ def separation(distance: FloatArray, left_out: FloatArray, all_sources: FloatArr
     levels = np.vstack([k.right * np.sqrt(variance_0), levels])
     dominant = int(np.argmax(np.max(levels, axis=-1))) - 1
     return Separation(np.max(np.abs(distance) / apart, axis=-1), np.max(levels, axis=0), dominant)
+
+
+class IntegrityState(enum.IntEnum):
+    """Whether the levels are within their alert limits; the values are those of ship_msgs/Integrity."""
+
+    MET = 0
+    EXCEEDED = 1
+    UNAVAILABLE = 2
+    NO_LIMIT = 3
+
+
+@dataclass(frozen=True)
+class IntegrityReport:
+    """How far an output may be wrong although nothing says so, and who is excluded; h hypotheses.
+
+    Attributes:
+        time_ns: stamp of the output.
+        state: of the levels against their limits.
+        level: protection level of each component, rad, shape (3,); NaN where there is none.
+        hypotheses: the sources of which each is left out in turn.
+        statistic: largest separation of each, sigmas, shape (h,).
+        threshold: that it must not exceed, sigmas.
+        excluded: the sources that are excluded, and since which stamp.
+        dominant: the hypothesis that makes the largest level; empty for that of all sources.
+    """
+
+    time_ns: int
+    state: IntegrityState
+    level: FloatArray
+    hypotheses: tuple[str, ...]
+    statistic: FloatArray
+    threshold: float
+    excluded: tuple[tuple[str, int], ...]
+    dominant: str
+
+
+def integrity_report(
+    time_ns: int,
+    config: IntegrityConfig,
+    hypotheses: Sequence[str],
+    found: Separation,
+    checked: bool,
+    threshold: float,
+    excluded: Sequence[tuple[str, int]],
+) -> IntegrityReport:
+    """What is to be said of an output.
+
+    Args:
+        time_ns: its stamp.
+        config: with the alert limits.
+        hypotheses: the sources of which each is left out in turn.
+        found: their separations and the levels.
+        checked: whether the sources in use are enough to check one another; else there is no level.
+        threshold: of the separations, sigmas.
+        excluded: the sources that are excluded, and since which stamp.
+
+    Example:
+        >>> found = Separation(np.array([0.5]), np.deg2rad([0.001, 0.002, 0.001]), dominant=0)
+        >>> limits = IntegrityConfig(alert_limit_arcsec=(12.0, 12.0, 12.0))
+        >>> told = integrity_report(0, limits, ["star.bow"], found, checked=True, threshold=5.1, excluded=[])
+        >>> print(told.state.name, told.dominant, (told.level / ARCSEC).round(1))
+        MET star.bow [3.6 7.2 3.6]
+    """
+    level = found.level if checked else np.full(_COMPONENTS, np.nan)
+    state = IntegrityState.UNAVAILABLE
+    if checked and not config.alert_limit_arcsec:
+        state = IntegrityState.NO_LIMIT
+    elif checked:
+        # NaN is not within its limit.
+        state = IntegrityState.MET if np.all(level <= config.alert_limit) else IntegrityState.EXCEEDED
+    return IntegrityReport(
+        time_ns=time_ns,
+        state=state,
+        level=level,
+        hypotheses=tuple(hypotheses),
+        statistic=found.statistic,
+        threshold=threshold,
+        excluded=tuple(excluded),
+        dominant=hypotheses[found.dominant] if checked and found.dominant >= 0 else "",
+    )
 
 
 def _sigmas(probability: float) -> float:

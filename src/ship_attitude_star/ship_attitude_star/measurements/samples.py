@@ -78,7 +78,7 @@ class AttitudeEstimate:
         horizon: what "up" means.
         sources: what it rests on, for example ``("ins", "star.fore")``.
         star_age_s: time since the last star measurement used; NaN where there was none.
-        text: why it is DEGRADED where neither ``sources`` nor ``star_age_s`` tells; mostly empty.
+        text: why it is DEGRADED, for people; otherwise empty.
     """
 
     time_ns: int

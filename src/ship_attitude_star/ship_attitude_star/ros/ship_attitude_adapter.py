@@ -1,7 +1,6 @@
 """The node ``ship_attitude``: which topic feeds which method of its core, what an attitude becomes, its diagnostics."""
 
 import functools
-import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar
 
@@ -13,6 +12,7 @@ from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.ship_attitude.alignment import Alignment
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.integrity import QUANTITIES
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
@@ -23,12 +23,20 @@ from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.messages_in import ReadMessage, ins_sample
-from ship_node.edge.messages_out import BUDGET_TYPE, DECK_FRAME, INNOVATION_TYPE, DiagnosticStatus, Level, error_budget
+from ship_node.edge.messages_out import (
+    BUDGET_TYPE,
+    DECK_FRAME,
+    INNOVATION_TYPE,
+    INTEGRITY_TYPE,
+    DiagnosticStatus,
+    Level,
+    error_budget,
+)
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import clock_status
 
-ATTITUDE_TOPIC, IMU_TOPIC = "ship/attitude", "ship/imu"
+ATTITUDE_TOPIC, IMU_TOPIC, INTEGRITY_TOPIC = "ship/attitude", "ship/imu", "ship/integrity"
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 _STAR_TYPES = {
@@ -39,7 +47,7 @@ _STAR_TYPES = {
 }
 _WORDS = {
     Status.VALID: (Level.OK, "VALID: INS and stars"),
-    Status.COASTING: (Level.WARN, "COASTING: no stars, the INS carries on with growing uncertainty"),
+    Status.COASTING: (Level.WARN, "COASTING: no star is used, the INS carries on with growing uncertainty"),
     Status.DEGRADED: (Level.WARN, "DEGRADED"),
     Status.INVALID: (Level.ERROR, "INVALID: neither the INS nor stars give an attitude"),
 }
@@ -76,11 +84,14 @@ class ShipAttitudeAdapter(ReportingAdapter):
     services: ClassVar[tuple[str, ...]] = ("reset", "save_alignment", "load_alignment")
     main_topic: ClassVar[str] = ATTITUDE_TOPIC
     innovation_topic: ClassVar[str] = "ship/innovation"
+    integrity_topic: ClassVar[str] = INTEGRITY_TOPIC
+    quantities: ClassVar[tuple[str, ...]] = QUANTITIES
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(ATTITUDE_TOPIC, "ship_msgs/msg/ShipAttitude"),
         OutputTopic(IMU_TOPIC, _IMU_TYPE),
         OutputTopic("ship/alignment", "ship_msgs/msg/AlignmentState"),
         OutputTopic("ship/error_budget", BUDGET_TYPE),
+        OutputTopic(INTEGRITY_TOPIC, INTEGRITY_TYPE),
         OutputTopic(innovation_topic, INNOVATION_TYPE),
         OutputTopic("ship/error_arcsec", "ship_msgs/msg/AttitudeErrorArcsec"),
         *OWN_OUTPUTS,
@@ -156,6 +167,7 @@ class ShipAttitudeAdapter(ReportingAdapter):
             attitude_status(self.latest, self.clock_jumps, self.start_warnings),
             DiagnosticStatus("alignment", Level.WARN if told else Level.OK, text),
             DiagnosticStatus("ins rates", *_RATES[self.core.rates]),
+            *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.verdicts.statuses(),
             clock_status(self.core.filter.model, self.core.state.mean, _GROUPS),
@@ -270,16 +282,6 @@ def attitude_status(
     if estimate.status is Status.DEGRADED and lacking and "ins" in estimate.sources:
         text += f": {'; '.join(lacking)}"
     elif estimate.status is Status.DEGRADED:
-        text += f": {_why_degraded(estimate)}"
+        text += f": {estimate.text}"
     values |= {"sources": ", ".join(estimate.sources), "star age (s)": f"{estimate.star_age_s:.1f}"}
     return DiagnosticStatus("attitude", level, text, values)
-
-
-def _why_degraded(estimate: AttitudeEstimate) -> str:
-    if estimate.text:
-        return estimate.text
-    if "ins" not in estimate.sources:
-        return "INS gone, stars alone"
-    if math.isnan(estimate.star_age_s):
-        return "INS alone, no star yet"
-    return "the attitude of the INS has jumped, and no star has confirmed it since"

@@ -27,12 +27,14 @@ from ship_attitude_star.ship_attitude.alignment import (
 )
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.integrity import integrity_of
 from ship_attitude_star.ship_attitude.output import CorrectedIns, attitude_alone, estimate_from_star, no_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Measurement, Status
+from ship_estimation.protection import IntegrityReport
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Refusal, contradiction_text
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
@@ -193,6 +195,15 @@ class ShipAttitudeCore:
     def alignment(self) -> Alignment:
         """What the filter now knows of the INS's errors, installation angles and clocks."""
         return alignment_of(self.filter, self.config, self.state)
+
+    def integrity(self, estimate: AttitudeEstimate) -> IntegrityReport:
+        """How far the last attitude put out may be wrong although nothing says so, and who is excluded."""
+        return integrity_of(self.filter, self.config, self.state, estimate)
+
+    @property
+    def suspected(self) -> tuple[bool, tuple[str, ...]]:
+        """Whether sources contradict one another and nothing tells which is wrong; those that are excluded."""
+        return self.state.doubt is not None, tuple(sorted(self.state.excluded))
 
     def alignment_to_save(self) -> AlignmentPrior | None:
         """The part of it that the next voyage can start from; None where nothing was ever measured."""

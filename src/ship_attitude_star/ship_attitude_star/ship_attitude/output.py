@@ -9,6 +9,7 @@ from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Horizon
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.integrity import above_limit, integrity_of
 from ship_attitude_star.ship_attitude.model import SOURCE_INS_NOISE, SOURCE_INTERPOLATION
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
@@ -41,7 +42,7 @@ class CorrectedIns:
     """
 
     def __init__(self, filter_: ShipFilter, state: FilterState) -> None:
-        self.state = state
+        self.state, self._filter = state, filter_
         model, slow = filter_.model, filter_.model.blocks["ins.attitude"]
         rows = np.r_[model.rows("ins.attitude"), model.rows("ins.time_offset")]
         self._error_n = state.mean[rows][_ATTITUDE]
@@ -93,19 +94,14 @@ class CorrectedIns:
         recent_ns = time_ns - config.coasting_after_s * SECOND_NS
         used = sorted([source for source, used_ns in self.state.used_ns.items() if used_ns >= recent_ns])
         star_age_s = _age_s(self._newest_star_ns, time_ns)
-        if math.isnan(star_age_s) or self.state.jumped or self.state.doubt is not None:
-            status = Status.DEGRADED
-        elif star_age_s <= config.coasting_after_s:
-            status = Status.VALID
-        else:
-            status = Status.COASTING
+        status, text = self._worth(star_age_s, config.coasting_after_s)
         # NaN compares false: before the first star the horizon is the INS's own.
         horizon = Horizon.GEODETIC if star_age_s <= config.ins.tilt_time_s else Horizon.GRAVITY
         since_ns = 0 if self.state.time_ns is None else max(time_ns - self.state.time_ns, 0)
         rotation_nd, parts = self.attitude(since_ns * 1e-9, ins)
         if self.state.doubt is not None:
             parts[self._drift_index] += self.state.doubt.covariance_n
-        return AttitudeEstimate(
+        estimate = AttitudeEstimate(
             time_ns=time_ns,
             rotation_nd=rotation_nd,
             covariance_parts_n=parts,
@@ -115,7 +111,22 @@ class CorrectedIns:
             horizon=horizon,
             sources=("ins", *used),
             star_age_s=star_age_s,
+            text=text,
         )
+        if status is Status.DEGRADED or not config.integrity.alert_limit_arcsec:
+            return estimate
+        text = above_limit(integrity_of(self._filter, config, self.state, estimate))
+        return replace(estimate, status=Status.DEGRADED, text=text) if text else estimate
+
+    def _worth(self, star_age_s: float, coasting_after_s: float) -> tuple[Status, str]:
+        """Status of an attitude, and why it is DEGRADED."""
+        if self.state.doubt is not None:
+            return Status.DEGRADED, self.state.doubt.text
+        if math.isnan(star_age_s):
+            return Status.DEGRADED, "INS alone, no star yet"
+        if self.state.jumped:
+            return Status.DEGRADED, "the attitude of the INS has jumped, and no star has confirmed it since"
+        return Status.VALID if star_age_s <= coasting_after_s else Status.COASTING, ""
 
 
 def attitude_alone(
@@ -189,6 +200,7 @@ def estimate_from_star(
         horizon=Horizon.GEODETIC,
         sources=(measurement.source,),
         star_age_s=0.0,
+        text="INS gone, stars alone",
     )
 
 

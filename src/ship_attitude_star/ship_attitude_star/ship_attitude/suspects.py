@@ -20,7 +20,6 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, Device, ShipStateModel
 from ship_attitude_star.ship_attitude.state import Doubt, FilterState, with_entry, without
 from ship_estimation.exclusion import (
-    REFUSED_IN_A_ROW,
     Exclusion,
     Means,
     excess_limit,
@@ -72,6 +71,7 @@ class Suspects:
 
     def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
         self._integrity, self._model, self._devices = config.integrity, model, devices
+        self._degraded_after = config.gate.degraded_after
         self.sources = tuple(devices)
         self.names = (*self.sources, INS) if len(self.sources) > 1 else self.sources
         rows, most = len(self.names) + 1, config.integrity.max_hypotheses
@@ -138,7 +138,7 @@ class Suspects:
     def contradicted(self, state: FilterState, source: str, row: int) -> bool:
         """Whether a source that a row uses has contradicted it for so long that one refusal more makes it a fault."""
         refused = state.seen.refused[row, self.sources.index(source)]
-        return source not in state.excluded and bool(refused >= REFUSED_IN_A_ROW - 1)
+        return source not in state.excluded and bool(refused >= self._degraded_after - 1)
 
     def opened_for(self, parts_by_row: FloatArray, turn_n: FloatArray) -> FloatArray:
         """Covariances where the INS, being the one that is wrong, has turned by a rotation vector, rad, shape (3,)."""
@@ -179,7 +179,8 @@ class Suspects:
         candidates = [row for row, name in enumerate(self.names, start=1) if name not in state.excluded]
         if ins_vouched and self.ins_row in candidates:
             candidates.remove(self.ins_row)
-        finding = find_fault(state.seen, uses, statistic, self.k.false_exclusion, candidates, time_ns)
+        threshold, after = self.k.false_exclusion, self._degraded_after
+        finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after)
         if not finding.fault:
             return replace(state, doubt=None), ""
         wrong = None if finding.row is None else self.names[finding.row - 1]
@@ -263,7 +264,7 @@ class Suspects:
         """All stars in use, where each of them contradicts the rest; none where some do not."""
         heard = [name for name in self._in_use(state, time_ns) if self._devices[name].is_star]
         refused = state.seen.refused[0]
-        against = [name for name in heard if name == wrong or refused[self.sources.index(name)] >= REFUSED_IN_A_ROW]
+        against = [name for name in heard if name == wrong or refused[self.sources.index(name)] >= self._degraded_after]
         return tuple(heard) if heard and len(against) == len(heard) else ()
 
     def _others_remain(self, state: FilterState, wrong: str, time_ns: int) -> bool:

@@ -9,14 +9,16 @@ import numpy as np
 
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Decision
+from ship_estimation.protection import IntegrityConfig, IntegrityReport, IntegrityState
 from ship_estimation.refusals import Reason, Refusal, shortened
 from ship_geometry.ros_axes import enu_covariance
-from ship_geometry.rotations import FloatArray
+from ship_geometry.rotations import ARCSEC, FloatArray
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 INNOVATION_TYPE = "ship_msgs/msg/Innovation"
 BUDGET_TYPE = "ship_msgs/msg/ErrorBudget"
+INTEGRITY_TYPE = "ship_msgs/msg/Integrity"
 DECK_FRAME = "deck"
 """The frame_id of an attitude of the ship herself."""
 
@@ -168,3 +170,50 @@ def error_budget(
         covariances=enu_covariance(parts_n).ravel(),
         total=enu_covariance(covariance_n).ravel(),
     )
+
+
+def integrity(
+    factory: MessageFactory, report: IntegrityReport, quantities: Sequence[str], frame_id: str, config: IntegrityConfig
+) -> Any:
+    """ship_msgs/Integrity of an output.
+
+    Args:
+        factory: makes the message.
+        report: what is to be said.
+        quantities: names of the components that the levels bound.
+        frame_id: whose output it is.
+        config: with the limits and the probability.
+    """
+    return factory.make(
+        INTEGRITY_TYPE,
+        header={"stamp": report.time_ns, "frame_id": frame_id},
+        quantities=list(quantities),
+        protection_level=report.level,
+        alert_limit=config.alert_limit,
+        p_hmi_per_h=config.p_hmi,
+        state=int(report.state),
+        hypotheses=list(report.hypotheses),
+        statistic=report.statistic,
+        threshold=[report.threshold] * len(report.hypotheses),
+        excluded=[name for name, _ in report.excluded],
+        excluded_for_s=[(report.time_ns - since_ns) * 1e-9 for _, since_ns in report.excluded],
+        dominant=report.dominant,
+    )
+
+
+def integrity_status(report: IntegrityReport | None, quantities: Sequence[str]) -> DiagnosticStatus:
+    """How far the last output may be wrong although nothing says so; None where there is no output yet."""
+    if report is None:
+        return DiagnosticStatus("integrity", Level.OK, "nothing put out yet")
+    levels = {f"{name} (″)": f"{level / ARCSEC:.1f}" for name, level in zip(quantities, report.level, strict=True)}
+    values = {**levels, "made by": report.dominant or "all sources right"}
+    if report.excluded:
+        seconds = [f"{name} for {(report.time_ns - since_ns) * 1e-9:.0f} s" for name, since_ns in report.excluded]
+        return DiagnosticStatus("integrity", Level.WARN, f"excluded: {', '.join(seconds)}", values)
+    words = {
+        IntegrityState.MET: (Level.OK, "every protection level is within its alert limit"),
+        IntegrityState.EXCEEDED: (Level.WARN, "a protection level is above its alert limit"),
+        IntegrityState.UNAVAILABLE: (Level.OK, "too few sources in use to check one another: no protection level"),
+        IntegrityState.NO_LIMIT: (Level.OK, "no alert limit is configured"),
+    }
+    return DiagnosticStatus("integrity", *words[report.state], values)

@@ -91,6 +91,11 @@ class ReportingAdapter(ABC):
     main_topic: ClassVar[str]
     """Where the estimates go: the name of what failed where one cannot be computed."""
     innovation_topic: ClassVar[str]
+    integrity_topic: ClassVar[str] = ""
+    """Where the protection levels go; empty where the node has none."""
+    quantities: ClassVar[tuple[str, ...]] = ()
+    """What the levels bound."""
+    integrity_frame: ClassVar[str] = messages_out.DECK_FRAME
     reset_text: ClassVar[str] = "the filter starts anew"
     start_warnings: tuple[str, ...] = ()
 
@@ -114,6 +119,7 @@ class ReportingAdapter(ABC):
         self.conflicts: dict[str, str] = {}
         self.verdicts = VerdictReport()
         self._slow_due_ns: int | None = None
+        self._suspected_told: Any = None
 
     # -- what a node adds -----------------------------------------------------------------------------------
 
@@ -241,6 +247,9 @@ class ReportingAdapter(ABC):
             self.latest = estimate
             self.budget_due = None if estimate.status is Status.INVALID else estimate
             published += self._estimate_messages(estimate)
+        if judged and self.integrity_topic and self.core.suspected != self._suspected_told:
+            self._suspected_told = self.core.suspected
+            published += self._integrity()
         return published
 
     def refused(self, source: str, time_ns: int, refusal: Refusal) -> Published:
@@ -263,12 +272,26 @@ class ReportingAdapter(ABC):
         self._measured_by = {feed.measured_by or feed.source: feed for feed in self._feeds.values()}
 
     def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
-        published = self.own_slow_topics(now_ns)
+        published = [*self.own_slow_topics(now_ns), *self._integrity()]
         self.budget_due = None  # no estimate has its budget told twice
         published += [(INPUT_HEALTH_TOPIC, m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]
         statuses = [*self.health.statuses(now_ns, waiting_ns), *self.own_statuses(waiting_ns)]
         array = messages_out.diagnostic_array(self.factory, now_ns, self.node_name, statuses)
         return [*published, (DIAGNOSTICS_TOPIC, array)]
+
+    def _integrity(self) -> list[Published]:
+        """The protection levels of the last output, where it claims something."""
+        if not self.integrity_topic or self.latest is None or self.latest.status is Status.INVALID:
+            return []
+        report, config = self.core.integrity(self.latest), self.config.integrity
+        message = messages_out.integrity(self.factory, report, self.quantities, self.integrity_frame, config)
+        return [(self.integrity_topic, message)]
+
+    def integrity_statuses(self) -> list[DiagnosticStatus]:
+        """One status with the protection levels of the last output and the sources excluded."""
+        known = self.latest is not None and self.latest.status is not Status.INVALID
+        report = self.core.integrity(self.latest) if known else None
+        return [messages_out.integrity_status(report, self.quantities)]
 
     def conflict_statuses(self) -> list[DiagnosticStatus]:
         """One status for each source that keeps disagreeing with the rest."""
@@ -280,6 +303,6 @@ class ReportingAdapter(ABC):
     def _restart(self, clock_jumped: bool) -> None:
         self.core.reset(clock_jumped)
         self.health.restart()
-        self.latest, self.budget_due, self._slow_due_ns = None, None, None
+        self.latest, self.budget_due, self._slow_due_ns, self._suspected_told = None, None, None, None
         self.conflicts.clear()
         self.verdicts.clear()

@@ -1,0 +1,82 @@
+"""How far the ship's attitude may be wrong although nothing says so: protection levels of heading, pitch and roll.
+
+The rows of the filter's state (:mod:`ship_attitude_star.ship_attitude.suspects`) tell how far the attitude would be
+another one without each of its sources; :mod:`ship_estimation.protection` makes levels of that.
+"""
+
+import math
+
+import numpy as np
+
+from ship_attitude_star.measurements.samples import AttitudeEstimate
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.state import FilterState
+from ship_estimation.outcome import Status
+from ship_estimation.protection import (
+    Factors,
+    IntegrityReport,
+    IntegrityState,
+    Separation,
+    integrity_report,
+    separation,
+)
+from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
+
+QUANTITIES = ("heading", "pitch", "roll")
+"""What the levels bound."""
+
+_LEAST_SOURCES = 2
+"""Beside the INS: with fewer nothing checks the one that there is."""
+
+
+def integrity_of(
+    filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState, estimate: AttitudeEstimate
+) -> IntegrityReport:
+    """The integrity of an attitude.
+
+    Args:
+        filter_: the filter and its model.
+        config: its configuration.
+        state: that the attitude rests on.
+        estimate: the attitude.
+    """
+    suspects, model = filter_.suspects, filter_.model
+    rows = [row for row, name in enumerate(suspects.names, start=1) if name not in state.excluded]
+    names = [suspects.names[row - 1] for row in rows]
+    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
+    to_angles = angle_errors_from_rotation_vector(heading, pitch)
+    columns = model.rows("ins.attitude")
+    covariance = state.parts_by_row[:, :, columns[:, None], columns].sum(axis=1)
+    # What an attitude adds to the error of the state, as the noise of the INS, is the same in every row.
+    without_n = estimate.covariance_n + covariance[rows] - covariance[0]
+    distance = (state.means[rows][:, columns] - state.means[0, columns]) @ to_angles.T
+    k = Factors(suspects.k.right, suspects.k.false_exclusion, suspects.k.missed[np.array(rows, dtype=int) - 1])
+    found = Separation(np.empty(0), np.full(3, np.nan), -1)
+    if rows:
+        by_angle = to_angles @ without_n @ to_angles.T
+        found = separation(distance, by_angle, to_angles @ estimate.covariance_n @ to_angles.T, k)
+    excluded = [(name, exclusion.since_ns) for name, exclusion in sorted(state.excluded.items())]
+    threshold = suspects.k.false_exclusion
+    checked = _checked(filter_, state, estimate)
+    return integrity_report(estimate.time_ns, config.integrity, names, found, checked, threshold, excluded)
+
+
+def _checked(filter_: ShipFilter, state: FilterState, estimate: AttitudeEstimate) -> bool:
+    """Whether the sources that an attitude rests on check one another."""
+    others = [source for source in estimate.sources if source in filter_.devices]
+    by_stars = any(filter_.devices[source].is_star for source in others)
+    in_dispute = state.doubt is not None or state.jumped or estimate.status is Status.INVALID
+    return by_stars and len(others) >= _LEAST_SOURCES and not in_dispute
+
+
+def above_limit(report: IntegrityReport) -> str:
+    """Why the levels do not meet their limits; empty where they do, or where none are configured."""
+    if report.state is IntegrityState.EXCEEDED:
+        levels = ", ".join(
+            f"{name} {math.degrees(level) * 3600.0:.1f}″" for name, level in zip(QUANTITIES, report.level, strict=True)
+        )
+        return f"a protection level is above its alert limit: {levels}"
+    if report.state is IntegrityState.UNAVAILABLE:
+        return "there are too few sources to check one another, and alert limits are configured"
+    return ""
