@@ -28,6 +28,7 @@ TESTS_PER_H = 360
 found anew."""
 
 _COMPONENTS = 3
+_TINY = 1e-24
 _MOST_PROBABLE_MISS = 0.5
 """A level never lies below the threshold itself, however improbable the fault is."""
 
@@ -167,9 +168,10 @@ def separation(distance: FloatArray, left_out: FloatArray, all_sources: FloatArr
         [1.67] [18. 18. 18.] 0
     """
     variance_0 = np.diagonal(all_sources)
-    variance = np.diagonal(left_out, axis1=-2, axis2=-1)
+    # Without a source nothing is known better, but for one that was refused with it and is used without.
+    variance = np.maximum(np.diagonal(left_out, axis1=-2, axis2=-1), variance_0)
     # Rounding may leave nothing of a small difference; a thousandth of the sigma is nothing to a level.
-    apart = np.sqrt(np.maximum(variance - variance_0, 1e-6 * variance_0))
+    apart = np.sqrt(np.maximum(variance - variance_0, np.maximum(1e-6 * variance_0, _TINY)))
     levels = k.false_exclusion * apart + k.missed[:, None] * np.sqrt(variance)
     levels = np.vstack([k.right * np.sqrt(variance_0), levels])
     dominant = int(np.argmax(np.max(levels, axis=-1))) - 1

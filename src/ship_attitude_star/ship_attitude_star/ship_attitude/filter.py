@@ -180,11 +180,9 @@ class ShipFilter:
         """The decision with what the verdict says; a source excluded by its own measurement is told at once."""
         if not text:
             return decision
-        if decision.measurement.source not in state.excluded:
-            return replace(decision, text=f"{decision.text}; {text}" if decision.text else text)
-        if decision.reason in (Reason.NONE, Reason.EXCLUDED):
+        if decision.measurement.source in state.excluded and decision.reason in (Reason.NONE, Reason.EXCLUDED):
             return replace(decision, accepted=False, reason=Reason.EXCLUDED, text=text)
-        return replace(decision, text=f"{decision.text}; {text}")
+        return replace(decision, text=f"{text}; {decision.text}" if decision.text else text)
 
     def _refused(
         self, state: FilterState, measurement: Measurement, why: NotCompared
