@@ -114,6 +114,7 @@ def compare(
     mean: FloatArray,
     covariance: FloatArray,
     watch: SkyWatch | None,
+    expected: PredictedAttitude | None = None,
 ) -> Compared | Refusal:
     """Compare a measurement with the attitude predicted for its device.
 
@@ -125,6 +126,8 @@ def compare(
         mean: of the state, shape (n,).
         covariance: of the state, shape (n, n).
         watch: the sky; None where no sensor needs it.
+        expected: attitude of the device by the mean that the covariance belongs to, where ``mean`` is another one; it
+            is what tells which stars are believed.
 
     Returns:
         The refusal where it cannot be compared.
@@ -143,7 +146,7 @@ def compare(
         )
     assert watch is not None
     assert isinstance(measurement, StarExposure)
-    stars = star_residuals(measurement, predicted, covariance, watch, model, mean)
+    stars = star_residuals(measurement, predicted, covariance, watch, model, mean, expected)
     if isinstance(stars, Refusal):
         return stars
     interpolation = stars.by_turn @ predicted.interpolation_v @ stars.by_turn.T
@@ -201,6 +204,13 @@ class StarResiduals:
     rotation_ns: FloatArray | None
 
 
+def star_prior(predicted: PredictedAttitude, covariance: FloatArray) -> StarPrior:
+    """The predicted attitude of a sensor, as the choice of its stars takes it."""
+    rotation_ns, to_sensor = predicted.rotation_nv, predicted.jacobian_v
+    prior_s = to_sensor @ covariance @ to_sensor.T + predicted.interpolation_v
+    return StarPrior(rotation_ns, rotation_ns @ prior_s @ rotation_ns.T)
+
+
 def star_residuals(
     exposure: StarExposure,
     predicted: PredictedAttitude,
@@ -208,6 +218,7 @@ def star_residuals(
     watch: SkyWatch,
     model: ShipStateModel,
     mean: FloatArray,
+    expected: PredictedAttitude | None = None,
 ) -> StarResiduals | Refusal:
     """Choose the stars that are what they are taken for, and compare them with the prediction.
 
@@ -218,13 +229,13 @@ def star_residuals(
         watch: the sky.
         model: what the states are.
         mean: of the state, shape (n,).
+        expected: as for :func:`compare`.
 
     Returns:
         The refusal of the whole exposure where no star can be placed in the sky at its moment, or none can be used.
     """
     rotation_ns, to_sensor = predicted.rotation_nv, predicted.jacobian_v
-    prior_s = to_sensor @ covariance @ to_sensor.T + predicted.interpolation_v
-    prior = StarPrior(rotation_ns, rotation_ns @ prior_s @ rotation_ns.T)
+    prior = star_prior(expected or predicted, covariance)
     visible = visible_stars(exposure, watch, prior)
     if isinstance(visible, Refusal):
         return visible
@@ -235,8 +246,8 @@ def star_residuals(
     # The estimate of the shared errors moves the stars to where they are expected.
     expected_n = stars.reference_n + stars.shared_n @ mean[rows]
     expected_n /= np.linalg.norm(expected_n, axis=-1, keepdims=True)
-    expected = replace(stars, reference_n=expected_n)
-    chosen = _chosen(stars, expected, prior)
+    at_estimate = replace(stars, reference_n=expected_n)
+    chosen = _chosen(stars, at_estimate, prior, None if expected is None else rotation_ns)
     turned_ns = rotation_ns if chosen.rotation_ns is None else chosen.rotation_ns
     left_out = np.flatnonzero(~chosen.members).tolist()
     refused += [(seen.name(row), _misfit(stars, row, turned_ns)) for row in left_out]
@@ -253,7 +264,7 @@ def star_residuals(
         residual=residual.ravel(),
         jacobian=jacobian.reshape(-1, jacobian.shape[-1]),
         by_turn=by_turn.reshape(-1, 3),
-        noise=_noise(expected, basis, chosen.members),
+        noise=_noise(at_estimate, basis, chosen.members),
         components=tuple(f"{name} {axis}" for name in names for axis in ("up", "right")),
         refused=tuple(refused),
         rotation_ns=chosen.rotation_ns,
@@ -277,15 +288,18 @@ class _Chosen:
         return not self.members.any()
 
 
-def _chosen(stars: SightedStars, expected: SightedStars, prior: StarPrior) -> _Chosen:
+def _chosen(
+    stars: SightedStars, at_estimate: SightedStars, prior: StarPrior, near_ns: FloatArray | None
+) -> _Chosen:
     """The stars that agree with the prediction; where none does, those that agree on another attitude.
 
     Args:
         stars: with their places by the sky.
-        expected: the same where the estimate of the shared errors expects them.
+        at_estimate: the same where the estimate of the shared errors expects them.
         prior: the prediction.
+        near_ns: an attitude near the truth, where the prediction's own is perhaps not, shape (3, 3).
     """
-    members = select(expected, prior).members
+    members = select(at_estimate, prior, near_ns).members
     if members.any():
         return _Chosen(members, None)
     alone = solve_stars(stars)

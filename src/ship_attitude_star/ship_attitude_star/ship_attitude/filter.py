@@ -94,7 +94,8 @@ class ShipFilter:
         """
         predicted = self.predicted(state, measurement.time_ns)
         mean, covariance = predicted.mean, predicted.covariance
-        found = self.linearisation.of(measurement, mean, covariance, track, watch, may_wait)
+        last_ns = state.used_ns.get(measurement.source)
+        found = self.linearisation.of(measurement, mean, covariance, track, watch, may_wait, last_ns)
         if found is None:
             return None
         if isinstance(found, NotCompared):

@@ -6,6 +6,7 @@ enough where that is known well beside the measurement's own noise. Otherwise th
 estimate that it leads to, until that stays (Gauss-Newton; the iterated Kalman filter).
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -13,26 +14,46 @@ import numpy as np
 from scipy.linalg import lapack
 
 from ship_attitude_star.measurements.readings import InertialAttitude
-from ship_attitude_star.ship_attitude.comparison import Compared, PredictedAttitude, compare, predict_attitude
+from ship_attitude_star.ship_attitude.comparison import (
+    Compared,
+    PredictedAttitude,
+    compare,
+    predict_attitude,
+    star_prior,
+)
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.sky.tracker_attitude import in_horizon
-from ship_attitude_star.stars.exposure import StarExposure, at_middle
+from ship_attitude_star.stars.exposure import StarExposure, at_middle, visible_stars
+from ship_attitude_star.stars.solution import likely_attitude
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
-from ship_geometry.rotations import FloatArray
+from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
-_STEPS = 5
-_LARGE_STEP = 5e-3
-"""The square of a smaller correction (rad) is nothing beside the errors of what was measured."""
+_LINEAR_RANGE = 5e-4
+"""A device's attitude that is predicted to better than this (rad, sigma) needs one linearisation: even at three times
+as much, the square of the error is 0.2 arcseconds."""
 
-_FAR = 5.0
-"""The state is hardly ever further from the predicted one than by this many sigma."""
+_SMALL_TURN = 2e-4
+"""A linearisation that lies closer than this (rad) to the estimate is at the estimate: the square is 0.004
+arcseconds."""
 
+_KNOWN_CLOCK_S = 0.01
+"""An offset of the clocks that is known to better than this (sigma) needs one linearisation: a ship that rolls by 10
+degrees in 10 s accelerates by 14 000 arcseconds per s², which makes 0.7 arcseconds in that time."""
+
+_SAME_MOTION_S = 3.0
+"""For so long a ship goes on accelerating the same way: what an unknown offset of the clocks does to one measurement it
+does to the next one too."""
+
+_NODE = math.sqrt(3.0)
+"""Sigmas beside the mean at which a curve is asked for, to know its mean square over a normal distribution."""
+
+_MOST_STEPS = 20
 
 @dataclass(frozen=True)
 class Linearised:
@@ -67,6 +88,42 @@ class NotCompared:
     ins_time_ns: int
 
 
+@dataclass(frozen=True)
+class _Task:
+    """What a measurement is to be linearised with.
+
+    Attributes:
+        measurement: as it came.
+        device: that measured.
+        mean: of the predicted state, shape (n,).
+        covariance: of the predicted state, shape (n, n).
+        track: attitudes of the INS.
+        watch: the sky.
+        may_wait: whether samples of the INS may still come.
+        offset_sigma_s: sigma of the offset of the clocks.
+        alike: how many measurements in a row suffer alike from that.
+    """
+
+    measurement: Measurement
+    device: Device
+    mean: FloatArray
+    covariance: FloatArray
+    track: AttitudeTrack
+    watch: SkyWatch | None
+    may_wait: bool
+    offset_sigma_s: float
+    alike: float
+
+
+@dataclass(frozen=True)
+class _Paired:
+    """A measurement as it is compared, the attitude of the INS that belongs to it, and how far samples matter to it."""
+
+    measurement: Measurement
+    ins: InterpolatedAttitude
+    ins_time_ns: int
+
+
 class Linearisation:
     """How measurements follow from the state.
 
@@ -77,6 +134,14 @@ class Linearisation:
 
     def __init__(self, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
         self._model, self._devices = model, devices
+        self._offsets = {name: self._offset_of(device) for name, device in devices.items()}
+
+    def _offset_of(self, device: Device) -> FloatArray:
+        """The derivative of the offset of a device's clock by the state, shape (n,)."""
+        by_state = np.zeros(self._model.size)
+        for name, sign in device.ins_time_states:
+            by_state[self._model.slices[name]] = sign
+        return by_state
 
     @property
     def longest_shift_s(self) -> float:
@@ -103,6 +168,7 @@ class Linearisation:
         track: AttitudeTrack,
         watch: SkyWatch | None,
         may_wait: bool = False,
+        last_ns: int | None = None,
     ) -> Linearised | NotCompared | None:
         """The measurement linearised where it leads the predicted state.
 
@@ -113,90 +179,140 @@ class Linearisation:
             track: attitudes of the INS.
             watch: the sky; None where no sensor needs it.
             may_wait: whether samples of the INS may still come.
+            last_ns: stamp of the source's last measurement that was used; None where there was none.
 
         Returns:
             None where samples of the INS that may still come belong to the measurement.
         """
-        ins_time_ns = self.ins_time_ns(mean, measurement)
-        if may_wait and not track.covers(ins_time_ns + measurement.reach_ns):
-            return None
-        paired = self._paired(measurement, track, ins_time_ns, watch)
-        if isinstance(paired, Refusal):
-            return NotCompared(paired, ins_time_ns)
-        compared = self._settled(paired, mean, covariance, watch)
+        source = measurement.source
+        by_offset = self._offsets[source]
+        offset_sigma_s = math.sqrt(float(by_offset @ covariance @ by_offset))
+        since_s = _SAME_MOTION_S if last_ns is None else max(measurement.time_ns - last_ns, 1) / SECOND_NS
+        alike = max(_SAME_MOTION_S / since_s, 1.0)
+        device = self._devices[source]
+        task = _Task(measurement, device, mean, covariance, track, watch, may_wait, offset_sigma_s, alike)
+        paired = self._paired(task, mean)
+        if not isinstance(paired, _Paired):
+            return paired
+        predicted = predict_attitude(device, self._model, mean, paired.ins)
+        turning_v = np.where(by_offset == 0.0, predicted.jacobian_v, 0.0)
+        turn_variance = float(np.trace(turning_v @ covariance @ turning_v.T))
+        if offset_sigma_s > _KNOWN_CLOCK_S or turn_variance > _LINEAR_RANGE**2:
+            return self._settled(task, paired, predicted)
+        compared = compare(paired.measurement, device, predicted, self._model, mean, covariance, watch)
         if isinstance(compared, Refusal):
-            return NotCompared(compared, ins_time_ns)
-        return Linearised(paired.measurement, compared, paired.ins, ins_time_ns)
+            return NotCompared(compared, paired.ins_time_ns)
+        return Linearised(paired.measurement, compared, paired.ins, paired.ins_time_ns)
 
-    def _paired(
-        self, measurement: Measurement, track: AttitudeTrack, ins_time_ns: int, watch: SkyWatch | None
-    ) -> "_Paired | Refusal":
-        """What of a measurement is compared, with the attitude of the INS that belongs to it; or why it cannot be."""
-        device, ins = self._devices[measurement.source], track.at(ins_time_ns)
+    def _paired(self, task: _Task, mean: FloatArray) -> _Paired | NotCompared | None:
+        """What of a measurement is compared, with the attitude of the INS that belongs to it by a mean of the state.
+
+        Returns:
+            Why it cannot be compared; None where it waits for samples of the INS.
+        """
+        measurement, track = task.measurement, task.track
+        ins_time_ns = self.ins_time_ns(mean, measurement)
+        around_ns = 0
+        if task.offset_sigma_s > _KNOWN_CLOCK_S:
+            around_ns = round(_NODE * task.offset_sigma_s * SECOND_NS)
+        if task.may_wait and not track.covers(ins_time_ns + max(measurement.reach_ns, around_ns)):
+            return None
+        ins = track.at(ins_time_ns)
         if ins is None:
-            return Refusal(Reason.GAP, "no INS samples on both sides of it: it cannot be compared")
+            text = "no INS samples on both sides of it: it cannot be compared"
+            return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
         if isinstance(measurement, InertialAttitude):
-            assert watch is not None
-            turned = in_horizon(measurement, watch)
-            return turned if isinstance(turned, Refusal) else _Paired(turned, device, ins)
-        if isinstance(measurement, StarExposure) and measurement.length is not None:
+            assert task.watch is not None
+            turned = in_horizon(measurement, task.watch)
+            if isinstance(turned, Refusal):
+                return NotCompared(turned, ins_time_ns)
+            measurement = turned
+        elif isinstance(measurement, StarExposure) and measurement.length is not None:
             turning = turning_over(track, ins_time_ns, measurement.length.nodes)
             if turning is None:
                 text = f"no INS samples over its whole exposure of {measurement.length.exposure_s:g} s"
-                return Refusal(Reason.GAP, text)
+                return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
             # What is predicted is the mean over the exposure: its errors are those of the mean.
             ins = replace(ins, noise_gain=turning.noise_gain, error_covariance_d=turning.error_covariance)
-            return _Paired(at_middle(measurement, turning.mounted(device.rotation_dv0)), device, ins)
-        return _Paired(measurement, device, ins)
+            measurement = at_middle(measurement, turning.mounted(task.device.rotation_dv0))
+        if around_ns:
+            bent_d = _bent_by_offset(track, ins_time_ns, around_ns, ins.rotation_nd)
+            if bent_d is None:
+                text = "no INS samples as far around it as the offset of its clock is unknown"
+                return NotCompared(Refusal(Reason.GAP, text), ins_time_ns + around_ns)
+            ins = replace(ins, error_covariance_d=ins.error_covariance_d + task.alike * bent_d)
+        return _Paired(measurement, ins, ins_time_ns + around_ns)
 
-    def _settled(
-        self, paired: "_Paired", mean: FloatArray, covariance: FloatArray, watch: SkyWatch | None
-    ) -> Compared | Refusal:
-        """The comparison at the point that it leads to, its residual relative to the predicted mean."""
-        predicted = predict_attitude(paired.device, self._model, mean, paired.ins)
-        first = self._compared(paired, predicted, mean, covariance, watch)
-        if isinstance(first, Refusal):
-            return first
-        prior_v = predicted.jacobian_v @ covariance @ predicted.jacobian_v.T
-        if _FAR * np.sqrt(np.trace(prior_v)) <= _LARGE_STEP:
-            return first
-        compared, rows, found = first, self._model.slices["ins.attitude"], np.zeros_like(mean)
-        for _ in range(_STEPS - 1):
-            correction = _correction(compared.linear, covariance)
-            if correction is None or not np.linalg.norm(correction[rows] - found[rows]) > _LARGE_STEP:
-                break
-            predicted = predict_attitude(paired.device, self._model, mean + correction, paired.ins)
-            there = self._compared(paired, predicted, mean + correction, covariance, watch)
+    def _settled(self, task: _Task, paired: _Paired, expected: PredictedAttitude) -> Linearised | NotCompared | None:
+        """The measurement linearised at the point that it leads to, its residual relative to the predicted mean."""
+        model, until_ns = self._model, paired.ins_time_ns
+        correction = self._start(task, paired, expected)
+        for _ in range(_MOST_STEPS):
+            mean = task.mean + correction
+            moves = task.offset_sigma_s > _KNOWN_CLOCK_S and correction.any()
+            found = self._paired(task, mean) if moves else paired
+            if not isinstance(found, _Paired):
+                return found if found is None else replace(found, ins_time_ns=max(until_ns, found.ins_time_ns))
+            until_ns = max(until_ns, found.ins_time_ns)
+            predicted = predict_attitude(task.device, model, mean, found.ins)
+            there = compare(
+                found.measurement, task.device, predicted, model, mean, task.covariance, task.watch, expected
+            )
             if isinstance(there, Refusal):
-                break
+                return NotCompared(there, until_ns)
             linear = replace(there.linear, residual=there.linear.residual + there.linear.jacobian @ correction)
-            compared, found = replace(there, linear=linear, predicted_nv=first.predicted_nv), correction
-        return compared
+            reached = _correction(linear, task.covariance)
+            if reached is None:
+                return NotCompared(singular_covariance(), until_ns)
+            step = float(np.linalg.norm(predicted.jacobian_v @ (reached - correction)))
+            if step < _SMALL_TURN:
+                compared = replace(there, linear=linear, predicted_nv=expected.rotation_nv)
+                return Linearised(found.measurement, compared, paired.ins, until_ns)
+            correction = reached
+        text = f"no estimate settles between what is expected and what it says, after {_MOST_STEPS} steps"
+        return NotCompared(Refusal(Reason.GATE, text), until_ns)
 
-    def _compared(
-        self,
-        paired: "_Paired",
-        predicted: PredictedAttitude,
-        mean: FloatArray,
-        covariance: FloatArray,
-        watch: SkyWatch | None,
-    ) -> Compared | Refusal:
-        """A measurement against its prediction by a mean that may differ from the predicted one."""
-        return compare(paired.measurement, paired.device, predicted, self._model, mean, covariance, watch)
+    def _start(self, task: _Task, paired: _Paired, expected: PredictedAttitude) -> FloatArray:
+        """Where the search begins, relative to the predicted mean: for stars, where they themselves say, shape (n,)."""
+        correction, exposure = np.zeros_like(task.mean), paired.measurement
+        if not isinstance(exposure, StarExposure):
+            return correction
+        assert task.watch is not None
+        prior = star_prior(expected, task.covariance)
+        visible = visible_stars(exposure, task.watch, prior)
+        if isinstance(visible, Refusal) or not len(visible[1]):
+            return correction
+        turn_ns = likely_attitude(visible[1], prior) @ expected.rotation_nv.T
+        rows = self._model.slices["ins.attitude"]
+        correction[rows] = log_rotation(turn_ns @ exp_rotation(task.mean[rows])) - task.mean[rows]
+        return correction
 
 
-@dataclass(frozen=True)
-class _Paired:
-    """A measurement as it is compared, its device, and the attitude of the INS that belongs to it."""
+def _bent_by_offset(
+    track: AttitudeTrack, ins_time_ns: int, around_ns: int, rotation_nd: FloatArray
+) -> FloatArray | None:
+    """What an unknown offset of the clocks does to an attitude beside the turn that grows with it evenly.
 
-    measurement: Measurement
-    device: Device
-    ins: InterpolatedAttitude
+    The attitudes at the offset's nodes, :data:`_NODE` sigma before and after, tell it: half their sum is the part that
+    grows with the square of the offset, 3 c for c = α σ²/2; what half their difference has more than the rate says is
+    the part that grows with its cube. The mean squares over a normal offset are 3 c² and 15/27 of the cube's.
+
+    Returns:
+        Covariance, rotation vector in the deck frame, rad², shape (3, 3); None where the track does not reach so far.
+    """
+    before, after, here = (track.at(ins_time_ns + offset_ns) for offset_ns in (-around_ns, around_ns, 0))
+    if before is None or after is None or here is None:
+        return None
+    to_before, to_after = (log_rotation(rotation_nd.T @ other.rotation_nd) for other in (before, after))
+    square = 0.5 * (to_after + to_before)
+    cube = 0.5 * (to_after - to_before) - here.rate_d * (around_ns / SECOND_NS)
+    covariance: FloatArray = np.outer(square, square) / 3.0 + np.outer(cube, cube) * (15.0 / 27.0)
+    return covariance
 
 
 def _correction(linear: LinearMeasurement, covariance: FloatArray) -> FloatArray | None:
-    """Where a linearised measurement moves the mean, shape (n,); None where its covariance is singular."""
+    """Where a linearised measurement moves the mean, shape (n,); None where that is no number."""
     cross = linear.jacobian @ covariance
     _, solution, failed = lapack.dposv(cross @ linear.jacobian.T + linear.noise, linear.residual)
     moved: FloatArray = cross.T @ solution
-    return None if failed else moved
+    return None if failed or not np.all(np.isfinite(moved)) else moved

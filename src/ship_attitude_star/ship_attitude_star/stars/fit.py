@@ -91,16 +91,20 @@ class StarFit:
     residual_n: FloatArray
     open: int = 3
 
-    def with_prior(self, covariance_n: FloatArray) -> "StarFit":
+    def with_prior(self, covariance_n: FloatArray, expected_n: FloatArray | None = None) -> "StarFit":
         """The same fit where the attitude was predicted without these stars.
 
         Args:
             covariance_n: of the prediction's error δ, rad², shape (3, 3); singular where a turn is known exactly.
+            expected_n: the δ that was predicted, rad, shape (3,), where the stars are linearised elsewhere than at the
+                prediction; None where there.
         """
-        jacobian = self.jacobian.copy()
+        jacobian, displacement = self.jacobian.copy(), self.displacement
+        if expected_n is not None:
+            displacement = displacement - jacobian[:, :, ATTITUDE] @ expected_n
         # δ is then counted in standard deviations, as the other unknowns are.
         jacobian[:, :, ATTITUDE] = jacobian[:, :, ATTITUDE] @ square_roots(covariance_n)
-        return StarFit(jacobian, self.displacement, self.residual_n, open=0)
+        return StarFit(jacobian, displacement, self.residual_n, open=0)
 
     def normal_equations(self, members: NDArray[np.bool_] | None = None) -> tuple[FloatArray, FloatArray]:
         """Information of the members (all stars where none are named) without priors, (q, q), and right side, (q,)."""

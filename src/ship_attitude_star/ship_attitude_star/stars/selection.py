@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.stars.fit import Agreement, SightedStars, StarFit, StarJudgement, agreement, linearized
 from ship_geometry import wahba
-from ship_geometry.rotations import FloatArray, angle_between, skew
+from ship_geometry.rotations import FloatArray, angle_between, left_jacobian, log_rotation, skew
 
 MEMBER_DISTANCE = 16.0
 """Mahalanobis² (two degrees of freedom) up to which a star is a member of a trial."""
@@ -46,6 +46,17 @@ class StarPrior:
     rotation_nb: FloatArray
     covariance_n: FloatArray
 
+    def seen_from(self, rotation_nb: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The prior as it is told from another attitude: what it expects the turn from there to be, and covariance.
+
+        Returns:
+            Rotation vector in the horizon frame, rad, shape (3,), and its covariance, rad², shape (3, 3).
+        """
+        expected_n = log_rotation(self.rotation_nb @ rotation_nb.T)
+        by_error = left_jacobian(-expected_n)
+        covariance_n: FloatArray = by_error @ self.covariance_n @ by_error.T
+        return expected_n, covariance_n
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -73,17 +84,18 @@ class Choice:
     agreement: Agreement | None = None
 
 
-def select(stars: SightedStars, prior: StarPrior | None = None) -> Choice:
+def select(stars: SightedStars, prior: StarPrior | None = None, near_nb: FloatArray | None = None) -> Choice:
     """Choose the stars that are what they are taken for.
 
     Args:
         stars: all that were seen and have a place in the sky.
         prior: helps to choose among sets, and lets one star suffice. It does not enter the attitude that the chosen
             stars give.
+        near_nb: an attitude within a degree of the truth, where the prior's own is perhaps not, shape (3, 3).
     """
     if prior is None:
         return _select_alone(stars)
-    return Choice(_select_by_prior(stars, prior))
+    return Choice(_select_by_prior(stars, prior, near_nb))
 
 
 def _select_alone(stars: SightedStars) -> Choice:
@@ -186,11 +198,15 @@ def _common_variance(stars: SightedStars) -> FloatArray:
     return variance
 
 
-def _select_by_prior(stars: SightedStars, prior: StarPrior) -> BoolArray:
+def _select_by_prior(stars: SightedStars, prior: StarPrior, near_nb: FloatArray | None) -> BoolArray:
     everything = np.ones(len(stars), dtype=bool)
     if not everything.any():
         return everything
-    fit = linearized(stars, prior.rotation_nb).with_prior(prior.covariance_n)
+    if near_nb is None:
+        fit = linearized(stars, prior.rotation_nb).with_prior(prior.covariance_n)
+    else:
+        expected_n, covariance_n = prior.seen_from(near_nb)
+        fit = linearized(stars, near_nb).with_prior(covariance_n, expected_n)
     if fit.judge(everything).probability >= DROP_PROBABILITY:
         return everything
     trials = _single_trials(stars, fit)

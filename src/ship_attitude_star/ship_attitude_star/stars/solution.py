@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_watch import SHARED_TERMS
-from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agreement
+from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agreement, linearized, square_roots
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.frames import SINGULAR_ELEVATION
-from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
 SOLUTION_TERMS = ("star_noise", "installation", "refraction", "earth_rotation", "ship_position", "catalogue")
 """Error sources of :attr:`StarSolution.parts_n`, in order. Only star_noise is independent from epoch to epoch."""
@@ -33,6 +33,10 @@ _SHARED_COLUMNS = {
 
 _SINGULAR_UP = float(np.sin(SINGULAR_ELEVATION))
 """Up component of the forward axis from which on azimuth and roll cannot be told from one another."""
+
+
+_MOST_STEPS, _SMALL_TURN = 10, 1e-3
+"""The most likely attitude is searched in at most so many steps, until one turns by less than this, rad."""
 
 
 class SolutionStatus(enum.IntEnum):
@@ -143,6 +147,32 @@ def solve_in_doubt_alone(stars: SightedStars, prior: StarPrior | None) -> tuple[
     if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
         return solution, False
     return alone, True
+
+
+def likely_attitude(stars: SightedStars, prior: StarPrior) -> FloatArray:
+    """An attitude so near to the truth that stars can be linearised there, where the prior's own may be far off.
+
+    It is that of the stars alone where they verify one another; else the most likely one by the prior and all stars.
+
+    Args:
+        stars: all that were seen and have a place in the sky.
+        prior: of any width.
+
+    Returns:
+        Horizon from b, shape (3, 3).
+    """
+    alone = solve_stars(stars)
+    if alone.status in (SolutionStatus.VALID, SolutionStatus.ANGLES_SINGULAR):
+        return alone.rotation_nb
+    rotation_nb = prior.rotation_nb
+    for _ in range(_MOST_STEPS):
+        expected_n, covariance_n = prior.seen_from(rotation_nb)
+        sigmas = linearized(stars, rotation_nb).with_prior(covariance_n, expected_n).judge().solution[ATTITUDE]
+        turn_n = expected_n + square_roots(covariance_n) @ sigmas
+        rotation_nb = exp_rotation(turn_n) @ rotation_nb
+        if np.linalg.norm(turn_n) < _SMALL_TURN:
+            break
+    return rotation_nb
 
 
 def _open_turn(count: int) -> str:
