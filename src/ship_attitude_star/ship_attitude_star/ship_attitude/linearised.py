@@ -50,8 +50,8 @@ _SAME_MOTION_S = 3.0
 """For so long a ship goes on accelerating the same way: what an unknown offset of the clocks does to one measurement it
 does to the next one too."""
 
-_NODE = math.sqrt(3.0)
-"""Sigmas beside the mean at which a curve is asked for, to know its mean square over a normal distribution."""
+_FAR = 3.0
+"""Sigmas from the estimate at which an offset of the clocks is called far off."""
 
 _MOST_STEPS = 20
 
@@ -145,11 +145,14 @@ class Linearisation:
 
     @property
     def longest_shift_s(self) -> float:
-        """Bound on how far the INS's stamp of an attitude may lie from a device's: configured offsets and 5 sigma."""
+        """Bound on how far the INS's stamp of an attitude may lie from a device's: configured offsets and 8 sigma.
+
+        They are the five that an offset may be off, and the three around it that tell how the ship moves.
+        """
         longest_s = 0.0
         for device in self._devices.values():
             sigma_s = [self._model.blocks[name].sigma[0] for name, _ in device.ins_time_states]
-            longest_s = max(longest_s, abs(device.ins_time_s) + 5.0 * float(np.linalg.norm(sigma_s)))
+            longest_s = max(longest_s, abs(device.ins_time_s) + (5.0 + _FAR) * float(np.linalg.norm(sigma_s)))
         return longest_s
 
     def ins_time_ns(self, mean: FloatArray, measurement: Measurement) -> int:
@@ -214,7 +217,7 @@ class Linearisation:
         ins_time_ns = self.ins_time_ns(mean, measurement)
         around_ns = 0
         if task.offset_sigma_s > _KNOWN_CLOCK_S:
-            around_ns = round(_NODE * task.offset_sigma_s * SECOND_NS)
+            around_ns = round(_FAR * task.offset_sigma_s * SECOND_NS)
         if task.may_wait and not track.covers(ins_time_ns + max(measurement.reach_ns, around_ns)):
             return None
         ins = track.at(ins_time_ns)
@@ -293,9 +296,10 @@ def _bent_by_offset(
 ) -> FloatArray | None:
     """What an unknown offset of the clocks does to an attitude beside the turn that grows with it evenly.
 
-    The attitudes at the offset's nodes, :data:`_NODE` sigma before and after, tell it: half their sum is the part that
-    grows with the square of the offset, 3 c for c = α σ²/2; what half their difference has more than the rate says is
-    the part that grows with its cube. The mean squares over a normal offset are 3 c² and 15/27 of the cube's.
+    The attitudes that belong to offsets far off, :data:`_FAR` sigma before and after, tell it: half their sum is the
+    part that grows with the square of the offset, and what half their difference has more than the rate says grows with
+    its cube. They count as that many sigma of a normal error. For most offsets this is too much; the offset is known
+    the sooner for not trusting what is far off.
 
     Returns:
         Covariance, rotation vector in the deck frame, rad², shape (3, 3); None where the track does not reach so far.
@@ -306,7 +310,7 @@ def _bent_by_offset(
     to_before, to_after = (log_rotation(rotation_nd.T @ other.rotation_nd) for other in (before, after))
     square = 0.5 * (to_after + to_before)
     cube = 0.5 * (to_after - to_before) - here.rate_d * (around_ns / SECOND_NS)
-    covariance: FloatArray = np.outer(square, square) / 3.0 + np.outer(cube, cube) * (15.0 / 27.0)
+    covariance: FloatArray = (np.outer(square, square) + np.outer(cube, cube)) / _FAR**2
     return covariance
 
 

@@ -1,0 +1,172 @@
+"""A prior of any width, from a minute of arc to half a turn: stars one by one, or solved, lead to the same attitude.
+
+Truth is drawn with the prior that the filter is told: error of the INS, its white noise, mounting, what stars share.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.measurements.samples import AttitudeMeasurement
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.stars.exposure import StarExposure, visible_stars
+from ship_attitude_star.stars.solution import solve_stars
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.outcome import Status
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, left_jacobian, log_rotation
+from ship_testing.adapter_runs import START_NS, changed_where, stamp_of
+from ship_testing.ship_observations import sail
+from ship_testing.small_voyage import INS, quaternion_message
+from ship_testing.star_sky import ROTATION_ND, SENSORS, SIGMA, TIME_NS, configuration, exposure_of, ins_track, told_sky
+from ship_testing.star_voyage import true_deck, voyage
+
+SEEDS = 40
+MINUTE, DEGREE = 60.0, 3600.0
+INSTALLATION = np.array([20.0, 1.0, 1.0]) * ARCSEC
+"""The default prior."""
+
+
+@dataclass(frozen=True)
+class Width:
+    """Sigmas of the INS's error, arcseconds."""
+
+    heading: float
+    tilt: float
+
+    def config(self, kind: str) -> ShipAttitudeConfig:
+        """Half a turn is more than the parameters allow."""
+        config = configuration()
+        ins = replace(config.ins, heading_sigma_arcsec=self.heading, tilt_sigma_arcsec=self.tilt)
+        sensors = {id_: replace(sensor, input=kind) for id_, sensor in config.star_sensors.items()}
+        return replace(config, ins=ins, star_sensors=sensors)
+
+
+@dataclass(frozen=True)
+class Sky:
+    """Exposures without errors by sensor and stamp, and how errors that stars share displace their stars."""
+
+    watch: SkyWatch
+    fields: dict[tuple[str, int], tuple[StarExposure, FloatArray, FloatArray]]
+
+    def seen(self, id_: str, time_ns: int, count: int, mounted_s: FloatArray, shared: FloatArray, rng: Any):
+        """An exposure with all errors."""
+        if (id_, time_ns) not in self.fields:
+            exposure = exposure_of(self.watch, id_, 8, None, time_ns)
+            apparent = self.watch.at(time_ns).apparent(exposure.positions)
+            self.fields[id_, time_ns] = exposure, apparent.direction_n, apparent.shared_n
+        exposure, direction_n, shared_n = self.fields[id_, time_ns]
+        angles = np.deg2rad([SENSORS[id_]["azimuth_deg"], SENSORS[id_]["elevation_deg"], 0.0])
+        rotation_ns = ROTATION_ND @ rotation_from_angles(*angles) @ exp_rotation(mounted_s)
+        seen_s = (direction_n + shared_n @ shared) @ rotation_ns
+        seen_s = seen_s + SIGMA * rng.standard_normal(seen_s.shape)
+        seen_s /= np.linalg.norm(seen_s, axis=-1, keepdims=True)
+        return replace(exposure, directions_s=seen_s)[np.arange(count)]
+
+
+@pytest.fixture(scope="module")
+def sky() -> Sky:
+    return Sky(told_sky(configuration()), {})
+
+
+def solved(exposure: StarExposure, watch: SkyWatch) -> AttitudeMeasurement:
+    """The attitude of the sensor by these stars alone."""
+    _, stars, _ = visible_stars(exposure, watch, None)
+    solution = solve_stars(stars)
+    rotation_ns = solution.rotation_nb
+    noise_s = rotation_ns.T @ solution.noise_n @ rotation_ns
+    common_n = solution.covariance_n - solution.noise_n
+    return AttitudeMeasurement(exposure.source, exposure.time_ns, rotation_ns, noise_s, common_n)
+
+
+def end(sky: Sky, seed: int, width: Width, count: int = 8) -> dict[str, tuple[FloatArray, FloatArray, int]]:
+    """By kind of input: error of the INS's estimated error (horizon), its covariance, and how many were refused."""
+    rng = np.random.default_rng([11, seed])
+    error_n = np.array([width.tilt, width.heading, width.tilt]) * ARCSEC * rng.standard_normal(3)
+    mounted_s = {id_: INSTALLATION * rng.standard_normal(3) for id_ in SENSORS}
+    shared = rng.standard_normal(4)
+    exposures = [
+        sky.seen(id_, TIME_NS + 100_000_000 * step, count, mounted_s[id_], shared, rng)
+        for step, id_ in enumerate([*SENSORS] * 4)
+    ]
+    tracks = {
+        exposure.time_ns: ins_track(
+            exposure.time_ns, log_rotation(exp_rotation(error_n) @ exp_rotation(ARCSEC * rng.standard_normal(3)))
+        )
+        for exposure in exposures
+    }
+    results = {}
+    for kind in ("observations", "solution"):
+        ship_filter = ShipFilter(width.config(kind))
+        state, refused = ship_filter.initial_state(), 0
+        for exposure in exposures:
+            measurement = exposure if kind == "observations" else solved(exposure, sky.watch)
+            track = tracks[exposure.time_ns]
+            state, decision = ship_filter.step(state, measurement, track, sky.watch)
+            refused += not decision.accepted
+        rows = ship_filter.model.rows("ins.attitude")
+        found_n, by_error = state.mean[rows], left_jacobian(state.mean[rows])
+        left_n = log_rotation(exp_rotation(error_n) @ exp_rotation(found_n).T)
+        results[kind] = left_n, by_error @ state.covariance[np.ix_(rows, rows)] @ by_error.T, refused
+    return results
+
+
+WIDTHS = [
+    Width(MINUTE, MINUTE),
+    Width(10.0 * MINUTE, 10.0),
+    Width(DEGREE, DEGREE),
+    Width(3.0 * DEGREE, 10.0),
+    Width(30.0 * DEGREE, 10.0 * DEGREE),
+    Width(180.0 * DEGREE, 10.0),
+    Width(180.0 * DEGREE, 180.0 * DEGREE),
+]
+
+
+@pytest.mark.parametrize("width", WIDTHS, ids=str)
+def test_mend_11_single_stars_and_solutions_are_honest_and_agree(sky: Sky, width: Width) -> None:
+    ends = [end(sky, seed, width) for seed in range(SEEDS)]
+    low, high = mean_nees_band(SEEDS, 3)
+    for kind in ("observations", "solution"):
+        assert low <= np.mean([normalized_error_squared(*found[kind][:2]) for found in ends]) <= high
+        # One attitude in ten thousand is improbable: of 320, one.
+        assert sum(found[kind][2] for found in ends) <= 1
+    for found in ends:
+        (one, one_covariance, _), (other, other_covariance, _) = found["observations"], found["solution"]
+        # By the same stars: what is left between the two is less than either may be off.
+        assert normalized_error_squared(one - other, one_covariance + other_covariance) < 21.1
+
+
+@pytest.mark.parametrize("width", [WIDTHS[3], WIDTHS[4]], ids=str)
+def test_mend_11_two_stars_a_sensor_are_enough(sky: Sky, width: Width) -> None:
+    """They do not verify one another; with the prior, whatever its width, they do."""
+    ends = [end(sky, seed, width, count=2)["observations"] for seed in range(SEEDS)]
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low <= np.mean([normalized_error_squared(*found[:2]) for found in ends]) <= high
+    assert sum(found[2] for found in ends) <= 1
+
+
+@pytest.mark.parametrize("off_deg", [3.0, -3.0, 9.0])
+def test_mend_11_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_deg: float) -> None:
+    """Of 431 VALID attitudes, 421 were off by more than five sigma, 3° off with a sigma of 3°."""
+
+    def turned(message: Any) -> None:
+        q = message.orientation
+        rotation_nd = rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
+        message.orientation = quaternion_message(exp_rotation(np.deg2rad([0.0, off_deg, 0.0])) @ rotation_nd)
+
+    arrivals = changed_where(voyage(3.0, noise=True), lambda arrival: arrival.topic == INS, turned)
+    run = sail(arrivals, ins={"frame_id": "ins", "heading_sigma_arcsec": 3.0 * DEGREE})
+    valid = [message for message in run.messages("ship/attitude") if message.status == Status.VALID]
+    assert len(valid) > 50
+    for message in valid:
+        q = message.orientation
+        rotation_nd = rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
+        error_n = log_rotation(true_deck(stamp_of(message) - START_NS) @ rotation_nd.T)
+        covariance_n = np.reshape(message.rotation_covariance, (3, 3))[np.ix_([1, 2, 0], [1, 2, 0])]
+        assert np.all(np.abs(error_n) < 5.0 * np.sqrt(np.diagonal(covariance_n)))
+    assert set(run.reasons("star/fore/observations")) <= {"gap"}
