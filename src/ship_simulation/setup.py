@@ -20,6 +20,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
+            "inject = ship_simulation.inject_command:main",
             "simulate = ship_simulation.simulate_command:main",
         ],
     },

@@ -1,7 +1,6 @@
 """``simulate``: a scenario file becomes a bag with truth, scenario and suite configuration inside."""
 
 import argparse
-import inspect
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,9 +10,9 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import add_force, check_file
 from ship_estimation.parameter_rows import key_rows
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.faults import faults
 from ship_simulation.messages.to_messages import messages
 from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.fault import kind_rows
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_yaml
@@ -33,18 +32,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> CommandParser:
+    kinds = "\n".join(kind_rows())
     parser = CommandParser(
         prog="simulate",
         example="./ros2run ship_simulation simulate bags/scenarios/demo.yaml --out demo.mcap --seed 1",
         description=_DESCRIPTION,
         epilog=f"keys of SCENARIO.yaml, nested at the dots (<id>: any name):\n{_keys()}\n\n"
-        f"kinds of faults (faults.<id>.kind):\n{_faults()}\n\n"
+        f"kinds of faults (faults.<id>.kind):\n{kinds}\n\n"
         "exit code: 0 written; 2 bad input or usage; 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scenario", type=Path, metavar="SCENARIO.yaml", help="what to simulate")
     parser.add_argument("--out", type=Path, required=True, metavar="BAG.mcap", help="bag to write")
-    parser.add_argument("--seed", type=_seed, default=1, metavar="N", help="seed of all random parts, 0 or more (1)")
+    parser.add_argument("--seed", type=seed_of, default=1, metavar="N", help="seed of all random parts, 0 or more (1)")
     parser.add_argument(
         "--carrier", type=Path, metavar="BAG", help="follow the recorded attitude of this bag, not of the scenario's"
     )
@@ -56,13 +56,12 @@ def _keys() -> str:
     return "\n".join(key_rows(Scenario))
 
 
-def _faults() -> str:
-    """The kinds of faults, one line each, as the module that makes them explains them."""
-    lines = (inspect.getdoc(faults) or "").splitlines()
-    return "\n".join(f"  {line}" for line in lines[1:] if line)
+def seed_of(text: str) -> int:
+    """The seed that an argument gives.
 
-
-def _seed(text: str) -> int:
+    Raises:
+        ArgumentTypeError: it is none.
+    """
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number, 0 or more")
     return int(text)

@@ -162,7 +162,7 @@ BROKEN = {
     "fault delay": (
         "references:",
         "faults: {f: {topic: ins/imu, kind: delay, start_s: 1.0, end_s: 2.0}}\nreferences:",
-        ":9: 'faults.f.delay_s' must be positive",
+        ":9: 'faults.f' of kind delay needs delay_s",
     ),
 }
 

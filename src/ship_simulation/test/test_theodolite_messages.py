@@ -268,7 +268,7 @@ BROKEN = {
     "delay of another kind": (
         "position:",
         "faults: {f: {topic: theodolite/beacons, kind: swap, start_s: 1.0, end_s: 2.0, delay_s: 1.0}}\nposition:",
-        "'faults.f.delay_s' must be positive with the kinds delay and stamp_late, and not given with another",
+        "'faults.f.delay_s' is not used by kind swap: it belongs to delay and reorder and stamp_late",
     ),
 }
 

@@ -108,6 +108,11 @@ class Bag:
         self._store, self.differences = self._types()
 
     @property
+    def store(self) -> Typestore:
+        """The types of the bag's messages; its own definitions rule."""
+        return self._store
+
+    @property
     def start_ns(self) -> int | None:
         """Log time of the first message."""
         return min((place.start_ns for file in self._files for place in file.chunks), default=None)

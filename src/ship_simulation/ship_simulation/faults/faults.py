@@ -1,182 +1,215 @@
-"""What goes wrong on the way from the devices to the bag.
+"""What goes wrong between the devices and the bag: one implementation for scenarios and for bags that are there.
 
-drop                 nothing arrives
-delay                arrives later by ``delay_s``
-duplicate            arrives again, the same bytes, 1 ms later
-conflict             another message with the same stamp and the next one's values arrives 1 ms later
-freeze               new stamps, the values of the first message of the time
-nan                  NaN in the first value (of the first star, where there is one)
-stamp_zero           stamp zero
-frame                another frame_id
-covariance_unknown   covariances all zero
-covariance_negative  a negative variance
-rate_in_degrees      angular rate in degrees per second
-angles_in_degrees    encoder angles in degrees
-stamp_late           stamps later by ``delay_s`` than the moment that they are of
-hide                 the first light of the image is missing
-swap                 the first two lights of the image bear each other's id
-wrong_id             the first light of the image, or the rover of a baseline, has an id that nobody knows
+The messages of a topic go through its faults one after another, in order of arrival, and come out in order of arrival.
+:mod:`ship_simulation.scenario.fault` lists the kinds. What a fault draws comes from a stream of its own, by its name.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+import copy
+import heapq
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ship_bags.stamps import ns_from_stamp, stamp_fields
+from ship_bags.stamps import stamp_fields
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.scenario.names import (
-    BASELINE,
-    COVARIANCES,
-    ENCODER,
-    IMAGE,
-    IMU,
-    INERTIAL,
-    OBSERVATIONS,
-    SHIP_ATTITUDE,
-    STAR,
-)
-from ship_simulation.scenario.scenario import Fault
+from ship_simulation.draws.noise import random_stream
+from ship_simulation.faults.optics import Optics
+from ship_simulation.faults.values import Spoiler
+from ship_simulation.scenario.fault import Fault
 
 _REPETITION_AFTER_NS = 1_000_000
+_LONGEST_PERIOD_NS = SECOND_NS
 
-_OTHER = "_other"
 
-_SECOND_VARIANCE = 4
-"""Its place in a covariance of nine elements. In the place of the first a negative number means "not given" to ROS."""
+@dataclass(slots=True)
+class Delivery:
+    """A message as it arrives.
 
-_FIRST_VALUE = {
-    IMU: "orientation.x",
-    INERTIAL: "orientation.x",
-    STAR: "azimuth",
-    OBSERVATIONS: "stars.u",
-    SHIP_ATTITUDE: "heading",
-    ENCODER: "azimuth",
-    IMAGE: "beacons.x",
-    BASELINE: "enu.x",
-    "sensor_msgs/msg/NavSatFix": "latitude",
-    "sensor_msgs/msg/FluidPressure": "fluid_pressure",
-    "sensor_msgs/msg/Temperature": "temperature",
-    "sensor_msgs/msg/RelativeHumidity": "relative_humidity",
-}
+    Attributes:
+        message: it may be changed; None where it cannot be read.
+        log_time_ns: when it arrives.
+        stamp_ns: the stamp that it had before all faults; None where it has no header.
+        order: its place in the bag, which settles equal times of arrival.
+        data: its bytes as they came; None once it is another message than it was.
+    """
+
+    message: Any
+    log_time_ns: int
+    stamp_ns: int | None
+    order: int
+    data: bytes | None = None
+
+
+Deliveries = Iterator[Delivery]
+
+
+def spoilt(
+    deliveries: Deliveries, type_name: str, faults: Mapping[str, Fault], start_ns: int, seed: int, optics: Optics
+) -> Deliveries:
+    """The deliveries of one topic under its faults, in order of arrival.
+
+    Args:
+        deliveries: in order of arrival.
+        type_name: of the messages.
+        faults: name → fault, of this topic; they work in the order of their names.
+        start_ns: the time that the faults' times count from.
+        seed: of what they draw.
+        optics: cameras of the devices.
+    """
+    for name, fault in sorted(faults.items()):
+        rng = random_stream(seed, f"fault.{name}")
+        window = _Window(fault, start_ns, rng)
+        stream = _STREAMS.get(fault.kind)
+        if stream is not None:
+            deliveries = stream(deliveries, window)
+        else:
+            deliveries = _values(deliveries, window, Spoiler(fault, type_name, optics, rng))
+    return deliveries
 
 
 @dataclass(frozen=True)
-class Deliveries:
-    """The messages of one topic as they arrive, all of shape (k,).
+class _Window:
+    """The messages that a fault hits."""
 
-    Attributes:
-        stamp_index: the sample whose stamp a message bears.
-        value_index: the sample whose values it bears.
-        log_time_ns: when it arrives.
-        spoilt_by: bit i set where the i-th fault of the topic spoils the message.
-    """
+    fault: Fault
+    start_ns: int
+    rng: np.random.Generator
 
-    stamp_index: np.ndarray
-    value_index: np.ndarray
-    log_time_ns: np.ndarray
-    spoilt_by: np.ndarray
+    def since_s(self, delivery: Delivery) -> float | None:
+        """How long after the fault's beginning a message that it hits is stamped; None where it does not hit it."""
+        if delivery.stamp_ns is None:
+            return None
+        since_start_s = (delivery.stamp_ns - self.start_ns) / SECOND_NS
+        if not self.fault.start_s <= since_start_s < self.fault.end_s:
+            return None
+        if self.fault.share < 1.0 and self.rng.random() >= self.fault.share:
+            return None
+        return since_start_s - self.fault.start_s
 
-
-def deliver(time_ns: np.ndarray, log_time_ns: np.ndarray, faults: list[Fault], start_ns: int) -> Deliveries:
-    """The deliveries of samples under the faults of their topic, in order of arrival."""
-    samples = np.arange(time_ns.size)
-    stamp, value, log, spoilt = samples, samples, log_time_ns, np.zeros(time_ns.size, dtype=np.int64)
-    for bit, fault in enumerate(faults):
-        since_start_s = (time_ns[stamp] - start_ns) / SECOND_NS
-        inside = (since_start_s >= fault.start_s) & (since_start_s < fault.end_s)
-        if fault.kind == "drop":
-            stamp, value, log, spoilt = stamp[~inside], value[~inside], log[~inside], spoilt[~inside]
-        elif fault.kind == "delay":
-            log = log + np.where(inside, round(fault.delay_s * SECOND_NS), 0)
-        elif fault.kind in ("duplicate", "conflict"):
-            ahead = 1 if fault.kind == "conflict" else 0
-            stamp, spoilt = np.append(stamp, stamp[inside]), np.append(spoilt, spoilt[inside])
-            value = np.append(value, (value[inside] + ahead) % time_ns.size)
-            log = np.append(log, log[inside] + _REPETITION_AFTER_NS)
-        elif fault.kind == "freeze":
-            value = np.where(inside, value[inside].min(initial=time_ns.size), value)
-        else:
-            spoilt = spoilt | (inside.astype(np.int64) << bit)
-    order = np.argsort(log, kind="stable")
-    return Deliveries(stamp[order], value[order], log[order], spoilt[order])
+    def hits(self, delivery: Delivery) -> bool:
+        """Whether the fault hits a message."""
+        return self.since_s(delivery) is not None
 
 
-def spoil(message: Any, type_name: str, faults: Iterable[Fault]) -> None:
-    """Put faults into a message. Its arrays may be shared with others, so they are replaced, not changed."""
-    for fault in faults:
-        _SPOILERS[fault.kind](message, type_name, fault)
+class _Queue:
+    """Deliveries that wait for those that arrive before them."""
+
+    def __init__(self) -> None:
+        self._heap: list[tuple[int, int, Delivery]] = []
+        self._count = 0
+
+    def put(self, delivery: Delivery) -> None:
+        heapq.heappush(self._heap, (delivery.log_time_ns, self._count, delivery))
+        self._count += 1
+
+    def ready(self, now_ns: int | None) -> Deliveries:
+        """Those that have arrived by a time; None: all."""
+        while self._heap and (now_ns is None or self._heap[0][0] <= now_ns):
+            yield heapq.heappop(self._heap)[2]
 
 
-def _nan(message: Any, type_name: str, fault: Fault) -> None:
-    *parents, name = _FIRST_VALUE[type_name].split(".")
-    for parent in parents:
-        message = getattr(message, parent)
-    # Of an array the first element, where it has one.
-    for holder in message[:1] if isinstance(message, list) else [message]:
-        setattr(holder, name, float("nan"))
+def _values(deliveries: Deliveries, window: _Window, spoiler: Spoiler) -> Deliveries:
+    for delivery in deliveries:
+        since_s = window.since_s(delivery)
+        if since_s is not None:
+            spoiler.spoil(delivery.message, since_s)
+            delivery.data = None
+        yield delivery
 
 
-def _stamp_zero(message: Any, type_name: str, fault: Fault) -> None:
-    message.header.stamp.sec, message.header.stamp.nanosec = 0, 0
+def _drop(deliveries: Deliveries, window: _Window) -> Deliveries:
+    return (delivery for delivery in deliveries if not window.hits(delivery))
 
 
-def _stamp_late(message: Any, type_name: str, fault: Fault) -> None:
-    late_ns = ns_from_stamp(message.header.stamp) + round(fault.delay_s * SECOND_NS)
-    message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(late_ns)
+def _delay(deliveries: Deliveries, window: _Window) -> Deliveries:
+    queue = _Queue()
+    for delivery in deliveries:
+        now_ns = delivery.log_time_ns
+        if window.hits(delivery):
+            share = window.rng.random() if window.fault.kind == "reorder" else 1.0
+            delivery.log_time_ns += round(share * window.fault.delay_s * SECOND_NS)
+        queue.put(delivery)
+        # What comes later arrives later than what came now was to arrive.
+        yield from queue.ready(now_ns)
+    yield from queue.ready(None)
 
 
-def _frame(message: Any, type_name: str, fault: Fault) -> None:
-    message.header.frame_id += _OTHER
+def _duplicate(deliveries: Deliveries, window: _Window) -> Deliveries:
+    queue = _Queue()
+    for delivery in deliveries:
+        queue.put(delivery)
+        if window.hits(delivery):
+            queue.put(_again(delivery, delivery.log_time_ns + _REPETITION_AFTER_NS))
+        yield from queue.ready(delivery.log_time_ns)
+    yield from queue.ready(None)
 
 
-def _rate_in_degrees(message: Any, type_name: str, fault: Fault) -> None:
-    rate = message.angular_velocity
-    rate.x, rate.y, rate.z = (float(np.rad2deg(value)) for value in (rate.x, rate.y, rate.z))
+def _conflict(deliveries: Deliveries, window: _Window) -> Deliveries:
+    queue = _Queue()
+    waiting: Delivery | None = None
+    for delivery in deliveries:
+        if waiting is not None:
+            queue.put(_with_values(waiting, delivery))
+        queue.put(delivery)
+        waiting = _again(delivery, delivery.log_time_ns) if window.hits(delivery) else None
+        yield from queue.ready(delivery.log_time_ns)
+    yield from queue.ready(None)
 
 
-def _angles_in_degrees(message: Any, type_name: str, fault: Fault) -> None:
-    message.azimuth, message.elevation = np.rad2deg([message.azimuth, message.elevation]).tolist()
+def _freeze(deliveries: Deliveries, window: _Window) -> Deliveries:
+    held: Any = None
+    for delivery in deliveries:
+        if window.hits(delivery):
+            if held is None:
+                held = copy.deepcopy(delivery.message)
+            else:
+                frozen = copy.deepcopy(held)
+                frozen.header = delivery.message.header
+                delivery.message, delivery.data = frozen, None
+        yield delivery
 
 
-def _covariance(message: Any, type_name: str, fault: Fault) -> None:
-    for name in COVARIANCES[type_name]:
-        spoilt = np.zeros(9)
-        if fault.kind == "covariance_negative":
-            spoilt[:] = getattr(message, name)
-            spoilt[_SECOND_VARIANCE] = -abs(spoilt[_SECOND_VARIANCE])
-        setattr(message, name, spoilt)
+def _flood(deliveries: Deliveries, window: _Window) -> Deliveries:
+    queue = _Queue()
+    last_ns: int | None = None
+    for delivery in deliveries:
+        now_ns = delivery.log_time_ns
+        queue.put(delivery)
+        period_ns = 0 if last_ns is None else min(now_ns - last_ns, _LONGEST_PERIOD_NS)
+        if window.hits(delivery):
+            for number in range(1, window.fault.times):
+                other = _again(delivery, now_ns + period_ns * number // window.fault.times)
+                back_ns = round(window.rng.random() * window.fault.spread_s * SECOND_NS)
+                stamp = other.message.header.stamp
+                stamp.sec, stamp.nanosec = stamp_fields((delivery.stamp_ns or 0) - back_ns)
+                other.data = None
+                queue.put(other)
+        last_ns = now_ns
+        yield from queue.ready(now_ns)
+    yield from queue.ready(None)
 
 
-def _hide(message: Any, type_name: str, fault: Fault) -> None:
-    message.beacons = message.beacons[1:]
+def _again(delivery: Delivery, log_time_ns: int) -> Delivery:
+    """The same message once more: a further fault may change the one and not the other."""
+    return replace(delivery, message=copy.deepcopy(delivery.message), log_time_ns=log_time_ns)
 
 
-def _swap(message: Any, type_name: str, fault: Fault) -> None:
-    pair = message.beacons[:2]
-    for light, name in zip(pair, [light.beacon_id for light in reversed(pair)], strict=True):
-        light.beacon_id = name
+def _with_values(delivery: Delivery, other: Delivery) -> Delivery:
+    """A message with the stamp of one delivery and the values of another, just after the first one."""
+    message = copy.deepcopy(other.message)
+    message.header = delivery.message.header
+    return replace(delivery, message=message, log_time_ns=delivery.log_time_ns + _REPETITION_AFTER_NS, data=None)
 
 
-def _wrong_id(message: Any, type_name: str, fault: Fault) -> None:
-    if type_name == BASELINE:
-        message.rover_id += _OTHER
-    else:
-        for light in message.beacons[:1]:
-            light.beacon_id += _OTHER
-
-
-_SPOILERS: dict[str, Callable[[Any, str, Fault], None]] = {
-    "nan": _nan,
-    "stamp_zero": _stamp_zero,
-    "stamp_late": _stamp_late,
-    "frame": _frame,
-    "rate_in_degrees": _rate_in_degrees,
-    "angles_in_degrees": _angles_in_degrees,
-    "covariance_unknown": _covariance,
-    "covariance_negative": _covariance,
-    "hide": _hide,
-    "swap": _swap,
-    "wrong_id": _wrong_id,
+_STREAMS: dict[str, Callable[[Deliveries, _Window], Deliveries]] = {
+    "drop": _drop,
+    "delay": _delay,
+    "reorder": _delay,
+    "duplicate": _duplicate,
+    "conflict": _conflict,
+    "freeze": _freeze,
+    "flood": _flood,
 }
+"""The kinds that change which messages arrive, and when."""

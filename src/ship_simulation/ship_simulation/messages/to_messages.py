@@ -11,7 +11,8 @@ from ship_bags.stamps import make_header
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import wrap_pi
 from ship_simulation.draws.noise import once_a_second
-from ship_simulation.faults.faults import deliver, spoil
+from ship_simulation.faults.faults import Delivery, spoilt
+from ship_simulation.faults.optics import Optics, telescope_camera
 from ship_simulation.messages.ship_messages import (
     Maker,
     fix_maker,
@@ -25,6 +26,7 @@ from ship_simulation.messages.star_messages import inertial_maker, observations_
 from ship_simulation.messages.theodolite_messages import theodolite_sources, true_calibrations, true_pointings
 from ship_simulation.run import SimulatedRun
 from ship_simulation.scenario.names import DECK_FRAME, FUSED_TOPIC, simulated_topics
+from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 
 TRUTH_ATTITUDE, TRUTH_ALIGNMENT = "truth/attitude", "truth/alignment"
@@ -84,19 +86,24 @@ def _logged_at_stamp(topic: str, stamped: Iterator[tuple[int, Any]]) -> Iterator
 def _delivered(
     run: SimulatedRun, topic: str, type_name: str, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
 ) -> Iterator[LogEntry]:
-    faults = [fault for _, fault in sorted(run.scenario.faults.items()) if fault.topic == topic]
-    deliveries = deliver(time_ns, log_time_ns, faults, run.start_ns)
-    for stamp, value, log, spoilt_by in zip(
-        deliveries.stamp_index.tolist(),
-        deliveries.value_index.tolist(),
-        deliveries.log_time_ns.tolist(),
-        deliveries.spoilt_by.tolist(),
-        strict=True,
-    ):
-        message = maker(stamp, value)
-        if spoilt_by:
-            spoil(message, type_name, [fault for bit, fault in enumerate(faults) if spoilt_by >> bit & 1])
-        yield topic, message, log
+    faults = {name: fault for name, fault in run.scenario.faults.items() if fault.topic == topic}
+    order = np.argsort(log_time_ns, kind="stable").tolist()
+    made = (Delivery(maker(i, i), int(log_time_ns[i]), int(time_ns[i]), i) for i in order)
+    for delivery in spoilt(made, type_name, faults, run.start_ns, run.seed, _optics(run.scenario)):
+        yield topic, delivery.message, delivery.log_time_ns
+
+
+def _optics(scenario: Scenario) -> Optics:
+    """The cameras of a scenario's devices."""
+    stars = {
+        f"star/{key}/observations": sensor.camera.camera(key)
+        for key, sensor in scenario.star_sensors.items()
+        if sensor.output == "observations"
+    }
+    told = scenario.theodolite.telescope
+    aboard = scenario.theodolite.aboard
+    telescope = telescope_camera(told.focal_length_m, told.principal_x_m, told.principal_z_m) if aboard else None
+    return Optics(stars, telescope)
 
 
 def truth_attitudes(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:

@@ -14,6 +14,10 @@ ENCODER = "ship_msgs/msg/TheodoliteEncoder"
 IMAGE = "ship_msgs/msg/BeaconImage"
 BASELINE = "ship_msgs/msg/RtkBaseline"
 
+FIX = "sensor_msgs/msg/NavSatFix"
+PRESSURE, TEMPERATURE = "sensor_msgs/msg/FluidPressure", "sensor_msgs/msg/Temperature"
+HUMIDITY = "sensor_msgs/msg/RelativeHumidity"
+
 FUSED_TOPIC = "ship/attitude"
 ENCODER_TOPIC, IMAGE_TOPIC = "theodolite/encoder", "theodolite/beacons"
 
@@ -30,17 +34,42 @@ COVARIANCES = {
 }
 """Message type → its fields that are covariances, 3 × 3 each."""
 
-KINDS_WITH_DELAY = ("delay", "stamp_late")
-"""Kinds of fault that need ``delay_s``."""
+FIRST_VALUE = {
+    IMU: "orientation.x",
+    INERTIAL: "orientation.x",
+    STAR: "azimuth",
+    OBSERVATIONS: "stars[0].u",
+    SHIP_ATTITUDE: "heading",
+    ENCODER: "azimuth",
+    IMAGE: "beacons[0].x",
+    BASELINE: "enu.x",
+    FIX: "latitude",
+    PRESSURE: "fluid_pressure",
+    TEMPERATURE: "temperature",
+    HUMIDITY: "relative_humidity",
+}
+"""Message type → the field that NaN is put into where a fault names none."""
 
 _STAR_TYPES = {"horizon_attitude": STAR, "observations": OBSERVATIONS, "inertial_attitude": INERTIAL}
+
+_ATTITUDES = (IMU, SHIP_ATTITUDE, STAR)
 _TYPES_OF_KIND = {
     "covariance_unknown": tuple(COVARIANCES),
     "covariance_negative": tuple(COVARIANCES),
     "rate_in_degrees": (IMU,),
-    "angles_in_degrees": (ENCODER,),
+    "angles_in_degrees": (ENCODER, STAR, SHIP_ATTITUDE),
+    "units": (*_ATTITUDES, ENCODER, BASELINE, IMAGE, FIX, PRESSURE, TEMPERATURE, HUMIDITY),
+    "axes": (IMU, SHIP_ATTITUDE, INERTIAL, BASELINE),
+    "bias": _ATTITUDES,
+    "position_off": (FIX,),
+    "knock": (*_ATTITUDES, INERTIAL, OBSERVATIONS, IMAGE),
+    "drift": (*_ATTITUDES, INERTIAL, OBSERVATIONS, IMAGE, ENCODER),
+    "slip": (ENCODER,),
+    "wrong_fix": (BASELINE,),
+    "false_stars": (OBSERVATIONS,),
+    "false_lights": (IMAGE,),
     "hide": (IMAGE,),
-    "swap": (IMAGE,),
+    "swap": (IMAGE, OBSERVATIONS),
     "wrong_id": (IMAGE, BASELINE),
 }
 
@@ -51,10 +80,10 @@ def simulated_topics(scenario: Scenario) -> dict[str, str]:
         "ins/imu": IMU,
         **{f"star/{key}/{star.output}": _STAR_TYPES[star.output] for key, star in scenario.star_sensors.items()},
         **{f"reference/{key}/imu": IMU for key in scenario.references},
-        "gnss/fix": "sensor_msgs/msg/NavSatFix",
-        "met/pressure": "sensor_msgs/msg/FluidPressure",
-        "met/temperature": "sensor_msgs/msg/Temperature",
-        "met/humidity": "sensor_msgs/msg/RelativeHumidity",
+        "gnss/fix": FIX,
+        "met/pressure": PRESSURE,
+        "met/temperature": TEMPERATURE,
+        "met/humidity": HUMIDITY,
     }
     if scenario.fused_attitude.written:
         topics[FUSED_TOPIC] = SHIP_ATTITUDE

@@ -16,6 +16,7 @@ from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.motion_scenario import (
     ANGLE,
     CORRELATION,
@@ -200,38 +201,6 @@ class WeatherStation:
     )
     refraction_model: str = parameter("erfa", doc="model of refraction", choices=("erfa", "almanac"))
     rate_hz: float = parameter(0.5, doc="messages per second", **RATE)
-
-
-FAULT_KINDS = (
-    "drop",
-    "delay",
-    "duplicate",
-    "conflict",
-    "freeze",
-    "nan",
-    "stamp_zero",
-    "frame",
-    "covariance_unknown",
-    "covariance_negative",
-    "rate_in_degrees",
-    "angles_in_degrees",
-    "stamp_late",
-    "hide",
-    "swap",
-    "wrong_id",
-)
-"""What may go wrong with a message; :mod:`ship_simulation.faults.faults` says what each does."""
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A fault of one topic that lasts for a time."""
-
-    topic: str = parameter(doc="topic, for example ins/imu")
-    kind: str = parameter(doc="what goes wrong", choices=FAULT_KINDS)
-    start_s: float = parameter(doc="from, after the start, by stamps", **MOMENT)
-    end_s: float = parameter(doc="to, after the start, by stamps", **MOMENT)
-    delay_s: float = parameter(0.0, doc="how late, of the kinds delay and stamp_late", **DELAY)
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from ship_bags.parameter_yaml import ParameterFile, read_plain
 from ship_estimation.parameters import ParameterError, build
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.time_scales import DAY_NS, SECOND_NS
+from ship_simulation.scenario.fault_file import fault_problems
 from ship_simulation.scenario.motion_scenario import SECTIONS_OF_KIND, CarrierMotion
-from ship_simulation.scenario.names import KINDS_WITH_DELAY, can_happen, simulated_topics
+from ship_simulation.scenario.names import simulated_topics
 from ship_simulation.scenario.scenario import Scenario, StarSensor, start_of
 from ship_simulation.scenario.theodolite_scenario import SECTIONS_OF_FLIGHT, Beacon
 
@@ -83,7 +84,7 @@ def _problems(scenario: Scenario, file: ParameterFile) -> Iterator[ParameterErro
             yield from _window_problems(f"star_sensors.{sensor_id}.outages.{name}", outage.start_s, outage.end_s)
         yield from _output_problems(f"star_sensors.{sensor_id}", sensor, file.values["star_sensors"][sensor_id])
     yield from _theodolite_problems(scenario, file.values)
-    yield from _fault_problems(scenario)
+    yield from fault_problems(scenario.faults, simulated_topics(scenario), "simulated")
     if scenario.needs_sky:
         yield from _sky_problems(scenario)
 
@@ -125,21 +126,6 @@ def _sky_problems(scenario: Scenario) -> Iterator[ParameterError]:
     reason = earth_orientation_table().reason_against(ends_ns + np.array([-DAY_NS, DAY_NS]))
     if reason is not None:
         yield _wrong("start_utc", f"= {scenario.start_utc} cannot be given a sky: {reason}")
-
-
-def _fault_problems(scenario: Scenario) -> Iterator[ParameterError]:
-    topics = simulated_topics(scenario)
-    for name, fault in scenario.faults.items():
-        yield from _window_problems(f"faults.{name}", fault.start_s, fault.end_s)
-        if fault.topic not in topics:
-            known = ", ".join(topics)
-            yield _wrong(f"faults.{name}.topic", f"= {fault.topic} is not simulated: expected one of {known}")
-        if not can_happen(fault.kind, topics[fault.topic]):
-            yield _wrong(f"faults.{name}.kind", f"= {fault.kind} cannot happen to {topics[fault.topic]}")
-        if (fault.kind in KINDS_WITH_DELAY) != (fault.delay_s > 0.0):
-            kinds = " and ".join(KINDS_WITH_DELAY)
-            text = f"must be positive with the kinds {kinds}, and not given with another"
-            yield _wrong(f"faults.{name}.delay_s", text)
 
 
 def _theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterator[ParameterError]:

@@ -1,0 +1,111 @@
+"""Faults put into a bag that is there already, whichever devices or ships it comes from."""
+
+import heapq
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bags.stamps import ns_from_stamp
+from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
+from ship_simulation.faults.faults import Delivery, spoilt
+from ship_simulation.faults.optics import Optics, optics_of_suite
+from ship_simulation.scenario.fault import Fault
+
+
+def injectable_topics(bag: Bag, namespace: str = "") -> dict[str, str]:
+    """Relative topic → type of the topics that faults may be about: all but the truth."""
+    found = relative_topics(bag.topics, namespace)
+    return {name: bag.topics[full] for name, full in found.items() if not name.startswith(TRUTH_PREFIX)}
+
+
+def optics_of_bag(bag: Bag, faults: Mapping[str, Fault], namespace: str = "") -> Optics:
+    """The cameras of the devices, as the attached suite file describes them.
+
+    Raises:
+        BadInput: a fault needs a camera, and none is described.
+    """
+    text = bag.attachments.get(SUITE_ATTACHMENT, b"").decode("utf-8", errors="replace")
+    optics = optics_of_suite(text) if text else Optics()
+    topics = injectable_topics(bag, namespace)
+    for name, fault in faults.items():
+        missing = optics.reason_against(fault, topics[fault.topic])
+        if missing:
+            reason = f"fault '{name}' of kind {fault.kind}: {missing}; the bag's {SUITE_ATTACHMENT} must describe it"
+            raise BadInput(reason, file=bag.path)
+    return optics
+
+
+@dataclass(frozen=True)
+class Injection:
+    """A bag with faults.
+
+    Attributes:
+        path: of the bag.
+        faults: name → fault; checked against :func:`injectable_topics`.
+        seed: of what the faults draw.
+        namespace: of the ship in the bag.
+    """
+
+    path: Path
+    faults: Mapping[str, Fault]
+    seed: int
+    namespace: str = ""
+
+    def records(self, bag: Bag) -> Iterator[BagRecord]:
+        """All messages, in order of arrival; those that no fault changes are the bag's own, to the byte.
+
+        Args:
+            bag: the bag, open.
+
+        Raises:
+            BadInput: a fault needs a camera that the bag does not describe.
+        """
+        optics = optics_of_bag(bag, self.faults, self.namespace)
+        names = relative_topics(bag.topics, self.namespace)
+        hit = {names[fault.topic] for fault in self.faults.values()}
+        with ExitStack() as stack:
+            streams = [_untouched(bag, hit)]
+            # Each topic with faults is read for itself: what is delayed or waits for its successor holds nothing up.
+            for name in sorted(hit):
+                other = stack.enter_context(read_bag(self.path))
+                streams.append(self._spoilt(other, name, optics))
+            for _, _, record in heapq.merge(*streams, key=lambda entry: entry[:2]):
+                yield record
+
+    def _spoilt(self, bag: Bag, name: str, optics: Optics) -> Iterator[tuple[int, int, BagRecord]]:
+        faults = {
+            key: fault
+            for key, fault in self.faults.items()
+            if relative_topics([name], self.namespace).get(fault.topic) == name
+        }
+        type_name, store = bag.topics[name], bag.store
+        deliveries = _deliveries(bag, name)
+        for delivery in spoilt(deliveries, type_name, faults, bag.start_ns or 0, self.seed, optics):
+            data = delivery.data
+            if data is None:
+                data = bytes(store.serialize_cdr(delivery.message, type_name, little_endian=True))
+            at_ns = delivery.log_time_ns
+            record = BagRecord(name, type_name, at_ns, data, store, sequence=0, publish_time_ns=at_ns)
+            yield at_ns, delivery.order, record
+
+
+def _untouched(bag: Bag, hit: set[str]) -> Iterator[tuple[int, int, BagRecord]]:
+    for order, record in enumerate(bag.records()):
+        if record.topic not in hit:
+            yield record.log_time_ns, order, record
+
+
+def _deliveries(bag: Bag, name: str) -> Iterator[Delivery]:
+    """The messages of a topic of a bag; one that cannot be read stays as it is."""
+    for order, record in enumerate(bag.records()):
+        if record.topic == name:
+            try:
+                message = record.decode()
+                stamp_ns = ns_from_stamp(message.header.stamp) if hasattr(message, "header") else None
+            except BadInput:
+                message, stamp_ns = None, None
+            yield Delivery(message, record.log_time_ns, stamp_ns, order, record.data)

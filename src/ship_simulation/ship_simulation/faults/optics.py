@@ -1,0 +1,72 @@
+"""The cameras through which a turn of a device moves what it sees, as a suite file describes them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.stars.camera import StarCamera
+from ship_attitude_star.stars.config import CameraConfig
+from ship_bags.errors import BadInput
+from ship_bags.parameter_yaml import merged, read_sections
+from ship_estimation.parameters import ParameterError, build
+from ship_simulation.scenario.fault import Fault
+from ship_simulation.scenario.names import IMAGE, IMAGE_TOPIC, OBSERVATIONS
+from theodolite_calib.lights.image import Camera
+
+_TURNS = ("knock", "drift")
+_SPOTS = ("false_stars", "false_lights")
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Cameras of star sensors by topic of their observations, and that of the calibration telescope if there is one."""
+
+    stars: Mapping[str, StarCamera] = field(default_factory=dict)
+    telescope: Camera | None = None
+
+    def reason_against(self, fault: Fault, type_name: str) -> str:
+        """Which camera a fault needs that is not known; empty where none is missing."""
+        if fault.kind not in (*_TURNS, *_SPOTS):
+            return ""
+        if type_name == OBSERVATIONS and fault.topic not in self.stars:
+            return f"no star sensor of the suite file has a camera for {fault.topic}"
+        if type_name == IMAGE and self.telescope is None:
+            return f"the suite file says nothing of the telescope of {IMAGE_TOPIC}"
+        return ""
+
+
+def optics_of_suite(text: str) -> Optics:
+    """The cameras that a suite file describes.
+
+    Raises:
+        BadInput: it is no parameter file, or a camera in it is none.
+    """
+    stars: dict[str, StarCamera] = {}
+    telescope = None
+    name, sections = read_sections(text)
+    for section in sections:
+        values = merged(name, [section]).values
+        for sensor_id, sensor in values.get("star_sensors", {}).items():
+            if isinstance(sensor, dict) and sensor.get("camera"):
+                stars[f"star/{sensor_id}/observations"] = _star_camera(sensor_id, sensor["camera"])
+        if isinstance(values.get("telescope"), dict) and "focal_length_m" in values["telescope"]:
+            telescope = telescope_camera(**{key: values["telescope"].get(key, 0.0) for key in _TELESCOPE})
+    return Optics(stars, telescope)
+
+
+_TELESCOPE = ("focal_length_m", "principal_x_m", "principal_z_m")
+
+
+def telescope_camera(focal_length_m: float, principal_x_m: float, principal_z_m: float) -> Camera:
+    """The camera of the calibration telescope."""
+    return Camera(focal_length_m, 0.0, np.array([principal_x_m, principal_z_m]))
+
+
+def _star_camera(sensor_id: str, values: Mapping[str, Any]) -> StarCamera:
+    prefix = f"star_sensors.{sensor_id}.camera"
+    try:
+        return build(CameraConfig, values, f"{prefix}.").camera(prefix)
+    except ParameterError as problem:
+        raise BadInput(f"suite file: {problem}", parameters=problem.parameters, value=problem.value) from problem

@@ -1,0 +1,124 @@
+"""Devices that are turned, in a message: their attitude, their rates, and what they see.
+
+A turn is a rotation vector, rad. In the device's own frame (forward, up, right) it is a knock: R' = R exp(turn); stars
+and lights, which stand still, are then seen at exp(-turn) times where they were. In the horizon's frame (North, Up,
+East) it is an error of the attitude: R' = exp(turn) R.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ship_geometry.frames import angles_from_rotation, rotation_from_angles
+from ship_geometry.ros_axes import (
+    FLU_FROM_DEVICE,
+    FRD_FROM_DEVICE,
+    NED_FROM_HORIZON,
+    celestial_rotation_from_quaternion,
+    device_vector_from_ros,
+    flu_from_device_vector,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
+from ship_geometry.rotations import FloatArray, exp_rotation
+from ship_simulation.faults.optics import Optics
+from ship_simulation.scenario.names import IMAGE, IMU, INERTIAL, OBSERVATIONS, SHIP_ATTITUDE, STAR
+
+_ANGLES = {STAR: ("azimuth", "elevation", "roll"), SHIP_ATTITUDE: ("heading", "pitch", "roll")}
+_FRD_FROM_FLU = np.diag([1.0, -1.0, -1.0])
+
+
+def turn_in_device(message: Any, type_name: str, turn: FloatArray, topic: str, optics: Optics) -> None:
+    """Turn a device in its own frame; its rates are then told in the new axes."""
+    back = exp_rotation(-turn)
+    if type_name == OBSERVATIONS:
+        camera = optics.stars[topic]
+        _move(message.stars, ("u", "v"), lambda points: camera.pixels(camera.directions(points) @ back.T))
+    elif type_name == IMAGE and optics.telescope is not None:
+        telescope = optics.telescope
+        _move(message.beacons, ("x", "z"), lambda points: telescope.points(telescope.directions(points) @ back.T))
+    elif type_name == INERTIAL:
+        rotation_cs = celestial_rotation_from_quaternion(np.array(_xyzw(message.orientation)))
+        _set_xyzw(message, _quaternion(rotation_cs @ back.T @ FLU_FROM_DEVICE.T))
+    else:
+        _set_attitude(message, type_name, _attitude(message, type_name) @ back.T)
+        if type_name != STAR:
+            rate_d = device_vector_from_ros(np.array(_xyz(message.angular_velocity)))
+            _set_xyz(message.angular_velocity, flu_from_device_vector(back @ rate_d))
+
+
+def turn_in_horizon(message: Any, type_name: str, turn: FloatArray) -> None:
+    """Turn an attitude about the horizon's axes."""
+    _set_attitude(message, type_name, exp_rotation(turn) @ _attitude(message, type_name))
+
+
+def other_axes(message: Any, type_name: str, axes: str) -> None:
+    """Put an attitude, or a baseline, into the axes that a wrong driver uses."""
+    ned = axes == "ned_frd"
+    if not hasattr(message, "orientation"):
+        x, y, z = _xyz(message.enu)
+        _set_xyz(message.enu, [y, x, -z if ned else z])
+        return
+    quaternion = np.array(_xyzw(message.orientation))
+    if not ned:
+        x, y, z, w = quaternion.tolist()
+        _set_xyzw(message, [y, x, z, w])
+    elif type_name == INERTIAL:
+        _set_xyzw(message, _quaternion(celestial_rotation_from_quaternion(quaternion) @ FRD_FROM_DEVICE.T))
+    else:
+        rotation_nd = rotation_from_quaternion(quaternion)
+        _set_xyzw(message, _quaternion(NED_FROM_HORIZON @ rotation_nd @ FRD_FROM_DEVICE.T))
+    if type_name in (IMU, SHIP_ATTITUDE):
+        x, y, z = _xyz(message.angular_velocity)
+        _set_xyz(message.angular_velocity, _FRD_FROM_FLU @ [x, y, z] if ned else [y, x, z])
+
+
+def _attitude(message: Any, type_name: str) -> FloatArray:
+    """Rotation "horizon from device" of a message."""
+    if type_name == STAR:
+        return rotation_from_angles(message.azimuth, message.elevation, message.roll)
+    return rotation_from_quaternion(np.array(_xyzw(message.orientation)))
+
+
+def _set_attitude(message: Any, type_name: str, rotation: FloatArray) -> None:
+    angles = angles_from_rotation(rotation).tolist()
+    for name, angle in zip(_ANGLES.get(type_name, ()), angles, strict=False):
+        setattr(message, name, angle)
+    if type_name != STAR:
+        _set_xyzw(message, quaternion_from_rotation(rotation).tolist())
+
+
+def _move(spots: Any, names: tuple[str, str], moved: Callable[[FloatArray], FloatArray]) -> None:
+    """Move the points of spots on a detector."""
+    if not spots:
+        return
+    first, second = names
+    points = moved(np.array([[getattr(spot, first), getattr(spot, second)] for spot in spots]))
+    for spot, (x, y) in zip(spots, points.tolist(), strict=True):
+        setattr(spot, first, x)
+        setattr(spot, second, y)
+
+
+def _quaternion(matrix: FloatArray) -> list[float]:
+    """x, y, z, w of a rotation matrix between ROS's own axes."""
+    found: list[float] = Rotation.from_matrix(matrix).as_quat(canonical=True).tolist()
+    return found
+
+
+def _xyzw(quaternion: Any) -> list[float]:
+    return [quaternion.x, quaternion.y, quaternion.z, quaternion.w]
+
+
+def _set_xyzw(message: Any, xyzw: list[float]) -> None:
+    q = message.orientation
+    q.x, q.y, q.z, q.w = xyzw
+
+
+def _xyz(vector: Any) -> list[float]:
+    return [vector.x, vector.y, vector.z]
+
+
+def _set_xyz(vector: Any, xyz: Any) -> None:
+    vector.x, vector.y, vector.z = (float(value) for value in xyz)

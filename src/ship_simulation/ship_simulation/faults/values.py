@@ -1,0 +1,292 @@
+"""What a fault does to the values of one message.
+
+A message's arrays may be shared with others, so they are replaced, not changed.
+"""
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.sky.catalogue import hipparcos
+from ship_bags.stamps import ns_from_stamp, stamp_fields
+from ship_geometry.rotations import ARCSEC, FloatArray, wrap_two_pi
+from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.faults.optics import Optics
+from ship_simulation.faults.turns import other_axes, turn_in_device, turn_in_horizon
+from ship_simulation.scenario.fault import Fault
+from ship_simulation.scenario.fault_file import field_steps
+from ship_simulation.scenario.names import (
+    BASELINE,
+    COVARIANCES,
+    ENCODER,
+    FIRST_VALUE,
+    FIX,
+    HUMIDITY,
+    IMAGE,
+    IMU,
+    PRESSURE,
+    SHIP_ATTITUDE,
+    STAR,
+    TEMPERATURE,
+)
+
+_OTHER = "_other"
+
+_SECOND_VARIANCE = 4
+"""Its place in a covariance of nine elements. In the place of the first a negative number means "not given" to ROS."""
+
+_FIXED = 4
+"""RtkBaseline.FIXED."""
+
+_MINUTE_S = 60.0
+_EARTH_RADIUS_M = 6_371_000.0
+_BRIGHT = 5.5
+"""False stars are as bright as the stars up to this magnitude (Hp)."""
+_HALF_FIELD = math.tan(math.radians(3.0))
+"""False lights stand within 3° of the axis, in focal lengths."""
+
+_RATES = ("angular_velocity.x", "angular_velocity.y", "angular_velocity.z")
+_DEGREES = 180.0 / math.pi
+_UNITS: dict[str, tuple[tuple[str, ...], float, float]] = {
+    IMU: (_RATES, _DEGREES, 0.0),
+    SHIP_ATTITUDE: (("heading", "pitch", "roll", *_RATES), _DEGREES, 0.0),
+    STAR: (("azimuth", "elevation", "roll"), _DEGREES, 0.0),
+    ENCODER: (("azimuth", "elevation"), _DEGREES, 0.0),
+    BASELINE: (("enu.x", "enu.y", "enu.z"), 1000.0, 0.0),
+    IMAGE: (("beacons[*].x", "beacons[*].z"), 1000.0, 0.0),
+    FIX: (("latitude", "longitude"), 1.0 / _DEGREES, 0.0),
+    PRESSURE: (("fluid_pressure",), 0.01, 0.0),
+    TEMPERATURE: (("temperature",), 1.0, 273.15),
+    HUMIDITY: (("relative_humidity",), 100.0, 0.0),
+}
+"""Message type → fields, and the factor and the offset that put them into the wrong unit."""
+
+
+@dataclass(frozen=True)
+class Spoiler:
+    """A fault of messages of one type.
+
+    Attributes:
+        fault: what goes wrong.
+        type_name: of the messages.
+        optics: cameras of the devices.
+        rng: the fault's own source of randomness.
+    """
+
+    fault: Fault
+    type_name: str
+    optics: Optics
+    rng: np.random.Generator
+
+    def spoil(self, message: Any, since_s: float) -> None:
+        """Put the fault into a message stamped ``since_s`` after the fault began."""
+        _SPOILERS[self.fault.kind](self, message, since_s)
+
+
+def _field(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    fault = spoiler.fault
+    path = fault.field or FIRST_VALUE[spoiler.type_name]
+    fixed = {"nan": math.nan, "infinite": math.inf, "corrupt": fault.value}
+    if fault.kind in fixed:
+        _change(message, path, lambda value: fixed[fault.kind])
+    else:
+        _change(message, path, lambda value: value + fault.value)
+
+
+def _change(message: Any, path: str, new: Callable[[float], float]) -> None:
+    """Change the numbers at a path; a place beyond the end of an array is no place."""
+    holders = [message]
+    *parents, (name, index) = field_steps(path)
+    for parent, chosen in parents:
+        holders = [part for holder in holders for part in _chosen(getattr(holder, parent), chosen or "0")]
+    for holder in holders:
+        old = getattr(holder, name)
+        if not index:
+            setattr(holder, name, type(old)(new(old)))
+            continue
+        values = np.array(old)
+        places = range(len(values)) if index == "*" else range(len(values))[int(index) : int(index) + 1]
+        for place in places:
+            values[place] = new(values[place])
+        setattr(holder, name, values)
+
+
+def _chosen(value: Any, index: str) -> list[Any]:
+    """The messages of a list by an index; a message that stands alone is itself."""
+    if not isinstance(value, list):
+        return [value]
+    return value if index == "*" else value[int(index) : int(index) + 1]
+
+
+def _stamp_zero(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    message.header.stamp.sec, message.header.stamp.nanosec = 0, 0
+
+
+def _stamp_off(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    off_s = spoiler.fault.delay_s + spoiler.fault.step_s
+    stamp_ns = ns_from_stamp(message.header.stamp) + round(off_s * SECOND_NS)
+    message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(stamp_ns)
+
+
+def _frame(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    message.header.frame_id += _OTHER
+
+
+def _units(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    fields, factor, offset = _UNITS[spoiler.type_name]
+    for path in fields:
+        if spoiler.fault.kind != "angles_in_degrees" or path not in _RATES:
+            _change(message, path, lambda value: value * factor + offset)
+
+
+def _covariance(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    for name in COVARIANCES[spoiler.type_name]:
+        spoilt = np.zeros(9)
+        if spoiler.fault.kind == "covariance_negative":
+            spoilt[:] = getattr(message, name)
+            spoilt[_SECOND_VARIANCE] = -abs(spoilt[_SECOND_VARIANCE])
+        setattr(message, name, spoilt)
+
+
+def _axes(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    other_axes(message, spoiler.type_name, spoiler.fault.axes)
+
+
+def _bias(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    fault = spoiler.fault
+    turn_n = ARCSEC * np.array([fault.north_arcsec, fault.up_arcsec, fault.east_arcsec])
+    turn_in_horizon(message, spoiler.type_name, turn_n)
+
+
+def _knock(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    fault = spoiler.fault
+    _turn(spoiler, message, ARCSEC * np.array([fault.forward_arcsec, fault.up_arcsec, fault.right_arcsec]))
+
+
+def _drift(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    fault, minutes = spoiler.fault, since_s / _MINUTE_S
+    if spoiler.type_name == ENCODER:
+        _encoders(message, fault.azimuth_arcsec_per_min * minutes, fault.elevation_arcsec_per_min * minutes)
+        return
+    rates = [fault.forward_arcsec_per_min, fault.up_arcsec_per_min, fault.right_arcsec_per_min]
+    _turn(spoiler, message, ARCSEC * minutes * np.array(rates))
+
+
+def _turn(spoiler: Spoiler, message: Any, turn: FloatArray) -> None:
+    turn_in_device(message, spoiler.type_name, turn, spoiler.fault.topic, spoiler.optics)
+
+
+def _slip(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    _encoders(message, spoiler.fault.azimuth_arcsec, spoiler.fault.elevation_arcsec)
+
+
+def _encoders(message: Any, azimuth_arcsec: float, elevation_arcsec: float) -> None:
+    message.azimuth = float(wrap_two_pi(message.azimuth + azimuth_arcsec * ARCSEC))
+    message.elevation += elevation_arcsec * ARCSEC
+
+
+def _position_off(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    fault = spoiler.fault
+    to_deg = math.degrees(1.0 / _EARTH_RADIUS_M)
+    message.longitude += fault.east_m * to_deg / math.cos(math.radians(message.latitude))
+    message.latitude += fault.north_m * to_deg
+    message.altitude += fault.up_m
+
+
+def _wrong_fix(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    fault = spoiler.fault
+    message.fix = _FIXED
+    message.enu.x += fault.east_m
+    message.enu.y += fault.north_m
+    message.enu.z += fault.up_m
+
+
+def _false_stars(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    """Spots anywhere on the detector, each taken for a star anywhere in the sky where the sensor knows its stars."""
+    if not message.stars:
+        return
+    camera, rng = spoiler.optics.stars[spoiler.fault.topic], spoiler.rng
+    bright = hipparcos().brighter_than(_BRIGHT)
+    edge_px = 2.0 * np.array([camera.principal_u_px, camera.principal_v_px])
+    false = []
+    for _ in range(spoiler.fault.count):
+        star, row = copy.copy(message.stars[0]), int(rng.choice(bright))
+        star.u, star.v = (edge_px * rng.random(2)).tolist()
+        star.magnitude = float(hipparcos().magnitude[row])
+        if star.catalogue_id:
+            star.catalogue_id = int(hipparcos().hip[row])
+        elif not math.isnan(star.right_ascension):
+            star.right_ascension = float(wrap_two_pi(hipparcos().at_j2000.right_ascension[row]))
+            star.declination = float(hipparcos().at_j2000.declination[row])
+        false.append(star)
+    message.stars = [*message.stars, *false]
+
+
+def _false_lights(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    telescope = spoiler.optics.telescope
+    if telescope is None or not message.beacons:
+        return
+    half_field_m = _HALF_FIELD * float(telescope.focal_length_m)
+    lights = [copy.copy(light) for light in message.beacons]
+    for number in range(len(lights), spoiler.fault.count):
+        lights.append(copy.copy(lights[0]))
+        lights[-1].beacon_id = f"false_{number}"
+    for light in lights[: spoiler.fault.count]:
+        place_m = telescope.principal_point_m + half_field_m * spoiler.rng.uniform(-1.0, 1.0, 2)
+        light.x, light.z = place_m.tolist()
+    message.beacons = lights
+
+
+def _hide(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    message.beacons = message.beacons[1:]
+
+
+def _swap(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    seen_lights = spoiler.type_name == IMAGE
+    spots = (message.beacons if seen_lights else message.stars)[:2]
+    names = ["beacon_id"] if seen_lights else ["catalogue_id", "right_ascension", "declination"]
+    told = [[getattr(spot, name) for name in names] for spot in reversed(spots)]
+    for spot, values in zip(spots, told, strict=True):
+        for name, value in zip(names, values, strict=True):
+            setattr(spot, name, value)
+
+
+def _wrong_id(spoiler: Spoiler, message: Any, since_s: float) -> None:
+    if spoiler.type_name == BASELINE:
+        message.rover_id += _OTHER
+    else:
+        for light in message.beacons[:1]:
+            light.beacon_id += _OTHER
+
+
+_SPOILERS: dict[str, Callable[[Spoiler, Any, float], None]] = {
+    "nan": _field,
+    "infinite": _field,
+    "corrupt": _field,
+    "offset": _field,
+    "stamp_zero": _stamp_zero,
+    "stamp_late": _stamp_off,
+    "clock_step": _stamp_off,
+    "frame": _frame,
+    "covariance_unknown": _covariance,
+    "covariance_negative": _covariance,
+    "rate_in_degrees": _units,
+    "angles_in_degrees": _units,
+    "units": _units,
+    "axes": _axes,
+    "bias": _bias,
+    "position_off": _position_off,
+    "knock": _knock,
+    "drift": _drift,
+    "slip": _slip,
+    "wrong_fix": _wrong_fix,
+    "false_stars": _false_stars,
+    "false_lights": _false_lights,
+    "hide": _hide,
+    "swap": _swap,
+    "wrong_id": _wrong_id,
+}

@@ -1,0 +1,441 @@
+"""The command ``inject``: each kind does what it says, in its time and nowhere else; one line for bad input."""
+
+import dataclasses
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ship_attitude_star.stars.config import CameraConfig
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.mcap.folder import FolderWriter, SplitLimits
+from ship_bags.stamps import ns_from_stamp
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.ros_axes import celestial_rotation_from_quaternion, rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, angle_between, log_rotation
+from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.inject_command import main
+from ship_simulation.run import simulate
+from ship_simulation.scenario.fault import KINDS
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.simulate_command import write_bag
+from ship_testing.places import ROOT
+
+LENGTH_S = 5.0
+INS, STARS, TRACKER = "ins/imu", "star/starboard/observations", "star/port/inertial_attitude"
+BOW = "star/bow/horizon_attitude"
+ENCODER, LIGHTS, BASELINE, GYRO = "theodolite/encoder", "theodolite/beacons", "beacon/a/baseline", "reference/gyro/imu"
+SHIP, FIX = "ship/attitude", "gnss/fix"
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """Five seconds with every device, and the fused attitude besides."""
+    scenario = load_scenario(ROOT / "bags" / "scenarios" / "everything.yaml")
+    fused = dataclasses.replace(scenario.fused_attitude, written=True)
+    scenario = dataclasses.replace(scenario, duration_s=LENGTH_S, fused_attitude=fused)
+    path = tmp_path_factory.mktemp("bag") / "everything.mcap"
+    write_bag(simulate(scenario, 3), path, b"scenario: here\n")
+    return path
+
+
+def injected(bag, folder, faults, seed=1, *more):
+    """The bag with faults given as text in flow style."""
+    file = folder / "faults.yaml"
+    file.write_text("faults:\n" + "".join(f"  f{i}: {{{fault}}}\n" for i, fault in enumerate(faults)))
+    out = folder / f"out_{seed}.mcap"
+    code = main([str(bag), "--faults", str(file), "--out", str(out), "--seed", str(seed), "--force", *more])
+    assert code == 0
+    return out
+
+
+def records_of(path, topic=None):
+    with read_bag(path) as bag:
+        return [record for record in bag.records() if topic in (None, record.topic)]
+
+
+def pairs(bag, out, topic, start_s=2.0, end_s=3.0):
+    """(before, after) of the messages of a topic stamped in the fault's time; others are the same to the byte."""
+    before, after = records_of(bag), records_of(out)
+    assert len(before) == len(after)
+    start_ns = before[0].log_time_ns
+    found = []
+    for one, other in zip(before, after, strict=True):
+        assert (one.topic, one.log_time_ns) == (other.topic, other.log_time_ns)
+        message = one.decode()
+        if not hasattr(message, "header"):
+            assert one.data == other.data
+            continue
+        since_s = (ns_from_stamp(message.header.stamp) - start_ns) / SECOND_NS
+        if one.topic == topic and start_s <= since_s < end_s:
+            # A drift begins with nothing.
+            assert one.data != other.data or not found
+            found.append((message, other.decode()))
+        else:
+            assert (one.data, one.sequence) == (other.data, other.sequence) or (
+                one.topic == topic and one.data == other.data
+            )
+    assert found
+    return found
+
+
+WINDOW = "start_s: 2.0, end_s: 3.0"
+
+
+def only(bag, folder, topic, kind, sizes=""):
+    out = injected(bag, folder, [f"topic: {topic}, kind: {kind}, {WINDOW}{', ' if sizes else ''}{sizes}"])
+    return pairs(bag, out, topic)
+
+
+def quaternion(message):
+    q = message.orientation
+    return np.array([q.x, q.y, q.z, q.w])
+
+
+def rotation(message):
+    """Parent from device (forward, up, right) of a message with an attitude."""
+    if message.__msgtype__.endswith("StarHorizonAttitude"):
+        return rotation_from_angles(message.azimuth, message.elevation, message.roll)
+    if message.__msgtype__.endswith("StarInertialAttitude"):
+        return celestial_rotation_from_quaternion(quaternion(message))
+    return rotation_from_quaternion(quaternion(message))
+
+
+def xyz(vector):
+    return np.array([vector.x, vector.y, vector.z])
+
+
+@pytest.mark.parametrize("topic", [INS, GYRO, SHIP, BOW, TRACKER])
+def test_a_knock_turns_an_attitude_in_the_devices_own_frame(bag, tmp_path, topic):
+    for before, after in only(bag, tmp_path, topic, "knock", "forward_arcsec: 30, up_arcsec: 20, right_arcsec: -10"):
+        turn = log_rotation(rotation(before).T @ rotation(after)) / ARCSEC
+        np.testing.assert_allclose(turn, [30.0, 20.0, -10.0], atol=1e-6)
+        if topic == SHIP:
+            angles = rotation_from_angles(after.heading, after.pitch, after.roll)
+            np.testing.assert_allclose(angles, rotation(after), atol=1e-12)
+
+
+def test_a_knock_of_a_sensor_of_single_stars_turns_what_it_measures(bag, tmp_path):
+    """A star stands still: by R' = R exp(t) the sensor sees it at exp(-t) s, turned here by scipy."""
+    scenario = load_scenario(ROOT / "bags" / "scenarios" / "everything.yaml")
+    camera = scenario.star_sensors["starboard"].camera.camera("")
+    turn = Rotation.from_rotvec(np.array([40.0, 25.0, -15.0]) * ARCSEC)
+    for before, after in only(bag, tmp_path, STARS, "knock", "forward_arcsec: 40, up_arcsec: 25, right_arcsec: -15"):
+        seen, moved = (camera.directions(np.array([[s.u, s.v] for s in m.stars])) for m in (before, after))
+        np.testing.assert_allclose(angle_between(turn.inv().apply(seen), moved) / ARCSEC, 0.0, atol=1e-6)
+        assert [s.catalogue_id for s in before.stars] == [s.catalogue_id for s in after.stars]
+
+
+def test_a_knock_of_the_telescope_moves_all_lights_alike(bag, tmp_path):
+    """Turned by 20″ to the right about up the lights go to the left in the scene: to the right, x > 0, in the image."""
+    for before, after in only(bag, tmp_path, LIGHTS, "knock", "up_arcsec: -20"):
+        for one, other in zip(before.beacons, after.beacons, strict=True):
+            x_m, z_m = one.x - 2.0e-4, one.z + 3.0e-4
+            # Turning to the right by a: tan(angle - a), and the height in the image goes with the cosine.
+            angle = math.atan2(x_m, 0.1) + 20.0 * ARCSEC
+            np.testing.assert_allclose(other.x - 2.0e-4, 0.1 * math.tan(angle), atol=1e-12)
+            assert other.z + 3.0e-4 == pytest.approx(z_m, rel=2e-5)
+
+
+def test_a_drift_grows_from_nothing_and_of_encoders_too(bag, tmp_path):
+    found = only(bag, tmp_path, INS, "drift", "up_arcsec_per_min: 60")
+    turns = [log_rotation(rotation(before).T @ rotation(after))[1] / ARCSEC for before, after in found[1:]]
+    # 1″ a second, at 50 Hz.
+    np.testing.assert_allclose(turns, np.arange(1, 50) / 50.0, atol=1e-6)
+    found = only(bag, tmp_path, ENCODER, "drift", "elevation_arcsec_per_min: -120")
+    turns = [(after.elevation - before.elevation) / ARCSEC for before, after in found]
+    # 2″ a second, at 20 Hz.
+    np.testing.assert_allclose(turns, -0.1 * np.arange(len(turns)), atol=1e-6)
+    assert all(after.azimuth == before.azimuth for before, after in found)
+
+
+@pytest.mark.parametrize("topic", [INS, SHIP, BOW])
+def test_a_bias_turns_about_the_horizons_axes_and_leaves_the_rates(bag, tmp_path, topic):
+    for before, after in only(bag, tmp_path, topic, "bias", "north_arcsec: 5, up_arcsec: 30, east_arcsec: -7"):
+        turn = log_rotation(rotation(after) @ rotation(before).T) / ARCSEC
+        np.testing.assert_allclose(turn, [5.0, 30.0, -7.0], atol=1e-6)
+        if topic != BOW:
+            assert after.angular_velocity == before.angular_velocity
+
+
+def test_other_axes_are_those_of_wrong_drivers(bag, tmp_path):
+    for before, after in only(bag, tmp_path, INS, "axes", "axes: ned_frd"):
+        # North-east-down from forward-right-down is the same attitude, read by the other convention.
+        np.testing.assert_allclose(rotation_from_quaternion(quaternion(after), "ned_frd"), rotation(before), atol=1e-12)
+        np.testing.assert_array_equal(xyz(after.angular_velocity), xyz(before.angular_velocity) * [1, -1, -1])
+    for before, after in only(bag, tmp_path, INS, "axes", "axes: exchanged"):
+        np.testing.assert_array_equal(quaternion(after), quaternion(before)[[1, 0, 2, 3]])
+    for before, after in only(bag, tmp_path, BASELINE, "axes", "axes: ned_frd"):
+        np.testing.assert_array_equal(xyz(after.enu), xyz(before.enu)[[1, 0, 2]] * [1, 1, -1])
+    for before, after in only(bag, tmp_path, TRACKER, "axes", "axes: ned_frd"):
+        frd, flu = Rotation.from_quat(quaternion(after)).as_matrix(), Rotation.from_quat(quaternion(before)).as_matrix()
+        np.testing.assert_allclose(frd, flu * [1.0, -1.0, -1.0], atol=1e-12)
+
+
+def test_slips_wrong_fixes_and_positions_are_off_by_what_they_say(bag, tmp_path):
+    for before, after in only(bag, tmp_path, ENCODER, "slip", "azimuth_arcsec: 100, elevation_arcsec: -50"):
+        assert (after.azimuth - before.azimuth) / ARCSEC == pytest.approx(100.0, abs=1e-6)
+        assert (after.elevation - before.elevation) / ARCSEC == pytest.approx(-50.0, abs=1e-6)
+    for before, after in only(bag, tmp_path, BASELINE, "wrong_fix", "east_m: 0.3, up_m: -0.2"):
+        np.testing.assert_allclose(xyz(after.enu) - xyz(before.enu), [0.3, 0.0, -0.2], atol=1e-9)
+        assert after.fix == 4
+    for before, after in only(bag, tmp_path, FIX, "position_off", "north_m: 1000, east_m: 2000, up_m: 5"):
+        # A sphere of 6371 km; the ellipsoid differs by less than 1 %.
+        assert (after.latitude - before.latitude) * 111_195.0 == pytest.approx(1000.0, rel=1e-3)
+        east_m = (after.longitude - before.longitude) * 111_195.0 * math.cos(math.radians(before.latitude))
+        assert east_m == pytest.approx(2000.0, rel=1e-3)
+        assert after.altitude - before.altitude == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("topic", "sizes", "holds"),
+    [
+        (INS, "field: orientation.x, value: 0.25", lambda b, a: a.orientation.x == 0.25),
+        (INS, "field: 'orientation_covariance[4]', value: 7.0", lambda b, a: a.orientation_covariance[4] == 7.0),
+        (INS, "field: 'orientation_covariance[*]', value: 2.0", lambda b, a: set(a.orientation_covariance) == {2.0}),
+        (STARS, "field: 'stars[1].u', value: -3.0", lambda b, a: a.stars[1].u == -3.0 and a.stars[0].u == b.stars[0].u),
+        (STARS, "field: 'stars[*].magnitude', value: 9.0", lambda b, a: {s.magnitude for s in a.stars} == {9.0}),
+        (STARS, "field: stars.catalogue_id, value: 5", lambda b, a: a.stars[0].catalogue_id == 5),
+        (BASELINE, "field: fix, value: 3", lambda b, a: a.fix == 3 and isinstance(a.fix, int)),
+        (FIX, "field: status.status, value: -1", lambda b, a: a.status.status == -1),
+        (BOW, "field: header.stamp.sec, value: 1", lambda b, a: a.header.stamp.sec == 1),
+    ],
+)
+def test_corrupt_sets_any_number_by_its_path(bag, tmp_path, topic, sizes, holds):
+    for before, after in only(bag, tmp_path, topic, "corrupt", sizes):
+        assert holds(before, after)
+
+
+def test_offset_nan_and_infinity_in_a_field(bag, tmp_path):
+    for before, after in only(bag, tmp_path, "met/pressure", "offset", "field: fluid_pressure, value: -1000"):
+        assert after.fluid_pressure == pytest.approx(before.fluid_pressure - 1000.0)
+    for _, after in only(bag, tmp_path, BASELINE, "nan", "field: enu.z"):
+        assert math.isnan(after.enu.z)
+        assert math.isfinite(after.enu.x)
+    for _, after in only(bag, tmp_path, BASELINE, "infinite"):
+        assert after.enu.x == math.inf
+
+
+@pytest.mark.parametrize(
+    ("topic", "value", "factor", "offset"),
+    [
+        (INS, lambda m: m.angular_velocity.y, 180.0 / math.pi, 0.0),
+        (SHIP, lambda m: m.pitch, 180.0 / math.pi, 0.0),
+        (BOW, lambda m: m.elevation, 180.0 / math.pi, 0.0),
+        (ENCODER, lambda m: m.azimuth, 180.0 / math.pi, 0.0),
+        (BASELINE, lambda m: m.enu.y, 1000.0, 0.0),
+        (LIGHTS, lambda m: m.beacons[1].z, 1000.0, 0.0),
+        (FIX, lambda m: m.longitude, math.pi / 180.0, 0.0),
+        ("met/pressure", lambda m: m.fluid_pressure, 0.01, 0.0),
+        ("met/temperature", lambda m: m.temperature, 1.0, 273.15),
+        ("met/humidity", lambda m: m.relative_humidity, 100.0, 0.0),
+    ],
+)
+def test_wrong_units_of_every_type(bag, tmp_path, topic, value, factor, offset):
+    for before, after in only(bag, tmp_path, topic, "units"):
+        assert value(after) == pytest.approx(value(before) * factor + offset, rel=1e-12)
+
+
+def test_a_clock_step_moves_stamps_and_not_arrivals(bag, tmp_path):
+    for before, after in only(bag, tmp_path, BOW, "clock_step", "step_s: -0.5"):
+        assert ns_from_stamp(after.header.stamp) - ns_from_stamp(before.header.stamp) == -SECOND_NS // 2
+
+
+def test_false_stars_have_numbers_where_stars_have_them(bag, tmp_path):
+    for before, after in only(bag, tmp_path, STARS, "false_stars", "count: 3"):
+        # As texts: their directions are NaN.
+        assert repr(after.stars[: len(before.stars)]) == repr(before.stars)
+        false = after.stars[len(before.stars) :]
+        assert len(false) == 3
+        assert all(star.catalogue_id > 0 for star in false)
+        assert all(0.0 <= star.u <= 2047.0 and 0.0 <= star.v <= 2047.0 for star in false)
+
+
+def test_false_lights_stand_elsewhere_and_swapped_stars_bear_each_others_numbers(bag, tmp_path):
+    for before, after in only(bag, tmp_path, LIGHTS, "false_lights", "count: 3"):
+        known = [light.beacon_id for light in before.beacons]
+        assert [light.beacon_id for light in after.beacons] == [*known, "false_2"]
+        # Within 3° of the axis of a telescope of 100 mm.
+        assert all(abs(light.x - 2.0e-4) < 0.00525 for light in after.beacons)
+        assert all(one.x != other.x for one, other in zip(before.beacons, after.beacons, strict=False))
+    for before, after in only(bag, tmp_path, STARS, "swap"):
+        numbers = [star.catalogue_id for star in before.stars]
+        assert [star.catalogue_id for star in after.stars] == [numbers[1], numbers[0], *numbers[2:]]
+        assert [star.u for star in after.stars] == [star.u for star in before.stars]
+
+
+def test_reordered_messages_are_all_there_in_another_order(bag, tmp_path):
+    out = injected(bag, tmp_path, [f"topic: {INS}, kind: reorder, {WINDOW}, delay_s: 0.5"])
+    before, after = records_of(bag, INS), records_of(out, INS)
+    assert Counter(r.data for r in before) == Counter(r.data for r in after)
+    assert [r.data for r in before] != [r.data for r in after]
+    logs = [r.log_time_ns for r in after]
+    assert logs == sorted(logs)
+    delay_s = [(r.log_time_ns - ns_from_stamp(r.decode().header.stamp)) / SECOND_NS for r in after]
+    assert 0.4 < max(delay_s) < 0.503
+
+
+def test_a_flood_is_as_many_times_as_told_with_stamps_of_before(bag, tmp_path):
+    out = injected(bag, tmp_path, [f"topic: {BOW}, kind: flood, {WINDOW}, times: 20, spread_s: 1.5"])
+    before, after = records_of(bag, BOW), records_of(out, BOW)
+    assert len(after) - len(before) == 5 * 19
+    kept = {r.data for r in before}
+    assert kept <= {r.data for r in after}
+    late_s = [
+        (r.log_time_ns - ns_from_stamp(r.decode().header.stamp)) / SECOND_NS for r in after if r.data not in kept
+    ]
+    assert 0.1 < min(late_s) < 0.3
+    assert 1.5 < max(late_s) < 1.8
+    logs = [r.log_time_ns for r in after]
+    assert logs == sorted(logs)
+
+
+def test_a_share_of_the_messages_is_drawn_by_the_seed(bag, tmp_path):
+    counts = []
+    for seed in (1, 1, 2):
+        out = injected(bag, tmp_path, [f"topic: {INS}, kind: drop, start_s: 0.0, share: 0.4"], seed)
+        counts.append([r.log_time_ns for r in records_of(out, INS)])
+    total = len(records_of(bag, INS))
+    # 251 messages: 0.6 ± 5 sigma of a binomial share.
+    assert all(abs(len(found) / total - 0.6) < 5.0 * math.sqrt(0.24 / total) for found in counts)
+    assert counts[0] == counts[1] != counts[2]
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_fault_does_not_change_what_is_drawn(bag, tmp_path):
+    flood = f"topic: {BOW}, kind: flood, {WINDOW}, times: 5"
+    first = injected(bag, tmp_path, [flood], 4).read_bytes()
+    assert injected(bag, tmp_path, [flood], 4).read_bytes() == first
+    alone = [r.data for r in records_of(injected(bag, tmp_path, [flood], 4), BOW)]
+    beside = injected(bag, tmp_path, [flood, f"topic: {INS}, kind: reorder, {WINDOW}, delay_s: 0.2"], 4)
+    assert [r.data for r in records_of(beside, BOW)] == alone
+
+
+def test_faults_of_one_topic_add_up_and_a_repeated_message_is_spoilt_alone(bag, tmp_path):
+    out = injected(
+        bag,
+        tmp_path,
+        [
+            f"topic: {BOW}, kind: duplicate, {WINDOW}",
+            f"topic: {BOW}, kind: knock, {WINDOW}, up_arcsec: 10",
+            f"topic: {BOW}, kind: knock, start_s: 2.5, up_arcsec: 10",
+        ],
+    )
+    start_ns = records_of(bag)[0].log_time_ns
+    clean = {ns_from_stamp(m.header.stamp): rotation(m) for m in (r.decode() for r in records_of(bag, BOW))}
+    turns = []
+    for message in (r.decode() for r in records_of(out, BOW)):
+        stamp_ns = ns_from_stamp(message.header.stamp)
+        turn = log_rotation(clean[stamp_ns].T @ rotation(message))[1] / ARCSEC
+        turns.append((round((stamp_ns - start_ns) / SECOND_NS, 3), round(turn)))
+    expected = [(t, (10 if 2.0 <= t < 3.0 else 0) + (10 if t >= 2.5 else 0)) for t, _ in turns]
+    assert turns == expected
+    assert Counter(t for t, _ in turns)[2.233] == 2
+
+
+def test_a_recording_of_another_type_and_folder_keeps_what_it_holds(bag, tmp_path):
+    """A rosbag2 folder with names below a namespace, with topics that the suite does not know and a latched one."""
+    folder = FolderWriter(tmp_path / "voyage", SplitLimits())
+    folder.add_topic("/aurora/ship/note", "std_msgs/msg/String", latched=True)
+    text = records_of(bag, INS)[0].store.types["std_msgs/msg/String"](data="hello")
+    data = bytes(records_of(bag, INS)[0].store.serialize_cdr(text, "std_msgs/msg/String", little_endian=True))
+    first_ns = records_of(bag)[0].log_time_ns
+    folder.write_raw("/aurora/ship/note", "std_msgs/msg/String", data, first_ns)
+    for record in records_of(bag):
+        if record.topic in (INS, "truth/attitude"):
+            folder.write_raw("/aurora/" + record.topic, record.type_name, record.data, record.log_time_ns)
+    folder.close()
+    fault = f"topic: {INS}, kind: bias, {WINDOW}, up_arcsec: 30"
+    out = injected(tmp_path / "voyage", tmp_path, [fault], 1, "--namespace", "aurora")
+    with read_bag(out) as faulty:
+        assert faulty.latched_topics == {"/aurora/ship/note"}
+        assert faulty.topics["/aurora/ship/note"] == "std_msgs/msg/String"
+    assert len(pairs(tmp_path / "voyage", out, "/aurora/ins/imu")) == 50
+    truth = [r.data for r in records_of(out, "/aurora/truth/attitude")]
+    assert truth == [r.data for r in records_of(bag, "truth/attitude")]
+
+
+def test_attachments_and_metadata_are_copied_and_the_faults_are_told(bag, tmp_path):
+    out = injected(bag, tmp_path, [f"topic: {INS}, kind: drop, {WINDOW}"], 7)
+    with read_bag(bag) as before, read_bag(out) as after:
+        assert after.attachments["suite.yaml"] == before.attachments["suite.yaml"]
+        assert after.attachments["scenario.yaml"] == b"scenario: here\n"
+        assert b"kind: drop" in after.attachments["faults.yaml"]
+        assert after.metadata["simulation"] == {"seed": "3"}
+        assert after.metadata["injection"] == {"seed": "7"}
+
+
+BROKEN = {
+    "no such topic": ("topic: ins/imo, kind: drop, start_s: 1", ":2: 'faults.f.topic' = ins/imo is not in the bag"),
+    "truth": ("topic: truth/attitude, kind: drop, start_s: 1", "'faults.f.topic' = truth/attitude is not in the bag"),
+    "no such kind": ("topic: ins/imu, kind: explode, start_s: 1", "'faults.f.kind' = 'explode' must be one of drop"),
+    "cannot happen": ("topic: ins/imu, kind: slip, start_s: 1, azimuth_arcsec: 9", "= slip cannot happen to"),
+    "no size": ("topic: ins/imu, kind: knock, start_s: 1", "of kind knock needs forward_arcsec or up_arcsec or right"),
+    "other size": ("topic: ins/imu, kind: drop, start_s: 1, east_m: 3", "'faults.f.east_m' is not used by kind drop"),
+    "times": ("topic: ins/imu, kind: drop, start_s: 2, end_s: 1", "'faults.f.end_s' = 1.0 s must be after start_s"),
+    "no start": ("topic: ins/imu, kind: drop", "'faults.f.start_s'"),
+    "not finite": ("topic: ins/imu, kind: bias, start_s: 1, up_arcsec: .nan", "'faults.f.up_arcsec' must be finite"),
+    "no such field": ("topic: ins/imu, kind: nan, start_s: 1, field: orientation.q", "has no field q: expected one"),
+    "a text": ("topic: ins/imu, kind: corrupt, start_s: 1, field: header.frame_id", "not the path of a number"),
+    "a group": ("topic: ins/imu, kind: corrupt, start_s: 1, field: orientation", "not the path of a number"),
+    "no index": (
+        "topic: ins/imu, kind: corrupt, start_s: 1, field: orientation_covariance", "has several elements: expected"
+    ),
+    "beyond": (
+        "topic: ins/imu, kind: corrupt, start_s: 1, field: 'orientation_covariance[9]'", "has 9 elements, counted from"
+    ),
+    "whole": ("topic: beacon/a/baseline, kind: corrupt, start_s: 1, field: fix, value: 300", "from 0 to 255"),
+    "whole nan": ("topic: beacon/a/baseline, kind: nan, start_s: 1, field: fix", "which has no NaN"),
+    "no path": ("topic: ins/imu, kind: nan, start_s: 1, field: 'a..b'", "no path of a field"),
+    "unknown key": ("topic: ins/imu, kind: drop, start_s: 1, size: 3", "parameter 'faults.f.size' is unknown"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_wrong_fault_is_one_line_with_file_line_and_key(bag, tmp_path, capsys, case):
+    fault, expected = BROKEN[case]
+    file, out = tmp_path / "faults.yaml", tmp_path / "out.mcap"
+    file.write_text(f"faults:\n  f: {{{fault}}}\n")
+    assert main([str(bag), "--faults", str(file), "--out", str(out)]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert f"{file}:" in line
+    assert expected in line
+    assert not out.exists()
+
+
+def test_other_bad_input_is_one_line(bag, tmp_path, capsys):
+    file, out = tmp_path / "faults.yaml", tmp_path / "out.mcap"
+    for text, expected in (("faults: {}\n", "faults"), ("voyage: 3\n", "'voyage' is unknown"), ("", "expected 'name:")):
+        file.write_text(text)
+        assert main([str(bag), "--faults", str(file), "--out", str(out)]) == 2
+        assert expected in capsys.readouterr().err
+    file.write_text("faults: {f: {topic: ins/imu, kind: drop, start_s: 1}}\n")
+    assert main([str(bag), "--faults", str(file), "--out", str(bag), "--force"]) == 2
+    assert "would overwrite the input" in capsys.readouterr().err
+    assert main([str(bag), "--faults", str(tmp_path / "none.yaml"), "--out", str(out)]) == 2
+    assert "cannot be read" in capsys.readouterr().err
+    out.write_bytes(b"")
+    assert main([str(bag), "--faults", str(file), "--out", str(out)]) == 2
+    capsys.readouterr()
+
+
+def test_a_camera_that_nobody_describes_is_named(bag, tmp_path, capsys):
+    bare = tmp_path / "bare.mcap"
+    with BagWriter(bare) as writer:
+        for record in records_of(bag):
+            writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
+    file = tmp_path / "faults.yaml"
+    file.write_text(f"faults: {{f: {{topic: {STARS}, kind: knock, start_s: 1, up_arcsec: 5}}}}\n")
+    assert main([str(bare), "--faults", str(file), "--out", str(tmp_path / "out.mcap")]) == 2
+    assert "fault 'f' of kind knock: no star sensor of the suite file has a camera" in capsys.readouterr().err
+    assert CameraConfig().given is False
+
+
+def test_every_kind_is_in_the_help(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    shown = capsys.readouterr().out
+    assert all(f"  {kind} " in shown for kind in KINDS)
