@@ -10,7 +10,9 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 RUN := source tools/env.sh &&
 PYTEST_ARGS ?=
 
-.PHONY: help setup test lint demo bags bench campaign kills clean
+VOYAGES ?= 1000
+
+.PHONY: help setup test lint demo bags bench campaign faults kills clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -37,6 +39,9 @@ campaign: setup ## many seeds, consistency of the estimates
 	@$(RUN) python tools/campaign.py
 	@$(RUN) python tools/pointing_campaign.py
 	@$(RUN) STAR_SCENES=10000 STAR_EPOCHS=10000 pytest -q -s src/ship_attitude_star/test/test_star_solution.py
+
+faults: setup ## voyages with faults: told, attributed, within the protection level; VOYAGES=40 for few
+	@$(RUN) python tools/faults.py --voyages $(VOYAGES)
 
 kills: setup ## kill -9 of recorder and node at random moments: what is lost
 	@$(RUN) python tools/kill_campaign.py

@@ -1,0 +1,213 @@
+"""Results of voyages with faults: a line of JSON a voyage, in a file that outlives a kill, and the tables of them."""
+
+import json
+import math
+import os
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ship_bags.errors import BadInput
+from ship_replay.trials.fault_judge import BEYOND
+from ship_replay.trials.fault_voyage import Voyage
+from ship_replay.trials.threats import OVERLAPPING, SINGLE
+
+Result = dict[str, Any]
+Row = tuple[str, ...]
+
+_LARGE_STEP = 8.0
+"""Steps of so many sigmas of one measurement must be told in time."""
+
+KIND_HEAD = (
+    "threat", "count", "detected", "attributed", "alert s: median", "99 %", "worst σ", "beyond 5σ", "longest s",
+    "worst/level", "level exceeded",
+)  # fmt: skip
+PAIR_HEAD = ("pair", "count", "worst σ", "worst/level", "longest beyond 5σ, s")
+
+
+class ResultsFile:
+    """A file of results, to which each voyage is added as soon as it is made.
+
+    Args:
+        path: of the file; what a killed run left of its last line is cut off.
+        fresh: forget what is there.
+
+    Raises:
+        BadInput: a line before the last is no result.
+    """
+
+    def __init__(self, path: Path, fresh: bool = False) -> None:
+        self.path = path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if fresh:
+            path.unlink(missing_ok=True)
+        self._results = self._read() if path.exists() else []
+        self._known = {_key(result) for result in self._results}
+
+    def holds(self, voyage: Voyage) -> bool:
+        """Whether a voyage was made."""
+        return (voyage.number, voyage.bag.stem, voyage.mode) in self._known
+
+    def all(self) -> list[Result]:
+        """The results, by the numbers of their voyages."""
+        return sorted(self._results, key=lambda result: int(result["voyage"]))
+
+    def add(self, result: Result) -> None:
+        """Write a result; it is on the disk when this returns."""
+        with open(self.path, "a", encoding="utf-8") as file:
+            file.write(json.dumps(result) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        self._results.append(result)
+        self._known.add(_key(result))
+
+    def _read(self) -> list[Result]:
+        data = self.path.read_bytes()
+        whole = data[: data.rfind(b"\n") + 1]
+        if len(whole) < len(data):
+            os.truncate(self.path, len(whole))
+        results = []
+        for number, line in enumerate(whole.splitlines(), 1):
+            try:
+                result = json.loads(line)
+                _key(result)
+            except (ValueError, KeyError, TypeError) as problem:
+                raise BadInput("no result of a voyage", file=self.path, line=number) from problem
+            results.append(result)
+        return results
+
+
+def _key(result: Result) -> tuple[int, str, str]:
+    return result["voyage"], result["bag"], result["mode"]
+
+
+def kind_rows(results: Sequence[Result]) -> list[Row]:
+    """One row a threat, and one for all of them."""
+    by_threat: dict[str, list[Result]] = defaultdict(list)
+    for fault in _judged_faults(results):
+        by_threat[fault["threat"]].append(fault)
+    rows = [_kind_row(threat, by_threat[threat]) for threat in sorted(by_threat)]
+    everything = [fault for faults in by_threat.values() for fault in faults]
+    return [*rows, _kind_row("all", everything)] if rows else []
+
+
+def _kind_row(threat: str, faults: Sequence[Result]) -> Row:
+    detected = [fault for fault in faults if fault["detected"]]
+    alerts_s = [fault["alert_s"] for fault in detected if fault["alert_s"] is not None]
+    levels = [level for fault in faults if (level := fault["worst_over_level"]) is not None]
+    return (
+        threat,
+        str(len(faults)),
+        str(len(detected)),
+        str(sum(fault["attributed"] for fault in detected)),
+        _number(np.median(alerts_s)) if alerts_s else "-",
+        _number(np.quantile(alerts_s, 0.99)) if alerts_s else "-",
+        _number(max(fault["worst_sigmas"] for fault in faults)),
+        str(sum(fault["worst_sigmas"] > BEYOND for fault in faults)),
+        _number(max(fault["longest_beyond_s"] for fault in faults)),
+        _number(max(levels)) if levels else "-",
+        str(sum(level > 1.0 for level in levels)),
+    )
+
+
+def pair_rows(results: Sequence[Result]) -> list[Row]:
+    """One row a pair of threats that were there at the same time."""
+    pairs: dict[tuple[str, str], list[Result]] = defaultdict(list)
+    for result in results:
+        faults = _judged_faults([result]) if result["mode"] == OVERLAPPING else []
+        for first, second in combinations(faults, 2):
+            if max(first["start_s"], second["start_s"]) < min(first["end_s"], second["end_s"]):
+                key = tuple(sorted((first["threat"], second["threat"])))
+                # What is claimed after the later beginning is the pair's.
+                pairs[key[0], key[1]].append(max(first, second, key=lambda fault: float(fault["start_s"])))
+    return [
+        (
+            f"{pair[0]} + {pair[1]}",
+            str(len(faults)),
+            _number(_most(faults, "worst_sigmas")),
+            _number(_most(faults, "worst_over_level")),
+            _number(_most(faults, "longest_beyond_s")),
+        )
+        for pair, faults in sorted(pairs.items(), key=lambda item: -_most(item[1], "worst_sigmas"))
+    ]
+
+
+@dataclass(frozen=True)
+class Totals:
+    """What the voyages say together.
+
+    Attributes:
+        lines: for people.
+        sound: no exception, and with single faults nothing VALID beyond its protection level.
+    """
+
+    lines: list[str]
+    sound: bool
+
+
+def totals(results: Sequence[Result]) -> Totals:
+    """The bounds that the voyages are held to, and whether they are kept."""
+    raised = [result for result in results if result["exception"] or result["failures"]]
+    single = [fault for fault in _judged_faults(results) if fault["mode"] == SINGLE]
+    overlapping = [fault for fault in _judged_faults(results) if fault["mode"] == OVERLAPPING]
+    detected = [fault for fault in single if fault["detected"]]
+    steps = [fault for fault in single if (fault["sigmas"] or 0.0) >= _LARGE_STEP]
+    exceeded = _above(single, "worst_over_level", 1.0)
+    lines = [f"{len(results)} voyages, {len(raised)} with exceptions"]
+    lines += [f"  voyage {one['voyage']} ({one['bag']}): {_last_line(one)}" for one in raised]
+    beyond = _above(single, "worst_sigmas", BEYOND)
+    lines.append(f"single faults: {len(single)}; VALID beyond 5σ {beyond}, beyond the protection level {exceeded}")
+    told, in_time = _share(steps, _told), _share(steps, _in_time)
+    lines.append(f"  steps ≥ {_LARGE_STEP:g}σ told: {told} of {len(steps)}; in 1 s {in_time}")
+    lines.append(f"  the right source named: {_share(detected, _attributed)} of {len(detected)}")
+    beyond, longest_s = _above(overlapping, "worst_sigmas", BEYOND), _number(_most(overlapping, "longest_beyond_s"))
+    level = _number(_most(overlapping, "worst_over_level"))
+    lines.append(f"overlapping faults: {len(overlapping)}; VALID beyond 5σ {beyond}, longest {longest_s} s")
+    lines.append(f"  worst error {level} of the protection level")
+    return Totals(lines, not raised and not exceeded)
+
+
+def _judged_faults(results: Sequence[Result]) -> list[Result]:
+    """The faults of the voyages that ended, with the mode of their voyage."""
+    return [
+        {**fault, "mode": result["mode"]} for result in results for fault in result["faults"] if "detected" in fault
+    ]
+
+
+def _above(faults: Sequence[Result], name: str, limit: float) -> int:
+    return sum(fault[name] is not None and fault[name] > limit for fault in faults)
+
+
+def _most(faults: Sequence[Result], name: str) -> float:
+    return max((fault[name] for fault in faults if fault[name] is not None), default=math.nan)
+
+
+def _share(faults: Sequence[Result], holds: Callable[[Result], bool]) -> str:
+    return f"{sum(map(holds, faults)) / len(faults):.1%}" if faults else "-"
+
+
+def _told(fault: Result) -> bool:
+    return bool(fault["detected"])
+
+
+def _attributed(fault: Result) -> bool:
+    return bool(fault["attributed"])
+
+
+def _in_time(fault: Result) -> bool:
+    return fault["alert_s"] is not None and fault["alert_s"] <= 1.0
+
+
+def _last_line(result: Result) -> str:
+    if not result["exception"]:
+        return f"{result['failures']} messages on which the software failed"
+    return str(result["exception"]).strip().splitlines()[-1]
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.2f}" if value < 100.0 else f"{value:.3g}"

@@ -1,0 +1,196 @@
+"""One voyage with faults: drawn, injected, replayed through the nodes in this process, and judged."""
+
+import dataclasses
+import math
+import time
+import traceback
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_bags.mcap.bag_reader import Bag, read_bag
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.stamps import NS_PER_S
+from ship_estimation.protection import IntegrityConfig
+from ship_replay.evaluation.sources import Truth
+from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
+from ship_replay.offline.orientations import ORIENTATIONS
+from ship_replay.offline.replay import ReplayRun, ReplaySummary
+from ship_replay.trials.fault_judge import Told, VoyageSink, judged
+from ship_replay.trials.threats import OVERLAPPING, SINGLE, DrawnFault, draw_faults
+from ship_simulation.draws.noise import random_stream
+from ship_simulation.faults.injection import Injection
+from ship_simulation.run import simulate
+from ship_simulation.scenario.fault import Fault
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.simulate_command import write_bag
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+
+NODES = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
+
+
+@dataclass(frozen=True)
+class Voyage:
+    """A voyage to be made.
+
+    Attributes:
+        number: of the voyage; its faults are drawn by it.
+        bag: without faults.
+        mode: SINGLE or OVERLAPPING.
+    """
+
+    number: int
+    bag: Path
+    mode: str
+
+
+def voyages(bags: Sequence[Path], count: int, modes: Sequence[str] = (SINGLE, OVERLAPPING)) -> list[Voyage]:
+    """Voyages over some bags in turn, and with each bag the modes in turn."""
+    return [
+        Voyage(number, bags[number % len(bags)], modes[number // len(bags) % len(modes)]) for number in range(count)
+    ]
+
+
+def make_bag(scenario_path: Path, duration_s: float, seed: int, path: Path) -> Path:
+    """The bag of a scenario, at most so long; one that is there already is taken."""
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scenario = load_scenario(scenario_path)
+        scenario = dataclasses.replace(scenario, duration_s=min(duration_s, scenario.duration_s))
+        write_bag(simulate(scenario, seed), path, scenario_path.read_bytes())
+    return path
+
+
+def run_voyage(voyage: Voyage) -> dict[str, Any]:
+    """Make a voyage; what became of it and of each of its faults, as plain data."""
+    begun_s = time.monotonic()
+    with read_bag(voyage.bag) as bag:
+        length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
+        topics = taken_topics(bag)
+        rng = random_stream(voyage.number, f"voyage.{voyage.mode}")
+        drawn = draw_faults(topics, length_s, voyage.mode, IntegrityConfig().return_after_s, rng)
+    result: dict[str, Any] = {
+        "voyage": voyage.number,
+        "bag": voyage.bag.stem,
+        "mode": voyage.mode,
+        "exception": "",
+        "failures": 0,
+        "faults": [],
+    }
+    try:
+        verdicts, told = fly(voyage.bag, drawn, voyage.number)
+        result |= {"failures": told.failures, "faults": verdicts}
+    except Exception:
+        # A defect of the software is what is looked for: it is told, and the others go on.
+        result |= {"exception": traceback.format_exc(limit=-4), "faults": [_described(one) for one in drawn]}
+    result["elapsed_s"] = round(time.monotonic() - begun_s, 2)
+    return result
+
+
+def taken_topics(bag: Bag) -> dict[str, str]:
+    """Topic → type of what the nodes of a bag take from it."""
+    chain, _ = suite_chain(bag, NODES, RosbagsFactory())
+    return {topic.topic: topic.type_name for topic in chain.inputs if topic.topic in bag.topics}
+
+
+def fly(path: Path, drawn: Sequence[DrawnFault], seed: int) -> tuple[list[dict[str, Any]], Told]:
+    """Replay a bag with faults; what became of each, and what was told."""
+    clean = clean_voyage(path)
+    faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
+    told, first_hits_ns, start_ns, end_ns = replayed(path, faults, seed)
+    verdicts = []
+    for number, one in enumerate(drawn):
+        later = [other.fault.start_s for other in drawn[number + 1 :]]
+        until_s = min([*later, (end_ns - start_ns) / NS_PER_S])
+        verdict = judged(one.fault, told, clean, start_ns, first_hits_ns[f"f{number}"], until_s)
+        verdicts.append(_described(one) | {key: _plain(value) for key, value in dataclasses.asdict(verdict).items()})
+    return verdicts, told
+
+
+@lru_cache(maxsize=8)
+def clean_voyage(path: Path) -> Told:
+    """What a voyage tells without faults."""
+    return replayed(path, {}, 0)[0]
+
+
+def replayed(path: Path, faults: Mapping[str, Fault], seed: int) -> tuple[Told, dict[str, int], int, int]:
+    """Replay a bag with faults in this process.
+
+    Returns:
+        What was told; fault → arrival of the first message that it may have hit; beginning and end of the bag, ns.
+    """
+    with read_bag(path) as bag:
+        start_ns, end_ns = bag.start_ns or 0, bag.end_ns or 0
+        chain, _ = suite_chain(bag, NODES, RosbagsFactory())
+        taken = {topic.topic for topic in chain.inputs}
+        sink = VoyageSink(_truths(bag))
+        run = ReplayRun(_Quiet(chain), sink, ReplaySummary(), truth_topics=())
+        begins_ns = {name: start_ns + round(fault.start_s * NS_PER_S) for name, fault in faults.items()}
+        hits_ns: dict[str, int] = {}
+        for record in Injection(path, faults, seed).records(bag):
+            for name, fault in faults.items():
+                if name not in hits_ns and record.topic == fault.topic and record.log_time_ns >= begins_ns[name]:
+                    hits_ns[name] = record.log_time_ns
+            if record.topic in taken:
+                run.take(record.topic, record)
+        run.finish()
+    return sink.told, begins_ns | hits_ns, start_ns, end_ns
+
+
+class _Quiet(AdapterChain):
+    """A chain whose parts are those of another; of an exception it says which topic it came from."""
+
+    def __init__(self, chain: AdapterChain) -> None:
+        super().__init__(chain.adapters, configs=chain.configs)
+
+    def handle(self, topic: str, message: Any, receive_ns: int) -> list[Any]:
+        """Take one message of an input topic."""
+        try:
+            return super().handle(topic, message, receive_ns)
+        except Exception as error:
+            error.add_note(f"on a message of {topic}")
+            raise
+
+
+@lru_cache(maxsize=8)
+def _truths_of(path: Path) -> dict[str, Truth]:
+    truths: dict[str, Truth] = {}
+    with read_bag(path) as bag:
+        for orientation in ORIENTATIONS:
+            truth = Truth(orientation)
+            for record in bag.records({orientation.truth_topic}):
+                truth.add(record.decode())
+            truths[orientation.topic] = truth
+    return truths
+
+
+def _truths(bag: Bag) -> dict[str, Truth]:
+    """The truth of a bag; it is the same with all faults."""
+    return _truths_of(bag.path)
+
+
+def _described(one: DrawnFault) -> dict[str, Any]:
+    """A fault as plain data, without the sizes that it does not have."""
+    given = {name: getattr(one.fault, name) for name in one.fault.sizes}
+    if one.fault.share < 1.0:
+        given["share"] = one.fault.share
+    return {
+        "threat": one.threat.label,
+        "topic": one.fault.topic,
+        "kind": one.fault.kind,
+        "start_s": one.fault.start_s,
+        "end_s": one.fault.end_s,
+        "sizes": {name: value for name, value in given.items() if value not in (0, 0.0, "")},
+        "sigmas": one.threat.sigmas(given),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON has it: null for what is no number."""
+    if isinstance(value, float):
+        return round(value, 4) if math.isfinite(value) else None if math.isnan(value) else 1e300
+    return value

@@ -1,0 +1,89 @@
+"""One fault looked at closely: what was claimed when, who was named when, and how wrong it was."""
+
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.stamps import NS_PER_S
+from ship_replay.offline.status_course import STATUS_WORDS
+from ship_replay.trials.fault_judge import Told, is_source, judged
+from ship_replay.trials.fault_voyage import clean_voyage, replayed, taken_topics
+from ship_simulation.scenario.fault import Fault
+from ship_simulation.scenario.fault_file import load_faults
+
+_MOST_LINES = 40
+
+
+def one_fault_lines(path: Path, words: str, seed: int = 1) -> list[str]:
+    """A report for people on one fault in a bag.
+
+    Args:
+        path: bag without faults.
+        words: the fault, as ``topic: ins/imu, kind: bias, start_s: 20, up_arcsec: 30``.
+        seed: of what the fault draws.
+
+    Raises:
+        BadInput: the words are no fault, or the bag cannot be used.
+    """
+    with read_bag(path) as bag:
+        faults = load_faults(f"faults: {{one: {{{words}}}}}", taken_topics(bag), "an input of the nodes")
+    told, first_hits_ns, start_ns, end_ns = replayed(path, faults, seed)
+    fault, until_s = faults["one"], (end_ns - start_ns) / NS_PER_S
+    verdict = judged(fault, told, clean_voyage(path), start_ns, first_hits_ns["one"], until_s)
+    worst = f"worst error {verdict.worst_sigmas:.1f} σ, {verdict.worst_over_level:.2f} of its protection level"
+    beyond = f"beyond 5σ for {verdict.beyond_s:.1f} s, longest {verdict.longest_beyond_s:.1f} s"
+    return [
+        f"{path.name}: {fault.kind} on {fault.topic} from {fault.start_s:g} s to {min(fault.end_s, until_s):g} s",
+        f"detected {verdict.detected} after {verdict.alert_s:.2f} s, attributed {verdict.attributed}",
+        f"while VALID: {worst}; {beyond}; failures {told.failures}",
+        *_worst_by_time(told, start_ns),
+        *_statuses(told, start_ns),
+        *_named(told, fault, start_ns),
+    ]
+
+
+def _seconds(time_ns: int, start_ns: int) -> str:
+    return f"{(time_ns - start_ns) / NS_PER_S:8.2f} s"
+
+
+def _worst_by_time(told: Told, start_ns: int) -> Iterator[str]:
+    """The worst claim of each ten seconds."""
+    for topic in sorted({claim[0] for claim in told.claims}):
+        yield f"worst error of {topic} while VALID, in each ten seconds (σ; share of the level):"
+        claims = [claim for claim in told.claims if claim[0] == topic]
+        spans = groupby(sorted(claims, key=lambda claim: claim[1]), key=lambda c: (c[1] - start_ns) // (10 * NS_PER_S))
+        texts = []
+        for span, group in spans:
+            kept = list(group)
+            texts.append(f"{10 * span}s {max(c[3] for c in kept):.1f};{max(c[4] for c in kept):.2f}")
+        yield "  " + "  ".join(texts)
+
+
+def _statuses(told: Told, start_ns: int) -> Iterator[str]:
+    """The spans in which an output was not VALID."""
+    for topic in sorted({entry[0] for entry in told.not_valid}):
+        yield f"{topic} not VALID (by stamps):"
+        entries = sorted(entry for entry in told.not_valid if entry[0] == topic)
+        spans: list[list[int]] = []
+        for _, stamp_ns, _, status in entries:
+            if spans and spans[-1][2] == status and stamp_ns - spans[-1][1] < NS_PER_S // 2:
+                spans[-1][1] = stamp_ns
+            else:
+                spans.append([stamp_ns, stamp_ns, status])
+        for first_ns, last_ns, status in spans[:_MOST_LINES]:
+            yield f"  {_seconds(first_ns, start_ns)} to {_seconds(last_ns, start_ns)}  {STATUS_WORDS[status]}"
+
+
+def _named(told: Told, fault: Fault, start_ns: int) -> Iterator[str]:
+    """Who was named for what: first and last time, and how often."""
+    yield "named (log time of the first and the last sign):"
+    kinds: dict[tuple[str, str], list[int]] = {}
+    for source, log_ns, _, reason in told.signs:
+        kinds.setdefault((source, reason), []).append(log_ns)
+    for (source, reason), times in sorted(kinds.items(), key=lambda item: item[1][0])[:_MOST_LINES]:
+        own = "  <- the faulty one" if is_source(source, fault.topic) else ""
+        yield (
+            f"  {_seconds(times[0], start_ns)} to {_seconds(times[-1], start_ns)}  "
+            f"{source}: {reason}, {len(times)} times{own}"
+        )

@@ -1,0 +1,115 @@
+"""Voyages with faults, drawn by seed: is each told, is the right source named, is anything VALID that is wrong?
+
+Each voyage is a line in a file of results as soon as it is made; a run that was killed goes on where it was. Exits 1
+where a voyage raised an exception, or an output was VALID with an error beyond its protection level.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_replay.trials.fault_results import (
+    KIND_HEAD,
+    PAIR_HEAD,
+    Result,
+    ResultsFile,
+    Row,
+    kind_rows,
+    pair_rows,
+    totals,
+)
+from ship_replay.trials.fault_voyage import Voyage, make_bag, run_voyage, voyages
+from ship_replay.trials.one_fault import one_fault_lines
+from ship_replay.trials.threats import OVERLAPPING, SINGLE
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENARIOS = ROOT / "bags" / "scenarios"
+LENGTHS_S = {"demo": 120.0, "theodolite": 120.0, "paper_stars": 180.0, "everything": 180.0}
+"""Scenario → length of its voyages at most, s."""
+
+
+def main() -> int:
+    """Make the voyages and print the tables."""
+    parser = CommandParser(prog="faults", description=__doc__.splitlines()[0], epilog=__doc__.splitlines()[2])
+    parser.add_argument("--voyages", type=int, default=1000, help="how many (1000)")
+    parser.add_argument("--mode", choices=(SINGLE, OVERLAPPING, "both"), default="both", help="of the faults (both)")
+    parser.add_argument("--bags", nargs="*", default=list(LENGTHS_S), choices=list(LENGTHS_S), help="scenarios (all)")
+    parser.add_argument("--bag-seeds", type=int, default=2, help="seeds of each scenario (2)")
+    parser.add_argument("--processes", type=int, default=2, help="worker processes (2)")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "faults", help="folder of bags and results")
+    parser.add_argument("--fresh", action="store_true", help="begin anew: forget the results that are there")
+    parser.add_argument("--table", action="store_true", help="print the tables of the results that are there")
+    parser.add_argument(
+        "--one", metavar="FAULT", help="one fault on the first of --bags, in words: "
+        "'topic: ins/imu, kind: bias, start_s: 20, up_arcsec: 30'"
+    )  # fmt: skip
+    return run_command(parser, _run, None)
+
+
+def _run(options: argparse.Namespace) -> int:
+    paths = {
+        (name, seed): options.out / "bags" / f"{name}_{seed}.mcap"
+        for seed in range(1, options.bag_seeds + 1)
+        for name in options.bags
+    }
+    if options.one is not None:
+        (name, seed), path = next(iter(paths.items()))
+        _bag(name, seed, path)
+        print("\n".join(one_fault_lines(path, options.one)))
+        return EXIT_DONE
+    modes = (SINGLE, OVERLAPPING) if options.mode == "both" else (options.mode,)
+    results = ResultsFile(options.out / f"{options.mode}.jsonl", options.fresh)
+    if not options.table:
+        for (name, seed), path in paths.items():
+            _bag(name, seed, path)
+        wanted = voyages(list(paths.values()), options.voyages, modes)
+        _make([voyage for voyage in wanted if not results.holds(voyage)], results, options.processes)
+    return _report(results.all())
+
+
+def _bag(name: str, seed: int, path: Path) -> None:
+    make_bag(SCENARIOS / f"{name}.yaml", LENGTHS_S[name], seed, path)
+
+
+def _make(wanted: list[Voyage], results: ResultsFile, processes: int) -> None:
+    """Make voyages, each result written when it is there."""
+    with ProcessPoolExecutor(processes) as pool, Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("voyages", total=len(wanted))
+        try:
+            for done in as_completed([pool.submit(run_voyage, voyage) for voyage in wanted]):
+                results.add(done.result())
+                progress.advance(task)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _report(results: list[Result]) -> int:
+    console = Console(width=170)
+    for head, rows in ((KIND_HEAD, kind_rows(results)), (PAIR_HEAD, pair_rows(results))):
+        if rows:
+            console.print(_table(head, rows))
+    found = totals(results)
+    for line in found.lines:
+        console.print(line, soft_wrap=True, highlight=False)
+    return EXIT_DONE if found.sound else EXIT_BOUND_NOT_MET
+
+
+def _table(head: Row, rows: Iterable[Row]) -> Table:
+    table = Table()
+    for column in head:
+        table.add_column(column, justify="left" if column in ("threat", "pair") else "right")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+if __name__ == "__main__":
+    sys.exit(main())
