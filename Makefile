@@ -11,6 +11,7 @@ RUN := source tools/env.sh &&
 PYTEST_ARGS ?=
 
 VOYAGES ?= 1000
+FAULT_ARGS ?=
 
 .PHONY: help setup test lint demo bags bench campaign faults kills clean
 
@@ -41,7 +42,7 @@ campaign: setup ## many seeds, consistency of the estimates
 	@$(RUN) STAR_SCENES=10000 STAR_EPOCHS=10000 pytest -q -s src/ship_attitude_star/test/test_star_solution.py
 
 faults: setup ## voyages with faults: told, attributed, within the protection level; VOYAGES=40 for few
-	@$(RUN) python tools/faults.py --voyages $(VOYAGES)
+	@$(RUN) python tools/faults.py --voyages $(VOYAGES) $(FAULT_ARGS)
 
 kills: setup ## kill -9 of recorder and node at random moments: what is lost
 	@$(RUN) python tools/kill_campaign.py
