@@ -96,15 +96,16 @@ def star_solution() -> list[Row]:
     exposures = [star_exposure(run, id_, 0) for id_ in run.stars]
     time_ns = exposures[0].time_ns
     mounted = [
-        Mounted(solve_exposure(exposure, (), None, watch)[0], config.star_sensors[id_].rotation_ds, np.zeros((3, 3)))
+        Mounted(solve_exposure(exposure, (), None, watch)[0], config.star_sensors[id_].rotation_ds)
         for id_, exposure in zip(run.stars, exposures, strict=True)
     ]
-    solved = solve_deck(time_ns, mounted, config.star_sensors, None).solution
+    at_once = np.zeros((len(mounted), 3, len(mounted), 3))
+    solved = solve_deck(time_ns, mounted, at_once, config.star_sensors, None).solution
     assert solved.status is SolutionStatus.VALID
     stars = [mounted_.placed.stars for mounted_ in mounted]
     reference = np.concatenate([star.reference_n for star in stars])
     measured = reference @ solved.rotation_nb
-    deck_us = _median_us(lambda: solve_deck(time_ns, mounted, config.star_sensors, None))
+    deck_us = _median_us(lambda: solve_deck(time_ns, mounted, at_once, config.star_sensors, None))
     place_us = _median_us(lambda: [watch.at(time_ns).apparent(exposure.positions) for exposure in exposures])
     scipy_us = _median_us(lambda: Rotation.align_vectors(reference, measured, return_sensitivity=True))
     return [

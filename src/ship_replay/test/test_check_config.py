@@ -198,7 +198,7 @@ def star_bag(path, frame_id="star_fore", sensor="fore"):
 def test_each_node_of_the_suite_is_checked(check, tmp_path):
     code, lines, _ = check(STARS, star_bag(tmp_path / "a.mcap", frame_id="camera"))
     assert code == 2
-    assert lines[0] == "error: suite.yaml: topic 'gnss/fix' is not in a.mcap: needed by star_attitude"
+    assert lines[0] == "error: suite.yaml: topic 'gnss/fix' is not in a.mcap: needed by ship_attitude and star_attitude"
     expected = "parameter 'star_sensors.fore.frame_id' = 'star_fore', but topic 'star/fore/observations' in a.mcap"
     assert lines[1] == f"error: suite.yaml:11: {expected} carries frame_id 'camera'"
     # What star_attitude gives need not be in the bag.

@@ -16,6 +16,13 @@ class Horizon(enum.IntEnum):
     GRAVITY = 1
 
 
+SHARED_BY_SKY = "sky"
+"""Names errors that all sensors share which look at the same sky: those of refraction, UT1 and position."""
+
+SHARED_BY_MESSAGES = "message"
+"""Names the error that several messages have in common, of which nothing is known but its size."""
+
+
 @dataclass(frozen=True)
 class AttitudeMeasurement:
     """The attitude of a device fixed to the ship: a star sensor, or another attitude system.
@@ -27,9 +34,10 @@ class AttitudeMeasurement:
         noise_v: covariance, independent from epoch to epoch, in the device frame, rad², shape (3, 3).
         common_n: covariance of what epochs share, rotation vector in the horizon frame, rad², shape (3, 3).
         covariance_known: False where the message gave none and the configured sigma stands in.
-        shared_n: turn of the sky, as the horizon has it, by one sigma of each error that all star sensors share
-            (:data:`ship_attitude_star.sky.sky_watch.SHARED_TERMS`), rad, shape (3, 4); None where the message knows
-            of none.
+        shared_n: turn of the sky, as the horizon has it, by one sigma of each error that star sensors share, rad, shape
+            (3, n); None where the message knows of none.
+        shared_by: which errors these are: SHARED_BY_SKY, n = 4
+            (:data:`ship_attitude_star.sky.sky_watch.SHARED_TERMS`), or SHARED_BY_MESSAGES, n = 3.
     """
 
     source: str
@@ -39,11 +47,31 @@ class AttitudeMeasurement:
     common_n: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     covariance_known: bool = True
     shared_n: FloatArray | None = None
+    shared_by: str = SHARED_BY_SKY
     reach_ns = 0  # an attitude is that of its moment
 
     def content(self) -> bytes:
         """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
-        return self.rotation_nv.tobytes() + self.noise_v.tobytes() + self.common_n.tobytes()
+        shared = b"" if self.shared_n is None else self.shared_n.tobytes()
+        return self.rotation_nv.tobytes() + self.noise_v.tobytes() + self.common_n.tobytes() + shared
+
+    @property
+    def lasting_n(self) -> FloatArray:
+        """Covariance of all that is not independent from epoch to epoch, shared or not, horizon frame, rad², (3, 3)."""
+        return self.common_n if self.shared_n is None else self.common_n + self.shared_n @ self.shared_n.T
+
+
+@dataclass(frozen=True)
+class SolvedAttitude(AttitudeMeasurement):
+    """The attitude of a sensor that placed its stars by the ship's own fix, UT1 and air, before these are told apart.
+
+    What it shares with others is part of ``common_n``, or of ``noise_v`` where the message does not tell the two apart.
+
+    Attributes:
+        noise_told: False where the message has one covariance for all.
+    """
+
+    noise_told: bool = True
 
 
 ATTITUDE_COMPONENTS = ("forward", "up", "right")

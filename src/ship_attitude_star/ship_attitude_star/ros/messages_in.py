@@ -6,12 +6,18 @@ Reads attributes only, so any message class will do. What cannot be used raises
 
 import functools
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from ship_attitude_star.measurements.readings import AirReading, InertialAttitude, PositionFix, SkyInput
-from ship_attitude_star.measurements.samples import AttitudeMeasurement
+from ship_attitude_star.measurements.samples import (
+    SHARED_BY_MESSAGES,
+    SHARED_BY_SKY,
+    AttitudeMeasurement,
+    SolvedAttitude,
+)
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, StarSensorConfig
 from ship_attitude_star.sky.config import SkyConfig
 from ship_estimation.outcome import Measurement
@@ -80,11 +86,26 @@ def star_measurement(
         total_n = rotation_vector_covariance(total_angles, azimuth, elevation)
     else:
         noise_s = _configured_noise(config)
-        return _read(AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False))
+        told = AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False)
+        return _read(_sharing(told, config.sharing, noise_told=True))
     noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
     noise_s = rotation_ns.T @ noise_n @ rotation_ns
-    common_n = _common_covariance(total_n, noise_n)
-    return _read(AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, common_n))
+    told = AttitudeMeasurement(
+        f"star.{sensor_id}", time_ns, rotation_ns, noise_s, _common_covariance(total_n, noise_n)
+    )
+    return _read(_sharing(told, config.sharing, noise_told=noise_enu is not None))
+
+
+def _sharing(told: AttitudeMeasurement, sharing: str, noise_told: bool) -> AttitudeMeasurement:
+    """The attitude of a sensor with what it shares with others, as configured."""
+    if sharing == SHARED_BY_SKY:
+        return SolvedAttitude(**vars(told) | {"noise_told": noise_told})
+    if sharing == SHARED_BY_MESSAGES and told.common_n.any():
+        # As much alike as two errors of different covariances can be: the same turn through each one's symmetric root.
+        values, vectors = np.linalg.eigh(told.common_n)
+        root_n = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+        return replace(told, common_n=np.zeros((3, 3)), shared_n=root_n, shared_by=SHARED_BY_MESSAGES)
+    return told
 
 
 def inertial_attitude(

@@ -172,7 +172,7 @@ def _attitude_residual(
     """
     rotation_nv, jacobian_v = predicted.rotation_nv, predicted.jacobian_v
     if measurement.shared_n is not None:
-        rows = model.sky_rows
+        rows = model.shared_rows[measurement.shared_by]
         turn = -measurement.shared_n @ mean[rows]
         rotation_nv = exp_rotation(turn) @ rotation_nv
         jacobian_v = jacobian_v.copy()

@@ -2,12 +2,20 @@
 
 from dataclasses import dataclass
 
+from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
 from ship_attitude_star.sky.config import InertialConfig, SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameter_fields import arcsec, degrees, mapping_of, parameter, section, stamp_age
+from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import IntegrityConfig
+
+BY_INPUT = "by_input"
+"""What the messages of a star sensor share follows from their kind."""
+
+_SOLVED_BEFORE = ("solution", "horizon_attitude")
+"""Inputs that are attitudes in the horizon already."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +39,12 @@ class StarSensorConfig(MountingConfig):
         "horizon_attitude",
         doc="topic under star/<id>/ that feeds the filter",
         choices=("horizon_attitude", "solution", "observations", "inertial_attitude"),
+    )
+    shared: str = parameter(
+        BY_INPUT,
+        doc="what of a message's lasting error other sensors have too: what refraction, UT1 and gnss/fix make of it"
+        " (sky), all of it (message), nothing (none); by_input: sky for input solution, none for horizon_attitude",
+        choices=(BY_INPUT, "none", SHARED_BY_MESSAGES, SHARED_BY_SKY),
     )
     camera: CameraConfig = section(CameraConfig)
     inertial: InertialConfig = section(InertialConfig)
@@ -74,9 +88,16 @@ class StarSensorConfig(MountingConfig):
     )
 
     @property
+    def sharing(self) -> str:
+        """What its messages share with others: SHARED_BY_SKY, SHARED_BY_MESSAGES or "none"."""
+        if self.shared != BY_INPUT:
+            return self.shared
+        return "none" if self.input == "horizon_attitude" else SHARED_BY_SKY
+
+    @property
     def looks_at_sky(self) -> bool:
-        """Whether its messages are about the stars, and the horizon must be found here."""
-        return self.input in ("observations", "inertial_attitude")
+        """Whether the sky over the ship must be known here to use its messages."""
+        return self.sharing == SHARED_BY_SKY
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,3 +168,16 @@ class ShipAttitudeConfig(StarSensorsById):
     alignment_max_age_d: float = parameter(
         30.0, doc="an alignment older than this is a wider prior", unit="d", minimum=0.0, maximum=36500.0
     )
+
+    def __post_init__(self) -> None:
+        """Check what belongs together.
+
+        Raises:
+            ParameterError: names the parameter.
+        """
+        super().__post_init__()
+        for id_, star in self.star_sensors.items():
+            if star.shared != BY_INPUT and star.input not in _SOLVED_BEFORE:
+                name = f"star_sensors.{id_}.shared"
+                text = f"'{star.shared}' is for input: solution or horizon_attitude; '{star.input}' shares the sky"
+                raise ParameterError(f"parameter '{name}': {text}", name)

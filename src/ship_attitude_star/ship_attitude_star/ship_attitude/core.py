@@ -155,7 +155,8 @@ class ShipAttitudeCore:
         if changed_after_ns is not None:
             self._shell.rewind_where(
                 lambda decision: decision.measurement.time_ns > changed_after_ns
-                and not isinstance(decision.measurement, AttitudeMeasurement)
+                # An attitude that is nothing but itself is compared without the sky; a SolvedAttitude is not.
+                and type(decision.measurement) is not AttitudeMeasurement
             )
             self._shell.apply(outcome)
         return outcome

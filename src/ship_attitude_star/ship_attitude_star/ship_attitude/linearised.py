@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from ship_attitude_star.measurements.readings import InertialAttitude
+from ship_attitude_star.measurements.samples import SolvedAttitude
 from ship_attitude_star.ship_attitude.comparison import (
     Compared,
     PredictedAttitude,
@@ -224,7 +225,7 @@ class Linearisation:
         if ins is None:
             text = "no INS samples on both sides of it: it cannot be compared"
             return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
-        if isinstance(measurement, InertialAttitude):
+        if isinstance(measurement, InertialAttitude | SolvedAttitude):
             assert task.watch is not None
             turned = in_horizon(measurement, task.watch)
             if isinstance(turned, Refusal):

@@ -12,10 +12,12 @@ star.<id>.installation (3)      sensor   m: R(sensor -> deck) = R(A0, E0, roll0)
 star.<id>.common (3)            horizon  error shared by successive solutions: R_measured = exp(c) R_true ...
 star.<id>.time_offset (1)                a message is valid at its stamp + this; only where it has a sigma
 star.<id>.flexure (3)           deck     hull between INS and sensor; only where it has a sigma
-sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two only where a
-                                         sensor gives single stars or an attitude against the ICRS
+sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two only where the
+                                         messages of a sensor rest on the sky over the ship
 sky.earth_rotation (1)                   error of UT1, in its own sigmas
 sky.position (2)                         error of the ship's position, in its own sigmas
+sky.common (3)                           what messages have in common, in sigmas; only where a sensor is
+                                         configured so
 reference.<name>.installation   device   as for a star sensor, from the INS's deck axes
 reference.<name>.slow           device   its own slow error; only where it has a sigma
 reference.<name>.time_offset             stamp of the reference - stamp of the INS for the same attitude
@@ -33,6 +35,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
 from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.sky.config import SkyConfig
 from ship_estimation.kalman import StateBlock, StateModel, block
@@ -85,8 +88,9 @@ class ShipStateModel(StateModel):
     """The state vector of a configuration.
 
     Attributes:
-        sky_rows: where the states are that all stars share, in the order of SHARED_TERMS; empty where no sensor looks
-            at the sky itself.
+        sky_rows: where the states are that all stars share, in the order of SHARED_TERMS; empty where no sensor's
+            messages rest on the sky over the ship.
+        shared_rows: where the states are that attitudes share, by :attr:`AttitudeMeasurement.shared_by`.
     """
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
@@ -96,6 +100,10 @@ class ShipStateModel(StateModel):
         looks_at_sky = any(star.looks_at_sky for star in config.star_sensors.values())
         if looks_at_sky:
             blocks += _sky_blocks(config.sky)
+        alike = [star for star in config.star_sensors.values() if star.sharing == SHARED_BY_MESSAGES]
+        if alike:
+            time_s = max(star.common_time_s for star in alike)
+            blocks.append(block("sky.common", [1.0] * 3, SOURCE_STAR_COMMON, time_s=time_s))
         for name, reference in config.references.items():
             blocks += _reference_blocks(f"reference.{name}", reference)
         noise_sources = [SOURCE_INTERPOLATION]
@@ -108,6 +116,10 @@ class ShipStateModel(StateModel):
         self.sky_rows = slice(0, 0)
         if looks_at_sky:
             self.sky_rows = slice(self.slices["sky.refraction"].start, self.slices["sky.position"].stop)
+        self.shared_rows = {
+            SHARED_BY_SKY: self.sky_rows,
+            SHARED_BY_MESSAGES: self.slices.get("sky.common", slice(0, 0)),
+        }
 
 
 def devices(config: ShipAttitudeConfig) -> dict[str, Device]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ship_attitude_star.measurements.readings import InertialAttitude
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Horizon
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Horizon, SolvedAttitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.integrity import above_limit, integrity_of
@@ -139,16 +139,15 @@ def attitude_alone(
         watch: the sky; None where no sensor needs it.
         untold_acceleration: angular acceleration of the deck that nothing tells, sigma of each axis, rad/s².
     """
-    if isinstance(measurement, AttitudeMeasurement):
-        return measurement
-    assert watch is not None
-    if isinstance(measurement, InertialAttitude):
+    attitude: Measurement | Refusal = measurement
+    if isinstance(measurement, InertialAttitude | SolvedAttitude):
+        assert watch is not None
         attitude = in_horizon(measurement, watch)
-        if isinstance(attitude, Refusal):
-            return None
-        assert attitude.shared_n is not None
-        common_n = attitude.common_n + attitude.shared_n @ attitude.shared_n.T
-        return replace(attitude, common_n=common_n, shared_n=None)
+    if isinstance(attitude, Refusal):
+        return None
+    if isinstance(attitude, AttitudeMeasurement):
+        return replace(attitude, common_n=attitude.lasting_n, shared_n=None)
+    assert watch is not None
     assert isinstance(measurement, StarExposure)
     return _by_stars(measurement, watch, untold_acceleration)
 

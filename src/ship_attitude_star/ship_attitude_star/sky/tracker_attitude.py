@@ -13,8 +13,9 @@ lasts as long as they stand there: each tracker has a slow error of its own.
 import numpy as np
 
 from ship_attitude_star.measurements.readings import FieldOfView, InertialAttitude
-from ship_attitude_star.measurements.samples import AttitudeMeasurement
+from ship_attitude_star.measurements.samples import AttitudeMeasurement, SolvedAttitude
 from ship_attitude_star.sky.sky_watch import SkyMoment, SkyWatch
+from ship_attitude_star.sky.solved_attitude import shared_told_apart
 from ship_estimation.refusals import Refusal
 from ship_geometry.refraction import elevation_of, lifting_axis
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
@@ -25,20 +26,26 @@ _STARS = 5
 _GREATEST_ABERRATION = 20.5 * ARCSEC
 
 
-def in_horizon(inertial: InertialAttitude, watch: SkyWatch) -> AttitudeMeasurement | Refusal:
-    """The attitude in the horizon, with the errors of refraction, Earth rotation and position.
+def in_horizon(attitude: InertialAttitude | SolvedAttitude, watch: SkyWatch) -> AttitudeMeasurement | Refusal:
+    """The attitude in the horizon, with the errors of refraction, Earth rotation and position that it shares.
 
     Args:
-        inertial: the attitude against the ICRS.
+        attitude: against the ICRS, or by a sensor that has found the horizon itself.
         watch: the sky.
 
     Returns:
         The refusal where no star can be placed at that moment, or the boresight is lower than the refraction model
         holds.
     """
-    moment, field = watch.at(inertial.time_ns), inertial.field
+    moment = watch.at(attitude.time_ns)
     if isinstance(moment, Refusal):
         return moment
+    return shared_told_apart(attitude, moment) if isinstance(attitude, SolvedAttitude) else _turned(attitude, moment)
+
+
+def _turned(inertial: InertialAttitude, moment: SkyMoment) -> AttitudeMeasurement | Refusal:
+    """An attitude against the ICRS, turned into the horizon."""
+    field = inertial.field
     bare_ns = moment.rotation_horizon_from_icrs() @ inertial.rotation_cs
     if not field.aberration_removed:
         forward = bare_ns[:, 0]

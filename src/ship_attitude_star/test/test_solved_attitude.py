@@ -1,0 +1,394 @@
+"""What solved attitudes of several sensors have in common counts once: Monte Carlo with a poor fix and poor weather.
+
+The ship stands elsewhere than her fix says, under other air than she is told. Her sensors see the stars from where she
+is; all else knows the fix and the told air alone. So the sensitivities are judged by true shifts of the sky, not by
+themselves.
+"""
+
+import functools
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.measurements.readings import PositionFix
+from ship_attitude_star.measurements.samples import AttitudeMeasurement, SolvedAttitude
+from ship_attitude_star.ros.messages_in import star_measurement
+from ship_attitude_star.ros.star_attitude_adapter import star_horizon_attitude
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.sky.tracker_attitude import in_horizon
+from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
+from ship_attitude_star.stars.exposure import StarExposure
+from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
+from ship_estimation.outcome import Measurement, Status
+from ship_estimation.parameters import ParameterError
+from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.ros_axes import horizon_covariance
+from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_testing.adapter_runs import FACTORY, START_NS, Arrival, in_order
+from ship_testing.ship_observations import SENSORS as OBSERVING
+from ship_testing.ship_observations import sail
+from ship_testing.small_voyage import INS, Run
+from ship_testing.star_sky import POSITION, SENSORS, TIME_NS, configuration, exposure_of, ins_track
+from ship_testing.star_voyage import FIX, HUMIDITY, PRESSURE, TEMPERATURE, clean_run, except_
+from ship_testing.star_voyage import voyage as star_voyage
+
+SECOND_NS = 1_000_000_000
+SEEDS = 200
+EPOCHS = 3
+METRES_PER_RADIAN = 6.37e6
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """How well the fix and the air are known, standard deviations."""
+
+    fix_m: float
+    pressure_hpa: float
+    temperature_k: float
+
+
+POOR_FIX = Knowledge(100.0, 2.0, 2.0)
+POOR_WEATHER = Knowledge(5.0, 15.0, 15.0)
+
+
+def ship(known: Knowledge, **sensor: Any) -> ShipAttitudeConfig:
+    """Two sensors, and a weather that is not measured; a gate that none of some thousand messages meets by chance."""
+    air = {"pressure_sigma_hpa": known.pressure_hpa, "temperature_sigma_k": known.temperature_k}
+    built = configuration(sky=air, gate={"probability": 1.0 - 1e-9})
+    return replace(built, star_sensors={id_: replace(star, **sensor) for id_, star in built.star_sensors.items()})
+
+
+def sky(config: ShipAttitudeConfig, position: GeodeticPosition, sigma_m: float) -> SkyWatch:
+    watch = installed_sky(config.sky)
+    for second in range(-2, EPOCHS + 2):
+        fix = PositionFix(TIME_NS + second * SECOND_NS, position, np.eye(3) * sigma_m**2)
+        watch.surroundings.insert(fix)
+    return watch
+
+
+@functools.cache
+def told(known: Knowledge) -> SkyWatch:
+    return sky(ship(known), POSITION, known.fix_m)
+
+
+def true_sky(known: Knowledge, rng: np.random.Generator) -> SkyWatch:
+    """Of a place and an air that differ from what is told as their sigmas say."""
+    north_m, east_m = known.fix_m * rng.standard_normal(2)
+    place = GeodeticPosition(
+        POSITION.latitude + north_m / METRES_PER_RADIAN,
+        POSITION.longitude + east_m / (METRES_PER_RADIAN * np.cos(POSITION.latitude)),
+        POSITION.height_m,
+    )
+    config = ship(known)
+    air = replace(
+        config.sky,
+        pressure_hpa=config.sky.pressure_hpa + known.pressure_hpa * rng.standard_normal(),
+        temperature_c=config.sky.temperature_c + known.temperature_k * rng.standard_normal(),
+    )
+    return sky(replace(config, sky=air), place, known.fix_m)
+
+
+@dataclass(frozen=True)
+class Voyage:
+    """What a seed draws: errors of the INS, true minus stated, and what the sensors see."""
+
+    error_n: FloatArray
+    noise_n: tuple[FloatArray, ...]
+    exposures: tuple[StarExposure, ...]
+
+
+@functools.cache
+def voyage(known: Knowledge, seed: int) -> Voyage:
+    rng = np.random.default_rng([20261122, seed])
+    config = ship(known)
+    blocks, truth = ShipFilter(config).model.blocks, true_sky(known, rng)
+    error_n = blocks["ins.attitude"].sigma * rng.standard_normal(3)
+    mounted_s = {id_: s.installation_sigma_s * rng.standard_normal(3) for id_, s in config.star_sensors.items()}
+    exposures, noise_n = [], []
+    for epoch in range(EPOCHS):
+        for id_ in SENSORS:
+            exposures.append(exposure_of(truth, id_, 8, rng, TIME_NS + epoch * SECOND_NS, mounted_s[id_]))
+            noise_n.append(blocks["ins.noise"].sigma * rng.standard_normal(3))
+    return Voyage(error_n, tuple(noise_n), tuple(exposures))
+
+
+def solution(exposure: StarExposure, known: Knowledge) -> Any:
+    """``star/<id>/solution`` of an exposure by the told sky."""
+    _, solved = solve_exposure(exposure, (), None, told(known))
+    assert solved.valid
+    return star_horizon_attitude(FACTORY, solved, "")
+
+
+def measured(exposure: StarExposure, config: ShipAttitudeConfig, known: Knowledge, noise_told: bool) -> Measurement:
+    """What the filter takes of an exposure, by the input that is configured."""
+    id_ = exposure.source.partition(".")[2]
+    star = config.star_sensors[id_]
+    if star.input == "observations":
+        return exposure
+    message = solution(exposure, known)
+    if not noise_told:
+        message.noise_covariance[:] = 0.0
+    return star_measurement(message, id_, star, exposure.time_ns).value
+
+
+def final(config: ShipAttitudeConfig, known: Knowledge, seed: int, noise_told: bool) -> tuple[FloatArray, FloatArray]:
+    """True minus estimated error of the INS after a few exposures of both sensors, and its covariance (N, U, E)."""
+    drawn, ship_filter = voyage(known, seed), ShipFilter(config)
+    state = ship_filter.initial_state()
+    for exposure, noise_n in zip(drawn.exposures, drawn.noise_n, strict=True):
+        track = ins_track(exposure.time_ns, drawn.error_n + noise_n)
+        measurement = measured(exposure, config, known, noise_told)
+        stepped = ship_filter.step(state, measurement, track, told(known))
+        assert stepped is not None
+        state, decision = stepped
+        assert decision.accepted, decision.text
+    rows = ship_filter.model.slices["ins.attitude"]
+    return drawn.error_n - state.mean[rows], state.covariance[rows, rows]
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Of all seeds: mean NEES; and about North, Up, East, RMS error / sigma, and sigma in arcseconds."""
+
+    nees: float
+    ratio: FloatArray
+    sigma_arcsec: FloatArray
+
+
+@functools.cache
+def campaign(known: Knowledge, input_: str, shared: str = "by_input", noise_told: bool = True) -> Campaign:
+    config = ship(known, input=input_, shared=shared)
+    found = [final(config, known, seed, noise_told) for seed in range(SEEDS)]
+    nees = [float(normalized_error_squared(error_n, covariance_n)) for error_n, covariance_n in found]
+    sigma = np.sqrt(np.mean([np.diagonal(covariance_n) for _, covariance_n in found], axis=0))
+    rms = np.sqrt(np.mean([error_n**2 for error_n, _ in found], axis=0))
+    result = Campaign(float(np.mean(nees)), rms / sigma, sigma / ARCSEC)
+    print(f"{known} {input_} {shared} {noise_told}: NEES {result.nees:.2f}, RMS/sigma {result.ratio.round(2)}, "
+          f"sigma {result.sigma_arcsec.round(2)}")
+    return result
+
+
+ONE_ERROR_FOR_ALL = {
+    "observations": ("observations",),
+    "solution": ("solution",),
+    "a stranger's attitude": ("horizon_attitude", "sky"),
+    "a stranger's with one covariance": ("horizon_attitude", "sky", False),
+}
+
+
+@pytest.mark.parametrize("case", ONE_ERROR_FOR_ALL)
+@pytest.mark.parametrize("known", [POOR_FIX, POOR_WEATHER], ids=["poor fix", "poor weather"])
+def test_the_ship_is_as_far_off_as_it_says_whatever_the_input(known: Knowledge, case: str) -> None:
+    found = campaign(known, *ONE_ERROR_FOR_ALL[case])
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low < found.nees < high
+    low, high = sigma_ratio_band(SEEDS)
+    assert np.all((low < found.ratio) & (found.ratio < high)), found.ratio
+
+
+@pytest.mark.parametrize("known", [POOR_FIX, POOR_WEATHER], ids=["poor fix", "poor weather"])
+def test_solutions_tell_as_much_as_the_stars_that_they_are_made_of(known: Knowledge) -> None:
+    by_stars, by_solutions = campaign(known, "observations"), campaign(known, "solution")
+    assert by_solutions.sigma_arcsec == pytest.approx(by_stars.sigma_arcsec, rel=0.03)
+
+
+def test_where_the_position_is_most_of_it_one_error_of_all_messages_is_as_good() -> None:
+    found, by_sky = campaign(POOR_FIX, "solution", "message"), campaign(POOR_FIX, "solution")
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low < found.nees < high
+    assert found.sigma_arcsec == pytest.approx(by_sky.sigma_arcsec, rel=0.03)
+
+
+def test_as_each_sensor_s_own_the_error_of_the_fix_would_seem_to_average() -> None:
+    """The bands can fail: so it was with every solution. In tilt sigma is too small, in heading too large."""
+    ratio = campaign(POOR_FIX, "solution", "none").ratio
+    low, high = sigma_ratio_band(SEEDS)
+    assert ratio[0] > high - 0.05
+    assert ratio[1] < low
+
+
+# -- one message ----------------------------------------------------------------------------------------------
+
+
+def one_solution(known: Knowledge = POOR_FIX) -> Any:
+    return solution(exposure_of(told(known), "fore", 8, np.random.default_rng(1)), known)
+
+
+def read(message: Any, shared: str = "sky") -> AttitudeMeasurement:
+    star = ship(POOR_FIX, input="horizon_attitude", shared=shared).star_sensors["fore"]
+    return star_measurement(message, "fore", star, TIME_NS).value
+
+
+def told_apart(message: Any, known: Knowledge = POOR_FIX) -> AttitudeMeasurement:
+    solved = read(message)
+    assert isinstance(solved, SolvedAttitude)
+    found = in_horizon(solved, told(known))
+    assert isinstance(found, AttitudeMeasurement)
+    return found
+
+
+@pytest.mark.parametrize("noise_told", [True, False], ids=["noise told", "one covariance"])
+@pytest.mark.parametrize("known", [POOR_FIX, POOR_WEATHER], ids=["poor fix", "poor weather"])
+def test_nothing_counts_twice_and_nothing_is_lost(known: Knowledge, noise_told: bool) -> None:
+    message = one_solution(known)
+    if not noise_told:
+        message.noise_covariance[:] = 0.0
+    found, total_n = told_apart(message, known), horizon_covariance(message.rotation_covariance.reshape(3, 3))
+    noise_n = found.rotation_nv @ found.noise_v @ found.rotation_nv.T
+    np.testing.assert_allclose(noise_n + found.lasting_n, total_n, atol=1e-9 * np.trace(total_n))
+    for part in (found.noise_v, found.common_n):
+        assert np.linalg.eigvalsh(part)[0] > -1e-9 * np.trace(total_n)
+    # Of our own solutions the catalogue's error alone is left, 0.02" and less of each star.
+    if noise_told:
+        assert np.sqrt(np.trace(found.common_n)) < 0.1 * ARCSEC
+
+
+def test_the_shared_turns_are_those_of_the_sky_moved_and_lifted() -> None:
+    """Against finite differences: the solution by a sky that is one sigma further north, and by one of denser air."""
+    exposure = exposure_of(told(POOR_WEATHER), "fore", 8)
+    found = told_apart(one_solution(POOR_WEATHER), POOR_WEATHER)
+    config = ship(POOR_WEATHER)
+    north = replace(POSITION, latitude=POSITION.latitude + POOR_WEATHER.fix_m / METRES_PER_RADIAN)
+    denser = replace(config.sky, pressure_hpa=config.sky.pressure_hpa + 1.0)
+    for column, watch in (
+        (2, sky(config, north, POOR_WEATHER.fix_m)),
+        (0, sky(replace(config, sky=denser), POSITION, POOR_WEATHER.fix_m)),
+    ):
+        moved, as_told = (solve_exposure(exposure, (), None, one)[1] for one in (watch, told(POOR_WEATHER)))
+        turn_n = log_rotation(moved.solution.rotation_nb @ as_told.solution.rotation_nb.T)
+        expected_n = found.shared_n[:, column]
+        if column == 0:
+            # One sigma is that of pressure and temperature together.
+            turn_n *= np.linalg.norm(expected_n) / np.linalg.norm(turn_n)
+        np.testing.assert_allclose(turn_n, expected_n, atol=0.03 * np.linalg.norm(expected_n))
+
+
+def test_what_a_message_does_not_state_comes_on_top_of_the_configured_noise() -> None:
+    message = one_solution()
+    for covariance in (message.covariance, message.rotation_covariance, message.noise_covariance):
+        covariance[:] = 0.0
+    found = told_apart(message)
+    assert not found.covariance_known
+    assert np.sqrt(np.diagonal(found.noise_v)) / ARCSEC == pytest.approx([100.0, 3.0, 3.0])
+    np.testing.assert_array_equal(found.common_n, 0.0)
+    # 100 m of 6370 km.
+    assert np.linalg.norm(found.shared_n[:, 2]) / ARCSEC == pytest.approx(3.24, abs=0.02)
+
+
+def test_a_message_that_states_less_than_the_fix_has_errors_is_not_made_negative() -> None:
+    message = one_solution(POOR_WEATHER)
+    found = told_apart(message, POOR_FIX)
+    assert np.linalg.eigvalsh(found.common_n)[0] > -1e-9 * np.trace(found.common_n)
+    assert np.linalg.norm(found.shared_n[:, 2]) / ARCSEC == pytest.approx(3.24, abs=0.02)
+
+
+def test_a_lasting_error_that_no_air_explains_is_the_sensor_s_own() -> None:
+    message = one_solution()
+    more = (20.0 * ARCSEC) ** 2 * np.eye(3).ravel()
+    message.rotation_covariance += more
+    found = told_apart(message)
+    assert np.linalg.norm(found.shared_n[:, 0]) < 1.0 * ARCSEC
+    assert np.sqrt(np.linalg.eigvalsh(found.common_n)[0]) / ARCSEC == pytest.approx(20.0, rel=0.01)
+
+
+@pytest.mark.parametrize("elevation_deg", [-20.0, 2.0, 90.0])
+def test_where_the_boresight_has_no_refraction_the_message_is_believed(elevation_deg: float) -> None:
+    message = one_solution()
+    message.elevation = float(np.deg2rad(elevation_deg))
+    found, total_n = told_apart(message), horizon_covariance(message.rotation_covariance.reshape(3, 3))
+    noise_n = found.rotation_nv @ found.noise_v @ found.rotation_nv.T
+    np.testing.assert_allclose(noise_n + found.lasting_n, total_n, atol=1e-9 * np.trace(total_n))
+
+
+def test_without_a_fix_nothing_can_be_told_apart() -> None:
+    refusal = in_horizon(read(one_solution()), installed_sky(ship(POOR_FIX).sky))
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason is Reason.NO_FIX
+
+
+def test_sharing_is_as_configured() -> None:
+    message = one_solution()
+    common_n = read(message, "none").common_n
+    assert type(read(message, "none")) is type(read(message, "by_input")) is AttitudeMeasurement
+    alike = read(message, "message")
+    np.testing.assert_array_equal(alike.common_n, 0.0)
+    np.testing.assert_allclose(alike.lasting_n, common_n, atol=1e-9 * np.trace(common_n))
+    np.testing.assert_allclose(alike.shared_n, alike.shared_n.T, atol=1e-15)
+
+
+@pytest.mark.parametrize("input_", ["observations", "inertial_attitude"])
+def test_what_stars_share_cannot_be_configured_away(input_: str) -> None:
+    with pytest.raises(ParameterError, match=r"'star_sensors\.fore\.shared': .*input: solution or horizon_attitude"):
+        ship(POOR_FIX, input=input_, shared="none")
+
+
+# -- the node -------------------------------------------------------------------------------------------------
+
+
+def solved_voyage() -> tuple[Arrival, ...]:
+    """INS, fixes and weather of the voyage, and the solutions of star_attitude as they came out."""
+    solved = [
+        Arrival(topic, message, receive_ns)
+        for receive_ns, topic, message in clean_run().published
+        if topic in ("star/fore/solution", "star/starboard/solution")
+    ]
+    return in_order([*(a for a in star_voyage() if "observations" not in a.topic), *solved])
+
+
+def sail_solved(arrivals: Iterable[Arrival], shared: str = "by_input") -> Run:
+    """All that the node subscribes to; without the sky over the ship it needs neither place nor air."""
+    sensors = {id_: {**values, "input": "solution", "shared": shared} for id_, values in OBSERVING.items()}
+    surroundings = () if shared in ("by_input", "sky") else (FIX, PRESSURE, TEMPERATURE, HUMIDITY)
+    return sail(except_(arrivals, *surroundings), star_sensors=sensors)
+
+
+def test_the_node_knows_from_solutions_what_it_knows_from_stars() -> None:
+    by_stars, by_solutions = sail(star_voyage()), sail_solved(solved_voyage())
+    sigmas = [
+        np.sqrt(np.diagonal(run.messages("ship/attitude")[-1].rotation_covariance.reshape(3, 3)))
+        for run in (by_stars, by_solutions)
+    ]
+    assert by_solutions.messages("ship/attitude")[-1].status == Status.VALID
+    assert sigmas[1] == pytest.approx(sigmas[0], rel=0.03)
+    names = by_solutions.messages("ship/error_budget")[-1].sources
+    assert {"refraction", "earth_rotation", "ship_position"} <= set(names)
+
+
+def test_fixes_that_come_late_change_nothing() -> None:
+    states = []
+    for delay_s in (0.05, 1.2):
+        late = [
+            replace(a, receive_ns=a.stamp_ns + round(1e9 * delay_s)) if a.topic == FIX else a for a in solved_voyage()
+        ]
+        state = sail_solved(in_order(late)).adapter.core.state
+        states.append((state.mean.tobytes(), state.parts.tobytes()))
+    assert states[0] == states[1]
+
+
+def test_without_a_fix_solutions_are_refused_unless_they_are_to_be_believed() -> None:
+    without_fix = except_(solved_voyage(), FIX)
+    run = sail_solved(without_fix)
+    assert set(run.reasons("star/fore/solution")) == {"no_fix"}
+    assert {m.status for m in run.messages("ship/attitude")} <= {Status.DEGRADED, Status.INVALID}
+    run = sail_solved(without_fix, "message")
+    assert run.reasons("star/fore/solution") == {}
+    assert run.messages("ship/attitude")[-1].status == Status.VALID
+    assert FIX not in {entry.topic for entry in run.adapter.inputs}
+
+
+def test_with_the_ins_gone_a_solution_carries_all_of_its_error() -> None:
+    """A sensor alone bears the error of the fix as any other, whoever else has it."""
+    cut_ns = START_NS + SECOND_NS
+    cut = [a for a in solved_voyage() if a.topic != INS or a.receive_ns < cut_ns]
+    sigmas = []
+    for shared in ("sky", "message", "none"):
+        messages = sail_solved(cut, shared).messages("ship/attitude")
+        alone = [m for m in messages if "ins" not in m.sources and m.sources]
+        sigmas.append(np.sqrt(np.trace(alone[-1].rotation_covariance.reshape(3, 3))))
+    assert sigmas == pytest.approx([sigmas[0]] * 3, rel=0.02)
