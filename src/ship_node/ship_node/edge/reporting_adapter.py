@@ -120,6 +120,8 @@ class ReportingAdapter(ABC):
         self.verdicts = VerdictReport()
         self._slow_due_ns: int | None = None
         self._suspected_told: Any = None
+        # The levels of an output go by the state that it rests on: the last output is from before the change.
+        self._levels_changed = False
 
     # -- what a node adds -----------------------------------------------------------------------------------
 
@@ -248,7 +250,9 @@ class ReportingAdapter(ABC):
             self.budget_due = None if estimate.status is Status.INVALID else estimate
             published += self._estimate_messages(estimate)
         if judged and self.integrity_topic and self.core.suspected != self._suspected_told:
-            self._suspected_told = self.core.suspected
+            self._suspected_told, self._levels_changed = self.core.suspected, True
+        if outcome.estimates and self._levels_changed:
+            self._levels_changed = False
             published += self._integrity()
         return published
 
@@ -281,7 +285,8 @@ class ReportingAdapter(ABC):
 
     def _integrity(self) -> list[Published]:
         """The protection levels of the last output, where it claims something."""
-        if not self.integrity_topic or self.latest is None or self.latest.status is Status.INVALID:
+        known = self.latest is not None and self.latest.status is not Status.INVALID
+        if not self.integrity_topic or not known or self._levels_changed:
             return []
         report, config = self.core.integrity(self.latest), self.config.integrity
         message = messages_out.integrity(self.factory, report, self.quantities, self.integrity_frame, config)
@@ -304,5 +309,6 @@ class ReportingAdapter(ABC):
         self.core.reset(clock_jumped)
         self.health.restart()
         self.latest, self.budget_due, self._slow_due_ns, self._suspected_told = None, None, None, None
+        self._levels_changed = False
         self.conflicts.clear()
         self.verdicts.clear()

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from ship_bags.errors import BadInput
@@ -70,6 +70,7 @@ def _draw(axes: Axes, epochs: Epochs, axis: int) -> None:
     _draw_counts(axes, error[drawn], level[drawn], misled[drawn], bounds)
     _name_regions(axes, bounds, limit, epochs.counts()[channel])
     axes.set(xlim=bounds[:2], ylim=bounds[2:])
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     for scale in (axes.xaxis, axes.yaxis):
         scale.set_major_formatter(FuncFormatter(lambda value, _position: f"{value:g}"))
         scale.set_minor_formatter(NullFormatter())

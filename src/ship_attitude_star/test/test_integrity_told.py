@@ -1,0 +1,50 @@
+"""Protection levels go by the state that the attitude rests on, also at the moment at which a source is excluded."""
+
+import functools
+from typing import Any
+
+import numpy as np
+
+from ship_geometry.rotations import ARCSEC
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, stamp_of
+from ship_testing.small_voyage import FORE, Run, drive, new_adapter, voyage
+
+UNAVAILABLE = 2
+KNOCKED_NS = START_NS + 5 * SECOND_NS
+
+
+def knock(message: Any) -> None:
+    message.elevation += 60.0 * ARCSEC
+    # The covariance about the axes of the horizon stays that of the message.
+
+
+@functools.cache
+def knocked_run() -> Run:
+    """Two star sensors, of which one is knocked by 60″ after five seconds."""
+
+    def chosen(arrival: Arrival) -> bool:
+        return arrival.topic == FORE and arrival.stamp_ns >= KNOCKED_NS
+
+    return drive(new_adapter(), changed_where(voyage(10.0), chosen, knock))
+
+
+def test_the_knocked_sensor_is_excluded_within_three_of_its_measurements() -> None:
+    told = [m for m in knocked_run().messages("ship/integrity") if m.excluded]
+    assert told[0].excluded == ["star.fore"]
+    assert stamp_of(told[0]) - KNOCKED_NS < 0.7 * SECOND_NS  # three periods of 0.2 s, and 0.12 s on the way
+
+
+def test_no_level_is_told_for_an_attitude_of_before_the_exclusion() -> None:
+    """Of two sensors one is left, which nothing checks: there is no level from then on, not for a moment."""
+    told = [m for m in knocked_run().messages("ship/integrity") if m.excluded]
+    assert {m.state for m in told} == {UNAVAILABLE}
+    assert np.isnan([m.protection_level for m in told]).all()
+    attitudes = {stamp_of(m): m for m in knocked_run().messages("ship/attitude")}
+    assert "star.fore" not in attitudes[stamp_of(told[0])].sources
+
+
+def test_levels_are_told_before_it_and_once_a_second() -> None:
+    told = knocked_run().messages("ship/integrity")
+    before = [m for m in told if not m.excluded and stamp_of(m) > START_NS + SECOND_NS]
+    assert 3 <= len(before) <= 6
+    assert all(np.all(np.asarray(m.protection_level) < 200.0 * ARCSEC) for m in before)
