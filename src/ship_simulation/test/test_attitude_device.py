@@ -11,8 +11,8 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.run import simulate
-from ship_simulation.scenario.motion_scenario import Outage
-from ship_simulation.scenario.scenario import Ins, Reference, Scenario, StarSensor
+from ship_simulation.scenario.motion_scenario import AngleMotion, Outage
+from ship_simulation.scenario.scenario import Ins, Position, Reference, Scenario, StarSensor
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.ship.motion import carrier_of
 
@@ -76,6 +76,29 @@ def test_ins_rates_are_those_at_the_moment_of_validity():
     noisy = simulate(with_ins(paper(duration_s=60.0), rate_sigma_arcsec_per_s=4.0), seed=2)
     quiet = simulate(paper(duration_s=60.0), seed=2)
     assert_sigma((noisy.ins.rate_d - quiet.ins.rate_d).ravel(), 4.0 * ARCSEC)
+
+
+def test_slow_errors_of_the_rates_have_the_size_and_the_memory_that_the_scenario_says():
+    """Ends of many runs: one draw each. Of neighbours a second apart in a memory of ten, exp(-0.1) is the same."""
+    biased = with_ins(
+        paper(duration_s=1.0), rate_hz=1.0, rate_bias_sigma_arcsec_per_s=5.0, rate_bias_time_s=10.0
+    )
+    quiet = with_ins(paper(duration_s=1.0), rate_hz=1.0)
+    errors = np.array([simulate(biased, seed).ins.rate_d - simulate(quiet, seed).ins.rate_d for seed in range(300)])
+    assert_sigma(errors[:, 1].ravel(), 5.0 * ARCSEC)
+    kept = np.mean(errors[:, 0] * errors[:, 1]) / (5.0 * ARCSEC) ** 2
+    assert kept == pytest.approx(np.exp(-0.1), abs=3.3 / np.sqrt(900.0))
+
+
+def test_gyroscopes_at_rest_show_a_turn_of_the_earth_in_a_sidereal_day():
+    """At 30° north, bow to the East: half a turn a day about Up, the rest about North, which is port."""
+    still = paper(duration_s=1.0)
+    carrier = dataclasses.replace(still.carrier, heading=AngleMotion(90.0), pitch=AngleMotion(), roll=AngleMotion())
+    still = dataclasses.replace(still, carrier=carrier, position=Position(latitude_deg=30.0))
+    run = simulate(with_ins(still, rate_hz=1.0, rate_has_earth_rate=True), seed=1)
+    turn = 2.0 * np.pi / (23 * 3600.0 + 56 * 60.0 + 4.0905)
+    expected = np.array([0.0, 0.5, -np.sqrt(0.75)]) * turn
+    np.testing.assert_allclose(run.ins.rate_d, np.broadcast_to(expected, run.ins.rate_d.shape), atol=1e-6 * turn)
 
 
 def test_truth_is_the_attitude_at_the_stamp_itself():

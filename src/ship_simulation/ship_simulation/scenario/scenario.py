@@ -49,6 +49,11 @@ class Ins:
     rate_sigma_arcsec_per_s: float = parameter(
         0.0, doc="noise of the angular rate, each axis", unit="arcsec/s", minimum=0.0, maximum=3600.0
     )
+    rate_bias_sigma_arcsec_per_s: float = parameter(
+        0.0, doc="slow error of the angular rate, each axis of the deck", unit="arcsec/s", minimum=0.0, maximum=3600.0
+    )
+    rate_bias_time_s: float = parameter(3600.0, doc="correlation time of that error", **CORRELATION)
+    rate_has_earth_rate: bool = parameter(False, doc="the angular rate contains the Earth's turn, as gyroscopes do")
     time_offset_s: float = parameter(
         0.0, doc="mean of: a sample is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
     )

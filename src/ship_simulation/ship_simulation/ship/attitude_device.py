@@ -4,6 +4,7 @@ The INS, star sensors that solve for the horizon, other attitude systems, and th
 together leave it.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,9 @@ from ship_simulation.draws.noise import (
 )
 from ship_simulation.scenario.scenario import Reference, Scenario, StarSensor
 from ship_simulation.ship.motion import Carrier
+
+_EARTH_RATE = 7.292115e-5
+"""Turn of the Earth against the stars, rad/s (WGS 84)."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +76,42 @@ def simulate_ins(scenario: Scenario, carrier: Carrier, start_ns: int, seed: int)
     )
     valid_s = (time_ns - start_ns) / SECOND_NS + truth.time_offset_s
     white_n = random_stream(seed, "ins.white").standard_normal((time_ns.size, 3)) * config.white_sigma_arcsec * ARCSEC
-    rate_noise = random_stream(seed, "ins.rate").standard_normal((time_ns.size, 3))
+    true_nd = carrier.attitude(valid_s)
     samples = InsSamples(
         time_ns=time_ns,
         log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, random_stream(seed, "ins.arrival")),
-        rotation_nd=exp_rotation(-white_n) @ exp_rotation(-truth.attitude_error_n) @ carrier.attitude(valid_s),
-        rate_d=carrier.body_rate(valid_s) + config.rate_sigma_arcsec_per_s * ARCSEC * rate_noise,
+        rotation_nd=exp_rotation(-white_n) @ exp_rotation(-truth.attitude_error_n) @ true_nd,
+        rate_d=carrier.body_rate(valid_s) + _rate_errors(scenario, true_nd, seed),
     )
     return samples, truth
+
+
+def _rate_errors(scenario: Scenario, true_nd: FloatArray, seed: int) -> FloatArray:
+    """What the INS's angular rates hold beside the turn of the deck in the horizon, rad/s, shape (n, 3).
+
+    Noise, a slow error of the gyroscopes, and the Earth's own turn where the INS does not take it out.
+
+    Args:
+        scenario: the INS, and the latitude.
+        true_nd: true attitude of the deck at each sample, shape (n, 3, 3).
+        seed: of the run.
+    """
+    config, count = scenario.ins, len(true_nd)
+    noise = random_stream(seed, "ins.rate").standard_normal((count, 3))
+    errors: FloatArray = config.rate_sigma_arcsec_per_s * ARCSEC * noise
+    if config.rate_bias_sigma_arcsec_per_s:
+        errors += gauss_markov(
+            random_stream(seed, "ins.rate_bias"),
+            count,
+            1.0 / config.rate_hz,
+            sigma=np.full(3, config.rate_bias_sigma_arcsec_per_s * ARCSEC),
+            time_s=np.full(3, config.rate_bias_time_s),
+        )
+    if config.rate_has_earth_rate:
+        latitude = math.radians(scenario.position.latitude_deg)
+        earth_n = _EARTH_RATE * np.array([math.cos(latitude), math.sin(latitude), 0.0])
+        errors += earth_n @ true_nd
+    return errors
 
 
 @dataclass(frozen=True)
