@@ -351,10 +351,19 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         if known is not None:
             self.contradictions.note(source, sample.time_ns, same_stamp(known, sample)[1])
 
-    def add_jump(self, time_ns: int, source: str, jump: Jump) -> None:
-        """A source has jumped at a moment: the state after it is open by as much."""
+    def add_jump(self, time_ns: int, source: str, jump: Jump, changed_after_ns: int | None = None) -> None:
+        """A source has jumped at a moment: the state after it is open by as much.
+
+        Args:
+            time_ns: the moment, also before what was applied already.
+            source: that has jumped.
+            jump: how far.
+            changed_after_ns: stamp after which samples that were taken belong together otherwise; None where none do.
+        """
         self._log.insert((time_ns, source), _Opening(jump))
         self._jumped = True
+        if changed_after_ns is not None:
+            self.data_changed(changed_after_ns)
 
     def data_changed(self, after_ns: int) -> None:
         """Samples after a stamp have changed: at the next :meth:`apply`, compare anew what they matter to."""

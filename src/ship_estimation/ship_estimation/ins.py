@@ -54,6 +54,17 @@ class GuardedInsConfig(InsInputConfig):
         maximum=1000,
         live=True,
     )
+    rate_sigma_arcsec_per_s: float = parameter(
+        0.0,
+        doc="noise of the angular rate, each axis; what is met is learnt where it is larger",
+        unit="arcsec/s",
+        minimum=0.0,
+        maximum=36_000.0,
+        live=True,
+    )
+    rate_has_earth_rate: bool = parameter(
+        False, doc="the angular rate is the gyroscopes' own: the Earth's turn, 15 arcsec/s, has not been taken out"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,30 +1,19 @@
 """A guard against angular rates that are well formed but cannot be true: zero, noise, in degrees, about other axes.
 
-The rates integrated over a short piece of motion must give the turn of the attitude. How the two differ tells what the
-rates are. Only motion can tell it: at rest the last verdict stands.
+The rates integrated (:mod:`ship_estimation.integrated_rates`) over a short piece of motion must give the turn of the
+attitude. How the two differ tells what the rates are. Only motion can tell it: at rest the last verdict stands.
 """
 
 import enum
-import math
 from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
+from ship_estimation.integrated_rates import Integrated
 from ship_estimation.value_guards import size
-from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-
-_SECOND_NS = 1_000_000_000
-_LONGEST_STEP_NS = _SECOND_NS
-"""Rates that are further apart are not joined by integration."""
-_CHANGE_SHARE = 0.25
-"""The mean of two rates may miss this share of their change, times the time between them."""
-_SHORTEST_PERIOD_S = 4.0
-"""Shortest period of a hull's motion, s.
-
-The mean of two rates then misses at most (2 pi h / period)² / 12 of the turn.
-"""
+from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_geometry.time_scales import SECOND_NS
 
 
 class Rates(enum.Enum):
@@ -36,31 +25,18 @@ class Rates(enum.Enum):
     WRONG_UNITS = "wrong units"
 
 
-class Integrated(NamedTuple):
-    """The attitude by the rates alone.
-
-    Attributes:
-        rotation: the attitude, from an arbitrary start, shape (3, 3).
-        run: number of the unbroken run of rates to which it belongs; attitudes of two runs must not be compared.
-        missed_rad: what the integration may have missed since that run began.
-    """
-
-    rotation: FloatArray
-    run: int
-    missed_rad: float
-
-
 @dataclass(frozen=True)
 class _Start:
     """Where a piece of motion begins."""
 
     time_ns: int
+    number: int
     rotation_nd: FloatArray
-    integrated: FloatArray
+    integrated: Integrated
 
 
 class RateGuard:
-    """Integrates the rates of an INS, and judges them piece by piece.
+    """Judges the rates of an INS piece by piece.
 
     A piece of motion is as long as it takes to turn clearly: a quarter of a second at least and two seconds at most. A
     piece in which nothing turns says nothing. The rates of a piece are right where they give the turn of the attitude
@@ -72,18 +48,21 @@ class RateGuard:
         rates: the verdict.
         usable: whether nothing is known against the rates.
         slope: turn by the rates over the turn by the attitude, once the unit is wrong.
+        due_ns: before this stamp no sample can end the piece of motion; zero where the next one may.
 
-    >>> guard = RateGuard()
+    >>> from ship_estimation.integrated_rates import RateIntegrator
+    >>> from ship_geometry.rotations import exp_rotation
+    >>> guard, integrator = RateGuard(), RateIntegrator()
     >>> for n in range(10):
     ...     attitude = exp_rotation(np.array([0.0, 0.0, 0.01 * n]))
-    ...     integrated = guard.integrate(n * 100_000_000, np.array([0.0, 0.0, 0.1]))
-    ...     _ = guard.observe(n * 100_000_000, attitude, integrated.rotation, sigma_rad=1e-5)
+    ...     integrated = integrator.integrate(n * 100_000_000, np.array([0.0, 0.0, 0.1]))
+    ...     _ = guard.observe(n * 100_000_000, n, attitude, integrated, sigma_rad=1e-5)
     >>> guard.rates
     <Rates.MEASURED: 'measured'>
     """
 
     _SHORTEST_NS = 250_000_000
-    _LONGEST_NS = 2 * _SECOND_NS
+    _LONGEST_NS = 2 * SECOND_NS
     _SLOWEST_RAD_PER_S = 72.0 * ARCSEC
     """A turn slower than this is not judged: the Earth's own turn, 15 arcseconds a second, is within the rates of some
     and the bias of others."""
@@ -102,52 +81,24 @@ class RateGuard:
         self.rates = Rates.UNPROVEN
         self.usable = True
         self.slope = 1.0
-        self._integrated = Integrated(np.eye(3), 0, 0.0)
-        self._last: tuple[int, FloatArray] | None = None
+        self.due_ns = 0
         self._start: _Start | None = None
-        self._samples = 0
         self._right = 0
         self._wrong = 0
         self._other_units = 0
         self._right_until_ns: int | None = None
         self._turns: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=self._PIECES)
 
-    def integrate(self, time_ns: int, rate_d: FloatArray | None) -> Integrated | None:
-        """Integrate the rates up to the next sample: the mean of two successive rates turns the attitude.
-
-        For motion of one period the error is a constant small share of the turn. Where the step from the sample before
-        is too long to integrate, a new run begins.
-
-        Args:
-            time_ns: stamp of the sample, later than all before.
-            rate_d: its angular velocity in the deck frame, rad/s, shape (3,); None where it has none.
-
-        Returns:
-            The attitude by the rates alone; None where the sample has no rate.
-        """
-        if rate_d is None:
-            self._last = self._start = None
-            return None
-        last, self._last = self._last, (time_ns, rate_d)
-        rotation, run, missed_rad = self._integrated
-        if last is None or not 0 < time_ns - last[0] <= _LONGEST_STEP_NS:
-            self._start = None
-            self._integrated = Integrated(rotation, run + 1, 0.0)
-        else:
-            missed_rad += missed_by_mean_rad(last[1], rate_d, (time_ns - last[0]) * 1e-9)
-            rotation = rotation.dot(exp_rotation((last[1] + rate_d) * ((time_ns - last[0]) * 0.5e-9)))
-            self._integrated = Integrated(rotation, run, missed_rad)
-        return self._integrated
-
     def restart(self) -> None:
         """End the piece of motion: the attitude of the next sample is not joined to those before."""
-        self._start = None
+        self._start, self.due_ns = None, 0
 
     def observe(
         self,
         time_ns: int,
+        number: int,
         rotation_nd: FloatArray,
-        integrated: FloatArray,
+        integrated: Integrated,
         sigma_rad: float,
         step_sigma_rad: float = 0.0,
     ) -> int | None:
@@ -155,8 +106,9 @@ class RateGuard:
 
         Args:
             time_ns: stamp of both.
+            number: number of the sample.
             rotation_nd: measured attitude, shape (3, 3).
-            integrated: attitude by the rates alone, shape (3, 3).
+            integrated: attitude by the rates alone. Where it does not go on from that before, a new piece begins.
             sigma_rad: noise of a measured attitude about its worst axis.
             step_sigma_rad: what each further sample of a piece adds to that, by the noise of its rate.
 
@@ -164,18 +116,17 @@ class RateGuard:
             The stamp after which the rates were wrong, -1 for all of them, where this attitude has taken the trust from
             the rates; None otherwise.
         """
-        start = self._start
-        self._samples += 1
-        if start is None:
-            self._begin(_Start(time_ns, rotation_nd, integrated))
+        start, here = self._start, _Start(time_ns, number, rotation_nd, integrated)
+        if start is None or integrated.run != start.integrated.run:
+            self._begin(here)
             return None
         lasted_ns = time_ns - start.time_ns
         if lasted_ns < self._SHORTEST_NS and self.rates is not Rates.UNPROVEN:
             return None
         attitude = log_rotation(start.rotation_nd.T @ rotation_nd)
-        rate = log_rotation(start.integrated.T @ integrated)
+        rate = log_rotation(start.integrated.rotation.T @ integrated.rotation)
         turn, difference = max(size(attitude), size(rate)), size(attitude - rate)
-        piece_sigma_rad = float(np.hypot(sigma_rad, step_sigma_rad * np.sqrt(self._samples)))
+        piece_sigma_rad = float(np.hypot(sigma_rad, step_sigma_rad * np.sqrt(number - start.number)))
         if self.rates is Rates.UNPROVEN:
             piece_sigma_rad = max(piece_sigma_rad, self._FIRST_SIGMA_RAD)
         clear = turn > self._CLEAR_SIGMAS * piece_sigma_rad + self._SLOWEST_RAD_PER_S * lasted_ns * 1e-9
@@ -187,13 +138,14 @@ class RateGuard:
             self._judge(time_ns, right, attitude, rate, size_known)
         elif lasted_ns < self._LONGEST_NS:
             return None
-        self._begin(_Start(time_ns, rotation_nd, integrated))
+        self._begin(here)
         if self.usable or not were_usable:
             return None
         return -1 if self._right_until_ns is None else self._right_until_ns
 
     def _begin(self, start: _Start) -> None:
-        self._start, self._samples = start, 0
+        self._start = start
+        self.due_ns = start.time_ns + self._SHORTEST_NS if self.rates is not Rates.UNPROVEN else 0
 
     def _judge(self, time_ns: int, right: bool, attitude: FloatArray, rate: FloatArray, size_known: bool) -> None:
         """Take a piece that turned clearly into account; ``size_known`` where the attitude's turn exceeds its noise."""
@@ -232,15 +184,3 @@ class RateGuard:
             return False
         self.slope = slope
         return True
-
-
-def missed_by_mean_rad(first_rate_d: FloatArray, second_rate_d: FloatArray, seconds: float) -> float:
-    """What the mean of two rates (rad/s, shape (3,)) may miss of the turn between them, rad.
-
-    >>> missed_by_mean_rad(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 0.1]), seconds=0.0)
-    0.0
-    """
-    change = math.hypot(*(second_rate_d - first_rate_d).tolist())
-    mean = 0.5 * math.hypot(*(second_rate_d + first_rate_d).tolist())
-    share = (2.0 * math.pi * seconds / _SHORTEST_PERIOD_S) ** 2 / 12.0
-    return seconds * (_CHANGE_SHARE * change + share * mean)

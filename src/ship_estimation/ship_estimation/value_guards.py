@@ -23,7 +23,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 JUMP_SAMPLES = 5
 """After so many refused values that agree among themselves a jump is believed, if nothing else is configured."""
 
-_ACROSS = 1.8
+ACROSS = 1.8
 """Rounding to steps of one in each of three axes makes errors of up to sqrt(3); this is a little more."""
 
 
@@ -95,7 +95,7 @@ class StuckGuard:
         if self.repeated:
             if held.watch is None:
                 held.watch = TurnWatch(held.since_ns, held.first_said)
-            turned = held.watch.turned(witnesses, sigma_rad, _ACROSS * self._resolution_rad)
+            turned = held.watch.turned(witnesses, sigma_rad, ACROSS * self._resolution_rad)
             held.stuck = held.stuck or (turned and time_ns - held.since_ns >= _LEAST_NS)
         return held.stuck
 
@@ -152,8 +152,8 @@ _MEMORY = 100
 _LEARNING = 20
 """Before so many differences were met, the typical one is not known and the bound is wider by the next constant."""
 _UNKNOWN_RAD = math.radians(0.1)
-_BIAS_RAD_PER_S = 60.0 * ARCSEC
-"""The Earth's own turn, and the bias of a gyroscope."""
+DRIFT_RAD_PER_S = 60.0 * ARCSEC
+"""Rates run away from the attitude by the Earth's own turn, and by the bias of a gyroscope."""
 _BOUND_SIGMAS = 3.0
 """A bound on the difference of a good value is at least so many of its sigmas."""
 
@@ -167,6 +167,7 @@ class Step(NamedTuple):
         uncertain_rad: error of the place to which the earlier value leads, by accelerations or changes of the rate.
         noise_gain: variance of the difference per variance of a sample's noise.
         coarseness_rad: steps in which the source prints its values; zero where every value is new.
+        drift_rad_per_s: how fast what leads may run away from the values.
     """
 
     seconds: float
@@ -174,6 +175,7 @@ class Step(NamedTuple):
     uncertain_rad: float
     noise_gain: float
     coarseness_rad: float
+    drift_rad_per_s: float = DRIFT_RAD_PER_S
 
 
 def step_by_motion(turned_s: float, seconds: float, max_acceleration: float, coarseness_rad: float) -> Step:
@@ -240,6 +242,7 @@ class Continuation:
     Attributes:
         sigma_rad: noise of a value about its worst axis.
         typical_rad: root mean square of the differences met so far, one sample apart; zero before there are enough.
+        noise_rad: how far noise takes a value from the place where the one before leads; infinite before that.
 
     >>> next_sample = Step(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
     >>> match = Continuation(sigma_rad=ARCSEC).match(np.array([0.0, 0.001, 0.0]), next_sample)
@@ -254,6 +257,7 @@ class Continuation:
     def forget(self) -> None:
         """Learn the differences anew."""
         self.typical_rad = self._mean_square = 0.0
+        self.noise_rad = math.inf
         self._count = 0
 
     def match(self, difference: FloatArray, step: Step, led: bool = True) -> Match:
@@ -262,16 +266,25 @@ class Continuation:
         noise = max(_SIGMAS * gain * self.sigma_rad, _TYPICAL * self.typical_rad)
         more = self.typical_rad * math.sqrt(step.samples - 1)
         unknown = _UNKNOWN_RAD if self._count < _LEARNING else 0.0
-        coarse = _ACROSS * math.sqrt(0.5) * gain * step.coarseness_rad
-        bound_rad = noise + more + unknown + coarse + step.uncertain_rad + _BIAS_RAD_PER_S * step.seconds
+        coarse = ACROSS * math.sqrt(0.5) * gain * step.coarseness_rad
+        bound_rad = noise + more + unknown + coarse + step.uncertain_rad + step.drift_rad_per_s * step.seconds
         return Match(difference, bound_rad, size(difference) <= bound_rad, led)
+
+    def know(self, typical_rad: float) -> None:
+        """Go on with a typical difference that is known from many values."""
+        self._mean_square, self._count = typical_rad**2, _MEMORY
+        self._set_typical()
 
     def learn(self, difference: FloatArray) -> None:
         """Learn from a value that was taken, one sample after the one before: how far it was from its place."""
         self._count = min(self._count + 1, _MEMORY)
         self._mean_square += (size(difference) ** 2 - self._mean_square) / self._count
         if self._count >= _LEARNING:
-            self.typical_rad = math.sqrt(self._mean_square)
+            self._set_typical()
+
+    def _set_typical(self) -> None:
+        self.typical_rad = math.sqrt(self._mean_square)
+        self.noise_rad = max(_SIGMAS * math.sqrt(2.0) * self.sigma_rad, _TYPICAL * self.typical_rad)
 
 
 class JumpVerdict(enum.Enum):

@@ -58,7 +58,7 @@ def judged(samples: list[AttitudeSample]) -> tuple[list[str], InsGuard, int]:
     for sample in samples:
         result = guard.judge(sample, NOTHING_LATE, {})
         results.append("" if result.refusal is None else result.refusal.reason.name)
-        jumps += result.jump is not None
+        jumps += bool(result.jumps)
     return results, guard, jumps
 
 

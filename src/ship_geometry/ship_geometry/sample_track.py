@@ -96,13 +96,23 @@ class SampleTrack(Generic[Sample]):
         else:
             self._times.insert(index, sample.time_ns)
             self._samples.insert(index, sample)
+        return self._changed_after_ns(index)
+
+    def cut(self, time_ns: int) -> int | None:
+        """Do not interpolate across a moment, because the quantity has jumped there.
+
+        Returns:
+            The stamp after which interpolated values have changed; None where no sample is later than the moment.
+        """
+        self._cuts_ns.append(time_ns)
+        later = bisect.bisect_right(self._times, time_ns)
+        return None if later == len(self._times) else self._changed_after_ns(later)
+
+    def _changed_after_ns(self, index: int) -> int:
+        """The stamp after which interpolated values may have changed where sample ``index`` is new, or begins anew."""
         # A differenced rate uses one sample beyond the interval itself. Near the start of the track the first sample's
         # own rate changes, or there was no value at all before.
         return self._times[index - 2] if index >= 2 else self._times[0] - 1
-
-    def cut(self, time_ns: int) -> None:
-        """Do not interpolate across a moment, because the quantity has jumped there."""
-        self._cuts_ns.append(time_ns)
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed to interpolate at or after ``time_ns``, or to move the newest sample."""

@@ -129,9 +129,8 @@ class ShipAttitudeCore:
             outcome.refusal = judged.refusal
             self._shell.add_refused(INS, self._track, judged.sample)
             return outcome
-        if judged.jump is not None:
-            self._shell.add_jump(judged.jump.time_ns, INS, judged.jump)
-            self._track.cut(judged.jump.time_ns)
+        for jump in judged.jumps:
+            self._shell.add_jump(self.filter.opens_ns(jump), INS, jump, self._track.cut(jump.time_ns))
         if not self._shell.add_sample(INS, self._track, judged.sample, outcome):
             return outcome
         # An attitude that is moved by a clock offset needs its rate. Without a rate no attitude is put out for the

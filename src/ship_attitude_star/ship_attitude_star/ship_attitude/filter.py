@@ -20,9 +20,10 @@ from ship_estimation.hypotheses import RowsCompared, compare_rows, update_rows
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import predict, slow_error_later
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Reason, singular_covariance
+from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import log_rotation
+from ship_geometry.time_scales import SECOND_NS
 
 
 class ShipFilter:
@@ -63,11 +64,19 @@ class ShipFilter:
         return replace(state, time_ns=max(time_ns, state.time_ns), means=means, parts_by_row=parts)
 
     def opened(self, state: FilterState, jump: InsJump) -> FilterState:
-        """The state after a jump of the INS: its slow error may be as large as that."""
-        state = self.predicted(state, jump.time_ns)
+        """The state after a jump of the INS: its slow error may be as large as that.
+
+        The stamps of the INS and of a device may differ for the same moment. The state is opened so much earlier that
+        no measurement with the attitude of after the jump comes before; one with the attitude of before is refused.
+        """
+        state = self.predicted(state, self.opens_ns(jump))
         rows, parts = self.model.slices["ins.attitude"], state.parts_by_row.copy()
         parts[..., self._ins_index, rows, rows] += jump.covariance_n
-        return replace(self.suspects.acquitted(state), parts_by_row=parts, jumped=True)
+        return replace(self.suspects.acquitted(state), parts_by_row=parts, jumped=True, jumped_ns=jump.time_ns)
+
+    def opens_ns(self, jump: InsJump) -> int:
+        """The time of measurements from which on the state is open for a jump of the INS."""
+        return jump.time_ns - round(self.linearisation.longest_shift_s * SECOND_NS)
 
     def step(
         self,
@@ -100,6 +109,9 @@ class ShipFilter:
             return None
         if isinstance(found, NotCompared):
             return self._refused(state, measurement, found)
+        if state.jumped_ns is not None and found.ins_time_ns <= state.jumped_ns:
+            before = Refusal(Reason.GAP, "the INS's attitude of before its jump tells nothing of that after it")
+            return self._refused(state, measurement, NotCompared(before, found.ins_time_ns))
         if isinstance(found.measured, AttitudeMeasurement) and found.measured.common_n.any():
             predicted = self._with_common(predicted, found.measured)
         return self._judged(state, predicted, measurement, found)

@@ -58,6 +58,7 @@ class FilterState:
         used_ns: by source, the stamp of its last measurement used.
         jumped: whether the INS has jumped since the last star measurement used.
         departures: by source, its last measurement refused.
+        jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
     """
 
     time_ns: int | None
@@ -72,6 +73,7 @@ class FilterState:
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     jumped: bool = False
     departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
+    jumped_ns: int | None = None
 
     @property
     def mean(self) -> FloatArray:

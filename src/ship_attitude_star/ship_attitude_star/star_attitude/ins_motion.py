@@ -91,9 +91,9 @@ class InsMotion:
             self.track.forget_rates(judged.rates_wrong_after_ns)
         if judged.refusal is not None:
             return judged.refusal
-        if judged.jump is not None:
-            self.track.cut(judged.jump.time_ns)
-            self._jumps.append(judged.jump)
+        for jump in judged.jumps:
+            self.track.cut(jump.time_ns)
+            self._jumps.append(jump)
         sample = judged.sample
         known = self.track.get(sample.time_ns)
         taken, refusal = (True, None) if known is None else same_stamp(known, sample)

@@ -254,8 +254,8 @@ class ShipWatch:
         judged = self._guard.judge(sample, self._used, {}, self._told_rad(sample))
         if judged.rates_wrong_after_ns is not None:
             self._used.forget_rates(judged.rates_wrong_after_ns)
-        if judged.jump is not None:
-            self._unconfirmed_ns = judged.jump.time_ns + self._shift_ns
+        if judged.jumps:
+            self._unconfirmed_ns = judged.jumps[-1].time_ns + self._shift_ns
         if judged.refusal is None:
             self._stated = sample.slow_covariance_n
             known = self._used.get(sample.time_ns)

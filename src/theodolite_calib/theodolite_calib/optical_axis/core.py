@@ -124,8 +124,7 @@ class OpticalAxisCore:
             shell.add_refused(ENCODER, track, sample)
             return outcome
         if judged.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
-            track.cut(judged.jump.time_ns)
-            shell.add_jump(judged.jump.time_ns, ENCODER, judged.jump)
+            shell.add_jump(judged.jump.time_ns, ENCODER, judged.jump, track.cut(judged.jump.time_ns))
         shell.add_sample(ENCODER, track, sample, outcome)
         if outcome.refusal is None and track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
@@ -222,10 +221,12 @@ class OpticalAxisCore:
             if changed_after_ns is not None:
                 self._shell.data_changed(changed_after_ns + self._tracks.ship_shift_ns)
                 self._shell.apply(outcome)
-        if judged.jump is not None:
-            self._tracks.ship.cut(judged.jump.time_ns)
-            time_ns = judged.jump.time_ns + self._tracks.ship_shift_ns  # in the time of the exposures
-            self._shell.add_jump(time_ns, "ins", replace(judged.jump, time_ns=time_ns))
+        for jump in judged.jumps:
+            changed_after_ns = self._tracks.ship.cut(jump.time_ns)
+            time_ns = jump.time_ns + self._tracks.ship_shift_ns  # in the time of the exposures
+            if changed_after_ns is not None:
+                changed_after_ns += self._tracks.ship_shift_ns
+            self._shell.add_jump(time_ns, "ins", replace(jump, time_ns=time_ns), changed_after_ns)
         assert isinstance(judged.sample, ShipSample)
         # The pointing rests on the attitudes of the INS alone: no rate of it, true or not, can spoil that.
         by_ins = self.config.ship.source == "ins/imu"

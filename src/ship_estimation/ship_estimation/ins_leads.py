@@ -1,0 +1,188 @@
+"""Where the samples of an INS lead: the place at which a later sample is expected, and how far from it it may be."""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ship_estimation.integrated_rates import Integrated, missed_by_mean_rad
+from ship_estimation.value_guards import (
+    DRIFT_RAD_PER_S,
+    Continuation,
+    Match,
+    Step,
+    StuckGuard,
+    step_by_motion,
+)
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+
+_LARGEST_ACCELERATION = math.radians(60.0)
+"""Of a hull, rad/s²: a small craft that rolls by 30 degrees in five seconds comes to 47 degrees per second squared."""
+FASTEST_RAD_PER_S = math.radians(60.0)
+"""Nothing that floats turns faster: the limit used when no rate predicts the next attitude."""
+_LONGEST_STEP_S = 1.0
+_PIECES, _LEARNT_DRIFT_RAD_PER_S = 12, 10.0 * ARCSEC
+"""The drift of the rates is a mean over so many pieces of some seconds; what it may still be off once it is known."""
+
+
+class SeenSample(NamedTuple):
+    """A sample as the guard has seen it.
+
+    Attributes:
+        sample: the sample itself.
+        number: its number among all samples.
+        before: the sample that tells how the deck moves at this one; None where there is none.
+        integrated: attitude by the rates alone at its stamp; None where it has no rate.
+    """
+
+    sample: AttitudeSample
+    number: int
+    before: AttitudeSample | None
+    integrated: Integrated | None
+
+
+class RateDrift:
+    """Learns the steady error of the rates.
+
+    The bias of gyroscopes is steady in the deck. Where they show the Earth's turn, that is the larger part, and steady
+    in the horizon.
+
+    Attributes:
+        with_earth: whether the rates contain the Earth's turn.
+        bound_rad_per_s: how large the error may still be.
+
+    >>> drift = RateDrift()
+    >>> print(drift.learnt(drift_n=np.array([0.0, 1e-5, 0.0]), rotation_nd=np.eye(3)))
+    [ 0.e+00 -1.e-05  0.e+00]
+    """
+
+    def __init__(self) -> None:
+        self.with_earth = False
+        self.bound_rad_per_s = DRIFT_RAD_PER_S
+        self._drift, self._pieces = np.zeros(3), 0
+
+    def learnt(self, drift_n: FloatArray, rotation_nd: FloatArray) -> FloatArray:
+        """Learn from how fast the attitude ran away from the rates; returns the error of the rates now, rad/s.
+
+        Args:
+            drift_n: in the horizon frame, rad/s, shape (3,).
+            rotation_nd: attitude now, shape (3, 3).
+        """
+        self._pieces += 1
+        # The attitude drifts against the rates by what these show too little.
+        self._drift = self._drift - (drift_n if self.with_earth else drift_n @ rotation_nd) / min(self._pieces, _PIECES)
+        if self._pieces >= _PIECES:
+            self.bound_rad_per_s = _LEARNT_DRIFT_RAD_PER_S
+        drift_d: FloatArray = self._drift @ rotation_nd if self.with_earth else self._drift
+        return drift_d
+
+
+class Leads:
+    """Compares samples with the places to which earlier ones lead, and learns how far good ones are from there.
+
+    Args:
+        stuck: tells how coarsely the attitude is printed.
+
+    Attributes:
+        by_rates: how far a sample may be from where rates lead.
+        by_motion: how far it may be from where the motion before leads.
+        drift: of the rates.
+        told_rad: by so much the source itself says that it may have stepped with the newest sample.
+
+    >>> from ship_estimation.value_guards import size
+    >>> leads, turns = Leads(StuckGuard()), [exp_rotation(np.array([0.0, 1e-4 * n, 0.0])) for n in (0, 1, 2, 50)]
+    >>> samples = [AttitudeSample(n * 10_000_000, turn) for n, turn in enumerate(turns)]
+    >>> seen = [SeenSample(sample, n, samples[n - 1], None) for n, sample in enumerate(samples)]
+    >>> [round(size(leads.match(one, end, rates_measured=False).difference), 4) for one, end in zip(seen[1:], seen[2:])]
+    [0.0, 0.0047]
+    """
+
+    def __init__(self, stuck: StuckGuard) -> None:
+        self.by_rates, self.by_motion, self.drift = Continuation(0.0), Continuation(0.0), RateDrift()
+        self.told_rad = 0.0
+        self._stuck = stuck
+
+    def match(self, start: SeenSample, end: SeenSample, rates_measured: bool) -> Match:
+        """By the rates of all samples between or, where these do not lead there, by the motion before."""
+        if rates_measured and one_run(start.integrated, end.integrated):
+            return self.match_by_rates(start, end)
+        return self.match_by_motion(start, end)
+
+    def match_by_rates(self, start: SeenSample, end: SeenSample) -> Match:
+        """By the integrated rates of all samples between; both samples belong to one run of rates."""
+        assert start.integrated is not None
+        assert end.integrated is not None
+        predicted_nd = start.sample.rotation_nd @ start.integrated.rotation.T @ end.integrated.rotation
+        missed_rad = end.integrated.missed_rad - start.integrated.missed_rad
+        step = self._step(seconds_between(start.sample, end.sample), missed_rad, end.number - start.number)
+        return self.by_rates.match(log_rotation(end.sample.rotation_nd @ predicted_nd.T), step)
+
+    def match_by_motion(self, start: SeenSample, end: SeenSample) -> Match:
+        """By the motion going on as before; where the way is too long for that, by the time."""
+        seconds, before = seconds_between(start.sample, end.sample), start.before
+        turned_s = 0.0 if before is None else seconds_between(before, start.sample)
+        if before is None or max(seconds, turned_s) > _LONGEST_STEP_S:
+            return self.match_by_time(start.sample, end.sample)
+        turn_d = seconds / turned_s * log_rotation(before.rotation_nd.T @ start.sample.rotation_nd)
+        difference_n = log_rotation(end.sample.rotation_nd @ (start.sample.rotation_nd @ exp_rotation(turn_d)).T)
+        step = step_by_motion(turned_s, seconds, _LARGEST_ACCELERATION, self._stuck.coarseness_rad)
+        return self.by_motion.match(difference_n, step)
+
+    def match_by_two_rates(self, start: AttitudeSample, end: AttitudeSample, rates_measured: bool) -> Match:
+        """By the rates of the two samples alone; where these do not lead there, by the time."""
+        seconds = seconds_between(start, end)
+        if not rates_measured or start.rate_d is None or end.rate_d is None or seconds > _LONGEST_STEP_S:
+            return self.match_by_time(start, end)
+        predicted_nd = start.rotation_nd @ exp_rotation((0.5 * seconds) * (start.rate_d + end.rate_d))
+        step = self._step(seconds, missed_by_mean_rad(start.rate_d.tolist(), end.rate_d.tolist(), seconds))
+        return self.by_rates.match(log_rotation(end.rotation_nd @ predicted_nd.T), step)
+
+    def match_by_time(self, start: AttitudeSample, end: AttitudeSample) -> Match:
+        """By nothing but what a hull can turn in the time."""
+        seconds = seconds_between(start, end)
+        step = self._step(seconds, FASTEST_RAD_PER_S * seconds)
+        return self.by_motion.match(log_rotation(end.rotation_nd @ start.rotation_nd.T), step, led=False)
+
+    def _step(self, seconds: float, uncertain_rad: float, samples: int = 1) -> Step:
+        uncertain_rad += self.told_rad
+        return Step(seconds, samples, uncertain_rad, 2.0, self._stuck.coarseness_rad, self.drift.bound_rad_per_s)
+
+
+def moved_back(sample: AttitudeSample, taken: SeenSample) -> AttitudeSample | None:
+    """The deck at the time of the last accepted sample, extrapolated back from a new sample.
+
+    It moves as it did before the last accepted sample. After a jump, the next sample is predicted with it.
+
+    Example:
+        >>> still, turned = (AttitudeSample(n, exp_rotation(np.array([0.0, 0.1 * n, 0.0]))) for n in (1, 3))
+        >>> before = AttitudeSample(0, exp_rotation(np.array([0.0, 0.05, 0.0])))
+        >>> print(log_rotation(moved_back(turned, SeenSample(still, 1, before, None)).rotation_nd).round(6))
+        [0.  0.2 0. ]
+    """
+    if taken.before is None:
+        return None
+    ratio = seconds_between(taken.sample, sample) / seconds_between(taken.before, taken.sample)
+    turn_d = ratio * log_rotation(taken.before.rotation_nd.T @ taken.sample.rotation_nd)
+    return replace(taken.sample, rotation_nd=sample.rotation_nd @ exp_rotation(-turn_d))
+
+
+def one_run(first: Integrated | None, second: Integrated | None) -> bool:
+    """Whether unbroken rates lead from one sample to the other.
+
+    Example:
+        >>> one_run(Integrated(np.eye(3), 1, 0.0), None)
+        False
+    """
+    return first is not None and second is not None and first.run == second.run
+
+
+def seconds_between(first: AttitudeSample, second: AttitudeSample) -> float:
+    """Time from one sample to another, s.
+
+    Example:
+        >>> seconds_between(AttitudeSample(0, np.eye(3)), AttitudeSample(500_000_000, np.eye(3)))
+        0.5
+    """
+    return (second.time_ns - first.time_ns) * 1e-9

@@ -1,0 +1,116 @@
+"""Steps in values that otherwise lie on a straight line: least squares for their size, likelihood for their place."""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+
+_UNSURE = 9.0
+"""Places of a step that are less likely than the best one by so much of chi square are ruled out: three sigma."""
+_INTERVALS = 9
+"""So many intervals tell the time between samples."""
+
+
+class StepPlan(NamedTuple):
+    """How a step is estimated from values in a row, for several places of the step.
+
+    Attributes:
+        length: number of values.
+        counts: how many of the values are taken as after the step, k numbers.
+        weights: the step in terms of the values, oldest first, shape (k, length).
+        white: sigma of the step per sigma of a value, shape (k,).
+        walk: the same per sigma of a random walk from value to value, shape (k,).
+    """
+
+    length: int
+    counts: tuple[int, ...]
+    weights: FloatArray
+    white: FloatArray
+    walk: FloatArray
+
+
+@functools.lru_cache(maxsize=64)
+def step_plan(length: int, counts: tuple[int, ...]) -> StepPlan:
+    """Least squares for a step, with a line of any height and slope through all values.
+
+    Args:
+        length: number of values, three at least.
+        counts: how many of the values are taken as after the step, each less than ``length - 1``.
+
+    Example:
+        >>> plan = step_plan(12, (1, 4))
+        >>> values = 0.5 * np.arange(12.0) + np.repeat([0.0, 7.0], [8, 4])
+        >>> print((plan.weights @ values).round(6)[1], plan.white.round(3))
+        7.0 [1.191 1.068]
+    """
+    place = np.arange(length) - 0.5 * (length - 1)
+    after = (np.arange(length) >= length - np.array(counts)[:, None]).astype(float)
+    left = after - after.mean(axis=1, keepdims=True)
+    left -= np.outer(left @ place / (place @ place), place)
+    weights = left / np.sum(left * left, axis=1, keepdims=True)
+    to_end = np.cumsum(weights[:, ::-1], axis=1)
+    white, walk = (np.sqrt(np.sum(one * one, axis=1)) for one in (weights, to_end))
+    return StepPlan(length, counts, weights, white, walk)
+
+
+def doubling(last: int) -> tuple[int, ...]:
+    """One, two, four and so on, and the last.
+
+    Example:
+        >>> doubling(20)
+        (1, 2, 4, 8, 16, 20)
+    """
+    return (*(2**n for n in range((last - 1).bit_length())), last)
+
+
+def located(plan: StepPlan, values: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, float, list[int]]:
+    """The most likely step among those of a plan.
+
+    Args:
+        plan: with all places at which there may be a step.
+        values: in a row, oldest first, shape (length, n).
+        sigmas: standard deviation of the step at each place, each component, shape (k,).
+
+    Returns:
+        The step, shape (n,); its standard deviation, each component; and all numbers of values after it that are
+        possible.
+
+    Example:
+        >>> values = np.repeat([[0.0], [2.0]], [8, 4], axis=0)
+        >>> step, sigma, counts = located(step_plan(12, (3, 4, 5)), values, np.full(3, 1.0))
+        >>> print(step.round(6), sigma, counts)
+        [2.] 1.0 [3, 4, 5]
+    """
+    steps = plan.weights @ values
+    likely = np.sum(steps * steps, axis=1) / sigmas**2
+    best = int(np.argmax(likely))
+    counts = [count for count, value in zip(plan.counts, likely, strict=True) if value >= likely[best] - _UNSURE]
+    return steps[best], float(sigmas[best]), counts
+
+
+class Period:
+    """The time between samples: the median of the first ones.
+
+    Attributes:
+        ns: the period; zero before it is known.
+
+    >>> period = Period()
+    >>> [period.seen(time_ns) for time_ns in (10, 20, 30, 40, 50, 80, 90, 100, 110, 120)][-2:]
+    [0, 10]
+    """
+
+    def __init__(self) -> None:
+        self.ns, self._last_ns = 0, 0
+        self._intervals_ns: list[int] = []
+
+    def seen(self, time_ns: int) -> int:
+        """Take the stamp of a sample; returns the period as known then."""
+        if self._last_ns:
+            self._intervals_ns.append(time_ns - self._last_ns)
+        self._last_ns = time_ns
+        if len(self._intervals_ns) == _INTERVALS:
+            self.ns = sorted(self._intervals_ns)[_INTERVALS // 2]
+            self._intervals_ns.clear()
+        return self.ns
