@@ -228,7 +228,8 @@ def integrity_report(
         config: with the alert limits.
         hypotheses: the sources of which each is left out in turn.
         found: their separations and the levels.
-        checked: whether the sources in use are enough to check one another; else there is no level.
+        checked: whether the sources in use are enough to check one another; else there is no level, nor is there one
+            where a separation is beyond the threshold.
         threshold: of the separations, sigmas.
         excluded: the sources that are excluded, and since which stamp.
 
@@ -239,6 +240,8 @@ def integrity_report(
         >>> print(told.state.name, told.dominant, (told.level / ARCSEC).round(1))
         MET star.bow [3.6 7.2 3.6]
     """
+    # A level counts on separations within the threshold; NaN is not within it.
+    checked = checked and bool(np.all(found.statistic <= threshold))
     level = found.level if checked else np.full(_COMPONENTS, np.nan)
     state = IntegrityState.UNAVAILABLE
     if checked and not config.alert_limit_arcsec:

@@ -1,11 +1,22 @@
 """Protection levels: their factors keep the configured probabilities, their bounds hold in a Monte Carlo run."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from ship_estimation.parameters import ParameterError, build
-from ship_estimation.protection import TESTS_PER_H, Factors, IntegrityConfig, factors, separation
+from ship_estimation.protection import (
+    TESTS_PER_H,
+    Factors,
+    IntegrityConfig,
+    IntegrityState,
+    Separation,
+    factors,
+    integrity_report,
+    separation,
+)
 from ship_geometry.rotations import ARCSEC
 
 
@@ -61,3 +72,14 @@ def test_limits_are_three_or_none_and_positive():
 def test_a_threat_without_a_prior_is_refused_by_name(prior):
     with pytest.raises(ParameterError, match=r"prior_per_h\.star_sensor"):
         build(IntegrityConfig, {"prior_per_h": {"star_sensor": prior}}, prefix="")
+
+
+@pytest.mark.parametrize("statistic", [5.2, math.nan])
+def test_there_is_no_level_where_a_separation_is_beyond_its_threshold(statistic):
+    """The level of a source is K_fa sigma_d and more: it bounds nothing where the distance itself is larger."""
+    level = np.full(3, 20.0) * ARCSEC
+    for beyond, state in ((5.0, IntegrityState.NO_LIMIT), (statistic, IntegrityState.UNAVAILABLE)):
+        found = Separation(np.array([0.5, beyond]), level, dominant=1)
+        told = integrity_report(0, IntegrityConfig(), ["star.bow", "ins"], found, True, threshold=5.12, excluded=[])
+        assert told.state is state
+        assert np.isfinite(told.level).all() == (state is IntegrityState.NO_LIMIT)
