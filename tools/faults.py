@@ -25,7 +25,7 @@ from ship_replay.trials.fault_results import (
     pair_rows,
     totals,
 )
-from ship_replay.trials.fault_voyage import Voyage, make_bag, run_voyage, voyages
+from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, run_voyage, voyages
 from ship_replay.trials.one_fault import one_fault_lines
 from ship_replay.trials.threats import OVERLAPPING, SINGLE
 
@@ -83,7 +83,9 @@ def _make(wanted: list[Voyage], results: ResultsFile, processes: int) -> None:
     with ProcessPoolExecutor(processes) as pool, Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("voyages", total=len(wanted))
         try:
-            for done in as_completed([pool.submit(run_voyage, voyage) for voyage in wanted]):
+            bags = sorted({voyage.bag for voyage in wanted})
+            clean = dict(zip(bags, pool.map(clean_voyage, bags), strict=True))
+            for done in as_completed([pool.submit(run_voyage, voyage, clean[voyage.bag]) for voyage in wanted]):
                 results.add(done.result())
                 progress.advance(task)
         except BaseException:

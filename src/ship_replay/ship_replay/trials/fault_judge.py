@@ -56,6 +56,40 @@ class Told:
     outputs: int = 0
 
 
+@dataclass
+class Flight:
+    """One voyage through the nodes.
+
+    Attributes:
+        told: what it put out.
+        arrivals_ns: input topic → when its messages arrived, in order.
+        start_ns: beginning of the bag.
+        end_ns: its end.
+    """
+
+    told: Told
+    arrivals_ns: dict[str, np.ndarray]
+    start_ns: int
+    end_ns: int
+
+    @property
+    def length_s(self) -> float:
+        """How long the bag is."""
+        return (self.end_ns - self.start_ns) / NS_PER_S
+
+    def hits(self, fault: Fault) -> np.ndarray:
+        """When the messages arrive, ns, that a fault of this voyage hits; by arrivals, for want of their stamps."""
+        times_ns = self.arrivals_ns.get(fault.topic, np.zeros(0, dtype=np.int64))
+        since_s = (times_ns - self.start_ns) / NS_PER_S
+        found: np.ndarray = times_ns[(since_s >= fault.start_s) & (since_s < fault.end_s)]
+        return found
+
+    def alert_limit_s(self, fault: Fault) -> float:
+        """Within this a large step must be told: a second, or three measurements of the source."""
+        periods_ns = np.diff(self.arrivals_ns[fault.topic])
+        return max(1.0, 3.0 * float(np.median(periods_ns)) / NS_PER_S) if periods_ns.size else 1.0
+
+
 EXCLUSION = "excluded from the estimate"
 
 
@@ -144,24 +178,23 @@ class FaultVerdict:
     longest_beyond_s: float
 
 
-def judged(fault: Fault, told: Told, clean: Told, start_ns: int, first_hit_ns: int, until_s: float) -> FaultVerdict:
+def judged(fault: Fault, told: Told, clean: Flight, until_s: float) -> FaultVerdict:
     """What became of a fault.
 
     Args:
         fault: what went wrong.
         told: by the voyage.
-        clean: by the same voyage without faults.
-        start_ns: beginning of the voyage.
-        first_hit_ns: arrival of the first message that the fault hit.
+        clean: the same voyage without faults; the fault hits some of its messages.
         until_s: beginning of the next fault, or the end of the voyage.
     """
+    start_ns, first_hit_ns = clean.start_ns, int(clean.hits(fault)[0])
     begin_ns = start_ns + round(fault.start_s * NS_PER_S)
     end_ns = start_ns + round(min(fault.end_s + SETTLING_S, until_s) * NS_PER_S)
-    known = {(source, stamp_ns) for source, _, stamp_ns, _ in clean.signs}
+    known = {(source, stamp_ns) for source, _, stamp_ns, _ in clean.told.signs}
     signs = [
         sign for sign in told.signs if begin_ns <= sign[1] < end_ns and (sign[0], sign[2]) not in known
     ]
-    left_ns = _first_left(told, clean, begin_ns, end_ns)
+    left_ns = _first_left(told, clean.told, begin_ns, end_ns)
     named = Counter(source for source, *_ in signs)
     own = [log_ns for source, log_ns, *_ in signs if is_source(source, fault.topic)]
     alerts_ns = [*own[:1], *([] if left_ns is None else [left_ns])]

@@ -163,7 +163,7 @@ def totals(results: Sequence[Result]) -> Totals:
     beyond = _above(single, "worst_sigmas", BEYOND)
     lines.append(f"single faults: {len(single)}; VALID beyond 5σ {beyond}, beyond the protection level {exceeded}")
     told, in_time = _share(steps, _told), _share(steps, _in_time)
-    lines.append(f"  steps ≥ {_LARGE_STEP:g}σ told: {told} of {len(steps)}; in 1 s {in_time}")
+    lines.append(f"  steps ≥ {_LARGE_STEP:g}σ told: {told} of {len(steps)}; within 1 s or three measurements {in_time}")
     lines.append(f"  the right source named: {_share(detected, _attributed)} of {len(detected)}")
     beyond, longest_s = _above(overlapping, "worst_sigmas", BEYOND), _number(_most(overlapping, "longest_beyond_s"))
     level = _number(_most(overlapping, "worst_over_level"))
@@ -200,7 +200,7 @@ def _attributed(fault: Result) -> bool:
 
 
 def _in_time(fault: Result) -> bool:
-    return fault["alert_s"] is not None and fault["alert_s"] <= 1.0
+    return fault["alert_s"] is not None and fault["alert_s"] <= fault["alert_limit_s"]
 
 
 def _last_line(result: Result) -> str:

@@ -10,6 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_bags.mcap.bag_reader import Bag, read_bag
@@ -20,7 +22,7 @@ from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.orientations import ORIENTATIONS
 from ship_replay.offline.replay import ReplayRun, ReplaySummary
-from ship_replay.trials.fault_judge import Told, VoyageSink, judged
+from ship_replay.trials.fault_judge import Flight, Told, VoyageSink, judged
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, DrawnFault, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
@@ -65,8 +67,13 @@ def make_bag(scenario_path: Path, duration_s: float, seed: int, path: Path) -> P
     return path
 
 
-def run_voyage(voyage: Voyage) -> dict[str, Any]:
-    """Make a voyage; what became of it and of each of its faults, as plain data."""
+def run_voyage(voyage: Voyage, clean: Flight) -> dict[str, Any]:
+    """Make a voyage; what became of it and of each of its faults, as plain data.
+
+    Args:
+        voyage: to be made.
+        clean: the same without faults.
+    """
     begun_s = time.monotonic()
     with read_bag(voyage.bag) as bag:
         length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
@@ -82,7 +89,7 @@ def run_voyage(voyage: Voyage) -> dict[str, Any]:
         "faults": [],
     }
     try:
-        verdicts, told = fly(voyage.bag, drawn, voyage.number)
+        verdicts, told = fly(voyage.bag, drawn, voyage.number, clean)
         result |= {"failures": told.failures, "faults": verdicts}
     except Exception:
         # A defect of the software is what is looked for: it is told, and the others go on.
@@ -97,48 +104,41 @@ def taken_topics(bag: Bag) -> dict[str, str]:
     return {topic.topic: topic.type_name for topic in chain.inputs if topic.topic in bag.topics}
 
 
-def fly(path: Path, drawn: Sequence[DrawnFault], seed: int) -> tuple[list[dict[str, Any]], Told]:
-    """Replay a bag with faults; what became of each, and what was told."""
-    clean = clean_voyage(path)
+def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Flight) -> tuple[list[dict[str, Any]], Told]:
+    """Replay a bag with faults; what became of each that hit a message, and what was told."""
     faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
-    told, first_hits_ns, start_ns, end_ns = replayed(path, faults, seed)
+    told = replayed(path, faults, seed).told
     verdicts = []
     for number, one in enumerate(drawn):
         later = [other.fault.start_s for other in drawn[number + 1 :]]
-        until_s = min([*later, (end_ns - start_ns) / NS_PER_S])
-        verdict = judged(one.fault, told, clean, start_ns, first_hits_ns[f"f{number}"], until_s)
-        verdicts.append(_described(one) | {key: _plain(value) for key, value in dataclasses.asdict(verdict).items()})
+        until_s = min([*later, clean.length_s])
+        if clean.hits(one.fault).size:
+            verdict = judged(one.fault, told, clean, until_s)
+            plain = {key: _plain(value) for key, value in dataclasses.asdict(verdict).items()}
+            verdicts.append(_described(one) | plain | {"alert_limit_s": clean.alert_limit_s(one.fault)})
     return verdicts, told
 
 
-@lru_cache(maxsize=8)
-def clean_voyage(path: Path) -> Told:
-    """What a voyage tells without faults."""
-    return replayed(path, {}, 0)[0]
+def clean_voyage(path: Path) -> Flight:
+    """A voyage without faults."""
+    return replayed(path, {}, 0)
 
 
-def replayed(path: Path, faults: Mapping[str, Fault], seed: int) -> tuple[Told, dict[str, int], int, int]:
-    """Replay a bag with faults in this process.
-
-    Returns:
-        What was told; fault → arrival of the first message that it may have hit; beginning and end of the bag, ns.
-    """
+def replayed(path: Path, faults: Mapping[str, Fault], seed: int) -> Flight:
+    """Replay a bag with faults in this process."""
+    arrivals: dict[str, list[int]] = {}
     with read_bag(path) as bag:
-        start_ns, end_ns = bag.start_ns or 0, bag.end_ns or 0
         chain, _ = suite_chain(bag, NODES, RosbagsFactory())
         taken = {topic.topic for topic in chain.inputs}
         sink = VoyageSink(_truths(bag))
         run = ReplayRun(_Quiet(chain), sink, ReplaySummary(), truth_topics=())
-        begins_ns = {name: start_ns + round(fault.start_s * NS_PER_S) for name, fault in faults.items()}
-        hits_ns: dict[str, int] = {}
         for record in Injection(path, faults, seed).records(bag):
-            for name, fault in faults.items():
-                if name not in hits_ns and record.topic == fault.topic and record.log_time_ns >= begins_ns[name]:
-                    hits_ns[name] = record.log_time_ns
             if record.topic in taken:
+                arrivals.setdefault(record.topic, []).append(record.log_time_ns)
                 run.take(record.topic, record)
         run.finish()
-    return sink.told, begins_ns | hits_ns, start_ns, end_ns
+        start_ns, end_ns = bag.start_ns or 0, bag.end_ns or 0
+    return Flight(sink.told, {topic: np.array(times) for topic, times in arrivals.items()}, start_ns, end_ns)
 
 
 class _Quiet(AdapterChain):

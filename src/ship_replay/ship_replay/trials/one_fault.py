@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
+from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_replay.offline.status_course import STATUS_WORDS
@@ -28,9 +29,11 @@ def one_fault_lines(path: Path, words: str, seed: int = 1) -> list[str]:
     """
     with read_bag(path) as bag:
         faults = load_faults(f"faults: {{one: {{{words}}}}}", taken_topics(bag), "an input of the nodes")
-    told, first_hits_ns, start_ns, end_ns = replayed(path, faults, seed)
-    fault, until_s = faults["one"], (end_ns - start_ns) / NS_PER_S
-    verdict = judged(fault, told, clean_voyage(path), start_ns, first_hits_ns["one"], until_s)
+    clean, fault = clean_voyage(path), faults["one"]
+    if not clean.hits(fault).size:
+        raise BadInput(f"no message of {fault.topic} in the time of the fault", file=path)
+    told, start_ns, until_s = replayed(path, faults, seed).told, clean.start_ns, clean.length_s
+    verdict = judged(fault, told, clean, until_s)
     worst = f"worst error {verdict.worst_sigmas:.1f} σ, {verdict.worst_over_level:.2f} of its protection level"
     beyond = f"beyond 5σ for {verdict.beyond_s:.1f} s, longest {verdict.longest_beyond_s:.1f} s"
     return [
