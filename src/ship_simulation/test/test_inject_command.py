@@ -20,6 +20,7 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.inject_command import main
 from ship_simulation.run import simulate
 from ship_simulation.scenario.fault import KINDS
+from ship_simulation.scenario.fault_file import field_steps, numeric_fields
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 from ship_testing.places import ROOT
@@ -207,6 +208,22 @@ def test_slips_wrong_fixes_and_positions_are_off_by_what_they_say(bag, tmp_path)
 def test_corrupt_sets_any_number_by_its_path(bag, tmp_path, topic, sizes, holds):
     for before, after in only(bag, tmp_path, topic, "corrupt", sizes):
         assert holds(before, after)
+
+
+@pytest.mark.parametrize("topic", [INS, STARS, BOW, TRACKER, SHIP, ENCODER, LIGHTS, BASELINE, FIX, "met/humidity"])
+def test_every_number_of_a_message_can_be_corrupted(bag, tmp_path, topic):
+    """All numbers at once; each comes back from the bytes, those of 32 bits as such."""
+    with read_bag(bag) as whole:
+        paths = numeric_fields(whole.topics[topic])
+    assert "header.stamp.nanosec" in paths
+    faults = [f"topic: {topic}, kind: corrupt, {WINDOW}, field: '{path}', value: 3" for path in paths]
+    for _, after in pairs(bag, injected(bag, tmp_path, faults), topic):
+        for path in paths:
+            value = after
+            for name, index in field_steps(path):
+                value = getattr(value, name)
+                value = value[int(index)] if index else value
+            assert value == 3, path
 
 
 def test_offset_nan_and_infinity_in_a_field(bag, tmp_path):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ship_simulation.scenario.fault import Fault
+from ship_simulation.scenario.fault_file import numeric_fields
 from ship_simulation.scenario.names import FIRST_VALUE, can_happen
 
 Sizes = dict[str, Any]
@@ -125,7 +126,7 @@ _VALUES = (0.0, -1.0, 1e-300, 1e6, -1e9, 1e300)
 BY_FORM = (
     Threat("nan", _ANY, "nan"),
     Threat("infinite", _ANY, "infinite"),
-    Threat("a value", _ANY, "corrupt", _one_of(value=_VALUES)),
+    Threat("a value", _ANY, "corrupt", weight=3.0),
     Threat("stamp zero", _ANY, "stamp_zero"),
     Threat("stamp late", _ANY, "stamp_late", _one_of(delay_s=(0.03, 0.3, 3.0))),
     Threat("clock step", _ANY, "clock_step", _one_of(step_s=(-3600.0, -5.0, 5.0, 619_315_200.0))),
@@ -190,9 +191,23 @@ def _drawn(topics: Mapping[str, str], start_s: float, end_s: float, rng: np.rand
     threat, fitting = possible[int(rng.choice(len(possible), p=weights / weights.sum()))]
     topic = fitting[int(rng.integers(len(fitting)))]
     sizes = threat.draw(rng)
-    if threat.kind == "corrupt":
-        sizes["field"] = FIRST_VALUE[topics[topic]]
+    if threat.kind in ("nan", "infinite", "corrupt"):
+        sizes = _drawn_field(threat.kind, topics[topic], rng)
     return DrawnFault(threat, Fault(topic=topic, kind=threat.kind, start_s=start_s, end_s=end_s, **sizes))
+
+
+def _drawn_field(kind: str, type_name: str, rng: np.random.Generator) -> Sizes:
+    """Any number of a message, and a value that it can hold."""
+    fields = numeric_fields(type_name)
+    floats = [path for path, base in fields.items() if base.startswith("float")]
+    path = str(rng.choice(list(fields) if kind == "corrupt" else floats))
+    if kind != "corrupt":
+        return {"field": path}
+    if path in floats:
+        largest = float(np.finfo(fields[path]).max)
+        return {"field": path, "value": max(min(float(rng.choice(_VALUES)), largest), -largest)}
+    limits = np.iinfo(fields[path])
+    return {"field": path, "value": float(rng.choice([0, 1, limits.min, limits.max]))}
 
 
 def _fitting(threat: Threat, topics: Mapping[str, str]) -> list[str]:

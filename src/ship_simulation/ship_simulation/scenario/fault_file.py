@@ -17,6 +17,7 @@ from ship_simulation.scenario.fault import Fault, size_problems
 from ship_simulation.scenario.names import FIRST_VALUE, can_happen
 
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[(\d{1,6}|\*)\])?")
+_NO_NUMBERS = ("string", "wstring", "bool")
 _NESTED = {Nodetype.ARRAY, Nodetype.SEQUENCE}
 
 
@@ -81,6 +82,21 @@ def field_steps(path: str) -> list[tuple[str, str]]:
     return [(part[1], part[2] or "") for part in parts if part is not None]
 
 
+def numeric_fields(type_name: str) -> dict[str, str]:
+    """Path → type (``float64``) of each number in a message; of a list of messages, and of an array, the first."""
+    found: dict[str, str] = {}
+    fields: dict[str, Any] = dict(message_store().fielddefs[type_name][1])
+    for name, (node, content) in fields.items():
+        path = name
+        if node in _NESTED:
+            (node, content), path = content[0], f"{name}[0]"
+        if node == Nodetype.NAME:
+            found |= {f"{path}.{inner}": base for inner, base in numeric_fields(content).items()}
+        elif content[0] not in _NO_NUMBERS:
+            found[path] = content[0]
+    return found
+
+
 def _field_problem(fault: Fault, type_name: str) -> str:
     """Why a fault's field cannot be set to a number; empty where it can."""
     if not fault.field:
@@ -121,7 +137,7 @@ def _base_type(steps: list[tuple[str, str]], type_name: str) -> str:
         last = number + 1 == len(steps)
         if node == Nodetype.NAME and not last:
             type_name = content
-        elif node == Nodetype.NAME or not last or content[0] in ("string", "bool"):
+        elif node == Nodetype.NAME or not last or content[0] in _NO_NUMBERS:
             raise ValueError("not the path of a number")
         else:
             return str(content[0])
