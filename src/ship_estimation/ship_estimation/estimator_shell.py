@@ -346,9 +346,9 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         return taken
 
     def add_refused(self, source: str, track: SampleTrack[Any], sample: Any) -> None:
-        """A guard refuses a sample: where one of its stamp was taken before, the source contradicts itself."""
+        """A sample is refused: where one of its stamp was taken and it is not late, the source contradicts itself."""
         known = track.get(sample.time_ns)
-        if known is not None:
+        if known is not None and self.window.late(sample.time_ns) is None:
             self.contradictions.note(source, sample.time_ns, same_stamp(known, sample)[1])
 
     def add_jump(self, time_ns: int, source: str, jump: Jump, changed_after_ns: int | None = None) -> None:

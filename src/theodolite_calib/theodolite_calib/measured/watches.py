@@ -93,6 +93,7 @@ class EncoderWatch:
         self._taken: tuple[EncoderSample, ...] = ()
         self._all: tuple[EncoderSample, ...] = ()
         self._last: tuple[EncoderSample, FloatArray] | None = None
+        self._newest_ns: int | None = None
         self._beyond_a_turn = 0
         self._still_since_ns: int | None = None
         self._in_doubt_since_ns: int | None = None
@@ -124,12 +125,13 @@ class EncoderWatch:
             track: those taken so far; by these a reading is judged that comes after later ones.
             late: the refusal of a reading that comes too late; None where it does not. Its unit is judged all the same.
         """
-        refusal = self._units_refusal(sample) or late
+        refusal = self._units_refusal(sample, counts=late is None) or late
         if refusal is not None:
             return JudgedReading(refusal)
-        if self._all and sample.time_ns <= self._all[-1].time_ns:
+        if self._newest_ns is not None and sample.time_ns <= self._newest_ns:
             match = self._match(_before(track, sample.time_ns), sample)
             return JudgedReading(None if match is None or match.fits else _gate_refusal(match))
+        self._newest_ns = sample.time_ns
         judged = self._judge_jump(sample)
         if judged.refusal is not None:
             return judged
@@ -157,15 +159,15 @@ class EncoderWatch:
         if self._unconfirmed is not None and time_ns > self._unconfirmed[0]:
             self._unconfirmed = None
 
-    def _units_refusal(self, sample: EncoderSample) -> Refusal | None:
-        """The refusal of a reading that cannot be in radians; after a run of such, of all until a reset."""
+    def _units_refusal(self, sample: EncoderSample, counts: bool) -> Refusal | None:
+        """The refusal of a reading that cannot be in radians; after a run of those that count, of all until a reset."""
         azimuth, elevation = sample.vector.tolist()
         beyond = max(abs(azimuth), abs(elevation)) > _LARGEST_ANGLE
         sure = self._beyond_a_turn >= _SURE_AFTER
+        if counts and not sure:
+            self._beyond_a_turn = self._beyond_a_turn + 1 if beyond else 0
         if not beyond and not sure:
-            self._beyond_a_turn = 0
             return None
-        self._beyond_a_turn += beyond
         text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians within a turn; degrees?"
         return Refusal(Reason.UNITS, text + " All readings are refused until a reset" * sure)
 
@@ -257,7 +259,8 @@ class ShipWatch:
         if judged.jumps:
             self._unconfirmed_ns = judged.jumps[-1].time_ns + self._shift_ns
         if judged.refusal is None:
-            self._stated = sample.slow_covariance_n
+            if self._used.newest is None or sample.time_ns > self._used.newest.time_ns:
+                self._stated = sample.slow_covariance_n
             known = self._used.get(sample.time_ns)
             if known is None or same_stamp(known, judged.sample)[0]:
                 self._used.insert(judged.sample)

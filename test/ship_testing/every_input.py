@@ -1,0 +1,97 @@
+"""Short simulated voyages with every input that the nodes know, for tests of messages that cannot be used.
+
+``ship_attitude`` has the INS, a star sensor of each kind, another attitude system, the fix and the weather;
+``star_attitude`` the same voyage, of which it hears the camera; ``optical_axis`` lights, baselines and drones, with the
+ship's attitude from ``ship/attitude`` or, as ``optical_axis by ins``, from ``ins/imu``.
+"""
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_bags.parameter_yaml import anywhere
+from ship_node.edge.reporting_adapter import ReportingAdapter
+from ship_node.parameters.parameter_file import load_config
+from ship_simulation.messages.to_messages import messages
+from ship_simulation.run import simulate
+from ship_simulation.scenario.scenario import Reference, Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.suite import suite_yaml
+from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, Arrivals, hand_over
+from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, replaced
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+
+NODES = ("ship_attitude", "star_attitude", "optical_axis", "optical_axis by ins")
+_SEED = 11
+
+
+@dataclass(frozen=True)
+class Voyage:
+    """A node and what it hears.
+
+    Attributes:
+        new_adapter: makes the node's adapter.
+        arrivals: all its inputs, in the order in which they come. Change only copies of them.
+        truth: the true attitude or pointing by stamp, as a message.
+    """
+
+    new_adapter: Callable[[], ReportingAdapter]
+    arrivals: Arrivals
+    truth: dict[int, Any]
+
+    def run(self, arrivals: Arrivals | None = None) -> AdapterRun:
+        """All arrivals through a new adapter, and three seconds more, whatever is added to them in that time.
+
+        What comes after the end makes a run longer, so that INVALID is said once more.
+        """
+        taken = self.arrivals if arrivals is None else arrivals
+        run = AdapterRun(self.new_adapter())
+        hand_over(run, taken, until_ns=self.arrivals[-1].receive_ns + 3 * SECOND_NS)
+        return run
+
+
+@functools.cache
+def voyage(node: str) -> Voyage:
+    """The voyage of one of NODES."""
+    scenario = _theodolite(node) if node.startswith("optical_axis") else _ship()
+    adapter_class = {
+        "ship_attitude": ShipAttitudeAdapter,
+        "star_attitude": StarAttitudeAdapter,
+        "optical_axis": OpticalAxisAdapter,
+    }[node.partition(" ")[0]]
+    config = load_config(adapter_class.config_type, suite_yaml(scenario), anywhere(adapter_class.node_name))
+
+    def new_adapter() -> ReportingAdapter:
+        return adapter_class(config, FACTORY)
+
+    heard = {feed.topic for feed in new_adapter().inputs}
+    logged = list(messages(simulate(scenario, _SEED), FACTORY))
+    arrivals = tuple(Arrival(topic, message, log_ns) for topic, message, log_ns in logged if topic in heard)
+    kind = "truth/pointing" if node.startswith("optical_axis") else "truth/attitude"
+    return Voyage(new_adapter, arrivals, {log_ns: message for topic, message, log_ns in logged if topic == kind})
+
+
+def topics(node: str) -> tuple[str, ...]:
+    """What a node hears, in order of names."""
+    return tuple(sorted({arrival.topic for arrival in voyage(node).arrivals}))
+
+
+@functools.cache
+def clean_run(node: str) -> AdapterRun:
+    """The voyage with nothing wrong."""
+    return voyage(node).run()
+
+
+def _ship() -> Scenario:
+    scenario = load_scenario(SCENARIOS / "three_sensors.yaml")
+    ins = replaced(scenario.ins, rate_hz=25.0)
+    return replace(scenario, duration_s=5.0, ins=ins, references={"gyro": Reference(rate_hz=5.0)})
+
+
+def _theodolite(node: str) -> Scenario:
+    scenario = bag_scenario(duration_s=6.0)
+    by_ins = {"star_sensors": {}} if node.endswith("by ins") else {}
+    return replace(scenario, ins=replaced(scenario.ins, rate_hz=20.0), **by_ins)

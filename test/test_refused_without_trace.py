@@ -1,0 +1,205 @@
+"""What is refused by its form leaves no trace: all outputs are bit-equal to those without the refused messages.
+
+For each input topic of each node, and for each way in which a message can be unusable whatever the others say, such a
+message comes after every good one. Health, innovations and diagnostics tell of them, nothing else does.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_estimation.refusals import Reason
+from ship_testing.adapter_runs import (
+    SECOND_NS,
+    Arrival,
+    Arrivals,
+    changed_copy,
+    flooded,
+    in_order,
+    without_refused,
+)
+from ship_testing.every_input import NODES, clean_run, topics, voyage
+
+Change = Callable[[Arrival], Arrival]
+
+FIRST_NUMBER = {
+    "sensor_msgs/msg/Imu": "orientation.x",
+    "ship_msgs/msg/ShipAttitude": "orientation.x",
+    "ship_msgs/msg/StarInertialAttitude": "orientation.x",
+    "ship_msgs/msg/StarHorizonAttitude": "azimuth",
+    "ship_msgs/msg/StarObservationArray": "exposure_s",
+    "sensor_msgs/msg/NavSatFix": "latitude",
+    "sensor_msgs/msg/FluidPressure": "fluid_pressure",
+    "sensor_msgs/msg/Temperature": "temperature",
+    "sensor_msgs/msg/RelativeHumidity": "relative_humidity",
+    "ship_msgs/msg/TheodoliteEncoder": "azimuth",
+    "ship_msgs/msg/BeaconImage": "exposure_s",
+    "ship_msgs/msg/RtkBaseline": "enu.x",
+}
+"""By type, a number that every message must have."""
+
+
+def stamped(time_ns: Callable[[Arrival], int]) -> Change:
+    """The same message with another stamp."""
+
+    def change(arrival: Arrival) -> Arrival:
+        def put(message: Any) -> None:
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(time_ns(arrival), SECOND_NS)
+
+        return changed_copy(arrival, put)
+
+    return change
+
+
+def another_frame(arrival: Arrival) -> Arrival:
+    return changed_copy(arrival, lambda message: setattr(message.header, "frame_id", "elsewhere"))
+
+
+def infinite(arrival: Arrival) -> Arrival:
+    *parents, leaf = FIRST_NUMBER[type_of(arrival)].split(".")
+
+    def put(message: Any) -> None:
+        for name in parents:
+            message = getattr(message, name)
+        setattr(message, leaf, np.inf)
+
+    return changed_copy(arrival, put)
+
+
+def again(after_s: float) -> Change:
+    return lambda arrival: changed_copy(arrival, lambda message: None, arrival.receive_ns + round(after_s * SECOND_NS))
+
+
+def type_of(arrival: Arrival) -> str:
+    kind = type(arrival.message)
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+
+
+def bad_quaternion(arrival: Arrival) -> Arrival:
+    return changed_copy(arrival, lambda message: setattr(message.orientation, "w", 10.0))
+
+
+def negative_variance(arrival: Arrival) -> Arrival:
+    """In the first field that tells how good the message is, whatever its shape."""
+
+    def put(message: Any) -> None:
+        name = next(name for name in VARIANCES if hasattr(message, name))
+        value = getattr(message, name)
+        if isinstance(value, np.ndarray):
+            value[:] = np.diag([1.0, -1.0, 1.0]).ravel()
+        else:
+            setattr(message, name, -1.0)
+
+    return changed_copy(arrival, put)
+
+
+VARIANCES = ("rotation_covariance", "orientation_covariance", "position_covariance", "covariance", "variance", "sigma")
+UNUSABLE: dict[str, tuple[str, Change]] = {
+    "stamp zero": ("bad_stamp", stamped(lambda arrival: 0)),
+    "late": ("late", stamped(lambda arrival: arrival.stamp_ns - 5 * SECOND_NS // 2)),
+    "future": ("future", stamped(lambda arrival: arrival.receive_ns + SECOND_NS // 10)),
+    "infinite": ("non_finite", infinite),
+    "frame": ("frame", another_frame),
+    "quaternion": ("bad_quaternion", bad_quaternion),
+    "variance": ("bad_covariance", negative_variance),
+    "again at once": ("duplicate", again(1e-6)),
+    "again later": ("duplicate", again(0.7)),
+    "again too late": ("late", again(2.5)),
+}
+
+
+def lacks(topic: str) -> tuple[str, ...]:
+    """What the messages of a topic cannot be refused for as a whole.
+
+    Positions and readings of the air of long ago are used where none is newer, and may be in any frame; nobody asks for
+    the covariance of a drone's attitude.
+    """
+    if topic in ("gnss/fix", "met/humidity", "met/pressure", "met/temperature"):
+        return "late", "again too late", "frame", "quaternion"
+    if topic.startswith("beacon/") and topic.endswith("/imu"):
+        return ("variance",)
+    if topic.endswith(("/observations", "/beacons")):
+        return "quaternion", "variance"
+    return ("quaternion",) if topic.endswith(("/horizon_attitude", "/encoder", "/baseline")) else ()
+
+
+@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("kind", UNUSABLE)
+def test_outputs_are_bit_equal_to_those_without_the_refused_messages(node: str, kind: str) -> None:
+    reason, change = UNUSABLE[kind]
+    arrivals = voyage(node).arrivals
+    concerned = [topic for topic in topics(node) if kind not in lacks(topic)]
+    run = voyage(node).run(in_order((*arrivals, *(change(a) for a in arrivals if a.topic in concerned))))
+    clean = clean_run(node)
+    for topic in concerned:
+        count = sum(arrival.topic == topic for arrival in arrivals)
+        assert reason in run.reasons(topic)
+        assert run.health(topic).rejected == clean.health(topic).rejected + count
+    assert run.results() == clean.results()
+
+
+def flood_cases() -> list[tuple[str, str]]:
+    """The measurements that a filter goes back for."""
+    return [
+        ("ship_attitude", "reference/gyro/imu"),
+        ("ship_attitude", "star/aft/inertial_attitude"),
+        ("ship_attitude", "star/fore/horizon_attitude"),
+        ("ship_attitude", "star/starboard/observations"),
+        ("optical_axis", "theodolite/beacons"),
+        ("optical_axis by ins", "theodolite/beacons"),
+    ]
+
+
+@pytest.mark.parametrize(("node", "topic"), flood_cases())
+def test_nor_does_what_is_too_much(node: str, topic: str) -> None:
+    arrivals = flooded(voyage(node).arrivals, topic, 20, up_to_s=1.9)
+    run = voyage(node).run(arrivals)
+    overflow = run.innovations(Reason.OVERFLOW)
+    assert run.reasons(topic)["overflow"] == len(overflow) > 30
+    assert run.results() == voyage(node).run(without_refused(arrivals, topic, overflow)).results()
+
+
+@pytest.mark.parametrize("count", [1, 4, 8])
+def test_a_baseline_that_is_not_fixed_can_only_withhold_its_light(count: int) -> None:
+    """The exception: that there is no fixed solution is evidence. No exposure waits for one, or is taken across it.
+
+    The numbers of such baselines enter nothing. Where those around them are too far apart to be joined, the state ends
+    as without them; else lights between them are missing.
+    """
+    everything, topic = voyage("optical_axis"), "beacon/a/baseline"
+    chosen = [a for a in everything.arrivals if a.topic == topic][30 : 30 + count]
+    others = tuple(a for a in everything.arrivals if a not in chosen)
+    runs = [
+        everything.run(in_order((*others, *(changed_copy(a, floating(enu_m)) for a in chosen))))
+        for enu_m in (0.0, 1e300, np.nan)
+    ]
+    assert runs[0].results() == runs[1].results() == runs[2].results()
+    assert runs[0].reasons(topic) == {"not_fixed": count}
+    without_them, states = everything.run(others), []
+    for run in (runs[0], without_them):
+        state = run.adapter.core.state
+        states.append((state.mean.tobytes(), state.parts.tobytes(), state.lights_used))
+    too_far_apart = others_around_s(others, topic, chosen) > MAX_GAP_S
+    assert too_far_apart == (count == 8)
+    assert (states[0] == states[1]) == too_far_apart
+    assert states[0][2] <= states[1][2]
+
+
+MAX_GAP_S = 0.5
+"""Of baselines, by default."""
+
+
+def others_around_s(others: Arrivals, topic: str, chosen: list[Arrival]) -> float:
+    stamps = [a.stamp_ns for a in others if a.topic == topic]
+    before_ns = max(ns for ns in stamps if ns < chosen[0].stamp_ns)
+    after_ns = min(ns for ns in stamps if ns > chosen[-1].stamp_ns)
+    return (after_ns - before_ns) / SECOND_NS
+
+
+def floating(enu_x: float) -> Callable[[Any], None]:
+    def change(message: Any) -> None:
+        message.fix, message.enu.x = 3, enu_x
+
+    return change
