@@ -40,7 +40,7 @@ _MOST_KEPT = 6000
 _LEAST_TOLD = 0.1
 
 
-class Finding(enum.Enum):
+class VerdictKind(enum.Enum):
     """What is found of a source."""
 
     UNKNOWN = "not judged"
@@ -53,11 +53,11 @@ class Finding(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SourceVerdict:
     """What is found of a source.
 
     Attributes:
-        finding: the kind.
+        kind: what it is.
         text: for people, with figures.
         count: measurements judged.
         nis: mean normalised innovation squared per component; NaN where too few were measured.
@@ -68,7 +68,7 @@ class Verdict:
         correlation: of each innovation with the one before, by axis.
     """
 
-    finding: Finding
+    kind: VerdictKind
     text: str
     count: int
     nis: float = math.nan
@@ -115,7 +115,7 @@ class VerdictBook:
             self._sources.setdefault(source, {})[innovation.time_ns] = innovation
             self._newest_ns = max(self._newest_ns, innovation.time_ns)
 
-    def verdicts(self) -> dict[str, Verdict]:
+    def verdicts(self) -> dict[str, SourceVerdict]:
         """The verdict about each source, in the order of their names."""
         since_ns = self._newest_ns - round(WINDOW_S * SECOND_NS)
         verdicts = {}
@@ -156,16 +156,16 @@ def clock_verdicts(model: StateModel, mean: FloatArray, groups: Mapping[str, str
     return told
 
 
-def _verdict(innovations: Sequence[Innovation]) -> Verdict:
+def _verdict(innovations: Sequence[Innovation]) -> SourceVerdict:
     """The verdict by the innovations of a source, in order of time."""
     count = len(innovations)
     if count < LEAST_COUNT:
-        return Verdict(Finding.UNKNOWN, f"too few measurements to judge: {count} of {LEAST_COUNT}", count)
+        return SourceVerdict(VerdictKind.UNKNOWN, f"too few measurements to judge: {count} of {LEAST_COUNT}", count)
     parts, axes = Parts(innovations), axes_of(innovations)
     components = sum(one.components for one in innovations)
-    finding, text = _finding(parts, axes)
-    return Verdict(
-        finding=finding,
+    kind, text = _finding(parts, axes)
+    return SourceVerdict(
+        kind=kind,
         text=f"{text}; {count} measurements",
         count=count,
         nis=sum(one.nis for one in innovations) / components if components else math.nan,
@@ -177,22 +177,22 @@ def _verdict(innovations: Sequence[Innovation]) -> Verdict:
     )
 
 
-def _finding(parts: "Parts", axes: Iterable["Axis"]) -> tuple[Finding, str]:
+def _finding(parts: "Parts", axes: Iterable["Axis"]) -> tuple[VerdictKind, str]:
     """What weighs most. A bias makes a sigma look wrong, and a wrong sigma makes parts lie far off."""
     biased = max((axis for axis in axes if axis.is_biased), key=lambda axis: abs(axis.bias_sigma), default=None)
     if biased is not None:
-        return Finding.BIASED, biased.bias_text
+        return VerdictKind.BIASED, biased.bias_text
     if parts.is_optimistic:
-        return Finding.OPTIMISTIC, f"sigma optimistic by {parts.factor:.1f}: the noise is understated"
+        return VerdictKind.OPTIMISTIC, f"sigma optimistic by {parts.factor:.1f}: the noise is understated"
     if parts.is_misidentified:
         others = ", the others are as stated" if math.isfinite(parts.factor) else ""
-        return Finding.MISIDENTIFIED, f"misidentified: {100.0 * parts.far_share:.0f} % lie far off{others}"
+        return VerdictKind.MISIDENTIFIED, f"misidentified: {100.0 * parts.far_share:.0f} % lie far off{others}"
     if parts.is_conservative:
         times = f"{1.0 / parts.factor:.1f}" if parts.factor > _LEAST_TOLD else f"more than {1.0 / _LEAST_TOLD:.0f}"
-        return Finding.CONSERVATIVE, f"sigma conservative by {times}: the noise is overstated"
+        return VerdictKind.CONSERVATIVE, f"sigma conservative by {times}: the noise is overstated"
     lasting = max((axis for axis in axes if axis.is_lasting), key=lambda axis: abs(axis.correlation), default=None)
     if lasting is not None:
-        return Finding.CORRELATED, lasting.correlation_text
+        return VerdictKind.CORRELATED, lasting.correlation_text
     if math.isnan(parts.factor):
-        return Finding.UNKNOWN, "its sigma cannot be judged: the prediction is less certain than the measurements"
-    return Finding.AS_STATED, f"as stated, to a factor of {parts.factor:.2f} in its sigma"
+        return VerdictKind.UNKNOWN, "its sigma cannot be judged: the prediction is less certain than the measurements"
+    return VerdictKind.AS_STATED, f"as stated, to a factor of {parts.factor:.2f} in its sigma"

@@ -7,7 +7,7 @@ from ship_estimation.innovations import LEAST_COUNT
 from ship_estimation.kalman import StateModel, block
 from ship_estimation.outcome import Decision
 from ship_estimation.refusals import Reason, Refusal
-from ship_estimation.verdicts import WINDOW_S, Finding, Verdict, VerdictBook, clock_verdicts
+from ship_estimation.verdicts import WINDOW_S, SourceVerdict, VerdictBook, VerdictKind, clock_verdicts
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorSample
@@ -72,14 +72,14 @@ def exposure(k: int, noise: FloatArray) -> Decision[VectorSample]:
     )
 
 
-def verdict(decisions: list[Decision[VectorSample]]) -> Verdict:
+def verdict(decisions: list[Decision[VectorSample]]) -> SourceVerdict:
     book = VerdictBook()
     for decision in decisions:
         book.add("star.bow", decision)
     return book.verdicts()["star.bow"]
 
 
-def of_attitudes(noise: FloatArray) -> Verdict:
+def of_attitudes(noise: FloatArray) -> SourceVerdict:
     return verdict([attitude(k, row) for k, row in enumerate(noise)])
 
 
@@ -91,7 +91,7 @@ def white(seed: int, count: int = MINUTE, shape: tuple[int, ...] = (3,)) -> Floa
 def test_nothing_is_found_where_all_is_as_stated(count: int) -> None:
     """120 windows: by the stated probability one in a million is judged otherwise."""
     found = [of_attitudes(white(seed, count)) for seed in range(40)]
-    assert {one.finding for one in found} == {Finding.AS_STATED}
+    assert {one.kind for one in found} == {VerdictKind.AS_STATED}
     # The median of n values of chi² with 3 degrees has a relative sigma of 1.05 / √n: 3.3 of them, halved for sigma.
     assert all(abs(one.factor - 1.0) < 0.5 * 3.5 * 1.05 / np.sqrt(count) + 0.02 for one in found)
     inside = [one.nis_band[0] < one.nis < one.nis_band[1] for one in found if one.nis_band]
@@ -101,7 +101,7 @@ def test_nothing_is_found_where_all_is_as_stated(count: int) -> None:
 
 def test_nothing_is_found_where_stars_are_as_stated() -> None:
     found = [verdict([exposure(k, noise) for k, noise in enumerate(white(seed, 60, (8, 2)))]) for seed in range(40)]
-    assert {one.finding for one in found} == {Finding.AS_STATED}
+    assert {one.kind for one in found} == {VerdictKind.AS_STATED}
 
 
 @pytest.mark.parametrize("factor", [1.5, 2.0, 3.0, 10.0])
@@ -110,7 +110,7 @@ def test_an_understated_noise_of_attitudes_is_told_with_its_factor_though_the_ga
 ) -> None:
     for seed in range(10):
         found = of_attitudes(factor * white(seed))
-        assert found.finding is Finding.OPTIMISTIC
+        assert found.kind is VerdictKind.OPTIMISTIC
         assert found.factor == pytest.approx(factor, rel=0.2)
     assert f"optimistic by {found.factor:.1f}" in found.text
 
@@ -120,7 +120,7 @@ def test_an_understated_noise_of_stars_is_told_from_misidentified_stars(factor: 
     """Many stars a little too far off, of which the selection leaves out the worst."""
     for seed in range(5):
         found = verdict([exposure(k, factor * noise) for k, noise in enumerate(white(seed, shape=(8, 2)))])
-        assert found.finding is Finding.OPTIMISTIC
+        assert found.kind is VerdictKind.OPTIMISTIC
         assert found.factor == pytest.approx(factor, rel=0.2)
 
 
@@ -128,7 +128,7 @@ def test_one_star_of_each_exposure_far_off_is_misidentified_and_the_sigma_is_as_
     noise = white(3, shape=(8, 2))
     noise[:, 5] += 30.0
     found = verdict([exposure(k, one) for k, one in enumerate(noise)])
-    assert found.finding is Finding.MISIDENTIFIED
+    assert found.kind is VerdictKind.MISIDENTIFIED
     assert found.far_share == pytest.approx(1 / 8, abs=0.01)
     assert found.factor == pytest.approx(1.0, abs=0.1)
     assert found.text.startswith("misidentified: 13 % lie far off, the others are as stated")
@@ -139,19 +139,19 @@ def test_some_attitudes_far_off_are_misidentified() -> None:
     rng = np.random.default_rng(5)
     wrong = rng.random(MINUTE) < 0.2
     noise[wrong] = 50.0 * rng.standard_normal((int(wrong.sum()), 3))
-    assert of_attitudes(noise).finding is Finding.MISIDENTIFIED
+    assert of_attitudes(noise).kind is VerdictKind.MISIDENTIFIED
 
 
 def test_exposures_of_which_no_star_could_be_used_are_misidentified() -> None:
     found = verdict([exposure(k, one) for k, one in enumerate(1000.0 * white(6, shape=(8, 2)))])
-    assert found.finding is Finding.MISIDENTIFIED
+    assert found.kind is VerdictKind.MISIDENTIFIED
     assert "100 % lie far off; " in found.text
 
 
 @pytest.mark.parametrize("factor", [1.5, 2.0, 4.0])
 def test_an_overstated_noise_is_conservative(factor: float) -> None:
     found = of_attitudes(white(7) / factor)
-    assert found.finding is Finding.CONSERVATIVE
+    assert found.kind is VerdictKind.CONSERVATIVE
     # The prediction's error, 1″ where 3″ are stated, is as stated and limits how well a small noise is seen.
     assert found.factor == pytest.approx(1.0 / factor, abs=0.1)
 
@@ -162,7 +162,7 @@ def test_a_knocked_sensor_all_of_whose_measurements_are_refused_is_biased() -> N
     decisions = [attitude(k, row) for k, row in enumerate(noise)]
     assert not any(decision.accepted for decision in decisions)
     found = verdict(decisions)
-    assert found.finding is Finding.BIASED
+    assert found.kind is VerdictKind.BIASED
     assert found.text.startswith("bias of +50.")
     assert "arcsec in up" in found.text
     assert "steady: look at installation and alignment" in found.text
@@ -172,7 +172,7 @@ def test_a_bias_that_grows_is_not_steady() -> None:
     noise = white(9)
     noise[:, 2] += np.linspace(0.0, 8.0, MINUTE)
     found = of_attitudes(noise)
-    assert found.finding is Finding.BIASED
+    assert found.kind is VerdictKind.BIASED
     assert "it drifts" in found.text
 
 
@@ -181,24 +181,24 @@ def test_errors_that_last_are_told_by_their_correlation() -> None:
     for k in range(1, MINUTE):
         noise[k] = rho * noise[k - 1] + np.sqrt(1.0 - rho**2) * noise[k]
     found = of_attitudes(noise)
-    assert found.finding is Finding.CORRELATED
+    assert found.kind is VerdictKind.CORRELATED
     assert found.correlation["forward"] == pytest.approx(rho, abs=0.15)
 
 
 def test_innovations_that_alternate_are_told() -> None:
     noise = white(11, MINUTE + 1)
     found = of_attitudes((noise[1:] - noise[:-1]) / np.sqrt(2.0))  # correlation -0.5
-    assert found.finding is Finding.CORRELATED
+    assert found.kind is VerdictKind.CORRELATED
     assert "too closely" in found.text
 
 
 def test_too_few_measurements_are_no_verdict_nor_are_those_of_before_the_window() -> None:
     wrong = [attitude(k, 5.0 * row) for k, row in enumerate(white(12, LEAST_COUNT - 1))]
     found = verdict(wrong)
-    assert (found.finding, found.count) == (Finding.UNKNOWN, LEAST_COUNT - 1)
+    assert (found.kind, found.count) == (VerdictKind.UNKNOWN, LEAST_COUNT - 1)
     later = round(WINDOW_S * SECOND_NS) // PERIOD_NS + LEAST_COUNT
     good = [attitude(later + k, row) for k, row in enumerate(white(13))]
-    assert verdict([*wrong, *wrong, *good]).finding is Finding.AS_STATED
+    assert verdict([*wrong, *wrong, *good]).kind is VerdictKind.AS_STATED
 
 
 def test_a_prediction_that_is_less_certain_than_the_measurements_tells_nothing_of_their_sigma() -> None:
@@ -212,7 +212,7 @@ def test_a_prediction_that_is_less_certain_than_the_measurements_tells_nothing_o
         )  # fmt: skip
         decisions.append(decision)
     found = verdict(decisions)
-    assert found.finding is Finding.UNKNOWN
+    assert found.kind is VerdictKind.UNKNOWN
     assert "less certain than the measurements" in found.text
 
 
@@ -244,7 +244,7 @@ def test_a_cleared_book_is_empty() -> None:
 def test_values_that_stand_still_are_judged_without_a_division_by_zero() -> None:
     sample = [Decision(VectorSample(k, np.zeros(3)), Reason.NONE, True, ATTITUDE, np.zeros(3), covariance=np.eye(3),
                        noise=np.eye(3), nis=0.0) for k in range(40)]  # fmt: skip
-    assert verdict(sample).finding is Finding.CONSERVATIVE
+    assert verdict(sample).kind is VerdictKind.CONSERVATIVE
 
 
 def test_a_clock_is_told_beyond_four_of_its_configured_sigmas() -> None:

@@ -10,14 +10,14 @@ from typing import Any
 
 from ship_estimation.kalman import StateModel
 from ship_estimation.outcome import Decision
-from ship_estimation.verdicts import Finding, Verdict, VerdictBook, clock_verdicts
+from ship_estimation.verdicts import SourceVerdict, VerdictBook, VerdictKind, clock_verdicts
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 _MOST_PENDING = 5000
 """Of a flood the newest decisions are judged."""
 
-_GOOD = (Finding.AS_STATED, Finding.UNKNOWN)
+_GOOD = (VerdictKind.AS_STATED, VerdictKind.UNKNOWN)
 
 
 class VerdictReport:
@@ -49,8 +49,8 @@ def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str])
     return DiagnosticStatus("clocks", Level.WARN if told else Level.OK, "; ".join(told) or "within what is configured")
 
 
-def _status(source: str, verdict: Verdict) -> DiagnosticStatus:
-    level = Level.OK if verdict.finding in _GOOD else Level.WARN
+def _status(source: str, verdict: SourceVerdict) -> DiagnosticStatus:
+    level = Level.OK if verdict.kind in _GOOD else Level.WARN
     values = {"measurements": str(verdict.count)}
     if verdict.nis_band is not None:
         low, high = verdict.nis_band
