@@ -229,6 +229,57 @@ def test_pashr_with_the_day_from_the_receive_time(imported):
     np.testing.assert_allclose(angles_deg(message), [224.19, 0.83, -1.26], atol=1e-9)
 
 
+def weeks_ago(text, weeks):
+    """A log of 2014-08-01 whose ZDA tell a day so many weeks earlier."""
+    day = datetime(2014, 8, 1, tzinfo=timezone.utc) - timedelta(weeks=weeks)
+    lines = [line.partition(" ")[::2] for line in text.splitlines()]
+    bodies = [(time, body[1:-3].replace("01,08,2014", f"{day:%d,%m,%Y}")) for time, body in lines]
+    return "".join(f"{time} {sentence(body)}\n" for time, body in bodies)
+
+
+@pytest.mark.parametrize("rollovers", [1, 2, -1])
+def test_whole_gps_week_rollovers_are_put_right_and_said(imported, capsys, rollovers):
+    """A receiver that lost 1024 weeks: 2014 becomes 1994, as on real ships."""
+    found, _, counts = imported(ins=weeks_ago(S330, 1024 * rollovers), second=weeks_ago(S330, 1024 * rollovers))
+    expected, _, _ = imported("--force", ins=S330, second=S330)
+    for topic in ("ins/imu", "reference/second/imu", "gnss/fix"):
+        stamps = [[ns_from_stamp(message.header.stamp) for _, message in run[topic]] for run in (found, expected)]
+        assert stamps[0] == stamps[1]
+    said = f"instrument time put right by {1024 * rollovers:+d} weeks (GPS week rollover)"
+    assert counts["files"]["ins.log"]["put_right"] == {said: 1}
+    assert f"{said} 1" in capsys.readouterr().out
+
+
+def test_a_single_wrong_time_costs_its_attitude_alone(imported, capsys):
+    wrong = weeks_ago(S330, 3).replace("2014-08-01T00:00:00", "2014-08-01T00:00:01")
+    zda = "$INZDA,000000.17,01,08,2014,,*7E"
+    later = S330.replace("00:00:00", "00:00:09").replace(zda, sentence("INZDA,000009.17,01,08,2014,,"))
+    found, _, counts = imported(ins=wrong + later)
+    assert len(found["ins/imu"]) == 1
+    assert counts["files"]["ins.log"]["rejected"] == {"instrument time": 1}
+    assert "instrument time: '2014-07-11T00:00:00Z is 21.0 days before the receive time'" in capsys.readouterr().out
+
+
+def test_a_time_of_day_that_is_not_that_of_the_receive_time_is_refused(imported):
+    """Local time for UTC: an hour off, in PASHR as in GGA."""
+    good = "PASHR,000000.050,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0"
+    gga = "GPGGA,{},2200.112071,S,01756.360200,W,1,10,0.9,1.04,M,,M,,"
+    text = line(0.1, good) + line(0.2, gga.format("000000.10")) + line(0.3, gga.format("010000.20"))
+    text += line(1.1, good.replace("000000.050", "010001.050"))
+    found, _, counts = imported(ins=text)
+    assert [len(found[topic]) for topic in ("ins/imu", "gnss/fix")] == [1, 1]
+    assert counts["files"]["ins.log"]["rejected"] == {"instrument time": 2}
+    found, _, counts = imported("--time", "receive", "--force", ins=text)
+    assert [len(found[topic]) for topic in ("ins/imu", "gnss/fix")] == [2, 2]
+
+
+def test_position_from_a_log_without_attitude_becomes_the_fix_alone(imported, capsys):
+    positions = "".join(line for line in S330.splitlines(keepends=True) if "GGA" in line)
+    found, _, _ = imported("--resample", "20", ins=positions + GYR1)
+    assert set(found) == {"gnss/fix"}
+    assert "no attitude in it: gnss/fix alone" in capsys.readouterr().out
+
+
 def test_lines_that_are_no_good_are_counted_and_shown(imported, capsys):
     bad = [
         "no time at all",
@@ -293,6 +344,11 @@ def test_suite_configuration_is_attached(tmp_path):
         (["--weather", "{ins}"], S330, "ins.log: no MET in 8 lines"),
         (["--gyro", "{ins}x"], S330, "ins.logx: cannot be read"),
         (["--time", "gps"], S330, "invalid choice: 'gps'"),
+        (
+            [],
+            weeks_ago(S330, 3),
+            "ins.log:1: instrument time: '2014-07-11T00:00:00Z is 21.0 days before the receive time'; --time receive",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_two(tmp_path, capsys, options, text, complaint):

@@ -12,8 +12,8 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.nmea.nmea_attitude import LONGEST_GAP_S, LoggedAttitude, attitudes, resampled
-from ship_bags.nmea.nmea_log import LogLine, LogReport, read_log, time_of_day_ns
+from ship_bags.nmea.nmea_attitude import ATTITUDE_KINDS, LONGEST_GAP_S, LoggedAttitude, attitudes, resampled
+from ship_bags.nmea.nmea_log import WRONG_TIME, LogLine, LogReport, instrument_ns, read_log, time_of_day_ns
 from ship_bags.stamps import make_header
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import flu_from_device_vector, quaternion_from_rotation
@@ -53,7 +53,8 @@ class ImportOrder:
     """What to import.
 
     Attributes:
-        ins: log of the attitude system that becomes ``ins/imu`` and ``gnss/fix``.
+        ins: log of the attitude system that becomes ``ins/imu`` and ``gnss/fix``; where it has positions and no
+            attitude at all, ``gnss/fix`` alone.
         references: name → log of another attitude system, ``reference/<name>/imu``, never resampled.
         weather: log with lines MET.
         gyro: log with HDT, which becomes ``reference/gyro/imu``.
@@ -84,13 +85,17 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
     by_instrument = order.time == INSTRUMENT_TIME
     ins_lines, report = read_log(order.ins)
     reports, timed = [report], list[_Timed]()
-    samples = _attitudes(ins_lines, report, by_instrument)
-    if order.resample_hz is not None:
-        samples = resampled(samples, order.resample_hz)
-        if not samples:
-            raise BadInput(f"no two attitudes within {LONGEST_GAP_S:g} s of each other to resample", file=order.ins)
-    timed += _imu_messages(factory, "ins/imu", "ins", samples)
-    timed += _fix_messages(factory, ins_lines, by_instrument)
+    fixes = list(_fix_messages(factory, ins_lines, report, by_instrument))
+    if not fixes or any(report.used[kind] for kind in ATTITUDE_KINDS):
+        samples = _attitudes(ins_lines, report, by_instrument)
+        if order.resample_hz is not None:
+            samples = resampled(samples, order.resample_hz)
+            if not samples:
+                raise BadInput(f"no two attitudes within {LONGEST_GAP_S:g} s of each other to resample", file=order.ins)
+        timed += _imu_messages(factory, "ins/imu", "ins", samples)
+    else:
+        report.remarks.append("no attitude in it: gnss/fix alone")
+    timed += fixes
     for name, path in sorted(order.references.items()):
         lines, report = read_log(path)
         reports.append(report)
@@ -109,6 +114,9 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
 
 def _attitudes(lines: list[LogLine], report: LogReport, by_instrument: bool) -> list[LoggedAttitude]:
     found = attitudes(lines, report, by_instrument)
+    if not found and report.rejected[WRONG_TIME]:
+        example = next(text for text in report.examples if WRONG_TIME in text)
+        raise BadInput(f"no usable attitude: {example}; --time receive stamps by the receive time", file=report.path)
     if not found:
         raise BadInput(f"no usable attitude: expected PSXN,23 after ZDA, or PASHR; {report.text()}", file=report.path)
     return found
@@ -135,6 +143,7 @@ def _write(order: ImportOrder, out_path: Path, timed: list[_Timed], reports: lis
             "lines": report.lines,
             "used": dict(sorted(report.used.items())),
             "rejected": dict(sorted(report.rejected.items())),
+            **({"put_right": dict(sorted(report.mended.items()))} if report.mended else {}),
             "not_of_interest": dict(sorted(report.unused.items())),
         }
         for report in reports
@@ -177,19 +186,25 @@ def _gyro_messages(factory: MessageFactory, topic: str, frame_id: str, lines: It
             yield line.receive_ns, topic, message
 
 
-def _fix_messages(factory: MessageFactory, lines: Iterable[LogLine], by_instrument: bool) -> Iterator[_Timed]:
+def _fix_messages(
+    factory: MessageFactory, lines: Iterable[LogLine], report: LogReport, by_instrument: bool
+) -> Iterator[_Timed]:
     """GGA as sensor_msgs/NavSatFix; the altitude is NaN where the geoid's height is not in the sentence."""
     for line in lines:
         if line.kind != "GGA":
             continue
-        gga = line.content
+        gga, stamp_ns = line.content, line.receive_ns
+        if by_instrument:
+            told_ns = instrument_ns(time_of_day_ns(gga.timestamp, line.receive_ns), line, report)
+            if told_ns is None:
+                continue
+            stamp_ns = told_ns
         quality = gga.gps_qual if isinstance(gga.gps_qual, int) else 0
         status = _FIX_STATUS.get(quality, _FIX)
         position = _numbers(gga.latitude, gga.longitude) if gga.lat and gga.lon and status != _NO_FIX else None
         dilution = _numbers(gga.horizontal_dil)
         heights = _numbers(gga.altitude, gga.geo_sep)
         sigma_m = _RANGE_SIGMA_M * dilution[0] if dilution else 0.0
-        stamp_ns = time_of_day_ns(gga.timestamp, line.receive_ns) if by_instrument else line.receive_ns
         message = factory.make(
             "sensor_msgs/msg/NavSatFix",
             header=make_header(factory, stamp_ns, "gnss"),

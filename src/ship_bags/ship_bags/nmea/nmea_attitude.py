@@ -11,13 +11,16 @@ from datetime import date, datetime, timezone
 import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ship_bags.nmea.nmea_log import LogLine, LogReport, datetime_ns, time_of_day_ns
+from ship_bags.nmea.nmea_log import LogLine, LogReport, datetime_ns, instrument_ns, time_of_day_ns
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 
 LONGEST_GAP_S = 3.0
 """Attitudes further apart are not joined by a spline, s."""
+
+ATTITUDE_KINDS = ("PSXN23", "PASHR")
+"""Of lines that tell an attitude."""
 
 _BURST_NS = NS_PER_S
 """A PSXN,23 that comes later than this after a ZDA does not belong to the burst of that ZDA, ns."""
@@ -47,30 +50,30 @@ def attitudes(lines: Sequence[LogLine], report: LogReport, by_instrument: bool) 
 
     Args:
         lines: lines of the log.
-        report: counts what cannot be used: invalid by PSXN,20, without a ZDA, not later than the one before.
+        report: counts what cannot be used: invalid by PSXN,20, without a ZDA, of a wrong time, not later than the one
+            before.
         by_instrument: stamp by the instrument's time, otherwise by the receive time.
     """
     found: list[LoggedAttitude] = []
     zda: LogLine | None = None
     invalid = False
     for line in lines:
-        content, text = line.content, str(line.content)
+        content = line.content
         if line.kind == "ZDA":
             zda = line
         elif line.kind == "PSXN20":
             invalid = _INVALID_QUALITY in (content.head_qual, content.rp_qual)
-        elif line.kind in ("PSXN23", "PASHR"):
-            stamp_ns = _instrument_ns(line, zda) if by_instrument else line.receive_ns
-            heading_deg = content.head if line.kind == "PSXN23" else content.true_heading
+        elif line.kind in ATTITUDE_KINDS:
             if invalid:
-                report.reject("invalid by PSXN,20", line.number, text)
-            elif stamp_ns is None:
-                report.reject("attitude without ZDA", line.number, text)
-            elif found and stamp_ns <= found[-1].stamp_ns:
-                report.reject("not later than the attitude before", line.number, text)
+                report.reject("invalid by PSXN,20", line.number, str(content))
             else:
-                angles = np.deg2rad([heading_deg, content.pitch, content.roll])
-                found.append(LoggedAttitude(stamp_ns, line.receive_ns, rotation_from_angles(*angles)))
+                stamp_ns = _instrument_ns(line, zda, report) if by_instrument else line.receive_ns
+                if stamp_ns is not None and found and stamp_ns <= found[-1].stamp_ns:
+                    report.reject("not later than the attitude before", line.number, str(content))
+                elif stamp_ns is not None:
+                    heading_deg = content.head if line.kind == "PSXN23" else content.true_heading
+                    angles = np.deg2rad([heading_deg, content.pitch, content.roll])
+                    found.append(LoggedAttitude(stamp_ns, line.receive_ns, rotation_from_angles(*angles)))
             if line.kind == "PSXN23":
                 zda = None
     return found
@@ -116,16 +119,17 @@ def _segments(logged: Sequence[LoggedAttitude]) -> list[list[LoggedAttitude]]:
     return segments
 
 
-def _instrument_ns(line: LogLine, zda: LogLine | None) -> int | None:
-    """Time at which a line's attitude is valid, by the instrument; None where it does not say."""
+def _instrument_ns(line: LogLine, zda: LogLine | None, report: LogReport) -> int | None:
+    """Time at which a line's attitude is valid, by the instrument; None where it does not say, which is reported."""
     if line.kind == "PASHR":
-        return time_of_day_ns(line.content.timestamp, line.receive_ns)
-    if zda is None or line.receive_ns - zda.receive_ns > _BURST_NS:
-        return None
-    zda_fields = zda.content
-    try:
-        day = date(zda_fields.year, zda_fields.month, zda_fields.day)
-        moment = datetime.combine(day, zda_fields.timestamp, tzinfo=timezone.utc)
-    except ValueError:
-        return None
-    return datetime_ns(moment)
+        return instrument_ns(time_of_day_ns(line.content.timestamp, line.receive_ns), line, report)
+    if zda is not None and line.receive_ns - zda.receive_ns <= _BURST_NS:
+        try:
+            day = date(zda.content.year, zda.content.month, zda.content.day)
+            moment = datetime.combine(day, zda.content.timestamp, tzinfo=timezone.utc)
+        except ValueError:
+            pass
+        else:
+            return instrument_ns(datetime_ns(moment), zda, report)
+    report.reject("attitude without ZDA", line.number, str(line.content))
+    return None

@@ -17,6 +17,12 @@ from ship_bags.errors import BadInput
 from ship_bags.stamps import END_OF_TIME_NS, NS_PER_S
 
 _FIRST_FEW = 3
+_LONGEST_DELAY_NS = 60 * NS_PER_S
+"""No network holds a sentence longer: an instrument's time that is further from the receive time is wrong."""
+_ROLLOVER_NS = 1024 * 7 * 86_400 * NS_PER_S
+"""GPS counts weeks up to 1023. A receiver that has missed a beginning anew is whole multiples of these behind."""
+WRONG_TIME = "instrument time"
+"""Why a line is rejected whose time is further from the receive time than a network can hold it."""
 _DAY = timedelta(days=1)
 _DAY_NS = 86_400 * NS_PER_S
 
@@ -59,6 +65,8 @@ class LogReport:
         used: kind → count of lines given out.
         unused: name of the sentence → count of lines with nothing of interest.
         rejected: reason → count; what it was is in ``examples``.
+        mended: what was put right in lines given out → count.
+        remarks: what else is to be said of the file.
         examples: the first few of each reason, with line number.
     """
 
@@ -67,6 +75,8 @@ class LogReport:
     used: Counter[str] = field(default_factory=Counter)
     unused: Counter[str] = field(default_factory=Counter)
     rejected: Counter[str] = field(default_factory=Counter)
+    mended: Counter[str] = field(default_factory=Counter)
+    remarks: list[str] = field(default_factory=list)
     examples: list[str] = field(default_factory=list)
 
     def reject(self, reason: str, line: int, text: str) -> None:
@@ -79,6 +89,8 @@ class LogReport:
         """One line for people, and one for each example."""
         parts = [f"used {name} {count}" for name, count in sorted(self.used.items())]
         parts += [f"{name} {count}" for name, count in sorted(self.rejected.items())]
+        parts += [f"{name} {count}" for name, count in sorted(self.mended.items())]
+        parts += self.remarks
         if self.unused:
             parts.append("not of interest " + ", ".join(f"{n} {count}" for n, count in sorted(self.unused.items())))
         return "\n".join([f"{self.path.name}: {self.lines} lines: {'; '.join(parts)}", *self.examples])
@@ -107,6 +119,28 @@ def time_of_day_ns(time_of_day: Any, near_ns: int) -> int:
         for offset in (-1, 0, 1)
     ]
     return datetime_ns(min(candidates, key=lambda moment: abs(moment - near)))
+
+
+def instrument_ns(stamp_ns: int, line: LogLine, report: LogReport) -> int | None:
+    """The instrument's time of a line, put right where it is whole GPS week rollovers off; None where it is wrong.
+
+    Args:
+        stamp_ns: as the instrument says.
+        line: that says so.
+        report: counts what is put right, and what is rejected.
+    """
+    late_ns = line.receive_ns - stamp_ns
+    rollovers = round(late_ns / _ROLLOVER_NS)
+    if abs(late_ns - rollovers * _ROLLOVER_NS) > _LONGEST_DELAY_NS:
+        told = datetime.fromtimestamp(stamp_ns // NS_PER_S, tz=timezone.utc)
+        days = abs(late_ns) / _DAY_NS
+        apart = f"{days:.1f} days" if days >= 1.0 else f"{abs(late_ns) / NS_PER_S:.0f} s"
+        text = f"{told:%Y-%m-%dT%H:%M:%SZ} is {apart} {'before' if late_ns > 0 else 'after'} the receive time"
+        report.reject(WRONG_TIME, line.number, text)
+        return None
+    if rollovers:
+        report.mended[f"instrument time put right by {1024 * rollovers:+d} weeks (GPS week rollover)"] += 1
+    return stamp_ns + rollovers * _ROLLOVER_NS
 
 
 def datetime_ns(moment: datetime) -> int:
