@@ -16,6 +16,7 @@ from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, Attitud
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.camera import tangent_basis
+from ship_attitude_star.stars.chance import improbable_identity
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.selection import StarPrior, select
@@ -248,6 +249,8 @@ def star_residuals(
     expected_n /= np.linalg.norm(expected_n, axis=-1, keepdims=True)
     at_estimate = replace(stars, reference_n=expected_n)
     chosen = _chosen(stars, at_estimate, prior, None if expected is None else rotation_ns)
+    if isinstance(chosen, Refusal):
+        return Refusal(chosen.reason, _listed(chosen.text, refused))
     turned_ns = rotation_ns if chosen.rotation_ns is None else chosen.rotation_ns
     left_out = np.flatnonzero(~chosen.members).tolist()
     refused += [(seen.name(row), _misfit(stars, row, turned_ns)) for row in left_out]
@@ -290,7 +293,7 @@ class _Chosen:
 
 def _chosen(
     stars: SightedStars, at_estimate: SightedStars, prior: StarPrior, near_ns: FloatArray | None
-) -> _Chosen:
+) -> _Chosen | Refusal:
     """The stars that agree with the prediction; where none does, those that agree on another attitude.
 
     Args:
@@ -299,7 +302,10 @@ def _chosen(
         prior: the prediction.
         near_ns: an attitude near the truth, where the prediction's own is perhaps not, shape (3, 3).
     """
-    members = select(at_estimate, prior, near_ns).members
+    choice = select(at_estimate, prior, near_ns)
+    if choice.by_chance is not None:
+        return improbable_identity(choice.by_chance)
+    members = choice.members
     if members.any():
         return _Chosen(members, None)
     alone = solve_stars(stars)

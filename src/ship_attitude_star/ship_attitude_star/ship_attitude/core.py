@@ -62,7 +62,7 @@ class ShipAttitudeCore:
         exposes = any(star.input == "observations" for star in config.star_sensors.values())
         exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
         # The INS's stamps differ from a device's, and an INS sample changes what is compared within a gap of it.
-        self._stamp_reach_ns = round(self.filter.linearisation.longest_shift_s * SECOND_NS) + exposure_reach_ns
+        self._stamp_reach_ns = round(self.filter.linearisation.longest_reach_s * SECOND_NS) + exposure_reach_ns
         model: Model[FilterState, Measurement, AttitudeDecision, InsJump] = Model(
             step=self._step,
             opened=self._opened,

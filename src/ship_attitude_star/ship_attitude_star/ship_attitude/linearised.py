@@ -146,15 +146,17 @@ class Linearisation:
 
     @property
     def longest_shift_s(self) -> float:
-        """Bound on how far the INS's stamp of an attitude may lie from a device's: configured offsets and 8 sigma.
+        """Bound on how far the INS's stamp of an attitude may lie from a device's: configured offsets and 5 sigma."""
+        return max((self._shift_s(device, 5.0) for device in self._devices.values()), default=0.0)
 
-        They are the five that an offset may be off, and the three around it that tell how the ship moves.
-        """
-        longest_s = 0.0
-        for device in self._devices.values():
-            sigma_s = [self._model.blocks[name].sigma[0] for name, _ in device.ins_time_states]
-            longest_s = max(longest_s, abs(device.ins_time_s) + (5.0 + _FAR) * float(np.linalg.norm(sigma_s)))
-        return longest_s
+    @property
+    def longest_reach_s(self) -> float:
+        """Bound on how far samples of the INS matter: beside that shift, as far around it as tells how a ship moves."""
+        return max((self._shift_s(device, 5.0 + _FAR) for device in self._devices.values()), default=0.0)
+
+    def _shift_s(self, device: Device, sigmas: float) -> float:
+        offset_sigmas_s = [self._model.blocks[name].sigma[0] for name, _ in device.ins_time_states]
+        return abs(device.ins_time_s) + sigmas * float(np.linalg.norm(offset_sigmas_s))
 
     def ins_time_ns(self, mean: FloatArray, measurement: Measurement) -> int:
         """Stamp (ns) of the INS for the attitude that was measured, by a mean of the state, shape (n,)."""

@@ -58,11 +58,21 @@ class BrightStars:
         catalogue: all stars.
         rows: of the catalogue, shape (m,).
         directions_c: ICRS unit vectors of the stars of these rows, shape (m, 3).
+        magnitudes: of these stars, increasing, shape (m,).
     """
 
     catalogue: StarCatalogue
     rows: NDArray[np.int64]
     directions_c: FloatArray
+    magnitudes: FloatArray
+
+    def density(self, magnitude: FloatArray, tolerance: float) -> FloatArray:
+        """How many of them have a magnitude, give or take a tolerance, per steradian; all where it is NaN."""
+        faintest = np.where(np.isfinite(magnitude), magnitude + tolerance, np.inf)
+        brightest = np.where(np.isfinite(magnitude), magnitude - tolerance, -np.inf)
+        count = np.searchsorted(self.magnitudes, faintest, "right") - np.searchsorted(self.magnitudes, brightest)
+        density: FloatArray = np.asarray((count + 1.0) / (4.0 * np.pi), dtype=float)
+        return density
 
 
 @dataclass(frozen=True)
@@ -165,7 +175,8 @@ class SkyWatch:
         self.catalogue = catalogue
         rows = catalogue.brighter_than(config.magnitude_limit)
         bright = catalogue.at_j2000[rows]
-        self._bright = BrightStars(catalogue, rows, erfa.s2c(bright.right_ascension, bright.declination))
+        directions_c = erfa.s2c(bright.right_ascension, bright.declination)
+        self._bright = BrightStars(catalogue, rows, directions_c, np.sort(catalogue.magnitude[rows]))
         self.reset()
 
     def reset(self) -> None:

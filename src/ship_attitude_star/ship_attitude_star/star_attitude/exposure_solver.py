@@ -219,6 +219,7 @@ def _in_deck(
         mounting_b=mounting_b,
         smear_b=_smear_in_deck(stars, group),
         turned_b=turned_b if turn_covariance_d.any() else None,
+        rivals=_rivals(stars),
     )
 
 
@@ -232,6 +233,13 @@ def _smear_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> F
             for s, m in zip(stars, group, strict=True)
         ]
     )
+
+
+def _rivals(stars: Sequence[SightedStars]) -> FloatArray | None:
+    """What may be taken for these stars, per steradian, shape (k,); None where the names of all are sure."""
+    if all(s.rivals is None for s in stars):
+        return None
+    return np.concatenate([np.zeros(len(s)) if s.rivals is None else s.rivals for s in stars])
 
 
 def _rows(group: Sequence[Mounted]) -> list[slice]:

@@ -22,26 +22,22 @@ from numpy.typing import NDArray
 from ship_attitude_star.sky.catalogue import julian_year
 from ship_attitude_star.sky.sky_watch import SkyMoment, SkyWatch
 from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
+from ship_attitude_star.stars.chance import WRONG_NAMES
 from ship_attitude_star.stars.fit import SightedStars
-from ship_attitude_star.stars.selection import StarPrior, across, distance
-from ship_estimation.gates import chi_square_gate
+from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, WIDEST, candidates
+from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.exposure_mean import Nodes, Turning, exposure_nodes
-from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, skew
+from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions
 
-GATE_PROBABILITY = 0.9999
-MAGNITUDE_TOLERANCE = 1.5
-"""A catalogue star that differs by more from the measured magnitude is not the star of a detection.
-
-Most of the tolerance is for the colours of stars, and for the difference between the bands Hp and V.
-"""
-
-_FIELD_MARGIN = np.deg2rad(1.0)
-"""Far more than aberration, refraction and the error of the predicted attitude together, rad."""
+_PRIOR_TOO_WIDE = f"the attitude is not known to {np.rad2deg(WIDEST):.0f}°: too many catalogue stars fit"
 
 _ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
 """Mounting errors of stars that are compared in their sensor's own frame: none."""
+
+_NAMES_ARE_ENOUGH = 5e-4
+"""By an attitude that is predicted to this (rad, sigma) a star with a name is hardly ever another one."""
 
 _OUT_OF_SIGHT = 1.0
 """Variance of a star that leaves the camera's sight during the exposure, rad²: so large that the star has no weight."""
@@ -202,7 +198,8 @@ def visible_stars(
         moment of the exposure.
     """
     refused: list[tuple[str, Refusal]] = []
-    known = exposure.identified
+    known = named = exposure.identified
+    detections = len(exposure)
     moment = watch.at(exposure.time_ns)
     if isinstance(moment, Refusal):
         return moment
@@ -213,13 +210,17 @@ def visible_stars(
             known = exposure.identified
         nobody = Refusal(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it by")
         refused += [(exposure.name(row), reasons.get(row, nobody)) for row in np.flatnonzero(~known).tolist()]
-        exposure = exposure[known]
+        exposure, named = exposure[known], named[known]
     apparent = moment.apparent(exposure.positions)
     direction_n, shared_n, seen = apparent.direction_n, apparent.shared_n, apparent.visible
     if not seen.all():
         for row in np.flatnonzero(~seen).tolist():
             refused.append((exposure.name(row), moment.too_low(float(apparent.elevation[row]))))
-        exposure, direction_n, shared_n = exposure[seen], direction_n[seen], shared_n[seen]
+        exposure, direction_n, shared_n, named = exposure[seen], direction_n[seen], shared_n[seen], named[seen]
+    rivals = None
+    if prior is not None and not (named.all() and np.trace(prior.covariance_n) < _NAMES_ARE_ENOUGH**2):
+        rivals = detections * moment.bright.density(exposure.magnitude, MAGNITUDE_TOLERANCE)
+        rivals *= np.where(named, WRONG_NAMES, 1.0)
     stars = SightedStars(
         measured_b=exposure.directions_s,
         reference_n=direction_n,
@@ -229,6 +230,7 @@ def visible_stars(
         sensor=np.zeros(len(direction_n), dtype=np.intp),
         mounting_b=_ONE_SENSOR,
         smear_b=exposure.smear_s,
+        rivals=rivals,
     )
     return exposure, stars, refused
 
@@ -247,61 +249,37 @@ def identified(
         The exposure, and for each row that is still without an identity the reason.
     """
     rows = np.flatnonzero(~exposure.identified)
-    candidates = _in_field(exposure.directions_s[rows], prior, moment)
-    catalogue = moment.bright.catalogue
-    apparent = moment.apparent(catalogue.at_j2000[candidates])
-    candidates, reference_n = candidates[apparent.visible], apparent.direction_n[apparent.visible]
-    seen_n = exposure.directions_s[rows] @ prior.rotation_nb.T
-    variance = exposure.sigma[rows, None] ** 2 + catalogue.position_sigma[candidates] ** 2
-    smear_n = None if exposure.smear_s is None else prior.rotation_nb @ exposure.smear_s[rows] @ prior.rotation_nb.T
-    close = _mahalanobis(seen_n, reference_n, variance, smear_n, prior) < chi_square_gate(GATE_PROBABILITY, 2)
-    unlike = np.abs(exposure.magnitude[rows, None] - catalogue.magnitude[candidates]) > MAGNITUDE_TOLERANCE
-    close &= ~unlike
+    if np.trace(prior.covariance_n) > WIDEST**2:
+        return exposure, dict.fromkeys(rows.tolist(), Refusal(Reason.UNIDENTIFIED, _PRIOR_TOO_WIDE))
+    smear_s = None if exposure.smear_s is None else exposure.smear_s[rows]
+    found = candidates(
+        exposure.directions_s[rows], exposure.sigma[rows], exposure.magnitude[rows], smear_s, prior, moment
+    )
     # No catalogue star counts twice: one that two detections could be is given to neither. A catalogue star
     # already assigned by its number is not assigned to another detection.
-    claimed_once = (np.count_nonzero(close, axis=0) == 1) & ~np.isin(catalogue.hip[candidates], exposure.hip)
+    hip = moment.bright.catalogue.hip[found.rows]
+    claimed_once = (np.count_nonzero(found.fitting, axis=0) == 1) & ~np.isin(hip, exposure.hip)
     chosen = np.full(len(rows), -1)
     reasons: dict[int, Refusal] = {}
     for number, row in enumerate(rows.tolist()):
-        found = np.flatnonzero(close[number])
-        if len(found) == 1 and claimed_once[found[0]]:
-            chosen[number] = candidates[found[0]]
+        fitting = np.flatnonzero(found.fitting[number])
+        if len(fitting) == 1 and claimed_once[fitting[0]]:
+            chosen[number] = found.rows[fitting[0]]
         else:
-            reasons[row] = _why_not(seen_n[number], reference_n, len(found))
+            reasons[row] = _why_not(float(found.nearest[number]), len(fitting))
     taken = chosen >= 0
     return _filled(exposure, rows[taken], chosen[taken], moment), reasons
 
 
-def _in_field(directions_s: FloatArray, prior: StarPrior, moment: SkyMoment) -> NDArray[np.int64]:
-    """Rows of the catalogue with the bright stars that may be in the field of these detections."""
-    centre_s = np.mean(directions_s, axis=0)
-    centre_s /= np.linalg.norm(centre_s)
-    radius = np.max(angle_between(directions_s, centre_s)) + _FIELD_MARGIN
-    return moment.bright_rows_around(prior.rotation_nb @ centre_s, radius)
-
-
-def _mahalanobis(
-    seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: StarPrior
-) -> FloatArray:
-    """Mahalanobis² of each of k detections to each of c candidates under the prior's error, shape (k, c)."""
-    basis = across(seen_n)
-    left = np.einsum("kij,kcj->kci", basis, reference_n - seen_n[:, None, :])
-    turned = basis @ skew(seen_n)
-    covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
-    if smear_n is not None:
-        covariance += basis @ smear_n @ np.swapaxes(basis, -1, -2)
-    near = np.einsum("cj,kj->kc", reference_n, seen_n) > 0.0
-    return np.where(near, distance(left, covariance[:, None] + variance[..., None, None] * np.eye(2)), np.inf)
-
-
-def _why_not(seen_n: FloatArray, reference_n: FloatArray, found: int) -> Refusal:
-    """The refusal of a detection for which ``found`` catalogue stars lay within the gate."""
-    if found:
-        return Refusal(Reason.UNIDENTIFIED, f"{found} catalogue stars within the gate, or one claimed twice: left out")
-    if not len(reference_n):
+def _why_not(nearest: float, fitting: int) -> Refusal:
+    """The refusal of a detection for which so many catalogue stars lay within the gate, the nearest at this angle."""
+    if fitting:
+        text = f"{fitting} catalogue stars within the gate, or one claimed twice: left out"
+        return Refusal(Reason.UNIDENTIFIED, text)
+    if not np.isfinite(nearest):
         return Refusal(Reason.UNIDENTIFIED, "no catalogue star in the field")
-    nearest = float(np.min(angle_between(reference_n, seen_n))) / ARCSEC
-    return Refusal(Reason.UNIDENTIFIED, f'no catalogue star within the gate, the nearest is {nearest:.0f}" away')
+    text = f'no catalogue star within the gate, the nearest is {nearest / ARCSEC:.0f}" away'
+    return Refusal(Reason.UNIDENTIFIED, text)
 
 
 def _filled(

@@ -46,6 +46,8 @@ class SightedStars:
         turned_b: turn of each sensor by one sigma of each of c independent errors of the turns that brought the
             exposures to one moment, rotation vectors in b as columns, rad, shape (n_sensors, 3, c); None where there
             are none.
+        rivals: how often per steradian a detection of the exposure and a star of the sky may be taken for this star by
+            mistake, shape (k,); None where names are sure.
     """
 
     measured_b: FloatArray
@@ -57,6 +59,7 @@ class SightedStars:
     mounting_b: FloatArray
     smear_b: FloatArray | None = None
     turned_b: FloatArray | None = None
+    rivals: FloatArray | None = None
 
     @cached_property
     def white_sigma(self) -> FloatArray:

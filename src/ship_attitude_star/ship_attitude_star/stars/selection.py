@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.stars.chance import MOST_BY_CHANCE, by_chance, surely_few
 from ship_attitude_star.stars.fit import Agreement, SightedStars, StarFit, StarJudgement, agreement, linearized
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, angle_between, left_jacobian, log_rotation, skew
@@ -78,10 +79,12 @@ class Choice:
     Attributes:
         members: True for each of these stars, shape (k,); nowhere where no set is larger than its rivals.
         agreement: the attitude that they give; None where the choice did not need it.
+        by_chance: where stars agree, but so few that they may do so by chance: the mean number of such sets.
     """
 
     members: BoolArray
     agreement: Agreement | None = None
+    by_chance: float | None = None
 
 
 def select(stars: SightedStars, prior: StarPrior | None = None, near_nb: FloatArray | None = None) -> Choice:
@@ -95,7 +98,13 @@ def select(stars: SightedStars, prior: StarPrior | None = None, near_nb: FloatAr
     """
     if prior is None:
         return _select_alone(stars)
-    return Choice(_select_by_prior(stars, prior, near_nb))
+    members = _select_by_prior(stars, prior, near_nb)
+    if stars.rivals is not None and members.any() and not surely_few(stars, prior.covariance_n):
+        expected = by_chance(stars, members, across(stars.reference_n), prior.covariance_n)
+        # Written so that NaN leaves no star in.
+        if not expected <= MOST_BY_CHANCE:
+            return Choice(np.zeros_like(members), by_chance=expected)
+    return Choice(members)
 
 
 def _select_alone(stars: SightedStars) -> Choice:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_watch import SHARED_TERMS
+from ship_attitude_star.stars.chance import improbable_identity
 from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agreement, linearized, square_roots
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
 from ship_estimation.refusals import Reason, Refusal
@@ -109,6 +110,8 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
     """
     choice = select(stars, prior)
     members = choice.members
+    if choice.by_chance is not None:
+        return no_attitude(members, improbable_identity(choice.by_chance))
     count = int(np.count_nonzero(members))
     together = members if count else np.ones_like(members)
     found = choice.agreement or agreement(stars, together)
@@ -141,7 +144,7 @@ def solve_in_doubt_alone(stars: SightedStars, prior: StarPrior | None) -> tuple[
         The solution, and True where the stars verify one another but contradict the prior.
     """
     solution = solve_stars(stars, prior)
-    if prior is None or solution.status is not SolutionStatus.INVALID:
+    if prior is None or solution.refusal is None or solution.refusal.reason is Reason.UNIDENTIFIED:
         return solution, False
     alone = solve_stars(stars)
     if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):

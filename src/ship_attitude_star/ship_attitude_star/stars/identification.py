@@ -1,0 +1,150 @@
+"""Which catalogue stars a detection without an identity may be, by the attitude that is predicted for its sensor.
+
+A detection and a catalogue star fit where a probable turn of the predicted attitude brings the one to the other. Where
+the prediction is wide such a turn is no small one: the likeliest one is searched step by step (Gauss-Newton), for each
+pair of detection and star.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.sky.sky_watch import SkyMoment
+from ship_attitude_star.stars.chance import GATE_PROBABILITY
+from ship_attitude_star.stars.selection import StarPrior, across, distance
+from ship_estimation.gates import chi_square_gate
+from ship_geometry.rotations import FloatArray, angle_between, exp_rotation, left_jacobian, skew
+
+MAGNITUDE_TOLERANCE = 1.5
+"""A catalogue star that differs by more from the measured magnitude is not the star of a detection.
+
+Most of the tolerance is for the colours of stars, and for the difference between the bands Hp and V.
+"""
+
+_FIELD_MARGIN = np.deg2rad(1.0)
+"""Far more than aberration and refraction together, rad."""
+
+_FAR = 5.0
+"""Sigmas by which the predicted attitude may be off."""
+
+_LINEAR_RANGE = 5e-4
+"""Within such a turn (rad, sigma) of the predicted attitude a star moves in a straight line."""
+
+_MOST_STEPS, _SMALL_TURN = 8, 1e-5
+
+WIDEST = np.deg2rad(5.0)
+"""By an attitude that is not predicted to this (rad, sigma) no detection is identified: too many stars fit."""
+
+_CROWDED = 5.0
+"""Where more catalogue stars than this are expected in a gate, there is no use in looking which."""
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """What k detections may be.
+
+    Attributes:
+        rows: of the catalogue, the stars in the field, shape (c,).
+        fitting: whether a detection may be that star, shape (k, c).
+        nearest: angle from the predicted place of each detection to the nearest star in the field, rad, shape (k,);
+            infinite where there is none.
+    """
+
+    rows: NDArray[np.int64]
+    fitting: NDArray[np.bool_]
+    nearest: FloatArray
+
+
+def candidates(
+    directions_s: FloatArray,
+    sigma: FloatArray,
+    magnitude: FloatArray,
+    smear_s: FloatArray | None,
+    prior: StarPrior,
+    moment: SkyMoment,
+) -> Candidates:
+    """The catalogue stars within the gates of detections.
+
+    Args:
+        directions_s: unit vectors in the sensor frame, shape (k, 3).
+        sigma: error of a direction, rad per axis, shape (k,).
+        magnitude: as measured, shape (k,); NaN where unknown.
+        smear_s: covariance of the error by motion during the exposure, rad², shape (k, 3, 3); None for none.
+        prior: attitude of the sensor.
+        moment: the sky at the exposure; it also says which catalogue stars are bright enough.
+    """
+    rows, catalogue = _in_field(directions_s, prior, moment), moment.bright.catalogue
+    apparent = moment.apparent(catalogue.at_j2000[rows])
+    rows, reference_n = rows[apparent.visible], apparent.direction_n[apparent.visible]
+    seen_n = directions_s @ prior.rotation_nb.T
+    variance = sigma[:, None] ** 2 + catalogue.position_sigma[rows] ** 2
+    smear_n = None if smear_s is None else prior.rotation_nb @ smear_s @ prior.rotation_nb.T
+    fitting = np.zeros((len(seen_n), len(rows)), dtype=bool)
+    if _crowd(seen_n, magnitude, prior, moment) > _CROWDED:
+        return Candidates(rows, ~fitting, np.zeros(len(seen_n)))
+    fitting = _mahalanobis(seen_n, reference_n, variance, smear_n, prior) < chi_square_gate(GATE_PROBABILITY, 2)
+    fitting &= ~(np.abs(magnitude[:, None] - catalogue.magnitude[rows]) > MAGNITUDE_TOLERANCE)
+    angles = angle_between(seen_n[:, None], reference_n)
+    return Candidates(rows, fitting, np.min(angles, axis=1, initial=np.inf))
+
+
+def _crowd(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, moment: SkyMoment) -> float:
+    """How many catalogue stars are to be expected in the gate of the detection that has the fewest."""
+    turned = across(seen_n) @ skew(seen_n)
+    covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
+    area = np.pi * chi_square_gate(GATE_PROBABILITY, 2) * np.sqrt(np.maximum(np.linalg.det(covariance), 0.0))
+    return float(np.min(area * moment.bright.density(magnitude, MAGNITUDE_TOLERANCE)))
+
+
+def _in_field(directions_s: FloatArray, prior: StarPrior, moment: SkyMoment) -> NDArray[np.int64]:
+    """Rows of the catalogue with the bright stars that may be in the field of these detections."""
+    centre_s = np.mean(directions_s, axis=0)
+    centre_s /= np.linalg.norm(centre_s)
+    prior_sigma = np.sqrt(np.trace(prior.covariance_n))
+    radius = np.max(angle_between(directions_s, centre_s)) + _FIELD_MARGIN + _FAR * prior_sigma
+    return moment.bright_rows_around(prior.rotation_nb @ centre_s, min(radius, np.pi))
+
+
+def _mahalanobis(
+    seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: StarPrior
+) -> FloatArray:
+    """Mahalanobis² of each of k detections to each of c candidates under the prior's error, shape (k, c)."""
+    if np.trace(prior.covariance_n) > _LINEAR_RANGE**2:
+        return _mahalanobis_wide(seen_n, reference_n, variance, smear_n, prior)
+    basis = across(seen_n)
+    left = np.einsum("kij,kcj->kci", basis, reference_n - seen_n[:, None, :])
+    turned = basis @ skew(seen_n)
+    covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
+    if smear_n is not None:
+        covariance += basis @ smear_n @ np.swapaxes(basis, -1, -2)
+    near = np.einsum("cj,kj->kc", reference_n, seen_n) > 0.0
+    return np.where(near, distance(left, covariance[:, None] + variance[..., None, None] * np.eye(2)), np.inf)
+
+
+def _mahalanobis_wide(
+    seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: StarPrior
+) -> FloatArray:
+    """The same where the prior is wide.
+
+    It is the least sum of squares that any turn leaves: of the turn against the prior, of the direction against its
+    noise. Infinite where no turn is found.
+    """
+    turn_n, squared, settled = np.zeros((*variance.shape, 3)), np.zeros(variance.shape), np.zeros(variance.shape, bool)
+    for _ in range(_MOST_STEPS):
+        moved_n = np.einsum("kcij,kj->kci", exp_rotation(turn_n), seen_n)
+        basis = across(moved_n)
+        by_turn = -basis @ skew(moved_n) @ left_jacobian(turn_n)
+        left = np.einsum("kcij,kcj->kci", basis, reference_n - moved_n) + np.einsum("kcij,kcj->kci", by_turn, turn_n)
+        cross = by_turn @ prior.covariance_n
+        covariance = cross @ np.swapaxes(by_turn, -1, -2) + variance[..., None, None] * np.eye(2)
+        if smear_n is not None:
+            covariance += basis @ smear_n[:, None] @ np.swapaxes(basis, -1, -2)
+        solution = np.linalg.solve(covariance, left[..., None])[..., 0]
+        reached_n = np.einsum("kcij,kci->kcj", cross, solution)
+        settled = np.linalg.norm(reached_n - turn_n, axis=-1) < _SMALL_TURN
+        turn_n, squared = reached_n, np.sum(left * solution, axis=-1)
+        if settled.all():
+            break
+    near = np.einsum("kci,ci->kc", moved_n, reference_n) > 0.0
+    return np.where(near & settled, squared, np.inf)
