@@ -43,6 +43,11 @@ class PredictedAttitude:
     jacobian_v: FloatArray
     interpolation_v: FloatArray
 
+    def prior(self, covariance: FloatArray) -> StarPrior:
+        """The same as the choice of a sensor's stars takes it, by the covariance of the state, shape (n, n)."""
+        prior_v = self.jacobian_v @ covariance @ self.jacobian_v.T + self.interpolation_v
+        return StarPrior(self.rotation_nv, self.rotation_nv @ prior_v @ self.rotation_nv.T)
+
 
 @dataclass(frozen=True)
 class Compared:
@@ -205,13 +210,6 @@ class StarResiduals:
     rotation_ns: FloatArray | None
 
 
-def star_prior(predicted: PredictedAttitude, covariance: FloatArray) -> StarPrior:
-    """The predicted attitude of a sensor, as the choice of its stars takes it."""
-    rotation_ns, to_sensor = predicted.rotation_nv, predicted.jacobian_v
-    prior_s = to_sensor @ covariance @ to_sensor.T + predicted.interpolation_v
-    return StarPrior(rotation_ns, rotation_ns @ prior_s @ rotation_ns.T)
-
-
 def star_residuals(
     exposure: StarExposure,
     predicted: PredictedAttitude,
@@ -236,64 +234,49 @@ def star_residuals(
         The refusal of the whole exposure where no star can be placed in the sky at its moment, or none can be used.
     """
     rotation_ns, to_sensor = predicted.rotation_nv, predicted.jacobian_v
-    prior = star_prior(expected or predicted, covariance)
+    prior = (expected or predicted).prior(covariance)
     visible = visible_stars(exposure, watch, prior)
     if isinstance(visible, Refusal):
         return visible
     seen, stars, refused = visible
     if len(stars.sigma) == 0:
-        return Refusal(Reason.TOO_FEW_STARS, _listed(f"none of {len(exposure)} stars can be used", refused))
+        nameless = any(refusal.reason is Reason.UNIDENTIFIED for _, refusal in refused)
+        reason = Reason.UNIDENTIFIED if nameless else Reason.TOO_FEW_STARS
+        return Refusal(reason, _listed(f"none of {len(exposure)} stars can be used", refused))
     rows = model.sky_rows
     # The estimate of the shared errors moves the stars to where they are expected.
     expected_n = stars.reference_n + stars.shared_n @ mean[rows]
     expected_n /= np.linalg.norm(expected_n, axis=-1, keepdims=True)
     at_estimate = replace(stars, reference_n=expected_n)
-    chosen = _chosen(stars, at_estimate, prior, None if expected is None else rotation_ns)
-    if isinstance(chosen, Refusal):
-        return Refusal(chosen.reason, _listed(chosen.text, refused))
-    turned_ns = rotation_ns if chosen.rotation_ns is None else chosen.rotation_ns
-    left_out = np.flatnonzero(~chosen.members).tolist()
-    refused += [(seen.name(row), _misfit(stars, row, turned_ns)) for row in left_out]
-    if chosen.contradictory:
-        return Refusal(Reason.MISIDENTIFIED, _listed(_contradiction(len(left_out)), refused))
-    names = [seen.name(row) for row in np.flatnonzero(chosen.members).tolist()]
-    predicted_s = expected_n[chosen.members] @ rotation_ns
+    believed = _believed(stars, at_estimate, prior, None if expected is None else rotation_ns)
+    if isinstance(believed, Refusal):
+        return Refusal(believed.reason, _listed(believed.text, refused))
+    members, alone_ns = believed
+    turned_ns = rotation_ns if alone_ns is None else alone_ns
+    refused += [(seen.name(row), _misfit(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()]
+    if not members.any():
+        return Refusal(Reason.MISIDENTIFIED, _listed(_contradiction(len(members)), refused))
+    names = [seen.name(row) for row in np.flatnonzero(members).tolist()]
+    predicted_s = expected_n[members] @ rotation_ns
     basis, about_star = tangent_basis(predicted_s), skew(predicted_s)
-    residual = np.einsum("kij,kj->ki", basis, stars.measured_b[chosen.members] - predicted_s)
+    residual = np.einsum("kij,kj->ki", basis, stars.measured_b[members] - predicted_s)
     by_turn = basis @ about_star
     jacobian = by_turn @ to_sensor
-    jacobian[:, :, rows] = basis @ rotation_ns.T @ stars.shared_n[chosen.members]
+    jacobian[:, :, rows] = basis @ rotation_ns.T @ stars.shared_n[members]
     return StarResiduals(
         residual=residual.ravel(),
         jacobian=jacobian.reshape(-1, jacobian.shape[-1]),
         by_turn=by_turn.reshape(-1, 3),
-        noise=_noise(at_estimate, basis, chosen.members),
+        noise=_noise(at_estimate, basis, members),
         components=tuple(f"{name} {axis}" for name in names for axis in ("up", "right")),
         refused=tuple(refused),
-        rotation_ns=chosen.rotation_ns,
+        rotation_ns=alone_ns,
     )
 
 
-@dataclass(frozen=True)
-class _Chosen:
-    """The stars that belong together.
-
-    Attributes:
-        members: shape (k,); none where the stars contradict the prediction as well as one another.
-        rotation_ns: attitude of the sensor by the members alone, where they contradict the prediction; else None.
-    """
-
-    members: NDArray[np.bool_]
-    rotation_ns: FloatArray | None
-
-    @property
-    def contradictory(self) -> bool:
-        return not self.members.any()
-
-
-def _chosen(
+def _believed(
     stars: SightedStars, at_estimate: SightedStars, prior: StarPrior, near_ns: FloatArray | None
-) -> _Chosen | Refusal:
+) -> tuple[NDArray[np.bool_], FloatArray | None] | Refusal:
     """The stars that agree with the prediction; where none does, those that agree on another attitude.
 
     Args:
@@ -301,17 +284,20 @@ def _chosen(
         at_estimate: the same where the estimate of the shared errors expects them.
         prior: the prediction.
         near_ns: an attitude near the truth, where the prediction's own is perhaps not, shape (3, 3).
+
+    Returns:
+        True for each of them, shape (k,), none where the stars contradict the prediction as well as one another; and
+        the attitude of the sensor by them alone where they contradict the prediction, else None.
     """
     choice = select(at_estimate, prior, near_ns)
     if choice.by_chance is not None:
         return improbable_identity(choice.by_chance)
-    members = choice.members
-    if members.any():
-        return _Chosen(members, None)
+    if choice.members.any():
+        return choice.members, None
     alone = solve_stars(stars)
     if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
-        return _Chosen(members, None)
-    return _Chosen(alone.members, alone.rotation_nb)
+        return choice.members, None
+    return alone.members, alone.rotation_nb
 
 
 def _contradiction(count: int) -> str:

@@ -200,9 +200,25 @@ class ShipFilter:
     def _refused(
         self, state: FilterState, measurement: Measurement, why: NotCompared
     ) -> tuple[FilterState, AttitudeDecision]:
-        """Of a measurement that cannot be compared nothing is kept."""
-        refusal = why.refusal
-        return state, AttitudeDecision(measurement, refusal.reason, text=refusal.text, ins_time_ns=why.ins_time_ns)
+        """Of a measurement that cannot be compared nothing is kept; where it contradicts the state, that is counted."""
+        refusal, text = why.refusal, why.refusal.text
+        if why.contradicts:
+            state, opened = self._reopened(self._counted(state, measurement.source), measurement.source)
+            text += opened
+        return state, AttitudeDecision(measurement, refusal.reason, text=text, ins_time_ns=why.ins_time_ns)
+
+    def _counted(self, state: FilterState, source: str) -> FilterState:
+        """The state with one more refusal in a row of a source."""
+        return replace(state, refusals=with_entry(state.refusals, source, state.refusals.get(source, 0) + 1))
+
+    def _reopened(self, state: FilterState, source: str) -> tuple[FilterState, str]:
+        """The state opened where a source's run of refusals is as long as configured for that, and what is said."""
+        if not self._gate.reopen_after or state.refusals[source] % self._gate.reopen_after:
+            return state, ""
+        opened = state.parts_by_row * self._gate.reopen_factor
+        seen = no_means(len(opened), len(self.devices))
+        state = replace(state, parts_by_row=opened, seen=seen, excluded=without(state.excluded, source))
+        return state, f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
 
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
         """The state, with a measurement that passed the gate, told of it."""
@@ -232,20 +248,12 @@ class ShipFilter:
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
         turn_n = log_rotation(measured_nd @ ins.rotation_nd.T)
         departure = Departure(decision.measurement.time_ns, turn_n, compared.attitude_noise_n)
-        run = state.refusals.get(source, 0) + 1
-        state = replace(
-            state,
-            refusals=with_entry(state.refusals, source, run),
-            departures=with_entry(state.departures, source, departure),
-        )
+        state = replace(self._counted(state, source), departures=with_entry(state.departures, source, departure))
+        run = state.refusals[source]
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
         if run >= self._gate.conflict_after:
             reason = Reason.ATTITUDE_CONFLICT
             who = who_is_wrong(source, state.refusals, state.used_ns, state.departures, ins.rotation_nd, measured_nd)
             text = f"{run} refusals in a row: {source} and the INS disagree{who}"
-        if self._gate.reopen_after and run % self._gate.reopen_after == 0:
-            opened = state.parts_by_row * self._gate.reopen_factor
-            seen = no_means(len(opened), len(self.devices))
-            state = replace(state, parts_by_row=opened, seen=seen, excluded=without(state.excluded, source))
-            text += f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
-        return state, replace(decision, reason=reason, accepted=False, text=text)
+        state, opened = self._reopened(state, source)
+        return state, replace(decision, reason=reason, accepted=False, text=text + opened)

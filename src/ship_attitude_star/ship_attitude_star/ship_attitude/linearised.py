@@ -15,13 +15,7 @@ from scipy.linalg import lapack
 
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import SolvedAttitude
-from ship_attitude_star.ship_attitude.comparison import (
-    Compared,
-    PredictedAttitude,
-    compare,
-    predict_attitude,
-    star_prior,
-)
+from ship_attitude_star.ship_attitude.comparison import Compared, PredictedAttitude, compare, predict_attitude
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.sky.tracker_attitude import in_horizon
@@ -88,6 +82,11 @@ class NotCompared:
     refusal: Refusal
     ins_time_ns: int
 
+    @property
+    def contradicts(self) -> bool:
+        """Whether it speaks against what is predicted: where that is right, most measurements fit it somehow."""
+        return self.refusal.reason in (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED, Reason.GATE)
+
 
 @dataclass(frozen=True)
 class _Task:
@@ -135,35 +134,34 @@ class Linearisation:
 
     def __init__(self, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
         self._model, self._devices = model, devices
-        self._offsets = {name: self._offset_of(device) for name, device in devices.items()}
-
-    def _offset_of(self, device: Device) -> FloatArray:
-        """The derivative of the offset of a device's clock by the state, shape (n,)."""
-        by_state = np.zeros(self._model.size)
-        for name, sign in device.ins_time_states:
-            by_state[self._model.slices[name]] = sign
-        return by_state
+        # The derivative of the offset of each device's clock by the state, shape (n,).
+        self._offsets = {name: np.zeros(model.size) for name in devices}
+        for name, device in devices.items():
+            for state, sign in device.ins_time_states:
+                self._offsets[name][model.slices[state]] = sign
 
     @property
     def longest_shift_s(self) -> float:
         """Bound on how far the INS's stamp of an attitude may lie from a device's: configured offsets and 5 sigma."""
-        return max((self._shift_s(device, 5.0) for device in self._devices.values()), default=0.0)
+        return self._longest_s(5.0)
 
     @property
     def longest_reach_s(self) -> float:
         """Bound on how far samples of the INS matter: beside that shift, as far around it as tells how a ship moves."""
-        return max((self._shift_s(device, 5.0 + _FAR) for device in self._devices.values()), default=0.0)
+        return self._longest_s(5.0 + _FAR)
 
-    def _shift_s(self, device: Device, sigmas: float) -> float:
-        offset_sigmas_s = [self._model.blocks[name].sigma[0] for name, _ in device.ins_time_states]
-        return abs(device.ins_time_s) + sigmas * float(np.linalg.norm(offset_sigmas_s))
+    def _longest_s(self, sigmas: float) -> float:
+        devices = self._devices.values()
+        return max((abs(device.ins_time_s) + sigmas * self._told_sigma_s(device) for device in devices), default=0.0)
+
+    def _told_sigma_s(self, device: Device) -> float:
+        """Sigma of the offset of a device's clock as it is configured."""
+        return float(np.linalg.norm([self._model.blocks[name].sigma[0] for name, _ in device.ins_time_states]))
 
     def ins_time_ns(self, mean: FloatArray, measurement: Measurement) -> int:
         """Stamp (ns) of the INS for the attitude that was measured, by a mean of the state, shape (n,)."""
-        device = self._devices[measurement.source]
-        shift_s = device.ins_time_s
-        for name, sign in device.ins_time_states:
-            shift_s += sign * mean[self._model.slices[name]][0]
+        source = measurement.source
+        shift_s = self._devices[source].ins_time_s + float(self._offsets[source] @ mean)
         return measurement.time_ns + round(shift_s * SECOND_NS)
 
     def of(
@@ -191,11 +189,11 @@ class Linearisation:
             None where samples of the INS that may still come belong to the measurement.
         """
         source = measurement.source
-        by_offset = self._offsets[source]
-        offset_sigma_s = math.sqrt(float(by_offset @ covariance @ by_offset))
+        device, by_offset = self._devices[source], self._offsets[source]
+        # A state that was opened for another reason does not make a clock less known than it was told.
+        offset_sigma_s = min(math.sqrt(float(by_offset @ covariance @ by_offset)), self._told_sigma_s(device))
         since_s = _SAME_MOTION_S if last_ns is None else max(measurement.time_ns - last_ns, 1) / SECOND_NS
         alike = max(_SAME_MOTION_S / since_s, 1.0)
-        device = self._devices[source]
         task = _Task(measurement, device, mean, covariance, track, watch, may_wait, offset_sigma_s, alike)
         paired = self._paired(task, mean)
         if not isinstance(paired, _Paired):
@@ -284,7 +282,7 @@ class Linearisation:
         if not isinstance(exposure, StarExposure):
             return correction
         assert task.watch is not None
-        prior = star_prior(expected, task.covariance)
+        prior = expected.prior(task.covariance)
         visible = visible_stars(exposure, task.watch, prior)
         if isinstance(visible, Refusal) or not len(visible[1]):
             return correction
