@@ -3,10 +3,18 @@
 Before, in brackets: the worst error in sigmas while VALID, measured with the same sessions.
 """
 
+import numpy as np
 import pytest
 
 from ship_estimation.outcome import Status
-from ship_testing.pointing_faults import FAULT_S, claims, clean_session, ship_turned
+from ship_testing.pointing_faults import (
+    FAULT_S,
+    baseline_moved,
+    claims,
+    clean_session,
+    encoders_slipped,
+    ship_turned,
+)
 
 SEEDS = (1, 2)
 
@@ -40,3 +48,71 @@ def test_nothing_is_refused_where_nothing_lies(seed):
     assert set(found.status[found.time_s > 5.0]) == {Status.VALID}
     assert found.worst(Status.VALID, from_s=0.0) < 4.0
     assert found.time_s[-1] > FAULT_S
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    ("moved_n", "until_s"),
+    [
+        ((0.3, 0.0, 0.0), 1e9),  # 4.9, then DEGRADED for as long as it lasts
+        ((0.0, 0.3, 0.0), 1e9),  # 6.0
+        ((0.0, 0.3, 0.0), 70.0),  # 3.8
+        ((0.0, -1.0, 0.0), 1e9),  # 1.7, then COASTING
+    ],
+)
+def test_mend_11_one_wrong_fixed_baseline_is_left_out_and_the_other_light_is_used(seed, moved_n, until_s):
+    found = claims(baseline_moved(clean_session(seed), "a", moved_n, until_s), integrity__return_after_s=20.0)
+    assert found.worst(Status.VALID) < 5.0
+    assert found.seconds(Status.DEGRADED) < 1.0
+    during = [e.light_count for e in found.estimates if FAULT_S + 1.0 < (e.time_ns - found.start_ns) * 1e-9 < 69.0]
+    assert set(during) == {1}
+    lasts = until_s > 1e6
+    assert set(found.core.state.trust.excluded) == ({"beacon.a"} if lasts else set())
+    assert found.estimates[-1].light_count == (1 if lasts else 2)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("moved_b", [(0.0, 0.3, 0.0), (-0.3, 0.0, 0.0)])
+def test_mend_09_two_wrong_fixed_baselines_are_not_let_in_again(seed, moved_b):
+    """Before: VALID beyond 5 sigma for 33 s of 60, up to 10.3, when the covariance had grown enough to accept them."""
+    run = baseline_moved(clean_session(seed), "a", (0.0, 0.3, 0.0))
+    found = claims(baseline_moved(run, "b", moved_b), integrity__return_after_s=10.0)
+    assert found.worst(Status.VALID) < 4.0
+    assert found.worst(Status.DEGRADED) < 4.0
+    assert found.seconds(Status.VALID) < 1.0
+    assert {"beacon.a", "beacon.b"} == set(found.core.state.trust.excluded)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_two_baselines_that_jump_back_are_used_again(seed):
+    run = baseline_moved(clean_session(seed), "a", (0.0, 0.3, 0.0), until_s=60.0)
+    found = claims(baseline_moved(run, "b", (0.0, 0.3, 0.0), until_s=60.0), integrity__return_after_s=10.0)
+    assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
+    assert found.status[-1] == Status.VALID
+    assert found.estimates[-1].light_count == 2
+    assert 25.0 < found.seconds(Status.DEGRADED) < 35.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    ("azimuth_arcsec", "elevation_arcsec"),
+    [
+        (30.0, 0.0),  # 6.9
+        (100.0, 0.0),  # 21.3, then DEGRADED at as many to the end
+        (0.0, 30.0),  # 11.9
+        (0.0, 100.0),  # 35.0
+        (300.0, -300.0),  # 106
+    ],
+)
+def test_mend_11_encoders_that_slip_less_than_the_mount_can_move_are_told_by_lights(
+    seed, azimuth_arcsec, elevation_arcsec
+):
+    """At 20 Hz the mount's 100 deg/s² hide slips of less than 900": until the next lights nobody can know of them."""
+    run = encoders_slipped(clean_session(seed), azimuth_arcsec, elevation_arcsec)
+    found = claims(run, integrity__return_after_s=20.0)
+    wrong_s = found.time_s[(found.status == Status.VALID) & (found.time_s >= FAULT_S) & (found.sigmas > 5.0)]
+    assert np.all(wrong_s < FAULT_S + 0.5)  # two exposures and their delay
+    assert found.worst(Status.DEGRADED) < 4.0
+    assert 20.0 < found.seconds(Status.DEGRADED) < 22.0
+    assert found.status[-1] == Status.VALID
+    assert found.named == {"encoder"}

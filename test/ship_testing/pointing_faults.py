@@ -14,7 +14,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.parameters import build, flatten, nest
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_replay.trials.monte_carlo import feed_pointing
+from ship_replay.trials.monte_carlo import give_pointing
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.suite.suite import optical_axis_configuration
 from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
@@ -77,6 +77,8 @@ class Claims:
         estimates: the claims themselves.
         core: after the session.
         refused: inputs and exposures that were not used.
+        start_ns: of the session.
+        named: sources that were ever excluded.
     """
 
     time_s: FloatArray
@@ -85,6 +87,8 @@ class Claims:
     estimates: list[PointingEstimate]
     core: OpticalAxisCore
     refused: int
+    start_ns: int
+    named: set[str]
 
     def worst(self, *statuses: Status, from_s: float = FAULT_S) -> float:
         """The largest error in sigmas while one of some statuses was claimed; 0 where none was."""
@@ -104,9 +108,13 @@ def claims(run: SimulatedRun, **changes: object) -> Claims:
         values = {**flatten(config), **{name.replace("__", "."): value for name, value in changes.items()}}
         config = build(OpticalAxisConfig, nest(values))
     core = OpticalAxisCore(config)
-    estimates, _, refused = feed_pointing(core, run)
+    outcomes = [give_pointing(core, run, source, index) for _, source, index in run.pointing_arrivals()]
+    decisions = [decision for outcome in outcomes for decision in outcome.decisions]
+    refused = sum(outcome.refusal is not None for outcome in outcomes)
+    refused += sum(not decision.accepted for decision in decisions)
     truth = run.theodolite.truth
     rows = {int(stamp): row for row, stamp in enumerate(run.theodolite.encoder.time_ns[truth.encoder_index])}
+    estimates = [found for outcome in outcomes for found in outcome.estimates]
     kept = [found for found in estimates if found.time_ns in rows and found.status is not Status.INVALID]
     return Claims(
         time_s=np.array([(found.time_ns - run.start_ns) * 1e-9 for found in kept]),
@@ -115,6 +123,8 @@ def claims(run: SimulatedRun, **changes: object) -> Claims:
         estimates=kept,
         core=core,
         refused=refused,
+        start_ns=run.start_ns,
+        named={source for decision in decisions for source in decision.excluded},
     )
 
 

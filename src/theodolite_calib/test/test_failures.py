@@ -8,7 +8,7 @@ import pytest
 from ship_estimation.refusals import Reason
 from ship_testing.adapter_runs import AdapterRun, index_at, stamp_of, without
 from ship_testing.small_session import BEACONS, ENCODER, clean_run, drive, new_adapter, session
-from theodolite_calib.filter.judgement import SightingStep
+from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.optical_axis.output import PointingOutput
 
 MOMENT_S = 2.6

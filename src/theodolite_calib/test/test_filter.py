@@ -11,7 +11,7 @@ from ship_estimation.kalman import predict
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_testing.simulated_session import LIGHTS_DEG, config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
-from theodolite_calib.filter.judgement import SightingStep
+from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.samples import Exposure
 from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.measured.watches import EncoderJump
@@ -57,7 +57,7 @@ def filtered(filter_: CalibrationFilter, sightings: list[Sighting]) -> Calibrati
         predicted = filter_.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
         comparison = filter_.compare(predicted, sighting)
         assert comparison is not None
-        state = filter_.used(predicted, sighting, comparison)
+        state, _ = filter_.used(predicted, sighting, comparison)
     return state
 
 
@@ -186,7 +186,7 @@ def test_the_parts_are_the_covariance_of_a_filter_with_one() -> None:
         last_ns = sighting.time_ns
         predicted = filter_.predicted(means, sighting.time_ns, sighting.ship.slow_covariance_n)
         comparison = filter_.compare(predicted, sighting)
-        means = filter_.used(predicted, sighting, comparison)
+        means, _ = filter_.used(predicted, sighting, comparison)
         after = filter_.sightings.predict(means.mean, sighting)
         H, R = after.jacobian, sum(after.noise_by_source.values())
         P = P - P @ H.T @ np.linalg.solve(H @ P @ H.T + R, H @ P)

@@ -6,7 +6,7 @@ import pytest
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.simulated_session import config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.filter.judgement import SightingStep
+from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.samples import Exposure
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 from theodolite_calib.optical_axis.output import CorrectedAxis

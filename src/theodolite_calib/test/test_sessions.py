@@ -12,7 +12,7 @@ from ship_testing.simulated_session import LIGHTS_DEG, Session, config, session,
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
-from theodolite_calib.filter.judgement import SightingStep
+from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.samples import Exposure
 from theodolite_calib.measured.tracks import EncoderAt
 from theodolite_calib.optical_axis.output import CorrectedAxis

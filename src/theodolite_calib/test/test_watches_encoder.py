@@ -182,7 +182,8 @@ def test_mend_10_after_a_stuck_encoder_no_reading_is_trusted_until_lights_agree(
         message.azimuth, message.elevation = held.azimuth, held.elevation
 
     frozen = changed_where(session(10.0), encoder_from(2.0, 5.0), freeze)
-    run = drive(new_adapter(), replaced(frozen, index_at(frozen, ENCODER, 4.0), read_off(20.0)))
+    adapter = new_adapter(integrity__return_after_s=1.0)
+    run = drive(adapter, replaced(frozen, index_at(frozen, ENCODER, 4.0), read_off(20.0)))
     assert never_wrong(run)
     (wrong,) = [m for m in run.pointings if seconds(m) == 4.0]
     assert wrong.status == Status.DEGRADED

@@ -8,6 +8,8 @@ import numpy as np
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import GuardedInsConfig, InsErrorConfig
 from ship_estimation.parameter_fields import arcsec, mapping_of, parameter, section, stamp_age
+from ship_estimation.parameters import ParameterError
+from ship_estimation.protection import IntegrityConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
 
@@ -276,6 +278,7 @@ class OpticalAxisConfig:
     ship_antenna: ShipAntennaConfig = section(ShipAntennaConfig)
     beacons: dict[str, BeaconConfig] = mapping_of("drones with a light, by beacon_id")
     gate: GateConfig = section(GateConfig)
+    integrity: IntegrityConfig = section(IntegrityConfig)
     least_fix: str = parameter(
         "fixed", doc="baselines with less than this are not used", choices=("fixed", "float"), live=True
     )
@@ -298,3 +301,14 @@ class OpticalAxisConfig:
     calibration_max_age_d: float = parameter(
         30.0, doc="a calibration older than this is a wider prior", unit="d", minimum=0.0, maximum=36500.0
     )
+
+    def __post_init__(self) -> None:
+        # All sources; without each drone; without the encoders; without the ship's attitude.
+        hypotheses, most = 3 + len(self.beacons), self.integrity.max_hypotheses
+        if hypotheses > most:
+            raise ParameterError(
+                f"parameter 'integrity.max_hypotheses' = {most}: {len(self.beacons)} beacons, the encoders and the "
+                f"ship's attitude make {hypotheses} hypotheses",
+                "integrity.max_hypotheses",
+                value=most,
+            )

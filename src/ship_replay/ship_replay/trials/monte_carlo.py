@@ -214,7 +214,7 @@ def feed_pointing(core: OpticalAxisCore, run: SimulatedRun) -> tuple[list[Pointi
     estimates: list[PointingEstimate] = []
     sightings = refused = 0
     for _, source, index in run.pointing_arrivals():
-        outcome = _give(core, run, source, index)
+        outcome = give_pointing(core, run, source, index)
         accepted = sum(decision.accepted for decision in outcome.decisions)
         sightings += accepted
         refused += (outcome.refusal is not None) + len(outcome.decisions) - accepted
@@ -222,7 +222,8 @@ def feed_pointing(core: OpticalAxisCore, run: SimulatedRun) -> tuple[list[Pointi
     return estimates, sightings, refused
 
 
-def _give(core: OpticalAxisCore, run: SimulatedRun, source: str, index: int) -> PointingOutcome:
+def give_pointing(core: OpticalAxisCore, run: SimulatedRun, source: str, index: int) -> PointingOutcome:
+    """Give a core one arrival of a run, as :meth:`SimulatedRun.pointing_arrivals` names it."""
     kind, _, name = source.partition(".")
     theodolite = run.theodolite
     if kind == "fused":

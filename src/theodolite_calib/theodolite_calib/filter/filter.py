@@ -14,9 +14,11 @@ from ship_estimation.kalman import LinearMeasurement, innovation, predict, updat
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.model import SOURCE_AXES, ShipErrorProcess, state_model
+from theodolite_calib.filter.alternatives import Alternatives, SourceRows
+from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorProcess, state_model
 from theodolite_calib.filter.observability import Observability, Unaided
 from theodolite_calib.filter.prediction import Prediction, SightingModel
+from theodolite_calib.filter.trust import Trust, no_doubt
 from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.measured.watches import EncoderJump
 
@@ -36,6 +38,8 @@ class CalibrationState:
         mean: estimated errors, shape (..., n); the leading axis may be one of hypotheses.
         parts: covariance by source, shape (..., n_sources, n, n).
         unaided: the covariance by the sightings alone (:mod:`theodolite_calib.filter.observability`).
+        alternatives: the estimates without one source each.
+        trust: which sources are excluded, and what disagrees.
         ship_steady_n: stated covariance that the ship's error follows, rad²; None where none is stated.
         refusals: sightings in a row that disagreed with the encoders and the ship.
         used_ns: moment of the last sighting used; None before it.
@@ -49,6 +53,8 @@ class CalibrationState:
     mean: FloatArray
     parts: FloatArray
     unaided: Unaided
+    alternatives: Alternatives
+    trust: Trust
     ship_steady_n: FloatArray | None = None
     refusals: int = 0
     used_ns: int | None = None
@@ -98,10 +104,16 @@ class CalibrationFilter:
         self.sightings = SightingModel(config, self.model)
         self.observability = Observability(self.model)
         self.ship_error = ShipErrorProcess(config, self.model)
+        self.rows = SourceRows(config, self.model, self.ship_error)
 
     def initial_state(self) -> CalibrationState:
         """The state before any sighting: nothing is known of the errors beyond the configuration."""
-        return CalibrationState(None, np.zeros(self.model.size), self.model.initial_parts(), self.observability.start())
+        return self.started(np.zeros(self.model.size), self.model.initial_parts())
+
+    def started(self, mean: FloatArray, parts: FloatArray) -> CalibrationState:
+        """The state before any sighting, with errors that are known so far; shapes (n,), (n_sources, n, n)."""
+        alternatives = self.rows.start(mean, parts.sum(axis=0))
+        return CalibrationState(None, mean, parts, self.observability.start(), alternatives, no_doubt(self.rows))
 
     def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:
         """The state carried to a later moment.
@@ -126,6 +138,7 @@ class CalibrationFilter:
             mean=mean,
             parts=parts,
             unaided=unaided,
+            alternatives=self.rows.predicted(state.alternatives, time_ns, ship_now_n),
             ship_steady_n=ship_now_n,
         )
 
@@ -133,14 +146,46 @@ class CalibrationFilter:
         """The state after a jump: the INS's slow error, or the encoders' zero points, may be off by as much."""
         if isinstance(jump, InsJump):
             state = self.predicted(state, jump.time_ns, None)
-            parts, ship = state.parts.copy(), self.ship_error.columns
-            parts[..., self.ship_error.source_index, ship, ship] += jump.covariance_n
-            return replace(state, parts=parts)
-        parts, first_axis = state.parts.copy(), self.model.slices["axes"].start
-        zero_points = first_axis + np.array([NAMES.index("g"), NAMES.index("h")])
-        covariance = np.outer(jump.jump, jump.jump) + jump.sigma_rad**2 * np.eye(2)
-        parts[..., self.model.sources.index(SOURCE_AXES), zero_points[:, None], zero_points] += covariance
-        return replace(state, parts=parts)
+            states, source, covariance = self.model.rows("ship.attitude"), SOURCE_SHIP, jump.covariance_n
+        else:
+            first_axis = self.model.slices["axes"].start
+            states, source = first_axis + np.array([NAMES.index("g"), NAMES.index("h")]), SOURCE_AXES
+            covariance = np.outer(jump.jump, jump.jump) + jump.sigma_rad**2 * np.eye(2)
+        parts = state.parts.copy()
+        parts[..., self.model.sources.index(source), states[:, None], states] += covariance
+        return replace(state, parts=parts, alternatives=self.rows.opened(state.alternatives, states, covariance))
+
+    def without(self, state: CalibrationState, source: str) -> CalibrationState:
+        """The state by all sources but one: the estimate that has done without it takes the first place."""
+        rows, row = state.alternatives, self.rows.sources.index(source)
+        mean, covariance = rows.mean[row], rows.parts[row, 0]
+        return replace(
+            state,
+            mean=mean,
+            parts=_reshaped(state.parts, covariance),
+            alternatives=self.rows.restarted(rows, mean, covariance),
+        )
+
+    def unknown(self, state: CalibrationState) -> CalibrationState:
+        """The predicted state before a sighting: nothing is known of the errors of sources that are excluded."""
+        excluded, parts = state.trust.excluded, state.parts
+        if excluded:
+            parts = self.rows.forget(parts, self.model.sources.index(SOURCE_AXES), excluded)
+        return replace(state, parts=parts, alternatives=self.rows.unknown(state.alternatives, excluded))
+
+    def aligned(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
+        """The state with the errors that are unknown (:meth:`unknown`) where a sighting has them.
+
+        They may be degrees away, and the gate is linear. What stood there was of no weight.
+        """
+        comparison = self.compare(state, sighting)
+        if comparison is None:
+            return state
+        after, _ = self.used(state, sighting, comparison)
+        states = self.rows.states_of(state.trust.excluded)
+        mean, rows = state.mean.copy(), state.alternatives.mean.copy()
+        mean[states] = rows[:, states] = after.mean[states]
+        return replace(state, mean=mean, alternatives=replace(state.alternatives, mean=rows))
 
     def compare(self, state: CalibrationState, sighting: Sighting) -> Comparison | None:
         """Compare a sighting with a state predicted to its moment; None where a light would be behind the telescope."""
@@ -149,8 +194,10 @@ class CalibrationFilter:
             return None
         return self._compared(state, prediction, prediction.residual)
 
-    def used(self, state: CalibrationState, sighting: Sighting, comparison: Comparison) -> CalibrationState:
-        """The state after a sighting, from the state predicted to its moment.
+    def used(
+        self, state: CalibrationState, sighting: Sighting, comparison: Comparison
+    ) -> tuple[CalibrationState, Comparison]:
+        """The state after a sighting, from the state predicted to its moment, and the comparison it rests on.
 
         The sighting is linearised again at the new estimate until the estimate no longer moves (Gauss–Newton). That
         matters where a first sighting is far from what was known.
@@ -166,7 +213,7 @@ class CalibrationFilter:
             compared = self._compared(state, prediction, prediction.residual + prediction.jacobian @ correction)
         unaided = self.observability.updated(state.unaided, compared.measurement.jacobian, compared.measurement.noise)
         on_sky = comparison.measurement.residual / comparison.prediction.camera.focal_length_m
-        return replace(
+        after = replace(
             state,
             mean=mean,
             parts=parts,
@@ -178,6 +225,7 @@ class CalibrationFilter:
             lights_used=state.lights_used + len(sighting.names),
             squares=state.squares + float(on_sky @ on_sky),
         )
+        return after, compared
 
     def _compared(self, state: CalibrationState, prediction: Prediction, residual: FloatArray) -> Comparison:
         """The comparison of a sighting by its prediction; ``residual`` is in metres, shape (2 N,)."""
@@ -185,3 +233,23 @@ class CalibrationFilter:
         noise = {index(source): part for source, part in prediction.noise_by_source.items()}
         measurement = LinearMeasurement(residual, prediction.jacobian, noise)
         return Comparison(prediction, measurement, *innovation(state.parts, measurement))
+
+
+def _reshaped(parts: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Covariance parts that add up to another covariance, each carried over by the one map that leads there."""
+    before = parts.sum(axis=0)
+    sigma = np.sqrt(np.maximum(np.diagonal(before), np.diagonal(covariance)))
+    # Radians and metres are made alike; a state without a variance keeps none.
+    scale = np.outer(sigma, sigma)
+    unit = 1.0 / np.where(scale > 0.0, scale, np.inf)
+    carry = _root(covariance * unit) @ np.linalg.pinv(_root(before * unit), rcond=1e-9, hermitian=True)
+    carried = carry @ (parts * unit) @ carry.T
+    missing = covariance * unit - carried.sum(axis=0)
+    reshaped: FloatArray = scale * (carried + missing / len(parts))
+    return reshaped
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(covariance)
+    root: FloatArray = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    return root

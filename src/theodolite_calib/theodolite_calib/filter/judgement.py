@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_estimation.gates import GateConfig, chi_square_gate, normalized_error_squared
-from ship_estimation.refusals import Reason, Refusal, singular_covariance
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.lights.image import Camera
 from theodolite_calib.lights.light_check import Verdict, angle_residuals, check_lights
@@ -136,7 +135,7 @@ class SightingJudge:
     def _use(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Judgement:
         """The judgement of a sighting that passes."""
         rotation_nt = comparison.prediction.rotation_nt
-        sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(comparison.covariance)))) / _focal_length_m(comparison)
+        sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(comparison.covariance)))) / focal_length_m(comparison)
         decision = replace(
             self._decision(exposure, sighting, comparison),
             reason=Reason.NONE,
@@ -152,67 +151,18 @@ class SightingJudge:
 
     def _decision(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
         """A refusal by the gate, with what was compared; other decisions are made of it."""
-        focal_length_m = _focal_length_m(comparison)
+        focal_m = focal_length_m(comparison)
         return ExposureDecision(
             measurement=exposure,
             reason=Reason.GATE,
             components=tuple(f"{name} {axis}" for name in sighting.names for axis in ("x", "z")),
-            residual=comparison.measurement.residual / focal_length_m,
-            sigma=np.sqrt(np.diagonal(comparison.covariance)) / focal_length_m,
-            covariance=comparison.covariance / focal_length_m**2,
-            noise=comparison.measurement.noise / focal_length_m**2,
+            residual=comparison.measurement.residual / focal_m,
+            sigma=np.sqrt(np.diagonal(comparison.covariance)) / focal_m,
+            covariance=comparison.covariance / focal_m**2,
+            noise=comparison.measurement.noise / focal_m**2,
             nis=comparison.nis,
             gate=chi_square_gate(self._gate.probability, len(comparison.measurement.residual)),
         )
-
-
-class SightingStep:
-    """The step from a state to the next by one sighting.
-
-    Args:
-        config: the node's parameters.
-        filter_: the filter of that configuration.
-    """
-
-    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
-        self._filter, self._gate = filter_, config.gate
-        self._judge = SightingJudge(filter_, config.gate)
-
-    def __call__(
-        self, state: CalibrationState, sighting: Sighting, exposure: Exposure
-    ) -> tuple[CalibrationState, ExposureDecision]:
-        """State and decision after a sighting.
-
-        Args:
-            state: after the sighting before.
-            sighting: the lights that have all they need.
-            exposure: that it comes from.
-        """
-        predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
-        try:
-            judgement = self._judge.judge(predicted, sighting, exposure)
-        except np.linalg.LinAlgError:
-            refusal = singular_covariance()
-            return state, ExposureDecision(exposure, refusal.reason, text=refusal.text)
-        if judgement.sighting is not None and judgement.comparison is not None:
-            return self._filter.used(predicted, judgement.sighting, judgement.comparison), judgement.decision
-        # The state stays, to the last bit, as without this sighting: not even the prediction is kept.
-        if judgement.decision.reason is Reason.LIGHT_CONFLICT:
-            return state, judgement.decision
-        return self._held(state, judgement.decision)
-
-    def _held(self, state: CalibrationState, decision: ExposureDecision) -> tuple[CalibrationState, ExposureDecision]:
-        """Count a disagreement; after a run of them say so and, where configured, re-open the gate."""
-        run = state.refusals + 1
-        reason, text = decision.reason, decision.text
-        if run >= self._gate.conflict_after:
-            reason = Reason.ATTITUDE_CONFLICT
-            text = f"{run} refusals in a row: the lights and the encoders with the ship's attitude disagree; {text}"
-        state = replace(state, refusals=run)
-        if self._gate.reopen_after and run % self._gate.reopen_after == 0:
-            state = replace(state, parts=state.parts * self._gate.reopen_factor)
-            text += f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
-        return state, replace(decision, reason=reason, text=text)
 
 
 def _telescope_parts(state: CalibrationState, comparison: Comparison) -> dict[str, FloatArray]:
@@ -221,7 +171,8 @@ def _telescope_parts(state: CalibrationState, comparison: Comparison) -> dict[st
     return {"state": turn_n @ state.covariance @ turn_n.T, **comparison.prediction.noise_n}
 
 
-def _focal_length_m(comparison: Comparison) -> float:
+def focal_length_m(comparison: Comparison) -> float:
+    """Focal length at which a sighting was compared, m."""
     return float(comparison.prediction.camera.focal_length_m)
 
 

@@ -177,6 +177,7 @@ class ShipErrorProcess:
         decay: FloatArray,
         steady_n: FloatArray | None,
         now_n: FloatArray | None,
+        source_index: int | None = None,
     ) -> tuple[FloatArray, FloatArray, ShipErrorStep | None]:
         """State and covariance parts with what the messages state, and the step where that changes at once.
 
@@ -187,11 +188,13 @@ class ShipErrorProcess:
             decay: of the error over the time, shape (..., 3).
             steady_n: stated covariance that the error has followed, rad², shape (3, 3); None where none was stated.
             now_n: that is stated now; None where none is.
+            source_index: of the ship's error in ``parts``; None where these are those of the filter.
         """
-        add_steady_noise(parts, columns, self.source_index, decay, steady_n)
+        source_index = self.source_index if source_index is None else source_index
+        add_steady_noise(parts, columns, source_index, decay, steady_n)
         step = ship_error_step(steady_n, now_n)
         if step is not None:
-            mean, parts = with_step(mean, parts, columns, self.source_index, step)
+            mean, parts = with_step(mean, parts, columns, source_index, step)
         return mean, parts, step
 
 

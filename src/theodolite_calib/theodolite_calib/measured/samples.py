@@ -139,9 +139,11 @@ class ExposureDecision(Decision[Exposure]):
     Attributes:
         telescope_dt: deck from telescope as the lights have it, shape (3, 3), and the standard deviation about its
             worst axis, rad; None where they do not tell.
+        excluded: sources that are excluded after it.
     """
 
     telescope_dt: tuple[FloatArray, float] | None = None
+    excluded: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

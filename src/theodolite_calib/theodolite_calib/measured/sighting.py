@@ -13,6 +13,7 @@ from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.image import Camera, Image, LightStreaks
 from theodolite_calib.lights.line_of_sight import Lights
+from theodolite_calib.measured.baseline_track import BaselineJump
 from theodolite_calib.measured.samples import Exposure, SeenLight
 from theodolite_calib.measured.tracks import EncoderAt, LightAt, MeasuredTracks, ShipAt
 
@@ -71,11 +72,13 @@ class Assembled:
         sighting: of the lights that have all they need; None where none has.
         refusal: why there is none.
         lights_refused: the other lights, by name.
+        jumps: of the baselines of the sighting's lights, by name; of those that have jumped.
     """
 
     sighting: Sighting | None
     refusal: Refusal | None
     lights_refused: tuple[tuple[str, Refusal], ...]
+    jumps: tuple[tuple[str, BaselineJump], ...] = ()
 
 
 class SightingAssembler:
@@ -120,13 +123,14 @@ class SightingAssembler:
             ship,
             encoder,
         )
+        jumps = tuple((light.beacon_id, placed.jump) for light, placed in found if placed.jump is not None)
         if exposure.nodes is None:
-            return Assembled(sighting, None, tuple(refused))
+            return Assembled(sighting, None, tuple(refused), jumps)
         at_middle = self._at_middle(sighting, exposure.nodes)
         if at_middle is None:
             text = f"no encoder readings or attitudes of the ship over its whole exposure of {exposure.exposure_s:g} s"
             return Assembled(None, Refusal(Reason.GAP, text), tuple(refused))
-        return Assembled(at_middle, None, tuple(refused))
+        return Assembled(at_middle, None, tuple(refused), jumps)
 
     def _at_middle(self, sighting: Sighting, nodes: Nodes) -> Sighting | None:
         """A sighting with its lights where they stood at the middle of the exposure; None where that is not known.

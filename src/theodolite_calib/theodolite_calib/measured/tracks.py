@@ -18,7 +18,8 @@ from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Exposure, ShipSample
+from theodolite_calib.measured.baseline_track import BaselineJump, BaselineTrack
+from theodolite_calib.measured.samples import EncoderSample, Exposure, ShipSample
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _FULL_TURN = 2.0 * np.pi
@@ -66,45 +67,13 @@ class LightAt:
         baseline_n: from the ship's antenna to the drone's, m, shape (3,).
         covariance_n: of what is new in it, and of interpolation, m², shape (3, 3).
         rotation_nb: horizon from drone, shape (3, 3); the identity where the light is at the drone's antenna.
+        jump: of the baseline among its last solutions; None where they go on smoothly.
     """
 
     baseline_n: FloatArray
     covariance_n: FloatArray
     rotation_nb: FloatArray
-
-
-class BaselineTrack(VectorTrack[BaselineSample]):
-    """Baselines to one drone, good and bad: nothing is interpolated from a bad one or across it."""
-
-    def usable_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Refusal:
-        """The baseline at a moment (N, U, E), m, with the covariance of what is new in it, m²; or why there is none."""
-        interval = self._interval(time_ns)
-        if interval is None:
-            return Refusal(Reason.GAP, "no baselines on both sides of the exposure")
-        left, fraction = interval
-        around = self._samples[left : left + (1 if fraction == 0.0 else 2)]
-        for sample in around:
-            if sample.refusal is not None:
-                return sample.refusal
-        baseline = self.at(time_ns)
-        assert baseline is not None  # in an interval of good samples
-        nearest = around[0] if fraction < 0.5 else around[-1]
-        return baseline.vector, baseline.noise_gain * nearest.covariance_n + baseline.error_covariance
-
-    def velocity_at(self, time_ns: int) -> FloatArray:
-        """Of the drone against the ship (N, U, E) at a moment that a baseline is usable at, m/s; zero beside gaps."""
-        interval = self._interval(time_ns)
-        assert interval is not None
-        left, fraction = interval
-        before, after = self._neighbours(left) if fraction == 0.0 else (left, left + 1)
-        if before == after:
-            return np.zeros(3)
-        velocity: FloatArray = self._change(before, after) / self._seconds(before, after)
-        return velocity
-
-    def _joined(self, left: int) -> bool:
-        both_good = self._samples[left].refusal is None and self._samples[left + 1].refusal is None
-        return both_good and super()._joined(left)
+    jump: BaselineJump | None = None
 
 
 class MeasuredTracks:
@@ -202,15 +171,16 @@ class MeasuredTracks:
         baseline = self.baselines[beacon_id].usable_at(time_ns)
         if isinstance(baseline, Refusal):
             return baseline
+        jump = self.baselines[beacon_id].jump_before(time_ns)
         if beacon_id not in self.drones:
-            return LightAt(*baseline, np.eye(3))
+            return LightAt(*baseline, np.eye(3), jump)
         attitude = self.drones[beacon_id].at(time_ns)
         if attitude is None:
             return Refusal(Reason.GAP, "no attitudes of the drone on both sides of the exposure")
         lever_n = attitude.rotation_nd @ self._levers_b[beacon_id]
         by_turn = skew(lever_n)
         interpolated = by_turn @ attitude.error_covariance_n @ by_turn.T
-        return LightAt(baseline[0], baseline[1] + interpolated, attitude.rotation_nd)
+        return LightAt(baseline[0], baseline[1] + interpolated, attitude.rotation_nd, jump)
 
 
 def _ns(time_s: float) -> int:

@@ -5,7 +5,7 @@
 then.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -133,7 +133,7 @@ def state_from_prior(
         parts[:, :, rows] = 0.0
     source = filter_.model.sources.index(SOURCE_SAVED)
     parts[source][np.ix_(rows, rows)] += prior.covariance[np.ix_(chosen, chosen)]
-    return replace(initial, mean=mean, parts=parts), messages
+    return filter_.started(mean, parts), messages
 
 
 def _configured(config: OpticalAxisConfig) -> FloatArray:

@@ -20,8 +20,9 @@ from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.alternatives import ENCODER, SHIP
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
-from theodolite_calib.filter.judgement import SightingStep
+from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.samples import (
     BaselineSample,
     EncoderSample,
@@ -42,8 +43,6 @@ from theodolite_calib.optical_axis.calibration import (
     state_from_prior,
 )
 from theodolite_calib.optical_axis.output import PointingOutput, no_pointing
-
-ENCODER = "encoder"
 
 
 class _WaitingReading(NamedTuple):
@@ -244,7 +243,7 @@ class OpticalAxisCore:
             assert assembled.refusal is not None
             reason, text = assembled.refusal.reason, assembled.refusal.text
             return state, ExposureDecision(exposure, reason, text=text, left_out=assembled.lights_refused)
-        state, decision = self._step_to(state, assembled.sighting, exposure)
+        state, decision = self._step_to(state, assembled.sighting, exposure, assembled.jumps)
         return state, replace(decision, left_out=assembled.lights_refused + decision.left_out)
 
     def _opened(self, state: CalibrationState, jump: Jump) -> CalibrationState:
@@ -260,8 +259,9 @@ class OpticalAxisCore:
         time_ns = decision.measurement.time_ns
         if decision.telescope_dt is not None:
             self._watch.see_lights(time_ns, *decision.telescope_dt)
-        if decision.accepted:
+        if decision.accepted and ENCODER not in decision.excluded:
             self._watch.confirm(time_ns)
+        if decision.accepted and SHIP not in decision.excluded:
             self._ship_watch.confirm(time_ns)
 
     # -- outputs --------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import CHAIN_STATES, DEFORMATION, SHIP, ChainErrors, axis_chain
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.alternatives import BEACON
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import (
     SOURCE_DEFORMATION,
@@ -111,6 +112,7 @@ class PointingOutput:
         self._recent_ns = round(config.lights_recent_s * SECOND_NS)
         self._corrected: CorrectedAxis | None = None
         self._saved = filter_.model.sources.index(SOURCE_SAVED)
+        self._disagreement = filter_.model.sources.index(SOURCE_SHIP)
 
     def estimate(self, sample: EncoderSample, ship: ShipAt, doubt: str, state: CalibrationState) -> PointingEstimate:
         """The pointing at a reading.
@@ -129,6 +131,8 @@ class PointingOutput:
         azimuth, elevation = sample.vector.tolist()
         since_s = 0.0 if state.time_ns is None else max(sample.time_ns - state.time_ns, 0) * 1e-9
         axis = self._corrected.at(since_s, ship, EncoderAt(azimuth, elevation, sample.sigma**2))
+        if state.trust.conflict is not None:
+            axis.parts_n[self._disagreement] += state.trust.conflict.spread_n
         return PointingEstimate(
             time_ns=sample.time_ns,
             rotation_nm=axis.rotation_nm,
@@ -146,6 +150,12 @@ class PointingOutput:
             return Status.DEGRADED, doubt
         if state.refusals:
             return Status.DEGRADED, "the last lights disagreed with the encoders and the ship's attitude"
+        if state.trust.conflict is not None:
+            return Status.DEGRADED, "lights have disagreed with the encoders and the ship's attitude: nobody knows why"
+        for source, left_out in state.trust.left_out.items():
+            unconfirmed = state.used_ns is None or state.used_ns < left_out.exclusion.since_ns
+            if mode is Mode.ENCODER or unconfirmed or not source.startswith(BEACON):
+                return Status.DEGRADED, f"{source} is excluded: {left_out.why}"
         if ship_status is Status.DEGRADED:
             return Status.DEGRADED, "the ship's attitude is DEGRADED"
         if state.used_ns is None and not np.any(state.parts[self._saved]):

@@ -1,0 +1,200 @@
+"""The estimates that do without one source each, beside the estimate by all of them.
+
+One row for each source. A row without a drone gives its light no weight. A row without the encoders, or without the
+ship's attitude, takes their error for unknown at every sighting: what they say of the turn from one sighting to the
+next is used, or there would be no pointing between them. A source that is excluded is left out of every row.
+
+The rows have no error budget: their covariance is one matrix, and a sighting changes all of them in one step.
+"""
+
+from collections.abc import Set
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_estimation.gates import chi_square_gate
+from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.kalman import LinearMeasurement, StateModel, predict
+from ship_geometry.rotations import ARCSEC, FloatArray
+from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.model import ShipErrorProcess
+
+BEACON = "beacon."
+ENCODER = "encoder"
+SHIP = "ship_attitude"
+
+_UNKNOWN = 72_000.0 * ARCSEC
+"""Sigma of an error of which nothing is known: of encoders that stood still while the axis turned."""
+_ONLY_SOURCE = 0
+
+
+@dataclass(frozen=True)
+class Alternatives:
+    """The estimates without one source each; h rows of n states.
+
+    Attributes:
+        time_ns: moment of all of them; None before the first sighting.
+        mean: shape (h, n).
+        parts: covariance, as the only part of itself, shape (h, 1, n, n).
+        ship_steady_n: stated covariance that the ship's error follows, rad², shape (3, 3); None where none is stated.
+    """
+
+    time_ns: int | None
+    mean: FloatArray
+    parts: FloatArray
+    ship_steady_n: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class RowsSeen:
+    """What the rows see of one sighting.
+
+    Attributes:
+        accepted: whether what each row uses of it passes the gate, shape (h,).
+        by_light: for each light, its residual whitened: in the estimate by all sources and in every row, h + 1 in all.
+    """
+
+    accepted: NDArray[np.bool_]
+    by_light: tuple[RowsCompared, ...]
+
+
+class SourceRows:
+    """Steps of the rows of a configuration.
+
+    Args:
+        config: the node's parameters.
+        model: states of the filter.
+        ship_error: how the ship's error evolves.
+
+    Attributes:
+        sources: the source that each row does without: the drones, the encoders, the ship's attitude.
+        beacons: ids of the drones.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, model: StateModel, ship_error: ShipErrorProcess) -> None:
+        self.beacons = tuple(config.beacons)
+        self.sources = (*(BEACON + id_ for id_ in self.beacons), ENCODER, SHIP)
+        self._model, self._ship_error = model, ship_error
+        first_axis = model.slices["axes"].start
+        zero_points = first_axis + np.array([NAMES.index("g"), NAMES.index("h")])
+        self._states = {ENCODER: zero_points, SHIP: model.rows("ship.attitude")}
+
+    def states_of(self, excluded: Set[str]) -> NDArray[np.intp]:
+        """The states of which nothing is known while some sources are excluded."""
+        found = [self._states[name] for name in sorted(excluded & self._states.keys())]
+        return np.concatenate([np.empty(0, dtype=np.intp), *found])
+
+    def start(self, mean: FloatArray, covariance: FloatArray) -> Alternatives:
+        """All rows as the estimate by all sources."""
+        return self.restarted(Alternatives(None, mean, covariance), mean, covariance)
+
+    def restarted(self, rows: Alternatives, mean: FloatArray, covariance: FloatArray) -> Alternatives:
+        """All rows from one estimate on, shapes (n,), (n, n)."""
+        count = len(self.sources)
+        parts = np.broadcast_to(covariance, (count, 1, *covariance.shape)).copy()
+        return replace(rows, mean=np.tile(mean, (count, 1)), parts=parts)
+
+    def predicted(self, rows: Alternatives, time_ns: int, ship_now_n: FloatArray | None) -> Alternatives:
+        """The rows carried to a later moment; arguments as of ``CalibrationFilter.predicted``."""
+        dt_s = 0.0 if rows.time_ns is None else max(time_ns - rows.time_ns, 0) * 1e-9
+        decay, noise = self._model.transition(dt_s)
+        mean, parts, ship = decay * rows.mean, predict(rows.parts, decay, noise[None]), self._ship_error.columns
+        mean[:, ship] = self._ship_error.later(rows.mean[:, ship], decay[ship])
+        mean, parts, _ = self._ship_error.carried(
+            mean, parts, ship, decay[ship], rows.ship_steady_n, ship_now_n, _ONLY_SOURCE
+        )
+        later_ns = time_ns if rows.time_ns is None else max(time_ns, rows.time_ns)
+        return Alternatives(later_ns, mean, parts, ship_now_n)
+
+    def opened(self, rows: Alternatives, states: NDArray[np.intp], covariance: FloatArray) -> Alternatives:
+        """The rows after a jump of some states by as much as a covariance says."""
+        parts = rows.parts.copy()
+        parts[..., states[:, None], states] += covariance
+        return replace(rows, parts=parts)
+
+    def unknown(self, rows: Alternatives, excluded: Set[str]) -> Alternatives:
+        """The rows before a sighting: nothing is known of the errors of the sources that they do without."""
+        parts = rows.parts.copy()
+        for row, source in enumerate(self.sources):
+            for name in {source, *excluded} & self._states.keys():
+                forget(parts[row], self._states[name], _ONLY_SOURCE)
+        return replace(rows, parts=parts)
+
+    def forget(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
+        """The same for covariance parts (n_sources, n, n) of the estimate by all sources that are not excluded."""
+        parts = parts.copy()
+        for name in sorted(excluded & self._states.keys()):
+            forget(parts, self._states[name], source_index)
+        return parts
+
+    def seen(
+        self,
+        rows: Alternatives,
+        names: tuple[str, ...],
+        measurement: LinearMeasurement,
+        first: tuple[FloatArray, FloatArray],
+        probability: float,
+    ) -> tuple[Alternatives, RowsSeen]:
+        """The rows after a sighting, and what they see of it.
+
+        Args:
+            rows: predicted to its moment.
+            names: of its lights, none of them of a drone that is excluded.
+            measurement: with two components for each light; its residual is that of the estimate by all sources.
+            first: mean and covariance of that estimate, predicted, shapes (n,), (n, n).
+            probability: of the gate.
+        """
+        h, noise = measurement.jacobian, measurement.noise
+        residual = measurement.residual - (rows.mean - first[0]) @ h.T
+        cross = rows.parts[:, 0] @ h.T
+        covariance = h @ cross + noise
+        all_residuals = np.concatenate([measurement.residual[None], residual])
+        all_covariances = np.concatenate([(h @ first[1] @ h.T + noise)[None], covariance])
+        by_light = tuple(whitened(all_residuals, all_covariances, noise, 2 * light) for light in range(len(names)))
+        # What a row does without has no part in it.
+        blind = np.zeros(residual.shape, dtype=bool)
+        for light, name in enumerate(names):
+            blind[self.sources.index(BEACON + name), 2 * light : 2 * light + 2] = True
+        seen_by_both = ~blind[:, :, None] & ~blind[:, None, :]
+        covariance = np.where(seen_by_both, covariance, np.eye(h.shape[0]))
+        residual, cross = np.where(blind, 0.0, residual), np.where(blind[:, None, :], 0.0, cross)
+        gain = np.linalg.solve(covariance, cross.swapaxes(-1, -2)).swapaxes(-1, -2)
+        nis = np.einsum("hm,hm->h", residual, np.linalg.solve(covariance, residual[:, :, None])[:, :, 0])
+        degrees = h.shape[0] - np.count_nonzero(blind, axis=1)
+        gates = np.array([chi_square_gate(probability, int(count)) if count else np.inf for count in degrees])
+        accepted = nis <= gates  # NaN is not
+        gain[~accepted] = 0.0
+        keep = np.eye(h.shape[1]) - gain @ h
+        updated = keep @ rows.parts[:, 0] @ keep.swapaxes(-1, -2) + gain @ noise @ gain.swapaxes(-1, -2)
+        updated = 0.5 * (updated + updated.swapaxes(-1, -2))
+        mean = rows.mean + (gain @ residual[:, :, None])[:, :, 0]
+        return replace(rows, mean=mean, parts=updated[:, None]), RowsSeen(accepted, by_light)
+
+
+def forget(parts: FloatArray, states: NDArray[np.intp], source_index: int) -> None:
+    """Make states unknown in place, and independent of all others, in parts of shape (n_sources, n, n)."""
+    parts[:, states, :] = 0.0
+    parts[:, :, states] = 0.0
+    parts[source_index, states, states] = _UNKNOWN**2
+
+
+def whitened(residual: FloatArray, covariance: FloatArray, noise: FloatArray, first: int) -> RowsCompared:
+    """The residual of one light in every row, whitened along the axes of the detector.
+
+    Args:
+        residual: of all lights, shape (h, m).
+        covariance: of the residual, shape (h, m, m).
+        noise: share of the sighting's own noise in it, shape (m, m).
+        first: its first component.
+    """
+    own = slice(first, first + 2)
+    values, vectors = np.linalg.eigh(covariance[:, own, own])
+    root = (vectors / np.sqrt(values)[:, None, :]) @ vectors.swapaxes(-1, -2)
+    count = len(residual)
+    turn, turn_noise = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
+    turn[:, :2] = (root @ residual[:, own, None])[:, :, 0]
+    turn_noise[:, :2, :2] = root @ noise[own, own] @ root
+    nis = np.einsum("hi,hi->h", turn, turn)
+    return RowsCompared(residual[:, own], covariance[:, own, own], nis, np.empty(0), turn, turn_noise, np.empty(0))

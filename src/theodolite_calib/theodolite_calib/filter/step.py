@@ -1,0 +1,277 @@
+"""The step from a state to the next by one sighting: who is trusted, which lights are used, what the rows learn of it.
+
+A sighting goes this way. The state is carried to its moment; drones whose baselines have jumped are excluded, and
+those that are excluded are watched. The other lights are judged (:mod:`theodolite_calib.filter.judgement`) by the
+estimate of all sources that are not excluded, and used or refused. Every estimate without one source sees them too, and
+all together tell whether a source is wrong (:mod:`theodolite_calib.filter.trust`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ship_estimation.exclusion import Exclusion
+from ship_estimation.gates import chi_square_gate
+from ship_estimation.protection import Factors, IntegrityConfig, factors, separation
+from ship_estimation.refusals import Reason, Refusal, singular_covariance
+from ship_geometry.rotations import FloatArray, exp_rotation
+from theodolite_calib.chain.axes import CHAIN_STATES
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, whitened
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
+from theodolite_calib.filter.judgement import SightingJudge, focal_length_m
+from theodolite_calib.filter.trust import LeftOut, Referee, Trust
+from theodolite_calib.measured.baseline_track import BaselineJump
+from theodolite_calib.measured.samples import Exposure, ExposureDecision
+from theodolite_calib.measured.sighting import Sighting
+
+
+class SightingStep:
+    """The step from a state to the next by one sighting.
+
+    Args:
+        config: the node's parameters.
+        filter_: the filter of that configuration.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
+        self._filter, self._gate, self._config = filter_, config.gate, config.integrity
+        self._judge = SightingJudge(filter_, config.gate)
+        self._factors = hypothesis_factors(config.integrity, filter_.rows.sources)
+        threshold = self._factors.false_exclusion
+        self._referee = Referee(config.integrity, config.gate, filter_.rows, threshold)
+        chain = [filter_.model.rows(name) for name in CHAIN_STATES if name in filter_.model.slices]
+        self._turning = np.concatenate(chain)
+
+    def __call__(
+        self,
+        state: CalibrationState,
+        sighting: Sighting,
+        exposure: Exposure,
+        jumps: tuple[tuple[str, BaselineJump], ...] = (),
+    ) -> tuple[CalibrationState, ExposureDecision]:
+        """State and decision after a sighting.
+
+        Args:
+            state: after the sighting before.
+            sighting: the lights that have all they need.
+            exposure: that it comes from.
+            jumps: of the baselines of its lights.
+        """
+        predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
+        for name, jump in jumps:
+            predicted = self._jumped(predicted, sighting, name, jump)
+        try:
+            after, decision = self._judged(state, predicted, sighting, exposure)
+        except np.linalg.LinAlgError:
+            refusal = singular_covariance()
+            after, decision = state, ExposureDecision(exposure, refusal.reason, text=refusal.text)
+        return after, replace(decision, excluded=tuple(sorted(after.trust.excluded)))
+
+    def _jumped(
+        self, predicted: CalibrationState, sighting: Sighting, name: str, jump: BaselineJump
+    ) -> CalibrationState:
+        """The predicted state after a jump of a baseline: its drone is excluded, if it is not yet."""
+        source, trust = BEACON + name, predicted.trust
+        if source in trust.excluded:
+            return replace(predicted, trust=self._referee.jumped(trust, source, jump))
+        if trust.jumped_ns.get(source, jump.time_ns - 1) >= jump.time_ns:
+            return predicted
+        why = f"its baseline has jumped by {np.linalg.norm(jump.jump_n):.2f} m, which no flight explains"
+        exclusion = Exclusion(sighting.time_ns)
+        left_out = LeftOut(exclusion, why, 0.0, jump.jump_n, jump.sigma_m, jump.time_ns)
+        return self._excluded(predicted, source, left_out)
+
+    def _excluded(self, state: CalibrationState, source: str, left_out: LeftOut) -> CalibrationState:
+        """The state without a source: the estimate without it takes the first place."""
+        return replace(self._filter.without(state, source), trust=self._referee.without(state.trust, source, left_out))
+
+    def _judged(
+        self, state: CalibrationState, predicted: CalibrationState, sighting: Sighting, exposure: Exposure
+    ) -> tuple[CalibrationState, ExposureDecision]:
+        """State and decision; ``predicted`` may have lost sources that ``state`` still has."""
+        excluded = predicted.trust.excluded
+        held = state if excluded == state.trust.excluded else predicted
+        rows = range(len(sighting.names))
+        used_rows = [row for row in rows if BEACON + sighting.names[row] not in excluded]
+        left_out = tuple(self._left_out(predicted, name) for name in sighting.names if BEACON + name in excluded)
+        unknown = self._filter.unknown(predicted)
+        for source in sorted(excluded & {ENCODER, SHIP}):
+            predicted = self._watched_turn(predicted, sighting, source)
+        trust = self._watched_lights(predicted.trust, unknown, sighting, bool(used_rows))
+        if not used_rows:
+            held = replace(held, alternatives=predicted.alternatives, trust=trust)
+            reason, text = Reason.EXCLUDED, "the drones of all its lights are excluded"
+            return held, ExposureDecision(exposure, reason, text=text, left_out=left_out)
+        unknown = replace(unknown, trust=trust)
+        chosen = sighting if len(used_rows) == len(rows) else sighting.chosen(used_rows)
+        if excluded & {ENCODER, SHIP}:
+            unknown = self._filter.aligned(unknown, chosen)
+        judgement = self._judge.judge(unknown, chosen, exposure)
+        decision = replace(judgement.decision, left_out=left_out + judgement.decision.left_out)
+        if judgement.sighting is not None and judgement.comparison is not None:
+            after, compared = self._filter.used(unknown, judgement.sighting, judgement.comparison)
+            if ENCODER in excluded:
+                # Where the telescope is predicted rests on the encoders: the lights have it where the update puts it.
+                turned = exp_rotation(compared.prediction.turn_n @ (after.mean - unknown.mean))
+                rotation_nt = turned @ judgement.comparison.prediction.rotation_nt
+                told_dt = judgement.sighting.in_deck(rotation_nt), _sigma_seen(compared)
+                decision = replace(decision, telescope_dt=told_dt)
+            return self._learnt(unknown, after, judgement.sighting.names, compared, decision)
+        comparison = self._filter.compare(unknown, chosen)
+        held = replace(held, trust=trust)
+        if comparison is None:
+            return self._held(held, decision)
+        return self._refused(held, unknown, chosen, comparison, decision)
+
+    def _learnt(
+        self,
+        before: CalibrationState,
+        after: CalibrationState,
+        names: tuple[str, ...],
+        compared: Comparison,
+        decision: ExposureDecision,
+    ) -> tuple[CalibrationState, ExposureDecision]:
+        """What the rows say of a sighting that was used; ``before`` is the state predicted to its moment."""
+        first = before.mean, before.covariance
+        alternatives, seen = self._filter.rows.seen(
+            before.alternatives, names, compared.measurement, first, self._gate.probability
+        )
+        time_ns = decision.measurement.time_ns
+        trust = self._referee.observed(before.trust, names, seen, True, time_ns)
+        after = replace(after, alternatives=alternatives, trust=self._referee.agreed(trust, time_ns))
+        fault, source = self._referee.fault(after.trust, self._statistic(after, compared), time_ns)
+        if source is not None:
+            return self._attributed(after, source, decision)
+        if fault:
+            spread_n = self._farthest(after, compared)
+            after = replace(after, trust=self._referee.disagreed(after.trust, spread_n, lasting=True))
+        return after, decision
+
+    def _refused(
+        self,
+        held: CalibrationState,
+        predicted: CalibrationState,
+        sighting: Sighting,
+        comparison: Comparison,
+        decision: ExposureDecision,
+    ) -> tuple[CalibrationState, ExposureDecision]:
+        """What the rows say of a sighting that was refused; ``predicted`` is the state at its moment."""
+        first = predicted.mean, predicted.covariance
+        alternatives, seen = self._filter.rows.seen(
+            predicted.alternatives, sighting.names, comparison.measurement, first, self._gate.probability
+        )
+        time_ns = sighting.time_ns
+        trust = self._referee.observed(held.trust, sighting.names, seen, False, time_ns)
+        fault, source = self._referee.fault(trust, np.zeros(len(self._filter.rows.sources)), time_ns)
+        after = replace(predicted, alternatives=alternatives, trust=trust)
+        if source is not None:
+            return self._attributed(replace(after, refusals=held.refusals + 1), source, decision)
+        trust = self._referee.disagreed(trust, _spread_n(comparison), lasting=fault)
+        return self._held(replace(held, alternatives=alternatives, trust=trust), decision)
+
+    def _attributed(
+        self, state: CalibrationState, source: str, decision: ExposureDecision
+    ) -> tuple[CalibrationState, ExposureDecision]:
+        """A source is found wrong."""
+        why = f"{source} contradicts the others, and without it the rest agrees"
+        refused_m = float(np.max(np.abs(decision.residual), initial=0.0)) * self._filter.sightings.focal_length_m(
+            state.mean
+        )
+        state = self._excluded(state, source, LeftOut(Exclusion(decision.measurement.time_ns), why, refused_m))
+        text = f"{decision.text}; excluded: {why}" if decision.text else f"excluded: {why}"
+        return replace(state, refusals=0), replace(decision, text=text)
+
+    def _statistic(self, state: CalibrationState, compared: Comparison) -> FloatArray:
+        """Distance of each row from the estimate by all sources in the pointing, in sigmas, shape (h,)."""
+        rows, turning = state.alternatives, self._turning
+        to_axes = compared.prediction.rotation_nt.T @ compared.prediction.turn_n[:, turning]
+        apart = (rows.mean - state.mean)[:, turning] @ to_axes.T
+        left_out = to_axes @ rows.parts[:, 0][:, turning[:, None], turning] @ to_axes.T
+        first = to_axes @ state.covariance[turning[:, None], turning] @ to_axes.T
+        return separation(apart, left_out, first, self._factors).statistic
+
+    def _farthest(self, state: CalibrationState, compared: Comparison) -> FloatArray:
+        """By so much the pointing of a row may differ from that by all sources, covariance in n, rad²."""
+        apart_n = (state.alternatives.mean - state.mean)[:, self._turning] @ (
+            compared.prediction.turn_n[:, self._turning].T
+        )
+        farthest = apart_n[np.argmax(np.sum(apart_n**2, axis=1))]
+        return np.outer(farthest, farthest)
+
+    def _watched_turn(self, predicted: CalibrationState, sighting: Sighting, source: str) -> CalibrationState:
+        """The encoders, or the ship's attitude, while excluded: would they have led to this sighting?"""
+        used = [row for row, name in enumerate(sighting.names) if BEACON + name not in predicted.trust.excluded]
+        comparison = self._filter.compare(predicted, sighting.chosen(used)) if used else None
+        gate = chi_square_gate(self._gate.probability, 2 * len(used)) if used else 0.0
+        agrees = comparison is not None and comparison.nis <= gate
+        trust = self._referee.watched_turn(predicted.trust, source, agrees, sighting.time_ns)
+        return replace(predicted, trust=trust)
+
+    def _watched_lights(self, trust: Trust, state: CalibrationState, sighting: Sighting, others: bool) -> Trust:
+        """The lights of drones that are excluded, beside the estimate by the others."""
+        for row, name in enumerate(sighting.names):
+            if BEACON + name not in state.trust.excluded:
+                continue
+            comparison = self._filter.compare(state, sighting.chosen([row]))
+            if comparison is not None:
+                measurement = comparison.measurement
+                covariance, noise = comparison.covariance[None], measurement.noise
+                compared = whitened(measurement.residual[None], covariance, noise, 0)
+                refused_m = self._refused_m(trust.left_out[BEACON + name], comparison, others)
+                trust = self._referee.watched_light(trust, name, compared, sighting.time_ns, refused_m)
+        return trust
+
+    @staticmethod
+    def _refused_m(left_out: LeftOut, comparison: Comparison, others: bool) -> float:
+        """Size on the detector of what must be refused now, were it still there."""
+        direction_n = comparison.prediction.lines.direction_n[0]
+        across_m = np.linalg.norm(np.cross(left_out.jumped_n, direction_n))
+        distance_m = comparison.prediction.lines.distance_m[0]
+        by_jump = float(focal_length_m(comparison) * across_m / distance_m)
+        if np.any(left_out.jumped_n):
+            # Along the line of sight a jump is not seen: then nothing can be said.
+            return max(by_jump, np.finfo(float).tiny)
+        return 0.0 if others else left_out.refused_m
+
+    def _left_out(self, state: CalibrationState, name: str) -> tuple[str, Refusal]:
+        return name, Refusal(Reason.EXCLUDED, state.trust.left_out[BEACON + name].why)
+
+    def _held(self, state: CalibrationState, decision: ExposureDecision) -> tuple[CalibrationState, ExposureDecision]:
+        """Count a disagreement; after a run of them say so and, where configured, re-open the gate."""
+        run = state.refusals + 1
+        state = replace(state, refusals=run)
+        if decision.reason is Reason.LIGHT_CONFLICT:
+            return state, decision
+        reason, text = decision.reason, decision.text
+        if run >= self._gate.conflict_after:
+            reason = Reason.ATTITUDE_CONFLICT
+            text = f"{run} refusals in a row: the lights and the encoders with the ship's attitude disagree; {text}"
+        if self._gate.reopen_after and run % self._gate.reopen_after == 0:
+            state = replace(state, parts=state.parts * self._gate.reopen_factor)
+            text += f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
+        return state, replace(decision, reason=reason, text=text)
+
+
+def hypothesis_factors(config: IntegrityConfig, sources: Sequence[str]) -> Factors:
+    """Numbers of sigmas for the hypotheses without one source each."""
+    priors = config.prior_per_h
+    by_source = {ENCODER: priors.encoder, SHIP: priors.ship_attitude}
+    return factors(config, [by_source.get(source, priors.beacon) for source in sources])
+
+
+def _sigma_seen(comparison: Comparison) -> float:
+    """Standard deviation of the telescope's attitude about its worst axis by the lights alone, rad."""
+    by_attitude, noise = comparison.prediction.by_attitude_n, comparison.measurement.noise
+    information = by_attitude.T @ np.linalg.solve(noise, by_attitude)
+    return float(np.sqrt(1.0 / max(np.linalg.eigvalsh(information)[0], 1.0)))
+
+
+def _spread_n(comparison: Comparison) -> FloatArray:
+    """By so much the lights turn the telescope away from where it is predicted: covariance in n, rad²."""
+    by_attitude = comparison.prediction.by_attitude_n
+    turned_n = np.linalg.pinv(by_attitude, rcond=1e-6) @ comparison.measurement.residual
+    return np.outer(turned_n, turned_n)
+
+

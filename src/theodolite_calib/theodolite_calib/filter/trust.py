@@ -1,0 +1,250 @@
+"""Which sources are trusted: what a disagreement says, which source is excluded, and when it is used again.
+
+A source whose exclusion makes the rest agree is excluded (:mod:`ship_estimation.exclusion`). A baseline that jumps
+although its drone cannot have is excluded at once. While lights are refused and no single source explains it, nobody is
+believed: the pointing may be off by what the lights say. What is excluded returns once it has agreed with the others
+for a while. Agreement counts only where it could have failed: the others must know so well where the light should be
+that what was refused would be refused again. A baseline that has jumped back has nothing left to be refused.
+"""
+
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ship_estimation.exclusion import (
+    Exclusion,
+    Finding,
+    Means,
+    excess_limit,
+    find_fault,
+    forgotten,
+    no_means,
+    observed,
+    watched,
+)
+from ship_estimation.gates import GateConfig, chi_square_gate
+from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.protection import IntegrityConfig
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, RowsSeen, SourceRows
+from theodolite_calib.measured.baseline_track import BaselineJump
+
+_SAME_JUMP_NS = SECOND_NS
+"""Jumps of one baseline that are found so close to one another are one."""
+_UNDONE_SIGMAS = 4.0
+"""A baseline has jumped back where so many sigmas of its jumps are left."""
+_POWER_SIGMAS = 5.0
+"""What was refused would be refused again where it is so many times the sigma of the place of the light."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A source that is excluded.
+
+    Attributes:
+        exclusion: since when, and how long it has agreed.
+        why: in words.
+        refused_m: size on the detector of what was refused, m; 0 where its baseline jumped.
+        jumped_n: sum of the jumps of its baseline, m, shape (3,); zeros where it has jumped back, or never jumped.
+        jumped_sigma_m: its standard deviation.
+        jump_ns: stamp of the last of them.
+    """
+
+    exclusion: Exclusion
+    why: str
+    refused_m: float = 0.0
+    jumped_n: FloatArray = field(default_factory=lambda: np.zeros(3))
+    jumped_sigma_m: float = 0.0
+    jump_ns: int = 0
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """Lights that disagree with the encoders and the ship's attitude, and no single source explains it.
+
+    Attributes:
+        spread_n: by so much the pointing may be off: covariance of the rotation vector in n, rad², shape (3, 3).
+        lasting: whether it was more than a sighting or two: then it ends by agreement that lasts.
+        agrees_since_ns: since when lights have been accepted again; None where they are refused.
+    """
+
+    spread_n: FloatArray
+    lasting: bool = False
+    agrees_since_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What is known of the sources.
+
+    Attributes:
+        means: what the estimate by all sources (first) and every row have seen of every drone.
+        left_out: the sources that are excluded, by name.
+        conflict: None where there is none.
+        jumped_ns: stamps up to which jumps of baselines are known, by source.
+    """
+
+    means: Means
+    left_out: Mapping[str, LeftOut] = field(default_factory=dict)
+    conflict: Conflict | None = None
+    jumped_ns: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def excluded(self) -> Set[str]:
+        """Names of the sources that are excluded."""
+        return self.left_out.keys()
+
+
+def no_doubt(rows: SourceRows) -> Trust:
+    """At the start every source is trusted."""
+    return Trust(no_means(1 + len(rows.sources), len(rows.beacons)))
+
+
+class Referee:
+    """Judges the sources of a configuration by what the rows of hypotheses see.
+
+    Args:
+        config: how sure exclusions are.
+        gate: of the lights.
+        rows: the rows.
+        threshold: of a separation, in sigmas.
+    """
+
+    def __init__(self, config: IntegrityConfig, gate: GateConfig, rows: SourceRows, threshold: float) -> None:
+        self._config, self._rows, self._threshold = config, rows, threshold
+        self._limit = excess_limit(config, max(len(rows.beacons), 1))
+        self._light_gate, self._degraded_after = chi_square_gate(gate.probability, 2), gate.degraded_after
+        own = np.array([[BEACON + id_ == source for id_ in rows.beacons] for source in rows.sources], dtype=bool)
+        self._leaves_out = np.vstack([np.zeros((1, len(rows.beacons)), dtype=bool), own])
+
+    def observed(self, trust: Trust, names: tuple[str, ...], seen: RowsSeen, used: bool, time_ns: int) -> Trust:
+        """What is known after the rows have seen a sighting, used or not, with lights that are not excluded."""
+        means, by_row = trust.means, np.concatenate([[used], seen.accepted])
+        for name, compared in zip(names, seen.by_light, strict=True):
+            index = self._rows.beacons.index(name)
+            leaves_out = self._leaves_out[:, index]
+            accepted = np.where(leaves_out, compared.nis <= self._light_gate, by_row)
+            means = observed(means, index, compared, accepted, leaves_out, time_ns, self._limit)
+        return replace(trust, means=means)
+
+    def fault(self, trust: Trust, statistic: FloatArray, time_ns: int) -> tuple[bool, str | None]:
+        """Whether a source is wrong, and which one, where one explains it better than all others.
+
+        Args:
+            trust: after the sighting.
+            statistic: distance of each row from the estimate by all sources, in sigmas, shape (h,).
+            time_ns: of the sighting.
+        """
+        sources, excluded = self._rows.sources, trust.excluded
+        gone = np.array([BEACON + id_ in excluded for id_ in self._rows.beacons], dtype=bool)
+        uses = ~(self._leaves_out | gone)
+        distance = np.concatenate([[0.0], statistic])
+
+        def found(names: list[str]) -> Finding:
+            rows = [1 + sources.index(name) for name in names]
+            return find_fault(trust.means, uses, distance, self._threshold, rows, time_ns, self._degraded_after)
+
+        candidates = [name for name in sources if name not in excluded]
+        finding = found(candidates)
+        if not finding.fault:
+            return False, None
+        if finding.row is not None:
+            return True, sources[finding.row - 1]
+        # What the encoders and what the ship's attitude do to the lights is much alike: either may explain it.
+        for name, other in ((ENCODER, SHIP), (SHIP, ENCODER)):
+            alone = found([candidate for candidate in candidates if candidate != other])
+            if alone.row is not None and sources[alone.row - 1] == name:
+                return True, name
+        return True, None
+
+    def without(self, trust: Trust, source: str, left_out: LeftOut) -> Trust:
+        """A source is excluded: every row now sees what the row without it has seen."""
+        row, means = 1 + self._rows.sources.index(source), trust.means
+        same = {
+            name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._rows.sources), axis=0)
+            for name in ("turn", "variance", "filled", "excess", "refused")
+        }
+        all_left_out = {**trust.left_out, source: left_out}
+        return replace(trust, means=replace(means, **same), left_out=all_left_out, conflict=None)
+
+    def jumped(self, trust: Trust, source: str, jump: BaselineJump) -> Trust:
+        """Another jump of the baseline of a drone that is excluded: it may have jumped back."""
+        left_out = trust.left_out[source]
+        if jump.time_ns <= left_out.jump_ns + _SAME_JUMP_NS:
+            return trust
+        jumped_n, sigma_m = left_out.jumped_n + jump.jump_n, float(np.hypot(left_out.jumped_sigma_m, jump.sigma_m))
+        again = replace(left_out, jumped_n=jumped_n, jumped_sigma_m=sigma_m, jump_ns=jump.time_ns)
+        means = trust.means
+        if np.linalg.norm(jumped_n) <= _UNDONE_SIGMAS * sigma_m:
+            again = replace(again, jumped_n=np.zeros(3), jumped_sigma_m=0.0)
+            means = forgotten(means, slice(None), [self._rows.sources.index(source)])
+        return replace(trust, means=means, left_out={**trust.left_out, source: again})
+
+    def watched_light(
+        self, trust: Trust, name: str, compared: RowsCompared, time_ns: int, refused_m: float
+    ) -> Trust:
+        """A light of a drone that is excluded, beside the estimate by the others; it may be used again.
+
+        Args:
+            trust: before.
+            name: of the light.
+            compared: with the estimate by all other sources, one row.
+            time_ns: of the sighting.
+            refused_m: size on the detector of what must be refused, were it still there; 0 for nothing.
+        """
+        index, source = self._rows.beacons.index(name), BEACON + name
+        left_out = trust.left_out[source]
+        rows = 1 + len(self._rows.sources)
+        every = replace(
+            compared,
+            turn=np.repeat(compared.turn, rows, axis=0),
+            turn_noise=np.repeat(compared.turn_noise, rows, axis=0),
+        )
+        accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
+        means = observed(trust.means, index, every, accepted, np.ones(rows, dtype=bool), time_ns, self._limit)
+        exclusion, returns = watched(left_out.exclusion, means, index, every, time_ns, self._config.return_after_s)
+        sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
+        if 0.0 < refused_m <= _POWER_SIGMAS * sigma_m:
+            exclusion, returns = replace(exclusion, agrees_since_ns=None), False
+        return self._watched(replace(trust, means=means), source, exclusion, returns)
+
+    def watched_turn(self, trust: Trust, source: str, agrees: bool, time_ns: int) -> Trust:
+        """The encoders, or the ship's attitude, while they are excluded: do they lead from sighting to sighting?"""
+        exclusion = trust.left_out[source].exclusion
+        since_ns = (exclusion.agrees_since_ns or time_ns) if agrees else None
+        returns = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
+        return self._watched(trust, source, replace(exclusion, agrees_since_ns=since_ns), returns)
+
+    def _watched(self, trust: Trust, source: str, exclusion: Exclusion, returns: bool) -> Trust:
+        left_out, jumped_ns, means = dict(trust.left_out), dict(trust.jumped_ns), trust.means
+        if returns:
+            jumped_ns[source] = left_out.pop(source).jump_ns + _SAME_JUMP_NS
+            row = self._rows.sources.index(source)
+            if row < len(self._rows.beacons):
+                # The rows that use it again see it otherwise than as one that they do without.
+                others = [other for other in range(1 + len(self._rows.sources)) if other != 1 + row]
+                means = forgotten(means, others, [row])
+        else:
+            left_out[source] = replace(left_out[source], exclusion=exclusion)
+        return replace(trust, means=means, left_out=left_out, jumped_ns=jumped_ns)
+
+    def disagreed(self, trust: Trust, spread_n: FloatArray, lasting: bool) -> Trust:
+        """Lights were refused, and no single source explains it."""
+        before = trust.conflict
+        if before is not None and np.trace(before.spread_n) > np.trace(spread_n):
+            spread_n = before.spread_n
+        lasting = lasting or (before is not None and before.lasting)
+        return replace(trust, conflict=Conflict(spread_n, lasting))
+
+    def agreed(self, trust: Trust, time_ns: int) -> Trust:
+        """Lights were accepted."""
+        conflict = trust.conflict
+        if conflict is None:
+            return trust
+        if not conflict.lasting:
+            return replace(trust, conflict=None)
+        since_ns = time_ns if conflict.agrees_since_ns is None else conflict.agrees_since_ns
+        over = time_ns - since_ns >= self._config.return_after_s * SECOND_NS
+        return replace(trust, conflict=None if over else replace(conflict, agrees_since_ns=since_ns))
