@@ -13,7 +13,7 @@ PYTEST_ARGS ?=
 VOYAGES ?= 1000
 FAULT_ARGS ?=
 
-.PHONY: help setup test lint demo bags bench campaign faults kills clean
+.PHONY: help setup test lint demo bags bench campaign faults kills stanford clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -43,6 +43,9 @@ campaign: setup ## many seeds, consistency of the estimates
 
 faults: setup ## voyages with faults: told, attributed, within the protection level; VOYAGES=40 for few
 	@$(RUN) python tools/faults.py --voyages $(VOYAGES) $(FAULT_ARGS)
+
+stanford: setup ## a million epochs: error against protection level, docs/figures/stanford.png
+	@$(RUN) python tools/stanford.py
 
 kills: setup ## kill -9 of recorder and node at random moments: what is lost
 	@$(RUN) python tools/kill_campaign.py
