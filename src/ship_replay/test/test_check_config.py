@@ -240,6 +240,17 @@ def test_a_sensor_that_is_bolted_elsewhere_for_another_node_is_a_warning(check):
     assert lines[0] == f"warning: suite.yaml:9: {said}"
 
 
+def test_a_sky_that_is_another_one_for_another_node_is_a_warning(check):
+    """ship_attitude tells apart by its own sky what a solution of star_attitude shares with other sensors."""
+    text = STARS + "    sky: {fix_sigma_m: 100.0, magnitude_limit: 6.0}\n"
+    code, lines, _ = check(text)
+    assert code == 0
+    said = "parameter 'sky.fix_sigma_m' is 100.0 for star_attitude, but 5.0 for ship_attitude"
+    assert lines[:-1] == [f"warning: suite.yaml:13: {said}"]
+    # Without a use for it, the sky of ship_attitude does not matter.
+    assert not any("sky" in line for line in check(text.replace("input: solution", "input: horizon_attitude"))[1])
+
+
 NODES = "expected one of '/**/ship_attitude', '/**/star_attitude', '/**/optical_axis' or '/**'"
 
 

@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.stars.config import MountingConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
@@ -20,6 +21,9 @@ from ship_estimation.parameters import ParameterDescription, ParameterError, bui
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.parameter_file import has_section, misfit, read, unknown_sections
 from ship_replay.offline.adapter_chain import nodes_of
+
+_OF_ONE_NODE = ("magnitude_limit", "refraction_time_s", "position_time_s")
+"""Parameters of the sky that may well differ: which stars a node identifies, and how a filter forgets."""
 
 
 @dataclass
@@ -122,7 +126,7 @@ def check_file(
     named = [kind for kind in nodes_of(path, adapter_classes, namespace) if has_section(path, names[kind])]
     checked = (_checked(path, kind, names[kind], findings) for kind in named)
     nodes = [node for node in checked if node is not None]
-    findings.warnings += list(_different_mountings(path, nodes))
+    findings.warnings += list(_told_differently(path, nodes))
     return nodes
 
 
@@ -168,19 +172,34 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
     return None
 
 
-def _different_mountings(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
-    """Sensors whose mounting two nodes are told differently."""
-    names = [field.name for field in dataclasses.fields(MountingConfig) if field.name != "frame_id"]
-    sensors = [(node, id_, star) for node in nodes for id_, star in getattr(node.config, "star_sensors", {}).items()]
-    for (node, id_, star), (other, other_id, other_star) in itertools.combinations(sensors, 2):
-        for name in names if id_ == other_id else ():
-            one, two = getattr(star, name), getattr(other_star, name)
+def _told_differently(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
+    """What two nodes must know alike and are told differently: how a sensor is mounted, and the sky over the ship."""
+    for node, other in itertools.combinations(nodes, 2):
+        for name, one, two in [*_mountings(node.config, other.config), *_skies(node.config, other.config)]:
             if one != two:
-                place = other.place(path, f"star_sensors.{id_}.{name}")
-                yield (
-                    f"{place}: parameter 'star_sensors.{id_}.{name}' is {two!r} for "
-                    f"{other.adapter.node_name}, but {one!r} for {node.adapter.node_name}"
-                )
+                place, names = other.place(path, name), (other.adapter.node_name, node.adapter.node_name)
+                yield f"{place}: parameter '{name}' is {two!r} for {names[0]}, but {one!r} for {names[1]}"
+
+
+def _mountings(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Parameters of the mounting of sensors that two nodes have in common, with the values of both."""
+    names = [field.name for field in dataclasses.fields(MountingConfig) if field.name != "frame_id"]
+    sensors, others = getattr(one, "star_sensors", {}), getattr(other, "star_sensors", {})
+    for id_, name in itertools.product([id_ for id_ in sensors if id_ in others], names):
+        yield f"star_sensors.{id_}.{name}", getattr(sensors[id_], name), getattr(others[id_], name)
+
+
+def _skies(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Parameters of the sky that two nodes have in common where both look at it, with the values of both.
+
+    What a solution of one node shares with other sensors is told apart by the sky of the other.
+    """
+    if all(
+        hasattr(config, "sky") and any(getattr(star, "looks_at_sky", True) for star in config.star_sensors.values())
+        for config in (one, other)
+    ):
+        for name in (field.name for field in dataclasses.fields(SkyConfig) if field.name not in _OF_ONE_NODE):
+            yield f"sky.{name}", getattr(one.sky, name), getattr(other.sky, name)
 
 
 def _put_right(values: dict[str, Any], problem: ParameterError, descriptions: list[ParameterDescription]) -> bool:
