@@ -14,7 +14,8 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
-from ship_attitude_star.stars.solution import solve_stars
+from ship_attitude_star.stars.selection import StarPrior
+from ship_attitude_star.stars.solution import SolutionStatus, solve_in_doubt_alone, solve_stars
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.outcome import Status
 from ship_geometry.frames import rotation_from_angles
@@ -171,3 +172,36 @@ def test_mend_11_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_d
         covariance_n = np.reshape(message.rotation_covariance, (3, 3))[np.ix_([1, 2, 0], [1, 2, 0])]
         assert np.all(np.abs(error_n) < 5.0 * np.sqrt(np.diagonal(covariance_n)))
     assert set(run.reasons("star/fore/observations")) <= {"gap"}
+
+
+@pytest.mark.parametrize("count", [2, 8])
+def test_mend_11_a_solution_is_not_against_an_ins_that_is_off_as_stated(sky: Sky, count: int) -> None:
+    """Linearised at the INS, 3° off, the right stars contradict it by 283″."""
+    rng = np.random.default_rng(4)
+    exposure = sky.seen("fore", TIME_NS, count, np.zeros(3), np.zeros(4), rng)
+    true_ns = ROTATION_ND @ rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
+    sigma = np.array([10.0, 3.0 * DEGREE, 10.0]) * ARCSEC
+    prior = StarPrior(exp_rotation(np.deg2rad([0.0, 3.0, 0.0])) @ true_ns, np.diag(sigma**2))
+    _, stars, _ = visible_stars(exposure, sky.watch, prior)
+    solution, against_prior = solve_in_doubt_alone(stars, prior)
+    assert solution.status is SolutionStatus.VALID
+    assert solution.members.all()
+    assert not against_prior
+    left_n = log_rotation(true_ns @ solution.rotation_nb.T)
+    assert normalized_error_squared(left_n, solution.covariance_n) < 21.1
+
+
+@pytest.mark.parametrize("width", [WIDTHS[0], WIDTHS[3], WIDTHS[4]], ids=str)
+def test_mend_11_what_the_gate_judges_is_chi_square(sky: Sky, width: Width) -> None:
+    """The sum of squares at the estimate, of the first exposure of each seed: sixteen residuals, sixteen degrees."""
+    values = []
+    for seed in range(SEEDS):
+        rng = np.random.default_rng([13, seed])
+        error_n = np.array([width.tilt, width.heading, width.tilt]) * ARCSEC * rng.standard_normal(3)
+        white_n, mounted_s = ARCSEC * rng.standard_normal(3), INSTALLATION * rng.standard_normal(3)
+        exposure = sky.seen("fore", TIME_NS, 8, mounted_s, rng.standard_normal(4), rng)
+        track = ins_track(TIME_NS, log_rotation(exp_rotation(error_n) @ exp_rotation(white_n)))
+        ship_filter = ShipFilter(width.config("observations"))
+        values.append(ship_filter.step(ship_filter.initial_state(), exposure, track, sky.watch)[1].nis)
+    low, high = mean_nees_band(SEEDS, 16)
+    assert low <= np.mean(values) <= high

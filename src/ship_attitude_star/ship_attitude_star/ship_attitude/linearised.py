@@ -20,6 +20,7 @@ from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, at_middle, visible_stars
+from ship_attitude_star.stars.selection import LINEAR_RANGE
 from ship_attitude_star.stars.solution import likely_attitude
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.outcome import Measurement
@@ -28,10 +29,6 @@ from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.time_scales import SECOND_NS
-
-_LINEAR_RANGE = 5e-4
-"""A device's attitude that is predicted to better than this (rad, sigma) needs one linearisation: even at three times
-as much, the square of the error is 0.2 arcseconds."""
 
 _SMALL_TURN = 2e-4
 """A linearisation that lies closer than this (rad) to the estimate is at the estimate: the square is 0.004
@@ -201,7 +198,7 @@ class Linearisation:
         predicted = predict_attitude(device, self._model, mean, paired.ins)
         turning_v = np.where(by_offset == 0.0, predicted.jacobian_v, 0.0)
         turn_variance = float(np.trace(turning_v @ covariance @ turning_v.T))
-        if offset_sigma_s > _KNOWN_CLOCK_S or turn_variance > _LINEAR_RANGE**2:
+        if offset_sigma_s > _KNOWN_CLOCK_S or turn_variance > LINEAR_RANGE**2:
             return self._settled(task, paired, predicted)
         compared = compare(paired.measurement, device, predicted, self._model, mean, covariance, watch)
         if isinstance(compared, Refusal):

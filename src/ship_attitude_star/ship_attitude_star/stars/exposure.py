@@ -36,9 +36,6 @@ _PRIOR_TOO_WIDE = f"the attitude is not known to {np.rad2deg(WIDEST):.0f}°: too
 _ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
 """Mounting errors of stars that are compared in their sensor's own frame: none."""
 
-_NAMES_ARE_ENOUGH = 5e-4
-"""By an attitude that is predicted to this (rad, sigma) a star with a name is hardly ever another one."""
-
 _OUT_OF_SIGHT = 1.0
 """Variance of a star that leaves the camera's sight during the exposure, rad²: so large that the star has no weight."""
 
@@ -218,7 +215,8 @@ def visible_stars(
             refused.append((exposure.name(row), moment.too_low(float(apparent.elevation[row]))))
         exposure, direction_n, shared_n, named = exposure[seen], direction_n[seen], shared_n[seen], named[seen]
     rivals = None
-    if prior is not None and not (named.all() and np.trace(prior.covariance_n) < _NAMES_ARE_ENOUGH**2):
+    # By a prior that is not wide a star with a name is hardly ever another one.
+    if prior is not None and (prior.is_wide or not named.all()):
         rivals = detections * moment.bright.density(exposure.magnitude, MAGNITUDE_TOLERANCE)
         rivals *= np.where(named, WRONG_NAMES, 1.0)
     stars = SightedStars(

@@ -28,9 +28,6 @@ _FIELD_MARGIN = np.deg2rad(1.0)
 _FAR = 5.0
 """Sigmas by which the predicted attitude may be off."""
 
-_LINEAR_RANGE = 5e-4
-"""Within such a turn (rad, sigma) of the predicted attitude a star moves in a straight line."""
-
 _MOST_STEPS, _SMALL_TURN = 8, 1e-5
 
 WIDEST = np.deg2rad(5.0)
@@ -110,7 +107,7 @@ def _mahalanobis(
     seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: StarPrior
 ) -> FloatArray:
     """Mahalanobis² of each of k detections to each of c candidates under the prior's error, shape (k, c)."""
-    if np.trace(prior.covariance_n) > _LINEAR_RANGE**2:
+    if prior.is_wide:
         return _mahalanobis_wide(seen_n, reference_n, variance, smear_n, prior)
     basis = across(seen_n)
     left = np.einsum("kij,kcj->kci", basis, reference_n - seen_n[:, None, :])

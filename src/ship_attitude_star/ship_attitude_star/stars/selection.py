@@ -30,6 +30,10 @@ FEWEST_VERIFIED = 3
 CLEARLY_BETTER = 13.8
 """Difference of chi² by which one of two explanations is clearly better (two degrees of freedom, 1 in 1000)."""
 
+LINEAR_RANGE = 5e-4
+"""An attitude that is predicted to better than this (rad, sigma) needs one linearisation: even at three times as much,
+the square of the error is 0.2 arcseconds."""
+
 _TRIALS_REFINED = 3
 
 BoolArray = NDArray[np.bool_]
@@ -46,6 +50,11 @@ class StarPrior:
 
     rotation_nb: FloatArray
     covariance_n: FloatArray
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether stars may be so far from where it expects them that one linearisation is not enough."""
+        return float(np.trace(self.covariance_n)) > LINEAR_RANGE**2
 
     def seen_from(self, rotation_nb: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The prior as it is told from another attitude: what it expects the turn from there to be, and covariance.

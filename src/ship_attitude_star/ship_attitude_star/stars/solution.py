@@ -108,7 +108,8 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
         stars: all that were seen and have a place in the sky.
         prior: helps to choose the stars, and verifies them where they are only two. It does not enter the attitude.
     """
-    choice = select(stars, prior)
+    near_nb = likely_attitude(stars, prior) if prior is not None and prior.is_wide and len(stars) else None
+    choice = select(stars, prior, near_nb)
     members = choice.members
     if choice.by_chance is not None:
         return no_attitude(members, improbable_identity(choice.by_chance))
