@@ -1,6 +1,7 @@
 """Parameters of the ``ship_attitude`` node. Each states its unit, range and meaning; names are dotted."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
 from ship_attitude_star.sky.config import InertialConfig, SkyConfig
@@ -87,7 +88,7 @@ class StarSensorConfig(MountingConfig):
         10.0, doc="correlation time of the flexure", unit="s", minimum=0.1, maximum=1e7
     )
 
-    @property
+    @cached_property
     def sharing(self) -> str:
         """What its messages share with others: SHARED_BY_SKY, SHARED_BY_MESSAGES or "none"."""
         if self.shared != BY_INPUT:
