@@ -261,6 +261,14 @@ def test_a_clock_step_moves_stamps_and_not_arrivals(bag, tmp_path):
         assert ns_from_stamp(after.header.stamp) - ns_from_stamp(before.header.stamp) == -SECOND_NS // 2
 
 
+@pytest.mark.parametrize("step_s", [-1e9, 1e9])
+def test_a_clock_step_beyond_what_a_stamp_can_hold_ends_there(bag, tmp_path, step_s):
+    """From 2014 a step of 1e9 s leads to 2046; the seconds of a stamp end in 2038."""
+    for before, after in only(bag, tmp_path, BOW, "clock_step", f"step_s: {step_s:.1f}"):
+        expected_ns = ns_from_stamp(before.header.stamp) + round(step_s * SECOND_NS)
+        assert ns_from_stamp(after.header.stamp) == min(expected_ns, 2**31 * SECOND_NS - 1)
+
+
 def test_false_stars_have_numbers_where_stars_have_them(bag, tmp_path):
     for before, after in only(bag, tmp_path, STARS, "false_stars", "count: 3"):
         # As texts: their directions are NaN.
@@ -404,6 +412,10 @@ BROKEN = {
         "topic: ins/imu, kind: corrupt, start_s: 1, field: 'orientation_covariance[9]'", "has 9 elements, counted from"
     ),
     "whole": ("topic: beacon/a/baseline, kind: corrupt, start_s: 1, field: fix, value: 300", "from 0 to 255"),
+    "32 bits": (
+        "topic: theodolite/beacons, kind: corrupt, start_s: 1, field: beacons.sigma, value: 1e39", "ends at 3.4"
+    ),
+    "whole offset": ("topic: beacon/a/baseline, kind: offset, start_s: 1, field: fix, value: 1", "no offset: corrupt"),
     "whole nan": ("topic: beacon/a/baseline, kind: nan, start_s: 1, field: fix", "which has no NaN"),
     "no path": ("topic: ins/imu, kind: nan, start_s: 1, field: 'a..b'", "no path of a field"),
     "unknown key": ("topic: ins/imu, kind: drop, start_s: 1, size: 3", "parameter 'faults.f.size' is unknown"),

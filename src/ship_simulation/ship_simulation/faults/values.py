@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.sky.catalogue import hipparcos
-from ship_bags.stamps import ns_from_stamp, stamp_fields
+from ship_bags.stamps import END_OF_TIME_NS, ns_from_stamp, stamp_fields
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_two_pi
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.faults.optics import Optics
@@ -129,6 +129,7 @@ def _stamp_zero(spoiler: Spoiler, message: Any, since_s: float) -> None:
 def _stamp_off(spoiler: Spoiler, message: Any, since_s: float) -> None:
     off_s = spoiler.fault.delay_s + spoiler.fault.step_s
     stamp_ns = ns_from_stamp(message.header.stamp) + round(off_s * SECOND_NS)
+    stamp_ns = max(-END_OF_TIME_NS, min(stamp_ns, END_OF_TIME_NS - 1))
     message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(stamp_ns)
 
 

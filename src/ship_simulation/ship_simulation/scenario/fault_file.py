@@ -106,11 +106,13 @@ def _field_problem(fault: Fault, type_name: str) -> str:
     except ValueError as problem:
         return str(problem)
     if base.startswith("float"):
-        return ""
-    if fault.kind in ("nan", "infinite"):
-        return f"a whole number ({base}), which has no NaN and no infinity"
+        largest = float(np.finfo(base).max)
+        fits = abs(fault.value) <= largest
+        return "" if fits else f"value = {fault.value:g} does not fit: {base} ends at {largest:g}"
+    if fault.kind != "corrupt":
+        return f"a whole number ({base}), which has no NaN, no infinity and no offset: corrupt sets it"
     limits = np.iinfo(base)
-    if fault.kind == "corrupt" and not (fault.value.is_integer() and limits.min <= fault.value <= limits.max):
+    if not (fault.value.is_integer() and limits.min <= fault.value <= limits.max):
         return f"value = {fault.value:g} does not fit: expected a whole number from {limits.min} to {limits.max}"
     return ""
 
