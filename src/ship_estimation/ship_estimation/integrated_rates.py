@@ -111,9 +111,9 @@ _GAP = 8
 """The line does not lead over a gap of more than so many periods."""
 _SIGMAS = 7.3
 """What noise of three axes exceeds once in 6e10 times; docs/explanation/when_inputs_fail.md says how often an hour."""
-_FOURTH = 3.71
-"""The same in fourth roots of the mean fourth power of such noise, 15 sigma⁴."""
-_LEARN_HZ, _MEMORY = 25.0, 750
+_POWER, _TYPICAL = 4, 3.10
+"""The same in eighth roots of the mean eighth power of such noise, 945 sigma⁸: of the square the fourth power."""
+_LEARN_HZ, _MEMORY = 25.0, 1500
 """How often steps of no sample are learnt in a second, and of how many the mean is made."""
 _LEARNT_ONE, _LEARNT_ALL = 64, 250
 """So many are learnt before a sample is judged by the line, and before means are."""
@@ -126,7 +126,7 @@ _FAR_RAD = 1e-3
 _ROOM = 4
 """Samples are kept in an array so many times as long as the line."""
 _SET_EVERY, _FORGET = 8, 0.78
-"""Bounds follow what was learnt so many times in between; of the largest error of integration so much is left then."""
+"""Bounds follow what was learnt so many times in between; of what integration feigned at most so much is left then."""
 _ONES = np.ones(3)
 
 
@@ -161,8 +161,8 @@ class Learnt(NamedTuple):
 class StepWatch:
     """Watches the attitude of one INS against its own integrated rates.
 
-    It learns the period of the samples and how large a step their errors feign: by the fourth power, in which the
-    rare large ones count, as rounding makes them.
+    It learns the period of the samples and how large a step their errors feign: by a high power, in which the rare
+    large ones count, as rounding makes them.
 
     Args:
         white_rad: noise of an attitude, each axis.
@@ -188,8 +188,8 @@ class StepWatch:
         self._rows, self._times = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
         self._full: StepPlan | None = None
         self._learn_every = self._learns = self._since_learnt = 0
-        self._fourth = np.zeros(0)
-        self._coarseness_rad = self._missed_rad = self._largest_missed_rad = 0.0
+        self._high = np.zeros(0)
+        self._coarseness_rad = self._missed_rad = self._missed_before_rad = self._feigned_rad = 0.0
         self._run, self._last_ns = -1, 0
         self._to_line: FloatArray | None = None
         self.learnt: Learnt | None = None
@@ -205,7 +205,7 @@ class StepWatch:
     def forget(self) -> None:
         """Learn the errors of the samples anew: the rates, or how they are measured, have changed."""
         self._learns = 0
-        self._fourth[:] = 0.0
+        self._high[:] = 0.0
         self.restart()
 
     def restart(self) -> None:
@@ -244,15 +244,18 @@ class StepWatch:
         turned = rotation_nd.dot(integrated.rotation.T)
         if self._to_line is None:
             self._to_line = turned.T
-        missed_rad, self._missed_rad = integrated.missed_rad - self._missed_rad, integrated.missed_rad
+        missed_rad = integrated.missed_rad - self._missed_rad
+        # What integration misses alike in every step is a slope. A change of it feigns a step.
+        feigned_rad = 2.0 * abs(missed_rad - self._missed_before_rad)
+        self._missed_rad, self._missed_before_rad = integrated.missed_rad, missed_rad
         self._now_ns = time_ns
         self._first_rad, self._coarseness_rad = first_rad, coarseness_rad
         self._rows[self._end] = self._pending = log_rotation(turned.dot(self._to_line))
         plan = self._plan
         if plan is None:
             return None
-        if missed_rad > self._largest_missed_rad:
-            self._largest_missed_rad = 1.5 * missed_rad
+        if feigned_rad > self._feigned_rad:
+            self._feigned_rad = 1.5 * feigned_rad
             self._set_bounds(plan)
         steps = self._scaled.dot(self._rows[self._end + 1 - plan.length : self._end + 1])
         self._sizes = (steps * steps).dot(_ONES).tolist()
@@ -296,7 +299,7 @@ class StepWatch:
         self._rows = np.zeros((_ROOM * self._full.length, 3))
         self._times = np.zeros(len(self._rows), dtype=np.int64)
         self._learn_every = max(round(per_s / _LEARN_HZ), 1)
-        self._fourth = np.zeros(len(self._full.counts))
+        self._high = np.zeros(len(self._full.counts))
         self.forget()
 
     def _learn(self) -> None:
@@ -306,9 +309,9 @@ class StepWatch:
         if before is full:
             self._learns += 1
             squares = np.array(self._sizes) * self._bounds * self._bounds
-            self._fourth += (squares * squares - self._fourth) / min(self._learns, _MEMORY)
+            self._high += (squares**_POWER - self._high) / min(self._learns, _MEMORY)
             if self._learns % _SET_EVERY == 0 or not self._judges:
-                self._largest_missed_rad *= _FORGET
+                self._feigned_rad *= _FORGET
                 self._set_bounds(full)
             return
         for share in (1, 2, 4):
@@ -325,9 +328,9 @@ class StepWatch:
         self._judges = known or self._first_rad < math.inf
         noise_rad = _SIGMAS * self._sigmas(plan)
         assert self._full is not None
-        learnt_rad = _FOURTH * self._fourth[: len(plan.white)] ** 0.25
+        learnt_rad = _TYPICAL * self._high[: len(plan.white)] ** (0.5 / _POWER)
         noise_rad = np.maximum(noise_rad, learnt_rad * plan.white / self._full.white[: len(plan.white)])
-        self._bounds = noise_rad + ACROSS * self._coarseness_rad + self._largest_missed_rad
+        self._bounds = noise_rad + ACROSS * self._coarseness_rad + self._feigned_rad
         if not known:
             self._bounds[0] = max(self._bounds[0], self._first_rad)
         if self._learns < _LEARNT_ALL:
