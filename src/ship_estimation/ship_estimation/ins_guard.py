@@ -16,7 +16,7 @@ from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, move
 from ship_estimation.integrated_rates import RateIntegrator, StepWatch
 from ship_estimation.rate_guard import RateGuard, Rates
 from ship_estimation.refusals import Reason, Refusal
-from ship_estimation.value_guards import DRIFT_RAD_PER_S, JumpGuard, JumpVerdict, Match, StuckGuard, size
+from ship_estimation.value_guards import JumpGuard, JumpVerdict, Match, StuckGuard, size
 from ship_estimation.witnesses import Witness
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.rotations import ARCSEC
@@ -118,7 +118,7 @@ class InsGuard:
         self._previous = seen = SeenSample(sample, number, before, integrated)
         self.by_rates = None
         if integrated is not None and self._rates.usable:
-            self.by_rates = Witness(sample.time_ns, integrated.rotation, 0.0, DRIFT_RAD_PER_S)
+            self.by_rates = Witness(sample.time_ns, integrated.rotation, 0.0, self._leads.drift.bound_rad_per_s)
             witnesses = {**witnesses, "rate": self.by_rates}
         stuck = self._stuck.observe(sample.time_ns, sample.rotation_nd, self._sigma_rad, witnesses)
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
@@ -139,7 +139,7 @@ class InsGuard:
             if self._leads.told_rad and self._leads.told_rad > self._steps.smallest_rad:
                 self._steps.restart()
             errors_rad = self._leads.by_rates.noise_rad, self._stuck.coarseness_rad
-            on_line = self._steps.look(sample.time_ns, sample.rotation_nd, seen.integrated, *errors_rad)
+            on_line = self._steps.look(sample, seen.integrated, *errors_rad)
             if on_line and previous is taken:
                 # Nearly all samples of a healthy INS go this way.
                 jumps = self._kept(seen)
@@ -150,10 +150,7 @@ class InsGuard:
         step = match if previous is taken else self._leads.match(previous, seen, measured)
         fits = match.fits
         if step is not match:
-            # The rates of refused samples between may be as wrong as their attitudes.
-            direct = self._leads.match_by_two_rates(taken.sample, sample, measured)
-            better = direct.led and size(direct.difference) < 0.5 * size(match.difference)
-            fits = match.fits_again(step) or (better and direct.fits_again(step))
+            fits = match.fits_again(step) or (measured and self._leads.lied_between(taken, seen, step))
         if not fits:
             smooth = self._smooth_since_taken and self._leads.match_by_motion(previous, seen).fits
             self._smooth_since_taken = smooth
@@ -237,7 +234,7 @@ class InsGuard:
         if not self._rates.usable:
             self.by_rates = None
         elif self.by_rates is None:
-            self.by_rates = Witness(sample.time_ns, integrated.rotation, 0.0, DRIFT_RAD_PER_S)
+            self.by_rates = Witness(sample.time_ns, integrated.rotation, 0.0, self._leads.drift.bound_rad_per_s)
         return wrong_after_ns
 
     def _take(self, seen: SeenSample, before: SeenSample | None) -> None:

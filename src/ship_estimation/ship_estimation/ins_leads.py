@@ -13,6 +13,7 @@ from ship_estimation.value_guards import (
     Match,
     Step,
     StuckGuard,
+    size,
     step_by_motion,
 )
 from ship_geometry.attitude_track import AttitudeSample
@@ -23,8 +24,9 @@ _LARGEST_ACCELERATION = math.radians(60.0)
 FASTEST_RAD_PER_S = math.radians(60.0)
 """Nothing that floats turns faster: the limit used when no rate predicts the next attitude."""
 _LONGEST_STEP_S = 1.0
-_PIECES, _LEARNT_DRIFT_RAD_PER_S = 12, 10.0 * ARCSEC
-"""The drift of the rates is a mean over so many pieces of some seconds; what it may still be off once it is known."""
+_PIECES, _LEARNT_RAD_PER_S, _FORGET = 12, 5.0 * ARCSEC, 0.95
+"""The drift of the rates is a mean over so many pieces of some seconds. Once known it may still be off by the second
+number, and by twice what a piece was off of late, of which a twentieth is forgotten with each."""
 
 
 class SeenSample(NamedTuple):
@@ -61,7 +63,7 @@ class RateDrift:
     def __init__(self) -> None:
         self.with_earth = False
         self.bound_rad_per_s = DRIFT_RAD_PER_S
-        self._drift, self._pieces = np.zeros(3), 0
+        self._drift, self._pieces, self._largest = np.zeros(3), 0, 0.0
 
     def learnt(self, drift_n: FloatArray, rotation_nd: FloatArray) -> FloatArray:
         """Learn from how fast the attitude ran away from the rates; returns the error of the rates now, rad/s.
@@ -73,8 +75,9 @@ class RateDrift:
         self._pieces += 1
         # The attitude drifts against the rates by what these show too little.
         self._drift = self._drift - (drift_n if self.with_earth else drift_n @ rotation_nd) / min(self._pieces, _PIECES)
+        self._largest = max(size(drift_n), _FORGET * self._largest)
         if self._pieces >= _PIECES:
-            self.bound_rad_per_s = _LEARNT_DRIFT_RAD_PER_S
+            self.bound_rad_per_s = min(_LEARNT_RAD_PER_S + 2.0 * self._largest, DRIFT_RAD_PER_S)
         drift_d: FloatArray = self._drift @ rotation_nd if self.with_earth else self._drift
         return drift_d
 
@@ -91,7 +94,6 @@ class Leads:
         drift: of the rates.
         told_rad: by so much the source itself says that it may have stepped with the newest sample.
 
-    >>> from ship_estimation.value_guards import size
     >>> leads, turns = Leads(StuckGuard()), [exp_rotation(np.array([0.0, 1e-4 * n, 0.0])) for n in (0, 1, 2, 50)]
     >>> samples = [AttitudeSample(n * 10_000_000, turn) for n, turn in enumerate(turns)]
     >>> seen = [SeenSample(sample, n, samples[n - 1], None) for n, sample in enumerate(samples)]
@@ -138,6 +140,19 @@ class Leads:
         predicted_nd = start.rotation_nd @ exp_rotation((0.5 * seconds) * (start.rate_d + end.rate_d))
         step = self._step(seconds, missed_by_mean_rad(start.rate_d.tolist(), end.rate_d.tolist(), seconds))
         return self.by_rates.match(log_rotation(end.rotation_nd @ predicted_nd.T), step)
+
+    def lied_between(self, start: SeenSample, end: SeenSample, step: Match) -> bool:
+        """Whether the rates of refused samples between two are as wrong as the attitudes were, and these two agree.
+
+        Args:
+            start: the last sample taken.
+            end: a later one.
+            step: the same against the sample before it, refused as that was.
+        """
+        direct = self.match_by_two_rates(start.sample, end.sample, rates_measured=True)
+        by_all = self.match(start, end, rates_measured=True)
+        apart_rad = size(by_all.difference - direct.difference)
+        return direct.led and apart_rad > 2.0 * direct.bound_rad and direct.fits_again(step)
 
     def match_by_time(self, start: AttitudeSample, end: AttitudeSample) -> Match:
         """By nothing but what a hull can turn in the time."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from ship_estimation.line_steps import Period, StepPlan, doubling, located, step_plan
 from ship_estimation.value_guards import ACROSS, Match, size
+from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
@@ -113,6 +114,8 @@ _SIGMAS = 7.3
 """What noise of three axes exceeds once in 6e10 times; docs/explanation/when_inputs_fail.md says how often an hour."""
 _POWER, _TYPICAL = 4, 3.10
 """The same in eighth roots of the mean eighth power of such noise, 945 sigma⁸: of the square the fourth power."""
+_LAG_S = 0.0025
+"""Rates may lag behind the attitude by this much."""
 _LEARN_HZ, _MEMORY = 25.0, 1500
 """How often steps of no sample are learnt in a second, and of how many the mean is made."""
 _LEARNT_ONE, _LEARNT_ALL = 64, 250
@@ -174,7 +177,8 @@ class StepWatch:
     >>> watch, turned = StepWatch(5e-6, 0.0), np.random.default_rng(1).normal(0.0, 5e-6, (1500, 3))
     >>> turned[1400:] += [0.0, 3e-5, 0.0]
     >>> for n, vector in enumerate(turned):
-    ...     fits = watch.look(n * 10_000_000, exp_rotation(vector), Integrated(np.eye(3), 0, 0.0), 1e-4, 0.0)
+    ...     sample = AttitudeSample(n * 10_000_000, exp_rotation(vector), np.zeros(3))
+    ...     fits = watch.look(sample, Integrated(np.eye(3), 0, 0.0), first_rad=1e-4, coarseness_rad=0.0)
     ...     found = watch.keep()
     ...     if found is not None:
     ...         break
@@ -185,7 +189,7 @@ class StepWatch:
     def __init__(self, white_rad: float, rate_sigma_rad_per_s: float) -> None:
         self._period = Period()
         self._white_rad, self._rate_sigma = white_rad, rate_sigma_rad_per_s
-        self._rows, self._times = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+        self._rows, self._rates, self._times = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
         self._full: StepPlan | None = None
         self._learn_every = self._learns = self._since_learnt = 0
         self._high = np.zeros(0)
@@ -210,7 +214,8 @@ class StepWatch:
 
     def restart(self) -> None:
         """Begin a new line with the next sample: the attitude has stepped, or a line does not lead so far."""
-        self._end, self._to_line = 0, None
+        self._end = self._newest = 0
+        self._to_line = None
         self._plan: StepPlan | None = None
         self._judges = False
         self._pending: FloatArray | None = None
@@ -222,18 +227,21 @@ class StepWatch:
         return math.inf if self._plan is None else float(self._bounds[-1])
 
     def look(
-        self, time_ns: int, rotation_nd: FloatArray, integrated: Integrated, first_rad: float, coarseness_rad: float
+        self,
+        sample: AttitudeSample,
+        integrated: Integrated,
+        first_rad: float,
+        coarseness_rad: float,
     ) -> bool | None:
         """Whether a sample lies on the line of those kept; None where that is not known, and NaN does not.
 
         Args:
-            time_ns: stamp of the sample, later than all kept.
-            rotation_nd: its attitude, shape (3, 3).
+            sample: with a rate; later than all kept.
             integrated: the attitude by its rates.
             first_rad: how far a good sample may be from the line as long as the watch has not learnt it itself.
             coarseness_rad: steps in which the attitude is printed; zero where every value is new.
         """
-        self._pending = None
+        self._pending, time_ns = None, sample.time_ns
         if self._full is None:
             if 0 < self._period.seen(time_ns) <= _LONGEST_PERIOD_NS:
                 self._make_plan()
@@ -241,15 +249,16 @@ class StepWatch:
         if integrated.run != self._run or time_ns - self._last_ns > _GAP * self._period.ns:
             self.restart()
             self._run, self._missed_rad = integrated.run, integrated.missed_rad
-        turned = rotation_nd.dot(integrated.rotation.T)
+        turned = sample.rotation_nd.dot(integrated.rotation.T)
         if self._to_line is None:
             self._to_line = turned.T
         missed_rad = integrated.missed_rad - self._missed_rad
         # What integration misses alike in every step is a slope. A change of it feigns a step.
-        feigned_rad = 2.0 * abs(missed_rad - self._missed_before_rad)
+        feigned_rad = abs(missed_rad - self._missed_before_rad)
         self._missed_rad, self._missed_before_rad = integrated.missed_rad, missed_rad
         self._now_ns = time_ns
         self._first_rad, self._coarseness_rad = first_rad, coarseness_rad
+        self._newest, self._rates[self._end] = self._end, sample.rate_d
         self._rows[self._end] = self._pending = log_rotation(turned.dot(self._to_line))
         plan = self._plan
         if plan is None:
@@ -261,7 +270,7 @@ class StepWatch:
         self._sizes = (steps * steps).dot(_ONES).tolist()
         if not self._judges:
             return None
-        # More than this sample alone speaks for a step: it began before, and this sample goes on after it.
+        # Where more than this sample alone speaks for a step, it began before, and this sample goes on after it.
         return self._sizes[0] <= 1.0 or max(self._sizes[1:], default=0.0) > self._sizes[0]
 
     def match(self) -> Match:
@@ -276,7 +285,7 @@ class StepWatch:
             return None
         self._times[self._end] = self._last_ns = self._now_ns
         self._end, self._pending = self._end + 1, None
-        if self._sizes and not max(self._sizes) <= 1.0:
+        if self._sizes and not max(self._sizes) <= 1.0 and not (self._plan is None or self._lags(self._plan)):
             found = self._found()
             self.restart()
             return found
@@ -287,6 +296,12 @@ class StepWatch:
             self._shift()
         return None
 
+    def _lags(self, plan: StepPlan) -> bool:
+        """Whether rates that lag a little explain what looks like a step, as where a turn begins."""
+        steps = plan.weights.dot(self._rates[self._newest + 1 - plan.length : self._newest + 1])
+        feigned_rad = _LAG_S * np.sqrt(np.sum(steps * steps, axis=1))
+        return bool(np.all(np.sqrt(self._sizes) * self._bounds <= self._bounds + feigned_rad))
+
     # -- what is learnt -------------------------------------------------------------------------------------
 
     def _make_plan(self) -> None:
@@ -296,7 +311,7 @@ class StepWatch:
         lengths = {max(round(seconds * per_s), _LEAST_BEFORE) + after for seconds in _BEFORE_S}
         plans = [step_plan(length, doubling(after)) for length in sorted(lengths)]
         self._full = min(plans, key=lambda plan: float(np.sum(self._sigmas(plan))))
-        self._rows = np.zeros((_ROOM * self._full.length, 3))
+        self._rows, self._rates = np.zeros((2, _ROOM * self._full.length, 3))
         self._times = np.zeros(len(self._rows), dtype=np.int64)
         self._learn_every = max(round(per_s / _LEARN_HZ), 1)
         self._high = np.zeros(len(self._full.counts))
@@ -350,7 +365,8 @@ class StepWatch:
         seconds = float(self._times[-1] - self._times[0]) * 1e-9 * (1.0 - 1.0 / _ROOM)
         drift_n = (rows[-keep:].mean(axis=0) - rows[:keep].mean(axis=0)) / seconds
         self.learnt = Learnt(drift_n, math.sqrt(float(np.mean(np.sum(np.diff(rows, axis=0) ** 2, axis=1)))))
-        rows[:keep], self._times[:keep] = rows[-keep:].copy(), self._times[-keep:].copy()
+        for values in (rows, self._rates, self._times):
+            values[:keep] = values[-keep:].copy()
         self._end = keep
         if size(rows[keep - 1]) > _FAR_RAD:
             assert self._to_line is not None

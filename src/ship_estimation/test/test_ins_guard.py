@@ -11,45 +11,11 @@ from ship_estimation.ins import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard
 from ship_estimation.rate_guard import Rates
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
-from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_geometry.rotations import ARCSEC, exp_rotation
+from ship_testing.ins_streams import CALM, STORM, stream
 
-CALM, SWELL, STORM = (0.05, 0.1, 0.2), (0.5, 2.0, 4.0), (5.0, 8.0, 25.0)
-PERIODS_S = (30.0, 8.0, 11.0)
 NOTHING_LATE = AttitudeTrack(500_000_000)
 """Samples used so far matter only where one comes late."""
-
-
-def attitudes(t_s: FloatArray, amplitude_deg: tuple[float, ...]) -> FloatArray:
-    swing = np.sin(2.0 * np.pi * t_s[:, None] / np.array(PERIODS_S) + np.array([0.0, 0.0, 0.3]))
-    angles = np.deg2rad(np.array([34.0, 0.0, 0.0]) + np.array(amplitude_deg) * swing)
-    return rotation_from_angles(*angles.T)
-
-
-def stream(
-    duration_s: float,
-    rate_hz: float,
-    amplitude_deg: tuple[float, ...] = SWELL,
-    printed_deg: float = 0.0,
-    white_arcsec: float = 1.0,
-    rate_noise_arcsec_per_s: float = 0.0,
-    bias_arcsec_per_s: float = 0.0,
-    rate_factor: float = 1.0,
-    rate_delay_s: float = 0.0,
-) -> list[AttitudeSample]:
-    """Samples of an INS, as it might be built."""
-    rng = np.random.default_rng(7)
-    t_s = np.arange(0.0, duration_s, 1.0 / rate_hz)
-    noise = ARCSEC * rng.standard_normal((2, t_s.size, 3))
-    before, after = (attitudes(t_s - rate_delay_s + step_s, amplitude_deg) for step_s in (-1e-4, 1e-4))
-    rate_d = rate_factor * log_rotation(np.swapaxes(before, 1, 2) @ after) / 2e-4
-    rate_d += rate_noise_arcsec_per_s * noise[0] + bias_arcsec_per_s * ARCSEC
-    rotation_nd = exp_rotation(white_arcsec * noise[1]) @ attitudes(t_s, amplitude_deg)
-    if printed_deg:
-        angles = angles_from_rotation(rotation_nd)
-        rotation_nd = rotation_from_angles(*(np.round(angles / np.deg2rad(printed_deg)) * np.deg2rad(printed_deg)).T)
-    times_ns = 10**18 + np.rint(1e9 * t_s).astype(int)
-    return [AttitudeSample(*values) for values in zip(times_ns.tolist(), rotation_nd, rate_d, strict=True)]
 
 
 def judged(samples: list[AttitudeSample]) -> tuple[list[str], InsGuard, int]:

@@ -1,0 +1,243 @@
+"""Steps of an INS's attitude against its own rates: seen, located and opened as large as they are."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from scipy.stats import chi, chi2
+
+from ship_estimation.ins import GuardedInsConfig, InsJump
+from ship_estimation.ins_guard import InsGuard
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_testing.ins_streams import CALM, STORM, SWELL, stepped, stream
+
+RATES_HZ = (20.0, 50.0, 100.0, 200.0)
+LEARNT_S = 16.0
+"""The guard knows its INS by then."""
+DAY_EARTH = 2.0 * np.pi / 86164.0905
+NOTHING_LATE = AttitudeTrack(500_000_000)
+
+
+class Told(NamedTuple):
+    """What the guard made of a run: the samples refused by their numbers, jumps by the number of the one that told."""
+
+    refused: list[int]
+    jumps: dict[int, tuple[InsJump, ...]]
+    guard: InsGuard
+
+
+def told(samples: Iterable[AttitudeSample], **config: Any) -> Told:
+    found = Told([], {}, InsGuard(GuardedInsConfig(**config)))
+    for number, sample in enumerate(samples):
+        judged = found.guard.judge(sample, NOTHING_LATE, {})
+        if judged.refusal is not None:
+            found.refused.append(number)
+        if judged.jumps:
+            found.jumps[number] = judged.jumps
+    return found
+
+
+def number_at(rate_hz: float, seconds: float = LEARNT_S) -> int:
+    return round(seconds * rate_hz)
+
+
+def assert_opened(found: Told, samples: list[AttitudeSample], first: int, arcsec_n: tuple[float, float, float]) -> None:
+    """One step was found, none of its moments within the other's samples, and the covariance covers it."""
+    (jumps,) = found.jumps.values()
+    taken = next(n for n in range(first, len(samples)) if n not in found.refused)
+    assert jumps[0].time_ns < samples[taken].time_ns
+    assert jumps[-1].time_ns >= samples[first - 1].time_ns
+    jump, step_n = jumps[-1], np.array(arcsec_n) * ARCSEC
+    assert step_n @ np.linalg.solve(jump.covariance_n, step_n) < chi2(3).isf(1e-4)
+    assert np.linalg.norm(jump.jump_n - step_n) < chi(3).isf(1e-4) * jump.sigma_rad
+
+
+# -- steps ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+@pytest.mark.parametrize(
+    "motion",
+    [
+        {"amplitude_deg": CALM},
+        {"amplitude_deg": SWELL},
+        {"amplitude_deg": STORM},
+        {"amplitude_deg": CALM, "turn_deg_per_s": 10.0},
+        {"amplitude_deg": SWELL, "turn_deg_per_s": 20.0},
+    ],
+    ids=["calm", "swell", "storm", "10 deg/s", "20 deg/s in swell"],
+)
+def test_steps_of_fourteen_sigma_and_more_are_seen_at_the_sample(rate_hz: float, motion: dict[str, Any]) -> None:
+    """White noise of 1″; each sample after the step is refused until it is believed, five samples later."""
+    samples, first = stream(LEARNT_S + 1.0, rate_hz, **motion), number_at(rate_hz)
+    for axis, arcsec in ((0, 14.0), (1, 14.0), (2, -20.0), (1, 30.0), (0, 100.0), (1, 300.0)):
+        step = tuple(arcsec * np.eye(3)[axis])
+        changed = stepped(samples, first, step)
+        found = told(changed)
+        assert found.refused == list(range(first, first + 5))
+        assert list(found.jumps) == [first + 5]
+        assert_opened(found, changed, first, step)
+
+
+@pytest.mark.parametrize(("rate_hz", "least_arcsec"), [(20.0, 12.0), (50.0, 7.0), (100.0, 6.0), (200.0, 5.0)])
+def test_smaller_steps_are_seen_within_a_fifth_of_a_second(rate_hz: float, least_arcsec: float) -> None:
+    """In forty runs each; ``least_arcsec`` is what the page of the documentation says."""
+    first = number_at(rate_hz)
+    for seed in range(40):
+        step = np.random.default_rng(seed).standard_normal(3)
+        arcsec_n = tuple(least_arcsec * step / np.linalg.norm(step))
+        changed = stepped(stream(LEARNT_S + 1.0, rate_hz, seed=seed), first, arcsec_n)
+        found = told(changed)
+        assert len(found.jumps) == 1, seed
+        # Where some were refused on the way, those that agree are counted anew.
+        assert first <= min([*found.refused, *found.jumps]) <= first + round(0.2 * rate_hz), seed
+        assert_opened(found, changed, first, arcsec_n)
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+@pytest.mark.parametrize("length", [1, 2, 5])
+@pytest.mark.parametrize("arcsec", [14.0, 30.0, 300.0])
+def test_a_step_that_goes_back_is_a_glitch(rate_hz: float, length: int, arcsec: float) -> None:
+    first = number_at(rate_hz)
+    found = told(stepped(stream(LEARNT_S + 1.0, rate_hz), first, (0.0, arcsec, 0.0), first + length))
+    assert found.refused == list(range(first, first + length))
+    assert not found.jumps
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+@pytest.mark.parametrize("arcsec", [200.0, 300.0])
+def test_steps_of_an_ins_that_prints_hundredths_of_a_degree_are_seen_beyond_its_resolution(
+    rate_hz: float, arcsec: float
+) -> None:
+    first = number_at(rate_hz)
+    changed = stepped(stream(LEARNT_S + 1.0, rate_hz, printed_deg=0.01), first, (0.0, arcsec, 0.0))
+    found = told(changed)
+    assert found.refused == list(range(first, first + 5))
+    assert_opened(found, changed, first, (0.0, arcsec, 0.0))
+
+
+@pytest.mark.parametrize("turned_too", [False, True])
+def test_axes_exchanged_for_good_are_refused_and_then_opened(turned_too: bool) -> None:
+    """Bow and starboard exchanged in the attitudes alone, and in the rates too."""
+    samples, first = stream(LEARNT_S + 4.0, 50.0), number_at(50.0)
+    exchange = rotation_from_angles(np.pi / 2.0, 0.0, 0.0)
+    changed = [replace(s, rotation_nd=s.rotation_nd @ exchange) for s in samples[first:]]
+    if turned_too:
+        changed = [replace(s, rate_d=exchange.T @ s.rate_d) for s in changed]
+    found = told([*samples[:first], *changed])
+    assert found.refused[:5] == list(range(first, first + 5))
+    ((number, jumps),) = found.jumps.items()
+    assert number == found.refused[-1] + 1
+    assert number <= first + round(0.7 * 50.0)
+    assert np.linalg.norm(jumps[0].jump_n) == pytest.approx(np.pi / 2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("missing", ["none", "nan"])
+def test_rates_that_are_missing_now_and_then_end_no_line(missing: str) -> None:
+    samples, first = stream(LEARNT_S + 1.0, 100.0), number_at(100.0)
+    gone = None if missing == "none" else np.full(3, np.nan)
+    samples = [replace(s, rate_d=gone) if n % 7 == 3 and abs(n - first) > 1 else s for n, s in enumerate(samples)]
+    changed = stepped(samples, first, (0.0, 14.0, 0.0))
+    found = told(changed)
+    assert first <= min(found.refused) <= first + 1
+    assert_opened(found, changed, first, (0.0, 14.0, 0.0))
+
+
+def test_a_freeze_in_a_slow_turn_is_told_once_the_drift_of_the_rates_is_known() -> None:
+    """Gyroscopes with a bias of 30″/s that show the Earth's turn, in an INS that freezes while the ship turns by 40″/s.
+
+    Rates that may be off by 60″/s cannot tell such a turn from their bias.
+    """
+    earth_n = DAY_EARTH * np.array([0.5, np.sqrt(0.75), 0.0])
+    errors = {"bias_arcsec_per_s": 30.0, "earth_n": earth_n}
+    for known_s, seen in ((60.0, True), (3.0, False)):
+        waves = stream(known_s, 100.0, **errors)
+        slow = stream(4.0, 100.0, (0.0, 0.0, 0.0), turn_deg_per_s=40.0 / 3600.0, **errors)
+        # From where the waves end the ship goes on without them.
+        onto = waves[-1].rotation_nd @ slow[0].rotation_nd.T
+        after_ns = waves[-1].time_ns - slow[0].time_ns + 10_000_000
+        moving = [replace(s, time_ns=s.time_ns + after_ns, rotation_nd=onto @ s.rotation_nd) for s in slow]
+        frozen = [replace(s, rotation_nd=moving[99].rotation_nd) for s in moving[100:]]
+        found = told([*waves, *moving[:100], *frozen], rate_has_earth_rate=True)
+        assert bool([n for n in found.refused if n >= len(waves) + 100]) == seen
+
+
+# -- none ----------------------------------------------------------------------------------------------------------
+
+
+def test_noise_alone_is_no_step_in_an_hour_of_the_reference_motion() -> None:
+    """A bound of 7.3 sigma of three axes: at 100 Hz six tests a sample, 3.4e-5 false steps an hour at most."""
+    per_hour = 6 * 360_000 * chi(3).sf(7.3)
+    assert per_hour < 4e-5
+    kinds = {"rate_noise_arcsec_per_s": 5.0, "bias_arcsec_per_s": 5.0}
+    refused = jumps = 0
+    for seed in range(6):
+        found = told(stream(600.0, 100.0, seed=seed, **kinds), rate_sigma_arcsec_per_s=5.0)
+        refused, jumps = refused + len(found.refused), jumps + len(found.jumps)
+    assert (refused, jumps) == (0, 0)
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 100.0])
+@pytest.mark.parametrize("amplitude_deg", [CALM, SWELL, STORM])
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        {"printed_deg": 0.01},
+        {"white_arcsec": 5.0},
+        {"rate_noise_arcsec_per_s": 60.0},
+        {"rate_delay_s": 0.002},
+        {"bias_arcsec_per_s": 60.0, "rate_factor": 1.002},
+    ],
+    ids=["printed", "noisier than configured", "noisy rates", "rates that lag", "bias and scale"],
+)
+def test_an_ins_worse_than_configured_is_learnt(rate_hz: float, amplitude_deg: Any, kinds: dict[str, float]) -> None:
+    found = told(stream(120.0, rate_hz, amplitude_deg, **kinds))
+    assert (found.refused, found.jumps) == ([], {})
+
+
+def test_a_turn_that_begins_is_no_step() -> None:
+    """From rest to 20°/s within four seconds, with rates that lag by 2 ms and are 0.1 % too large."""
+    t_s = np.arange(0.0, 40.0, 0.01)
+
+    def true_nd(at_s: FloatArray) -> FloatArray:
+        since_s = np.clip(at_s - 20.0, 0.0, None)
+        ramp_s = np.minimum(since_s, 4.0)
+        heading_deg = 2.5 * ramp_s**2 + 20.0 * (since_s - ramp_s)
+        return rotation_from_angles(*np.deg2rad([heading_deg, 0.0 * at_s, 0.3 * np.sin(2.0 * np.pi * at_s / 9.0)]))
+
+    noise = ARCSEC * np.random.default_rng(3).standard_normal((t_s.size, 3))
+    before, after = (true_nd(t_s - 0.002 + step_s) for step_s in (-1e-4, 1e-4))
+    rate_d = 1.001 * log_rotation(np.swapaxes(before, 1, 2) @ after) / 2e-4
+    values = zip(t_s, exp_rotation(noise) @ true_nd(t_s), rate_d, strict=True)
+    samples = [AttitudeSample(10**18 + round(t * 1e9), rotation_nd, rate) for t, rotation_nd, rate in values]
+    found = told(samples)
+    assert (found.refused, found.jumps) == ([], {})
+    assert told(stepped(samples, 3000, (0.0, 14.0, 0.0))).refused == list(range(3000, 3005))
+
+
+def test_another_noise_of_the_rates_holds_at_once() -> None:
+    """Rates with noise of 60″/s: known, the line is shorter, and steps of 20″ are seen that were lost before."""
+    first = number_at(100.0)
+    counts = []
+    for sigma in (0.0, 60.0):
+        seen = 0
+        for seed in range(10):
+            samples = stream(LEARNT_S + 1.0, 100.0, rate_noise_arcsec_per_s=60.0, seed=seed)
+            found = told(stepped(samples, first, (0.0, 14.0, 0.0)), rate_sigma_arcsec_per_s=sigma)
+            seen += found.refused[:1] == [first]
+        counts.append(seen)
+    assert counts[0] <= 5
+    assert counts[1] >= 8
+    guard = InsGuard(GuardedInsConfig())
+    samples, first = stream(32.0, 100.0, rate_noise_arcsec_per_s=60.0), number_at(100.0, 30.0)
+    samples, refused = stepped(samples, first, (0.0, 20.0, 0.0)), []
+    for number, sample in enumerate(samples):
+        if number == 100:
+            guard.reconfigure(GuardedInsConfig(rate_sigma_arcsec_per_s=60.0))
+        if guard.judge(sample, NOTHING_LATE, {}).refusal is not None:
+            refused.append(number)
+    assert refused[0] == first
