@@ -46,6 +46,8 @@ _FARTHER = 1.3
 _WELL = 0.5
 """A source that well agrees stays below this share of the chi² that excludes it."""
 
+_MOST_DOUBLINGS = 6
+
 _LONG_AGO_NS = -(2**62)
 
 _HALF_BACK = 0.5
@@ -196,6 +198,7 @@ class Exclusion:
 
     Attributes:
         since_ns: stamp of the measurement that led to it.
+        times: how often the source was excluded, with this time; each time it must agree for twice as long.
         agrees_since_ns: since when it has agreed with the others; None where it does not.
         relearns: whether its mounting is learnt anew; it is not where nothing tells that this source is the wrong one.
         apart: where it is not, how far the source was from the others at first, rotation vector of the device, rad,
@@ -203,6 +206,7 @@ class Exclusion:
     """
 
     since_ns: int
+    times: int = 1
     agrees_since_ns: int | None = None
     relearns: bool = True
     apart: FloatArray | None = None
@@ -215,10 +219,12 @@ class Finding:
     Attributes:
         fault: whether a source is wrong.
         row: of the hypothesis that explains it; None where none does, or more than one.
+        explaining: the rows that explain it, the one that does so best first.
     """
 
     fault: bool
     row: int | None = None
+    explaining: tuple[int, ...] = ()
 
 
 def find_fault(
@@ -249,7 +255,7 @@ def find_fault(
         >>> seen = replace(no_means(3, 2), excess=excess, heard_ns=heard_ns)
         >>> uses = np.array([[True, True], [False, True], [True, False]])
         >>> find_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
-        Finding(fault=True, row=1)
+        Finding(fault=True, row=1, explaining=(1,))
     """
     heard = means.heard_ns >= now_ns - _HEARD_NS
     counts = uses & heard
@@ -267,12 +273,12 @@ def find_fault(
         return Finding(fault=True)
     best = explaining[0]
     if all(not worst[row] < worst[best] + _CLEARER for row in candidates if row != best):
-        return Finding(fault=True, row=best)
+        return Finding(fault=True, row=best, explaining=tuple(explaining))
     if worst[0] <= 1.0 and len(explaining) > 1:
         farthest, second = sorted(explaining, key=lambda row: -statistic[row])[:2]
         if statistic[farthest] > _FARTHER * statistic[second]:
-            return Finding(fault=True, row=farthest)
-    return Finding(fault=True)
+            return Finding(fault=True, row=farthest, explaining=tuple(explaining))
+    return Finding(fault=True, explaining=tuple(explaining))
 
 
 def watched(
@@ -289,7 +295,7 @@ def watched(
         source: its index.
         compared: the measurement with every row.
         time_ns: the stamp.
-        return_after_s: how long it must agree.
+        return_after_s: how long it must agree after its first exclusion.
 
     Example:
         >>> one = RowsCompared(*(np.empty(0),) * 4, np.zeros((1, 3)), 0.5 * np.eye(3)[None], np.eye(3)[None])
@@ -305,7 +311,19 @@ def watched(
     if not agrees:
         return replace(exclusion, agrees_since_ns=None), False
     since_ns = time_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
-    return replace(exclusion, agrees_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= return_after_s
+    return replace(exclusion, agrees_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= must_agree_s(
+        exclusion, return_after_s
+    )
+
+
+def must_agree_s(exclusion: Exclusion, return_after_s: float) -> float:
+    """How long an excluded source must agree before it is used again, s.
+
+    Example:
+        >>> must_agree_s(Exclusion(since_ns=0, times=3), return_after_s=60.0)
+        240.0
+    """
+    return return_after_s * 2.0 ** min(exclusion.times - 1, _MOST_DOUBLINGS)
 
 
 def _share_left(apart: FloatArray, compared: RowsCompared) -> float:

@@ -37,14 +37,14 @@ _MOST_PROBABLE_MISS = 0.5
 class PriorConfig:
     """How often a source of each kind goes wrong without a word."""
 
-    ins: float = parameter(1e-4, doc="INS: a step or a drift", unit="1/h", minimum=1e-12, maximum=1.0)
-    star_sensor: float = parameter(1e-4, doc="star sensor: knocked or drifting", unit="1/h", minimum=1e-12, maximum=1.0)
-    reference: float = parameter(1e-3, doc="other attitude system", unit="1/h", minimum=1e-12, maximum=1.0)
+    ins: float = parameter(1e-3, doc="INS: a step or a drift", unit="1/h", minimum=1e-12, maximum=1.0)
+    star_sensor: float = parameter(1e-3, doc="star sensor: knocked or drifting", unit="1/h", minimum=1e-12, maximum=1.0)
+    reference: float = parameter(1e-2, doc="other attitude system", unit="1/h", minimum=1e-12, maximum=1.0)
     ship_attitude: float = parameter(
-        1e-4, doc="the ship's attitude under the theodolite", unit="1/h", minimum=1e-12, maximum=1.0
+        1e-3, doc="the ship's attitude under the theodolite", unit="1/h", minimum=1e-12, maximum=1.0
     )
-    beacon: float = parameter(1e-3, doc="drone: a wrong baseline or light", unit="1/h", minimum=1e-12, maximum=1.0)
-    encoder: float = parameter(1e-4, doc="encoders: a slip", unit="1/h", minimum=1e-12, maximum=1.0)
+    beacon: float = parameter(1e-2, doc="drone: a wrong baseline or light", unit="1/h", minimum=1e-12, maximum=1.0)
+    encoder: float = parameter(1e-3, doc="encoders: a slip", unit="1/h", minimum=1e-12, maximum=1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,11 +119,11 @@ def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
         priors_per_h: how often the source of each hypothesis goes wrong in an hour.
 
     Example:
-        Two star sensors and an INS, each of which fails once in ten thousand hours:
+        Two star sensors and an INS, each of which fails once in a thousand hours:
 
-        >>> found = factors(IntegrityConfig(), [1e-4, 1e-4, 1e-4])
+        >>> found = factors(IntegrityConfig(), [1e-3, 1e-3, 1e-3])
         >>> print(round(found.right, 2), round(found.false_exclusion, 2), found.missed.round(2))
-        5.97 5.12 [1.96 1.96 1.96]
+        5.97 5.12 [2.81 2.81 2.81]
     """
     share = config.p_hmi / (len(priors_per_h) + 1)
     tests = _COMPONENTS * TESTS_PER_H

@@ -64,7 +64,7 @@ def integrity_of(
 
 def _checked(filter_: ShipFilter, state: FilterState, estimate: AttitudeEstimate) -> bool:
     """Whether the sources that an attitude rests on check one another."""
-    others = [source for source in estimate.sources if source in filter_.devices]
+    others = [name for name in estimate.sources if name in filter_.devices and name not in state.excluded]
     by_stars = any(filter_.devices[source].is_star for source in others)
     in_dispute = state.doubt is not None or state.jumped or estimate.status is Status.INVALID
     return by_stars and len(others) >= _LEAST_SOURCES and not in_dispute

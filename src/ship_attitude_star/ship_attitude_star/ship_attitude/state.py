@@ -51,6 +51,7 @@ class FilterState:
         parts_by_row: covariance by error source, shape (h, n_sources, n, n).
         seen: what each row has seen of each source.
         excluded: by source, its exclusion.
+        record: by source, how often it was excluded.
         doubt: what is in dispute; None where nothing is.
         apart: by source, how far its last measurement was from the first row.
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
@@ -66,6 +67,7 @@ class FilterState:
     parts_by_row: FloatArray
     seen: Means
     excluded: MappingProxyType[str, Exclusion] = field(default_factory=lambda: MappingProxyType({}))
+    record: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     doubt: Doubt | None = None
     apart: MappingProxyType[str, Apart] = field(default_factory=lambda: MappingProxyType({}))
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))

@@ -21,10 +21,12 @@ from ship_attitude_star.ship_attitude.model import SOURCE_INS, Device, ShipState
 from ship_attitude_star.ship_attitude.state import Doubt, FilterState, with_entry, without
 from ship_estimation.exclusion import (
     Exclusion,
+    Finding,
     Means,
     excess_limit,
     find_fault,
     forgotten,
+    must_agree_s,
     no_means,
     observed,
     watched,
@@ -183,7 +185,7 @@ class Suspects:
         finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after)
         if not finding.fault:
             return replace(state, doubt=None), ""
-        wrong = None if finding.row is None else self.names[finding.row - 1]
+        wrong = self._named(state, finding)
         if wrong is not None and wrong != INS and self._others_remain(state, wrong, time_ns):
             return self._without(state, wrong, time_ns)
         contradicting = self._stars_contradicting(state, wrong, time_ns)
@@ -201,6 +203,13 @@ class Suspects:
 
     # -- verdicts -------------------------------------------------------------------------------------------
 
+    def _named(self, state: FilterState, finding: Finding) -> str | None:
+        """The source that is wrong; among those that may be it the only one that was wrong before."""
+        known = [name for row in finding.explaining if (name := self.names[row - 1]) in state.record]
+        if len(known) == 1:
+            return known[0]
+        return None if finding.row is None else self.names[finding.row - 1]
+
     def _without(self, state: FilterState, wrong: str, time_ns: int) -> tuple[FilterState, str]:
         """The state once a source is excluded: the row without it is the first one now, and the start of all others."""
         row, index = self.sources.index(wrong) + 1, self.sources.index(wrong)
@@ -215,13 +224,15 @@ class Suspects:
             cause = self._model.sources.index(self._model.blocks[f"{wrong}.installation"].source)
             parts[:, cause, block, block] += np.outer(knock_v, knock_v) + _LEAST_KNOCK_RAD**2 * np.eye(3)
         seen = forgotten(state.seen, slice(None), slice(None))
-        excluded = with_entry(state.excluded, wrong, Exclusion(time_ns, relearns=relearns))
+        times = state.record.get(wrong, 0) + 1
+        excluded = with_entry(state.excluded, wrong, Exclusion(time_ns, times, relearns=relearns))
         state = replace(
             state,
             means=means,
             parts_by_row=parts,
             seen=seen,
             excluded=excluded,
+            record=with_entry(state.record, wrong, times),
             doubt=None,
             used_ns=without(state.used_ns, wrong),
         )
@@ -234,6 +245,7 @@ class Suspects:
         index, exclusion = self.sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
         exclusion, back = watched(exclusion, state.seen, index, compared, time_ns, after_s)
+        after_s = must_agree_s(exclusion, after_s)
         if not back:
             state = replace(state, excluded=with_entry(state.excluded, source, exclusion))
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
