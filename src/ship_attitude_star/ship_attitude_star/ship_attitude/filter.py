@@ -57,7 +57,7 @@ class ShipFilter:
             rows = self.model.slices[f"{source}.common"]
             fresh = 1.0 - decay[rows.start] ** 2
             parts[..., self._common_index, rows, rows] += fresh * steady
-        self.suspects.carried(parts, dt_s)
+        self.suspects.carried(state, parts, dt_s)
         means, rows = decay * state.means, self.model.slices["ins.attitude"]
         sigma = self.model.blocks["ins.attitude"].sigma
         means[..., rows] = slow_error_later(state.means[..., rows], decay[rows], sigma)

@@ -12,6 +12,7 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.integrity import above_limit, integrity_of
 from ship_attitude_star.ship_attitude.model import SOURCE_INS_NOISE, SOURCE_INTERPOLATION
 from ship_attitude_star.ship_attitude.state import FilterState
+from ship_attitude_star.ship_attitude.suspects import INS, UNKNOWN_INS_RAD_PER_SQRT_S
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
@@ -101,6 +102,8 @@ class CorrectedIns:
         rotation_nd, parts = self.attitude(since_ns * 1e-9, ins)
         if self.state.doubt is not None:
             parts[self._drift_index] += self.state.doubt.covariance_n
+        if INS in self.state.excluded:
+            parts[self._drift_index] += UNKNOWN_INS_RAD_PER_SQRT_S**2 * since_ns * 1e-9 * np.eye(3)
         estimate = AttitudeEstimate(
             time_ns=time_ns,
             rotation_nd=rotation_nd,
@@ -126,7 +129,11 @@ class CorrectedIns:
             return Status.DEGRADED, "INS alone, no star yet"
         if self.state.jumped:
             return Status.DEGRADED, "the attitude of the INS has jumped, and no star has confirmed it since"
-        return Status.VALID if star_age_s <= coasting_after_s else Status.COASTING, ""
+        if star_age_s <= coasting_after_s:
+            return Status.VALID, ""
+        if INS in self.state.excluded:
+            return Status.DEGRADED, "no star is used, and the INS contradicted the stars"
+        return Status.COASTING, ""
 
 
 def attitude_alone(

@@ -39,7 +39,7 @@ from ship_geometry.time_scales import SECOND_NS
 
 INS = "ins"
 _UNKNOWN_RAD = 600.0 * ARCSEC
-_UNKNOWN_RAD_PER_SQRT_S = 3.0 * ARCSEC
+UNKNOWN_INS_RAD_PER_SQRT_S = 3.0 * ARCSEC
 """Where the INS is the one that is wrong, its slow error starts with the first sigma and walks by the second."""
 
 _KNOCKED_SIGMA = 2.0
@@ -98,10 +98,13 @@ class Suspects:
             self._open_ins(by_row[self.ins_row], _UNKNOWN_RAD**2 * np.eye(3))
         return FilterState(None, np.tile(mean, (rows, 1)), by_row, no_means(rows, len(self.sources)))
 
-    def carried(self, parts_by_row: FloatArray, dt_s: float) -> None:
+    def carried(self, state: FilterState, parts_by_row: FloatArray, dt_s: float) -> None:
         """Let the INS wander, in place, where it is the one that is wrong."""
-        if self.ins_row is not None:
-            self._open_ins(parts_by_row[..., self.ins_row, :, :, :], _UNKNOWN_RAD_PER_SQRT_S**2 * dt_s * np.eye(3))
+        walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * np.eye(3)
+        if INS in state.excluded:
+            self._open_ins(parts_by_row, walked)
+        elif self.ins_row is not None:
+            self._open_ins(parts_by_row[..., self.ins_row, :, :, :], walked)
 
     def uses(self, state: FilterState) -> NDArray[np.bool_]:
         """Which source each row uses, shape (h, s)."""
@@ -172,6 +175,7 @@ class Suspects:
             ins_vouched: whether the INS's rates would have told a step of it.
             time_ns: stamp of the measurement.
         """
+        state = self._ins_believed_again(state, time_ns)
         if source in state.excluded:
             state, text = self._watched(state, source, compared, time_ns)
             if source in state.excluded:
@@ -179,14 +183,16 @@ class Suspects:
         apart_n, statistic = self.separations(state)
         uses = self.uses(state)
         candidates = [row for row, name in enumerate(self.names, start=1) if name not in state.excluded]
-        if ins_vouched and self.ins_row in candidates:
+        # A step of the INS its rates would have told; that it creeps they do not tell.
+        stepped = np.any(state.seen.refused[0] >= self._degraded_after - 1)
+        if ins_vouched and stepped and self.ins_row in candidates:
             candidates.remove(self.ins_row)
         threshold, after = self.k.false_exclusion, self._degraded_after
         finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after)
         if not finding.fault:
             return replace(state, doubt=None), ""
         wrong = self._named(state, finding)
-        if wrong is not None and wrong != INS and self._others_remain(state, wrong, time_ns):
+        if wrong is not None and self._others_remain(state, wrong, time_ns):
             return self._without(state, wrong, time_ns)
         contradicting = self._stars_contradicting(state, wrong, time_ns)
         if contradicting:
@@ -212,17 +218,13 @@ class Suspects:
 
     def _without(self, state: FilterState, wrong: str, time_ns: int) -> tuple[FilterState, str]:
         """The state once a source is excluded: the row without it is the first one now, and the start of all others."""
-        row, index = self.sources.index(wrong) + 1, self.sources.index(wrong)
+        row = self.names.index(wrong) + 1
         means = np.tile(state.means[row], (len(state.means), 1))
         parts = np.tile(state.parts_by_row[row], (len(state.means), 1, 1, 1))
-        # How the source is mounted is to be learnt anew: it may have been knocked. What is farther off than a knock can
-        # make it has another mistake: that must be mended.
-        knock_v = _KNOCKED_SIGMA * state.apart[wrong].turn_v
-        relearns = bool(np.linalg.norm(knock_v) <= _LARGEST_KNOCK_RAD)
+        # What is farther off than a knock can make it has another mistake: that must be mended, not learnt.
+        relearns = wrong != INS and self._knock(state, wrong) is not None
         if relearns:
-            block = self._model.slices[f"{wrong}.installation"]
-            cause = self._model.sources.index(self._model.blocks[f"{wrong}.installation"].source)
-            parts[:, cause, block, block] += np.outer(knock_v, knock_v) + _LEAST_KNOCK_RAD**2 * np.eye(3)
+            self._open_mounting(parts, state, wrong)
         seen = forgotten(state.seen, slice(None), slice(None))
         times = state.record.get(wrong, 0) + 1
         excluded = with_entry(state.excluded, wrong, Exclusion(time_ns, times, relearns=relearns))
@@ -236,7 +238,7 @@ class Suspects:
             doubt=None,
             used_ns=without(state.used_ns, wrong),
         )
-        return state, f"{wrong} is excluded: without it {self._listed(state, index)} agree"
+        return state, f"{wrong} is excluded: without it {self._listed(state, wrong)} agree"
 
     def _watched(
         self, state: FilterState, source: str, compared: RowsCompared, time_ns: int
@@ -248,6 +250,11 @@ class Suspects:
         after_s = must_agree_s(exclusion, after_s)
         if not back:
             state = replace(state, excluded=with_entry(state.excluded, source, exclusion))
+            if exclusion.relearns and self._contradicts(state, index):
+                # Knocked once more, or back: what was learnt of its mounting since is void.
+                parts = state.parts_by_row.copy()
+                self._open_mounting(parts, state, source)
+                state = replace(state, parts_by_row=parts, seen=forgotten(state.seen, slice(None), [index]))
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
             agrees = "it does not agree with the others"
             if exclusion.agrees_since_ns is not None:
@@ -257,6 +264,21 @@ class Suspects:
         seen = forgotten(state.seen, slice(None), [index])
         excluded = without(state.excluded, source)
         return replace(state, seen=seen, excluded=excluded, doubt=None), f"{source} is used again"
+
+    def _contradicts(self, state: FilterState, index: int) -> bool:
+        """Whether what the first row has seen of a source contradicts it."""
+        seen = state.seen
+        return not (seen.excess[0, index] <= 1.0 and seen.refused[0, index] < self._degraded_after)
+
+    def _ins_believed_again(self, state: FilterState, time_ns: int) -> FilterState:
+        """The state in which an INS that crept is used again: no measurement tells, so it is tried after a while."""
+        exclusion = state.excluded.get(INS)
+        if exclusion is None or state.doubt is not None:
+            return state
+        waited_s = (time_ns - exclusion.since_ns) / SECOND_NS
+        if waited_s < must_agree_s(exclusion, self._integrity.return_after_s):
+            return state
+        return replace(state, excluded=without(state.excluded, INS))
 
     def _in_doubt(
         self, state: FilterState, apart_n: FloatArray, statistic: FloatArray, contradicting: tuple[str, ...]
@@ -287,9 +309,26 @@ class Suspects:
         heard = state.seen.heard_ns >= time_ns - 10 * SECOND_NS
         return [name for index, name in enumerate(self.sources) if heard[index] and name not in state.excluded]
 
-    def _listed(self, state: FilterState, without_index: int) -> str:
-        names = [name for index, name in enumerate(self.sources) if index != without_index]
-        return ", ".join(["the INS", *(name for name in names if name not in state.excluded)])
+    def _listed(self, state: FilterState, wrong: str) -> str:
+        """Those that agree without the one that is wrong."""
+        remaining = [name for name in (INS, *self.sources) if name != wrong and name not in state.excluded]
+        return ", ".join(remaining)
+
+    def _knock(self, state: FilterState, source: str) -> FloatArray | None:
+        """Sigma, as a rotation vector of the device, of a knock that explains a source's last measurement.
+
+        None where no knock is so large.
+        """
+        knock_v = _KNOCKED_SIGMA * state.apart[source].turn_v
+        return knock_v if np.linalg.norm(knock_v) <= _LARGEST_KNOCK_RAD else None
+
+    def _open_mounting(self, parts_by_row: FloatArray, state: FilterState, source: str) -> None:
+        """Let it be learnt anew, in place, how a source is mounted: it may have been knocked."""
+        knock_v = self._knock(state, source)
+        if knock_v is not None:
+            block = self._model.slices[f"{source}.installation"]
+            cause = self._model.sources.index(self._model.blocks[f"{source}.installation"].source)
+            parts_by_row[:, cause, block, block] += np.outer(knock_v, knock_v) + _LEAST_KNOCK_RAD**2 * np.eye(3)
 
     def _open_ins(self, parts: FloatArray, covariance_n: FloatArray) -> None:
         parts[..., self._ins_index, self._ins, self._ins] += covariance_n
