@@ -200,15 +200,13 @@ class Exclusion:
         since_ns: stamp of the measurement that led to it.
         times: how often the source was excluded, with this time; each time it must agree for twice as long.
         agrees_since_ns: since when it has agreed with the others; None where it does not.
-        relearns: whether its mounting is learnt anew; it is not where nothing tells that this source is the wrong one.
-        apart: where it is not, how far the source was from the others at first, rotation vector of the device, rad,
-            shape (3,); None before the first measurement since.
+        apart: how far the source was from the others at that time, rotation vector of the device, rad, shape (3,): it
+            must come back from there; None where its mounting is learnt anew.
     """
 
     since_ns: int
     times: int = 1
     agrees_since_ns: int | None = None
-    relearns: bool = True
     apart: FloatArray | None = None
 
 
@@ -303,11 +301,9 @@ def watched(
         >>> watched(agreed, no_means(1, 1), 0, one, 70 * SECOND_NS, return_after_s=60.0)[1]
         True
     """
-    if not exclusion.relearns and exclusion.apart is None:
-        exclusion = replace(exclusion, apart=compared.turn_root[0] @ compared.turn[0])
     agrees = means.excess[0, source] <= _WELL and means.refused[0, source] == 0  # NaN does not agree
     if exclusion.apart is not None:
-        agrees = agrees and _share_left(exclusion.apart, compared) <= _HALF_BACK
+        agrees = agrees and bool(_share_left(exclusion.apart, compared) <= _HALF_BACK)
     if not agrees:
         return replace(exclusion, agrees_since_ns=None), False
     since_ns = time_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
@@ -329,4 +325,4 @@ def must_agree_s(exclusion: Exclusion, return_after_s: float) -> float:
 def _share_left(apart: FloatArray, compared: RowsCompared) -> float:
     """How much of the distance at first, rotation vector of the device in rad, the measurement still has."""
     whitened = np.linalg.pinv(compared.turn_root[0]) @ apart
-    return float(whitened @ compared.turn[0] / max(float(whitened @ whitened), 1e-12))
+    return float(whitened @ compared.turn[0] / (whitened @ whitened))

@@ -128,7 +128,7 @@ def test_a_source_returns_after_it_agreed_for_long_enough_without_a_break():
 
 
 def test_a_source_that_was_not_knocked_must_come_back_however_wide_the_others_grow():
-    means, exclusion = no_means(1, 1), Exclusion(since_ns=0, relearns=False)
+    means, exclusion = no_means(1, 1), Exclusion(since_ns=0, apart=np.array([0.0, 30.0, 0.0]))
     for second in range(200):
         # The sigma of the others grows from 1 to 200: the turn of 30 becomes small beside it.
         sigma, turn = 1.0 + second, 30.0 if second < 100 else 2.0

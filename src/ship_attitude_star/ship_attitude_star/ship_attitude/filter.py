@@ -145,7 +145,7 @@ class ShipFilter:
         after = self._updated(state, predicted, source, found.compared, compared, accepted, measurement.time_ns)
         if decision.accepted:
             after = self._used(after, measurement)
-        elif source in state.excluded and (accepted[0] or state.excluded[source].relearns):
+        elif source in state.excluded and (accepted[0] or state.excluded[source].apart is None):
             decision = replace(decision, reason=Reason.EXCLUDED)
         else:
             after, decision = self._held(after, decision, found)

@@ -122,7 +122,7 @@ class Suspects:
         """
         exclusion, used = state.excluded.get(source), self.uses(state)[:, self.sources.index(source)]
         # A measurement that no row uses leaves all of them, to the last bit, as they are without it.
-        if (exclusion is None and not np.any(used & accepted)) or (exclusion is not None and not exclusion.relearns):
+        if not np.any(used & accepted) if exclusion is None else exclusion.apart is not None:
             return np.zeros((len(used), self._model.size), dtype=bool)
         learns: NDArray[np.bool_] = (used[:, None] | self._own[source]) & accepted[:, None]
         return learns
@@ -184,7 +184,7 @@ class Suspects:
         uses = self.uses(state)
         candidates = [row for row, name in enumerate(self.names, start=1) if name not in state.excluded]
         # A step of the INS its rates would have told; that it creeps they do not tell.
-        stepped = np.any(state.seen.refused[0] >= self._degraded_after - 1)
+        stepped = bool(np.any(state.seen.refused[0] > 0))
         if ins_vouched and stepped and self.ins_row in candidates:
             candidates.remove(self.ins_row)
         threshold, after = self.k.false_exclusion, self._degraded_after
@@ -192,18 +192,20 @@ class Suspects:
         if not finding.fault:
             return replace(state, doubt=None), ""
         wrong = self._named(state, finding)
+        if wrong == INS and stepped:
+            wrong = None  # A wrong position moves all stars alike, as a step of the INS without rates does.
         if wrong is not None and self._others_remain(state, wrong, time_ns):
             return self._without(state, wrong, time_ns)
         contradicting = self._stars_contradicting(state, wrong, time_ns)
         if contradicting:
             # Nothing tells that they were knocked: how they are mounted is not learnt anew.
-            excluded = {name: Exclusion(time_ns, relearns=False) for name in contradicting}
+            excluded = {name: Exclusion(time_ns, apart=state.apart[name].turn_v) for name in contradicting}
             state = replace(state, excluded=MappingProxyType({**state.excluded, **excluded}))
         return self._in_doubt(state, apart_n, statistic, contradicting), ""
 
     def acquitted(self, state: FilterState) -> FilterState:
         """The state after the INS has told itself that it jumped: those that contradicted it were right."""
-        knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.relearns}
+        knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.apart is None}
         seen = forgotten(state.seen, slice(None), slice(None))
         return replace(state, excluded=MappingProxyType(knocked), seen=seen, doubt=None)
 
@@ -227,7 +229,8 @@ class Suspects:
             self._open_mounting(parts, state, wrong)
         seen = forgotten(state.seen, slice(None), slice(None))
         times = state.record.get(wrong, 0) + 1
-        excluded = with_entry(state.excluded, wrong, Exclusion(time_ns, times, relearns=relearns))
+        apart = None if relearns or wrong == INS else state.apart[wrong].turn_v
+        excluded = with_entry(state.excluded, wrong, Exclusion(time_ns, times, apart=apart))
         state = replace(
             state,
             means=means,
@@ -250,7 +253,7 @@ class Suspects:
         after_s = must_agree_s(exclusion, after_s)
         if not back:
             state = replace(state, excluded=with_entry(state.excluded, source, exclusion))
-            if exclusion.relearns and self._contradicts(state, index):
+            if exclusion.apart is None and self._contradicts(state, index):
                 # Knocked once more, or back: what was learnt of its mounting since is void.
                 parts = state.parts_by_row.copy()
                 self._open_mounting(parts, state, source)
