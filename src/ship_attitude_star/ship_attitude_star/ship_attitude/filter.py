@@ -150,6 +150,9 @@ class ShipFilter:
         else:
             after, decision = self._held(after, decision, found)
         vouched = found.ins.sample is not None and found.ins.sample.rate_d is not None
+        if self.devices[source].is_star and not (accepted[0] or vouched):
+            # Without rates nothing else tells that the INS has jumped.
+            after = replace(after, jumped=True)
         after, text = self.suspects.judged(after, source, compared, vouched, measurement.time_ns)
         return after, self._told(decision, after, text)
 

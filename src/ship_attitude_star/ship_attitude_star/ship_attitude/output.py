@@ -128,7 +128,7 @@ class CorrectedIns:
         if math.isnan(star_age_s):
             return Status.DEGRADED, "INS alone, no star yet"
         if self.state.jumped:
-            return Status.DEGRADED, "the attitude of the INS has jumped, and no star has confirmed it since"
+            return Status.DEGRADED, "the INS has jumped, or may have, and no star has confirmed its attitude since"
         if star_age_s <= coasting_after_s:
             return Status.VALID, ""
         if INS in self.state.excluded:

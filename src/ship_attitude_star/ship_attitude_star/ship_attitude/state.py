@@ -57,7 +57,7 @@ class FilterState:
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
         used_ns: by source, the stamp of its last measurement used.
-        jumped: whether the INS has jumped since the last star measurement used.
+        jumped: whether the INS has jumped, or may have, since the last star measurement used.
         departures: by source, its last measurement refused.
         jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
     """

@@ -1,0 +1,322 @@
+"""Sources that lie: found, named, excluded, used again; and no VALID attitude beyond five sigmas meanwhile.
+
+A ship rolls, pitches and turns; her INS tells its rates or does not; two or three star sensors tell attitudes. The
+truth is made of formulas, the errors of seeds, by the sigmas that the filter is given.
+"""
+
+import functools
+import random
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_estimation.outcome import Status
+from ship_estimation.parameters import ParameterError, build
+from ship_estimation.protection import IntegrityReport, IntegrityState
+from ship_estimation.refusals import Reason
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_geometry.time_scales import SECOND_NS
+
+INS_NS, STAR_NS = SECOND_NS // 20, SECOND_NS // 5
+AZIMUTH_DEG = {"aft": 240.0, "bow": 0.0, "port": 120.0}
+NOISE = np.array([100.0, 3.0, 3.0]) * ARCSEC
+UP = np.array([0.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True)
+class Lie:
+    """What is wrong, and when.
+
+    Attributes:
+        source: ``ins``, a star sensor, or ``sky`` where all stars are wrong alike.
+        turn: rotation vector, rad: of a star sensor in its frame, otherwise in the horizon frame.
+        start_s: since when.
+        end_s: until when.
+        per_s: whether ``turn`` is what comes in a second.
+    """
+
+    source: str
+    turn: FloatArray
+    start_s: float
+    end_s: float = 1e9
+    per_s: bool = False
+
+    def at(self, seconds: float) -> FloatArray:
+        if not self.start_s <= seconds < self.end_s:
+            return np.zeros(3)
+        return self.turn * ((seconds - self.start_s) if self.per_s else 1.0)
+
+
+def configuration(sensors: tuple[str, ...], **changes: Any) -> ShipAttitudeConfig:
+    stars = {name: {"azimuth_deg": AZIMUTH_DEG[name], "elevation_deg": 45.0} for name in sensors}
+    return build(ShipAttitudeConfig, {"star_sensors": stars, "ins": {"time_offset_sigma_s": 0.0}, **changes})
+
+
+def truth(seconds: float) -> FloatArray:
+    roll, pitch = 0.09 * np.sin(0.7 * seconds), 0.04 * np.sin(0.9 * seconds + 1.0)
+    return rotation_from_angles(0.3 + 0.005 * seconds, pitch, roll)
+
+
+def rate_d(seconds: float) -> FloatArray:
+    step = 1e-4
+    return log_rotation(truth(seconds - step).T @ truth(seconds + step)) / (2.0 * step)
+
+
+@functools.cache
+def voyage(
+    sensors: tuple[str, ...], lies: tuple[int, ...], seconds: float, seed: int, rates: bool
+) -> list[tuple[int, Any]]:
+    """What arrives, in the order of stamps."""
+    rng, config = np.random.default_rng(seed), configuration(sensors)
+    told = [LIES[number] for number in lies]
+    mounting = {name: exp_rotation(np.array([20.0, 1.0, 1.0]) * ARCSEC * rng.standard_normal(3)) for name in sensors}
+    slow_n = np.array([10.0, 72.0, 10.0]) * ARCSEC * rng.standard_normal(3)
+    time_s, decay = np.array([1800.0, 10800.0, 1800.0]), INS_NS / SECOND_NS
+    arrivals: list[tuple[int, Any]] = []
+    for step in range(int(seconds * SECOND_NS / INS_NS)):
+        time_ns, now_s = step * INS_NS, step * INS_NS / SECOND_NS
+        slow_n = slow_n * np.exp(-decay / time_s) + np.array([10.0, 72.0, 10.0]) * ARCSEC * np.sqrt(
+            1.0 - np.exp(-2.0 * decay / time_s)
+        ) * rng.standard_normal(3)
+        wrong_n = sum((lie.at(now_s) for lie in told if lie.source == "ins"), np.zeros(3))
+        error_n = slow_n + ARCSEC * rng.standard_normal(3)
+        rotation = exp_rotation(-error_n) @ exp_rotation(wrong_n) @ truth(now_s)
+        arrivals.append((time_ns, AttitudeSample(time_ns, rotation, rate_d(now_s) if rates else None)))
+    for index, name in enumerate(sensors):
+        phase_ns = 7_000_000 + index * 61_000_000
+        for time_ns in range(phase_ns, int((seconds - 0.2) * SECOND_NS), STAR_NS):
+            now_s = time_ns / SECOND_NS
+            wrong_v = sum((lie.at(now_s) for lie in told if lie.source == f"star.{name}"), np.zeros(3))
+            sky_n = sum((lie.at(now_s) for lie in told if lie.source == "sky"), np.zeros(3))
+            rotation_dv = config.star_sensors[name].rotation_ds @ mounting[name]
+            rotation_nv = exp_rotation(sky_n) @ truth(now_s) @ rotation_dv @ exp_rotation(wrong_v)
+            rotation_nv = rotation_nv @ exp_rotation(NOISE * rng.standard_normal(3))
+            arrivals.append((time_ns, AttitudeMeasurement(f"star.{name}", time_ns, rotation_nv, np.diag(NOISE**2))))
+    return sorted(arrivals, key=lambda arrival: arrival[0])
+
+
+@dataclass
+class Sailed:
+    """A core after a voyage, what it put out, who was excluded when, and the levels at each second."""
+
+    core: ShipAttitudeCore
+    estimates: list[AttitudeEstimate]
+    excluded: list[tuple[float, tuple[str, ...]]]
+    reports: list[tuple[IntegrityReport, AttitudeEstimate]]
+    reasons: list[tuple[str, Reason]]
+
+    def excluded_first(self) -> tuple[float, tuple[str, ...]]:
+        return next(entry for entry in self.excluded if entry[1])
+
+    def between(self, start_s: float, end_s: float) -> list[AttitudeEstimate]:
+        return [one for one in self.estimates if start_s <= one.time_ns / SECOND_NS < end_s]
+
+
+def sail(core: ShipAttitudeCore, arrivals: list[tuple[int, Any]]) -> Sailed:
+    sailed = Sailed(core, [], [(0.0, ())], [], [])
+    for time_ns, input_ in arrivals:
+        add = core.add_ins if isinstance(input_, AttitudeSample) else core.add_measurement
+        outcome = add(input_)
+        sailed.estimates += outcome.estimates
+        sailed.reasons += [(decision.measurement.source, decision.reason) for decision in outcome.decisions]
+        excluded = tuple(sorted(core.state.excluded))
+        if excluded != sailed.excluded[-1][1]:
+            sailed.excluded.append((time_ns / SECOND_NS, excluded))
+        if outcome.estimates and outcome.estimates[-1].time_ns % SECOND_NS == 0:
+            sailed.reports.append((core.integrity(outcome.estimates[-1]), outcome.estimates[-1]))
+    return sailed
+
+
+LIES: list[Lie] = []
+
+
+def sailed_with(
+    *lies: Lie,
+    sensors: tuple[str, ...] = ("aft", "bow", "port"),
+    seconds: float = 60.0,
+    seed: int = 1,
+    rates: bool = True,
+    **changes: Any,
+) -> Sailed:
+    numbers = tuple(range(len(LIES), len(LIES) + len(lies)))
+    LIES.extend(lies)
+    core = ShipAttitudeCore(configuration(sensors, **changes))
+    return sail(core, voyage(sensors, numbers, seconds, seed, rates))
+
+
+def error_sigmas(estimate: AttitudeEstimate) -> float:
+    """Largest error of heading, pitch and roll, in sigmas."""
+    return float(np.max(np.abs(errors(estimate)) / np.sqrt(np.diagonal(angle_covariance_of(estimate)))))
+
+
+def errors(estimate: AttitudeEstimate) -> FloatArray:
+    error_n = log_rotation(truth(estimate.time_ns / SECOND_NS) @ estimate.rotation_nd.T)
+    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
+    return angle_errors_from_rotation_vector(heading, pitch) @ error_n
+
+
+def angle_covariance_of(estimate: AttitudeEstimate) -> FloatArray:
+    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
+    to_angles = angle_errors_from_rotation_vector(heading, pitch)
+    return to_angles @ estimate.covariance_n @ to_angles.T
+
+
+def assert_honest(sailed: Sailed) -> None:
+    """No VALID attitude is beyond five sigmas, or beyond its protection level."""
+    valid = [one for one in sailed.estimates if one.status is Status.VALID]
+    assert max(error_sigmas(one) for one in valid) < 5.0
+    assert_within_levels(sailed)
+
+
+def assert_within_levels(sailed: Sailed) -> None:
+    for report, estimate in sailed.reports:
+        if estimate.status is Status.VALID and report.state is not IntegrityState.UNAVAILABLE:
+            assert np.all(np.abs(errors(estimate)) <= report.level)
+
+
+@pytest.mark.parametrize("sensors", [("aft", "bow", "port"), ("bow", "port")], ids=["three", "two"])
+@pytest.mark.parametrize("seed", range(3))
+def test_nobody_is_excluded_where_all_are_right(sensors: tuple[str, ...], seed: int) -> None:
+    sailed = sailed_with(sensors=sensors, seconds=120.0, seed=seed)
+    assert sailed.excluded == [(0.0, ())]
+    assert {one.status for one in sailed.between(1.0, 120.0)} == {Status.VALID}
+    assert_honest(sailed)
+    assert all(report.state is IntegrityState.NO_LIMIT for report, _ in sailed.reports[2:])
+
+
+@pytest.mark.parametrize("knock_arcsec", [10.0, 20.0, 50.0, 300.0])
+@pytest.mark.parametrize("name", ["aft", "bow", "port"])
+def test_a_knocked_sensor_is_told_named_and_excluded(name: str, knock_arcsec: float) -> None:
+    knock = Lie(f"star.{name}", np.array([0.0, 1.0, 0.0]) * knock_arcsec * ARCSEC, start_s=30.0)
+    sailed = sailed_with(knock, seconds=60.0)
+    since_s, excluded = sailed.excluded_first()
+    assert excluded == (f"star.{name}",)
+    # Ten arcseconds are three sigmas of one measurement: their mean tells them.
+    assert 30.0 < since_s < (35.0 if knock_arcsec < 15.0 else 31.5)
+    assert_honest(sailed)
+
+
+def test_a_knocked_sensor_returns_with_its_mounting_learnt_anew_and_a_glitch_with_the_old_one() -> None:
+    turn = np.array([0.0, 0.0, 40.0]) * ARCSEC
+    for lie in (Lie("star.bow", turn, 20.0), Lie("star.bow", turn, 20.0, end_s=22.0)):
+        sailed = sailed_with(lie, seconds=120.0)
+        assert [names for _, names in sailed.excluded] == [(), ("star.bow",), ()]
+        came_back_s = sailed.excluded[-1][0]
+        assert came_back_s - (22.0 if lie.end_s < 1e9 else 20.0) >= 60.0
+        assert "star.bow" in sailed.estimates[-1].sources
+        assert_honest(sailed)
+
+
+def test_a_creeping_sensor_of_three_is_named_and_must_agree_for_twice_as_long_the_second_time() -> None:
+    drift = Lie("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True)
+    sailed = sailed_with(drift, seconds=240.0)
+    assert {names for _, names in sailed.excluded} == {(), ("star.port",)}
+    # What creeps is told where it is seen: within the level, not always within five sigmas.
+    assert_within_levels(sailed)
+    assert sailed.core.state.record == {"star.port": len([1 for _, names in sailed.excluded if names])}
+
+
+def test_all_stars_against_an_ins_without_rates_are_a_doubt_that_covers_the_disagreement() -> None:
+    step = Lie("ins", np.array([0.0, 100.0, 0.0]) * ARCSEC, 30.0)
+    sailed = sailed_with(step, seconds=60.0, rates=False, ins={"jump_samples": 1000, "time_offset_sigma_s": 0.0})
+    # From the first star measurement after the step on.
+    later = sailed.between(30.1, 60.0)
+    assert {one.status for one in later} == {Status.DEGRADED}
+    assert max(error_sigmas(one) for one in sailed.between(32.0, 60.0)) < 3.0
+
+
+@pytest.mark.parametrize("turn_arcsec", [32.0, 100.0])
+def test_a_sky_that_turns_moves_no_attitude_and_its_stars_return_when_it_is_back(turn_arcsec: float) -> None:
+    """A position a kilometre off turns all stars by 32″."""
+    sky = Lie("sky", np.array([turn_arcsec, 0.0, 0.0]) * ARCSEC, 30.0, end_s=60.0)
+    sailed = sailed_with(sky, seconds=150.0)
+    assert {one.status for one in sailed.between(31.5, 60.0)} == {Status.DEGRADED}
+    assert sailed.estimates[-1].status is Status.VALID
+    assert "refused" in sailed.between(40.0, 41.0)[0].text
+    assert_honest(sailed)
+
+
+def test_a_lie_of_all_stars_that_lasts_is_not_let_back_in() -> None:
+    """The INS's covariance grows while the stars are refused: that they fit into it is no agreement."""
+    fast = {"ins": {"tilt_time_s": 100.0, "time_offset_sigma_s": 0.0}}
+    sailed = sailed_with(Lie("sky", np.array([25.0, 0.0, 0.0]) * ARCSEC, 30.0), seconds=240.0, **fast)
+    assert {one.status for one in sailed.between(32.0, 240.0)} == {Status.DEGRADED}
+
+
+def test_one_sensor_against_the_ins_is_a_doubt_and_there_is_no_level() -> None:
+    knock = Lie("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 30.0)
+    sailed = sailed_with(knock, sensors=("bow",), seconds=60.0)
+    assert {report.state for report, _ in sailed.reports} == {IntegrityState.UNAVAILABLE}
+    assert all(np.all(np.isnan(report.level)) for report, _ in sailed.reports)
+    assert {one.status for one in sailed.between(31.5, 60.0)} == {Status.DEGRADED}
+    assert_honest(sailed)
+
+
+def test_the_decision_that_excludes_and_those_after_it_say_so() -> None:
+    sailed = sailed_with(Lie("star.bow", UP * 60.0 * ARCSEC, 20.0), seconds=30.0)
+    assert ("star.bow", Reason.EXCLUDED) in sailed.reasons
+    assert {source for source, reason in sailed.reasons if reason is Reason.EXCLUDED} == {"star.bow"}
+
+
+def test_levels_above_their_limit_make_the_attitude_degraded_and_a_single_source_too() -> None:
+    limits = {"integrity": {"alert_limit_arcsec": [15.0, 15.0, 15.0]}}
+    of_three = sailed_with(seconds=200.0, **limits)
+    assert of_three.estimates[-1].status is Status.VALID
+    assert of_three.reports[-1][0].state is IntegrityState.MET
+    of_two = sailed_with(sensors=("bow", "port"), seconds=60.0, **limits)
+    assert of_two.estimates[-1].status is Status.DEGRADED
+    assert "alert limit" in of_two.estimates[-1].text
+    assert of_two.reports[-1][0].state is IntegrityState.EXCEEDED
+    of_one = sailed_with(sensors=("bow",), seconds=20.0, **limits)
+    assert of_one.estimates[-1].status is Status.DEGRADED
+
+
+def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included() -> None:
+    knock = Lie("star.aft", np.array([0.0, 25.0, 0.0]) * ARCSEC, 10.0)
+    LIES.append(knock)
+    arrivals = voyage(("aft", "bow", "port"), (len(LIES) - 1,), 25.0, 3, True)
+    mixed = random.Random(4)
+    shuffled = sorted(arrivals, key=lambda arrival: arrival[0] + mixed.uniform(0.0, 1.5) * SECOND_NS)
+    states = [
+        sail(ShipAttitudeCore(configuration(("aft", "bow", "port"))), run).core.state for run in (arrivals, shuffled)
+    ]
+    assert states[0].excluded == states[1].excluded != {}
+    for name in ("means", "parts_by_row"):
+        assert getattr(states[0], name).tobytes() == getattr(states[1], name).tobytes()
+    for name in ("turn", "excess", "refused"):
+        assert getattr(states[0].seen, name).tobytes() == getattr(states[1].seen, name).tobytes()
+
+
+def test_a_row_without_a_sensor_is_the_estimate_of_a_ship_that_never_had_it() -> None:
+    """But for the point of linearisation, which is that of the first row."""
+    arrivals = voyage(("bow", "port"), (), 20.0, 5, True)
+    core = sail(ShipAttitudeCore(configuration(("bow", "port"))), arrivals).core
+    without = configuration(("port",))
+    single = sail(ShipAttitudeCore(without), [a for a in arrivals if getattr(a[1], "source", "") != "star.bow"]).core
+    ins = core.filter.model.slices["ins.attitude"]
+    row = core.filter.suspects.names.index("star.bow") + 1
+    np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
+    np.testing.assert_allclose(
+        core.state.parts_by_row[row].sum(0)[ins, ins], single.state.covariance[ins, ins], rtol=1e-5
+    )
+
+
+def test_more_hypotheses_than_allowed_are_refused_by_name() -> None:
+    with pytest.raises(ParameterError, match=r"integrity\.max_hypotheses' = 3 is less than the 5"):
+        ShipFilter(configuration(("aft", "bow", "port"), integrity={"max_hypotheses": 3}))
+
+
+def test_an_estimate_of_a_state_in_doubt_has_the_dispute_in_its_budget() -> None:
+    sailed = sailed_with(Lie("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 10.0), sensors=("bow",), seconds=20.0)
+    last = sailed.estimates[-1]
+    assert last.status is Status.DEGRADED
+    np.testing.assert_allclose(last.covariance_parts_n.sum(axis=0), last.covariance_n, rtol=1e-9)
+    assert np.sqrt(np.trace(last.covariance_n)) > 40.0 * ARCSEC
