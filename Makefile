@@ -39,6 +39,7 @@ bench: setup ## speed, as ratios within one run
 campaign: setup ## many seeds, consistency of the estimates
 	@$(RUN) python tools/campaign.py
 	@$(RUN) python tools/pointing_campaign.py
+	@$(RUN) FUZZED_MESSAGES=100000 pytest -q -s test/test_fuzzed_messages.py
 	@$(RUN) STAR_SCENES=10000 STAR_EPOCHS=10000 pytest -q -s src/ship_attitude_star/test/test_star_solution.py
 
 faults: setup ## voyages with faults: told, attributed, within the protection level; VOYAGES=40 for few

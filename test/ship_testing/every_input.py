@@ -6,13 +6,19 @@ ship's attitude from ``ship/attitude`` or, as ``optical_axis by ins``, from ``in
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_bags.parameter_yaml import anywhere
+from ship_estimation.outcome import Status
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.ros_axes import ENU_FROM_HORIZON
+from ship_geometry.rotations import FloatArray, log_rotation
 from ship_node.edge.reporting_adapter import ReportingAdapter
 from ship_node.parameters.parameter_file import load_config
 from ship_simulation.messages.to_messages import messages
@@ -20,7 +26,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Reference, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_yaml
-from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, Arrivals, hand_over
+from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, Arrivals, hand_over, stamp_of
 from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, replaced
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
@@ -72,6 +78,30 @@ def voyage(node: str) -> Voyage:
     arrivals = tuple(Arrival(topic, message, log_ns) for topic, message, log_ns in logged if topic in heard)
     kind = "truth/pointing" if node.startswith("optical_axis") else "truth/attitude"
     return Voyage(new_adapter, arrivals, {log_ns: message for topic, message, log_ns in logged if topic == kind})
+
+
+def sigmas(node: str, message: Any) -> float:
+    """The largest error of an attitude or a pointing, of East, North and Up, in its own sigmas; 0 without a truth."""
+    true = voyage(node).truth.get(stamp_of(message))
+    if true is None or message.status == Status.INVALID:
+        return 0.0
+    error_n = log_rotation(_rotation(true) @ _rotation(message).T)
+    variances = np.diagonal(np.reshape(message.rotation_covariance, (3, 3)))
+    found = np.abs(ENU_FROM_HORIZON @ error_n) / np.sqrt(variances)
+    # NaN is no small error.
+    return float(np.max(found)) if np.all(np.isfinite(found)) else np.inf
+
+
+def _rotation(message: Any) -> FloatArray:
+    if hasattr(message, "heading"):
+        return rotation_from_angles(message.heading, message.pitch, message.roll)
+    return rotation_from_angles(message.azimuth, message.elevation, message.image_rotation)
+
+
+def worst_claim(node: str, run: AdapterRun, statuses: Collection[int] = (Status.VALID, Status.COASTING)) -> float:
+    """The largest error in sigmas of all that a run claimed with one of some statuses."""
+    claimed = [m for m in run.messages(run.adapter.main_topic) if m.status in statuses]
+    return max((sigmas(node, message) for message in claimed), default=0.0)
 
 
 def topics(node: str) -> tuple[str, ...]:

@@ -33,13 +33,14 @@ def spoil(message: Any, fields: list[Path], rng: np.random.Generator) -> None:
     """Put garbage of the right type into one to three fields."""
     for index in rng.integers(0, len(fields), rng.integers(1, 4)).tolist():
         *parents, name = fields[index]
-        holder = functools.reduce(_inside, parents, message)
+        holder = functools.reduce(inside, parents, message)
         # Beyond what a field of single precision or of eight bits can hold, nothing can come over the wire.
         with contextlib.suppress(AssertionError):
             setattr(holder, str(name), garbage(getattr(holder, str(name)), str(name), rng))
 
 
-def _inside(holder: Any, part: str | int) -> Any:
+def inside(holder: Any, part: str | int) -> Any:
+    """What a part of a path leads to."""
     return holder[part] if isinstance(part, int) else getattr(holder, part)
 
 

@@ -1,0 +1,107 @@
+"""Eight values in every field of every message of the theodolite: nothing is raised, and what is claimed is honest.
+
+A voyage runs for three seconds; from there on, in a copy of the node for each case, one field of one topic has a bad
+value: with two lights in all messages that follow, with one light in one message.
+"""
+
+import contextlib
+import copy
+import functools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+
+from ship_estimation.outcome import Status
+from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, changed_copy, hand_over
+from ship_testing.every_input import topics, voyage, worst_claim
+from ship_testing.garbage import Path, inside, paths
+from theodolite_calib.measured.samples import Mode
+
+NODE = "optical_axis"
+BEFORE_S, AFTER_S = 3.0, 0.6
+TEXTS = ["", "a", "b", "\x00", "deck" * 1000, "θ—", "theodolite_main", "0"]
+DEGREES = 57.29577951308232
+
+
+def bad_values(value: Any) -> list[Any]:
+    """Eight values for a field that holds this one: NaN, infinite, zero, negative, huge, tiny, of another unit."""
+    if isinstance(value, str):
+        return TEXTS
+    if isinstance(value, list):
+        return [[], [""], ["a"], ["ins"] * 1000, ["\x00"], ["deck" * 1000], ["θ"], ["ins", "ins"]]
+    if isinstance(value, float):
+        return [np.nan, np.inf, -np.inf, 0.0, -value, 1e300, 1e-300, value * DEGREES]
+    if isinstance(value, np.ndarray):
+        unit, numbers = np.eye(3).ravel(), (np.nan, np.inf, -np.inf, 0.0)
+        filled = [np.full(len(value), number) for number in numbers]
+        return [*filled, -value, 1e300 * unit, 1e-300 * unit, value * DEGREES**2]
+    return [0, -1, 1, 3, 9, 255, 2**31 - 1, value + 1]
+
+
+@functools.cache
+def start(one_light: bool) -> AdapterRun:
+    """The node three seconds after the start, and with one of the lights hidden where asked for."""
+    run = AdapterRun(voyage(NODE).new_adapter())
+    hand_over(run, [a for a in arrivals(one_light) if since_start_s(a) < BEFORE_S])
+    return run
+
+
+def arrivals(one_light: bool) -> tuple[Arrival, ...]:
+    everything = voyage(NODE).arrivals
+    if not one_light:
+        return everything
+    return tuple(changed_copy(a, hide_b) if a.topic == "theodolite/beacons" else a for a in everything)
+
+
+def hide_b(message: Any) -> None:
+    message.beacons = [light for light in message.beacons if light.beacon_id != "b"]
+
+
+def since_start_s(arrival: Arrival) -> float:
+    return (arrival.receive_ns - voyage(NODE).arrivals[0].receive_ns) / SECOND_NS
+
+
+def put(message: Any, path: Path, value: Any) -> None:
+    *parents, name = path
+    holder = functools.reduce(inside, parents, message)
+    # Beyond what a field of single precision or of eight bits can hold, nothing can come over the wire.
+    with contextlib.suppress(AssertionError):
+        setattr(holder, str(name), value)
+
+
+@pytest.mark.parametrize("one_light", [False, True], ids=["two lights", "one light"])
+def test_the_voyage_is_honest_where_nothing_is_wrong(one_light: bool) -> None:
+    run = voyage(NODE).run(arrivals(one_light))
+    assert 0.1 < worst_claim(NODE, run) < 4.0
+    last = run.messages("theodolite/pointing")[-40]
+    assert (last.mode, last.status) == (Mode.ONE_LIGHT if one_light else Mode.TWO_LIGHTS, Status.VALID)
+
+
+def cases(topic: str, one_light: bool) -> Iterator[tuple[Path, Any]]:
+    message = next(a for a in arrivals(one_light) if a.topic == topic and since_start_s(a) > BEFORE_S).message
+    for path in paths(message):
+        for value in bad_values(functools.reduce(inside, path, message)):
+            yield path, value
+
+
+@pytest.mark.parametrize("topic", [topic for topic in topics(NODE) if "/b/" not in topic])
+@pytest.mark.parametrize("one_light", [False, True], ids=["two lights", "one light"])
+def test_no_value_of_any_field_raises_or_makes_a_claim_dishonest(topic: str, one_light: bool) -> None:
+    rest = [a for a in arrivals(one_light) if BEFORE_S <= since_start_s(a) < BEFORE_S + AFTER_S]
+    concerned = [index for index, arrival in enumerate(rest) if arrival.topic == topic]
+    wrong = []
+    for path, value in cases(topic, one_light):
+        run = AdapterRun(copy.deepcopy(start(one_light).adapter, {id(FACTORY): FACTORY}))
+        spoilt = concerned[:1] if one_light else concerned
+        heard = list(rest)
+        for index in spoilt:
+            heard[index] = changed_copy(rest[index], lambda message, p=path, v=value: put(message, p, v))
+        hand_over(run, heard)
+        for _, _, message in run.published:
+            serialize_message(message)
+        if not worst_claim(NODE, run) < 5.0:
+            wrong.append((path, value, worst_claim(NODE, run)))
+    assert not wrong

@@ -1,0 +1,57 @@
+"""Garbage in any field of any input of all nodes: nothing is raised, and after a reset a node is as good as new.
+
+``make campaign`` sends 100 000 messages. The fuzz tests of the packages look closer, at what is refused and why.
+"""
+
+import os
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+
+from ship_testing.adapter_runs import SECOND_NS, AdapterRun, Arrival, stamp_of
+from ship_testing.every_input import NODES, Voyage, clean_run, voyage
+from ship_testing.garbage import paths, spoil
+
+MESSAGES = int(os.environ.get("FUZZED_MESSAGES", "5000")) // len(NODES)
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_no_message_whatsoever_raises_or_leaves_anything_behind(node: str) -> None:
+    rng = np.random.default_rng([20, NODES.index(node)])
+    everything = voyage(node)
+    adapter, start_ns, tried = everything.new_adapter(), everything.arrivals[0].receive_ns, 0
+    per_arrival = min(12, -(-MESSAGES // len(everything.arrivals)))
+    while tried < MESSAGES:
+        adapter.clock_jumped_back(start_ns)
+        # Good messages go on between, so that the garbage meets a node at work.
+        for arrival in everything.arrivals:
+            published = adapter.handle(arrival.topic, arrival.message, arrival.receive_ns)
+            for bad in garbage(arrival, per_arrival, rng):
+                published += adapter.handle(arrival.topic, bad, arrival.receive_ns)
+                tried += 1
+            published += adapter.tick(arrival.receive_ns)
+            for _, message in published:
+                serialize_message(message)
+    assert set().union(*(health.reasons for health in adapter.health.messages(adapter.factory, start_ns))) >= {
+        "bad_covariance", "bad_stamp", "conflict", "duplicate", "frame", "future", "late", "non_finite", "units",
+    }  # fmt: skip
+    adapter.clock_jumped_back(start_ns)
+    assert again(everything, adapter).results() == clean_run(node).results()
+
+
+def garbage(arrival: Arrival, count: int, rng: np.random.Generator) -> list[Any]:
+    """Copies with garbage in some fields, each some milliseconds earlier, or each were but the second of its stamp."""
+    pickled, fields, copies = pickle.dumps(arrival.message), paths(arrival.message), []
+    for number in range(count):
+        bad = pickle.loads(pickled)
+        bad.header.stamp.sec, bad.header.stamp.nanosec = divmod(stamp_of(bad) - 1_000_000 * number, SECOND_NS)
+        spoil(bad, fields, rng)
+        copies.append(bad)
+    return copies
+
+
+def again(everything: Voyage, adapter: Any) -> AdapterRun:
+    return Voyage(lambda: adapter, everything.arrivals, everything.truth).run()
