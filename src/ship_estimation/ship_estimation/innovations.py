@@ -63,6 +63,7 @@ class Innovation:
         nis: normalised square of the whole residual; 0 where nothing was compared.
         components: of the whole residual.
         own_share: the measurement's own noise over what is predicted of its residual.
+        is_used: whether the estimate uses the source. If not, the prediction's error lasts: nothing corrects it.
         axes: axis → mean over the parts of the residual along it, in its sigma, and in rad.
     """
 
@@ -72,6 +73,7 @@ class Innovation:
     nis: float
     components: int
     own_share: float
+    is_used: bool
     axes: Mapping[str, tuple[float, float]]
 
 
@@ -94,7 +96,7 @@ def innovation_of(decision: Decision[Any]) -> Innovation | None:
     if not len(decision.residual):
         if decision.reason not in _MISFIT:
             return None
-        return Innovation(time_ns, np.full(max(left_out, 1), np.inf), 0, 0.0, 0, 1.0, {})
+        return Innovation(time_ns, np.full(max(left_out, 1), np.inf), 0, 0.0, 0, 1.0, True, {})
     if not (np.all(np.isfinite(decision.residual)) and np.all(np.isfinite(decision.covariance))):
         return None
     if len(decision.covariance) != len(decision.residual):
@@ -110,6 +112,7 @@ def innovation_of(decision: Decision[Any]) -> Innovation | None:
         nis=decision.nis,
         components=len(residual),
         own_share=float(np.trace(np.linalg.solve(covariance, decision.noise))) / len(residual),
+        is_used=decision.reason is not Reason.EXCLUDED,
         axes={name: _along(rows, normalised, residual, covariance) for name, rows in axes.items()},
     )
 
@@ -207,11 +210,13 @@ class Axis:
         name: of the axis.
         normalised: in their sigmas, shape (n,).
         residual: in rad, shape (n,).
+        lasting: variance, in squares of their sigmas, of what of the prediction's error is the same in all of them.
     """
 
     name: str
     normalised: FloatArray
     residual: FloatArray
+    lasting: float
 
     @cached_property
     def bias_sigma(self) -> float:
@@ -232,8 +237,9 @@ class Axis:
 
     @property
     def is_lasting(self) -> bool:
-        """Whether the innovations are not independent of one another."""
-        return abs(self.correlation) > max(TOLERATED_CORRELATION, _SIGMAS / math.sqrt(len(self.normalised)))
+        """Whether the innovations are not independent of one another, although the prediction's errors are."""
+        most = max(TOLERATED_CORRELATION, _SIGMAS / math.sqrt(len(self.normalised)))
+        return self.lasting == 0.0 and abs(self.correlation) > most
 
     @property
     def bias_text(self) -> str:
@@ -267,8 +273,9 @@ class Axis:
 
     def _sigma_of_median(self, count: int) -> float:
         """Of the median of ``count`` innovations, in predicted sigmas: as of fewer where they are correlated."""
-        lasting = min(max(self.correlation, 0.0), _MOST_CORRELATED)
-        return _MEDIAN_SIGMA * self._spread * math.sqrt((1.0 + lasting) / (1.0 - lasting) / count)
+        alike = min(max(self.correlation, 0.0), _MOST_CORRELATED)
+        variance = (_MEDIAN_SIGMA * self._spread) ** 2 * (1.0 + alike) / (1.0 - alike) / count
+        return math.sqrt(variance + self.lasting)
 
 
 def axes_of(innovations: Sequence[Innovation]) -> list[Axis]:
@@ -276,7 +283,7 @@ def axes_of(innovations: Sequence[Innovation]) -> list[Axis]:
 
     Example:
         >>> one = Innovation(1, np.array([4.0]), degrees=1, nis=4.0, components=1, own_share=1.0,
-        ...                  axes={"up": (2.0, 6.0 * ARCSEC)})
+        ...                  is_used=True, axes={"up": (2.0, 6.0 * ARCSEC)})
         >>> [up] = axes_of([one] * LEAST_COUNT)
         >>> print(up.name, up.bias_sigma, up.is_biased)
         up 2.0 True
@@ -285,4 +292,6 @@ def axes_of(innovations: Sequence[Innovation]) -> list[Axis]:
     for one in innovations:
         for name, values in one.axes.items():
             by_name.setdefault(name, []).append(values)
-    return [Axis(name, *np.array(values).T) for name, values in by_name.items() if len(values) >= LEAST_COUNT]
+    lasting = max((1.0 - one.own_share for one in innovations if not one.is_used), default=0.0)
+    enough = {name: np.array(values) for name, values in by_name.items() if len(values) >= LEAST_COUNT}
+    return [Axis(name, values[:, 0], values[:, 1], lasting) for name, values in enough.items()]

@@ -1,5 +1,7 @@
 """Verdicts: each finding told from the others, with its figures, and none about a source that is as stated."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -166,6 +168,19 @@ def test_a_knocked_sensor_all_of_whose_measurements_are_refused_is_biased() -> N
     assert found.text.startswith("bias of +50.")
     assert "arcsec in up" in found.text
     assert "steady: look at installation and alignment" in found.text
+
+
+def test_of_an_excluded_source_the_lasting_error_of_the_prediction_is_no_bias() -> None:
+    """The estimate without it may be off by two of its sigmas, 2″, for as long as the source is excluded."""
+    noise = white(16)
+    noise[:, 1] += 2.0 / 3.0
+    decisions = [attitude(k, row) for k, row in enumerate(noise)]
+    assert verdict(decisions).kind is VerdictKind.BIASED
+    excluded = [replace(decision, accepted=False, reason=Reason.EXCLUDED) for decision in decisions]
+    assert verdict(excluded).kind is VerdictKind.AS_STATED
+    noise[:, 1] += 10.0
+    knocked = [replace(attitude(k, row), accepted=False, reason=Reason.EXCLUDED) for k, row in enumerate(noise)]
+    assert verdict(knocked).kind is VerdictKind.BIASED
 
 
 def test_a_bias_that_grows_is_not_steady() -> None:
