@@ -73,18 +73,20 @@ def test_a_sigma_understated_by_two_is_told_within_a_minute_and_of_that_sensor_a
     assert {level for level, _ in told["verdict star.starboard"]} == {0}
 
 
-def test_a_knocked_sensor_is_biased_although_its_measurements_are_refused() -> None:
-    knocked_ns: list[int] = []
+def test_a_sensor_that_is_off_by_a_degree_is_biased_although_none_of_its_measurements_is_used() -> None:
+    """So much is no knock: the others do not learn it as a new mounting."""
+    begun_ns: list[int] = []
 
-    def knocked(topic: str, message: Any) -> None:
+    def turned(topic: str, message: Any) -> None:
         if topic == "star/fore/horizon_attitude":
             stamp_ns = message.header.stamp.sec * TICK_NS + message.header.stamp.nanosec
-            knocked_ns.append(stamp_ns)
-            if stamp_ns - knocked_ns[0] > MINUTE_NS // 4:
-                message.elevation += np.deg2rad(60.0 / 3600.0)
+            begun_ns.append(stamp_ns)
+            if stamp_ns - begun_ns[0] > MINUTE_NS // 4:
+                message.elevation += np.deg2rad(1.0)
 
-    told = verdicts("demo.mcap", knocked, MINUTE_NS)
+    told = verdicts("demo.mcap", turned, MINUTE_NS)
     level, text = told["verdict star.fore"][-1]
     assert level == 1
     assert text.startswith("bias of ")
     assert "arcsec in right" in text
+    assert abs(float(text.split()[2])) == pytest.approx(3600.0, rel=0.02)
