@@ -59,10 +59,16 @@ def final_nees(
     run: SimulatedRun, watch: type[SkyWatch] = SkyWatch, table: EarthOrientationTable | None = None
 ) -> float:
     """Of the fused attitude at the end, by an estimator with another sky where one is given."""
+    return normalised(run, final(run, watch, table)[1])
+
+
+def final(
+    run: SimulatedRun, watch: type[SkyWatch] = SkyWatch, table: EarthOrientationTable | None = None
+) -> tuple[ShipAttitudeCore, AttitudeEstimate]:
+    """The estimator at the end, and its last attitude."""
     config = core_for(run.scenario).config
     core = ShipAttitudeCore(config, watch(config.sky, table or earth_orientation_table(), hipparcos()))
-    estimate, _ = feed_attitude(core, run)
-    return normalised(run, estimate)
+    return core, feed_attitude(core, run)[0]
 
 
 def normalised(run: SimulatedRun, estimate: AttitudeEstimate) -> float:
@@ -140,8 +146,12 @@ def test_mend_09_with_streaks_the_fused_attitude_is_as_good_as_it_says(exposure_
     runs = streaked(exposure_s)
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= np.mean([final_nees(run) for run in runs]) <= high
-    few = [final_nees(nobody_told_the_length(run)) for run in runs[:3]]
-    assert np.mean(few) > mean_nees_band(len(few), 3)[1]
+    # Where nobody tells the length, the errors are larger than they say; or the sensors are found to contradict it.
+    lies = [nobody_told_the_length(run) for run in runs[:3]]
+    found = [(*final(lie), lie) for lie in lies]
+    told = [core.state.doubt is not None or bool(core.state.record) for core, _, _ in found]
+    nees = [normalised(lie, estimate) for _, estimate, lie in found]
+    assert any(told) or np.mean(nees) > mean_nees_band(len(nees), 3)[1], (told, nees)
 
 
 class _Airless(SkyMoment):

@@ -37,7 +37,9 @@ _MOST_PROBABLE_MISS = 0.5
 class PriorConfig:
     """How often a source of each kind goes wrong without a word."""
 
-    ins: float = parameter(1e-3, doc="INS: a step or a drift", unit="1/h", minimum=1e-12, maximum=1.0)
+    ins: float = parameter(
+        1e-4, doc="INS: a step or a drift that its own rates do not tell", unit="1/h", minimum=1e-12, maximum=1.0
+    )
     star_sensor: float = parameter(1e-3, doc="star sensor: knocked or drifting", unit="1/h", minimum=1e-12, maximum=1.0)
     reference: float = parameter(1e-2, doc="other attitude system", unit="1/h", minimum=1e-12, maximum=1.0)
     ship_attitude: float = parameter(
