@@ -1,9 +1,9 @@
 """The error-state filter: one measurement in, one decision and the next state out. No time, no memory of its own."""
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ship_attitude_star.guards.hints import Departure, who_is_wrong
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
@@ -11,12 +11,12 @@ from ship_attitude_star.ship_attitude.comparison import Compared
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.linearised import Linearisation, Linearised, NotCompared
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, SOURCE_STAR_COMMON, Device, ShipStateModel, devices
-from ship_attitude_star.ship_attitude.state import Apart, FilterState, with_entry, without
+from ship_attitude_star.ship_attitude.state import FilterState, with_entry, without
 from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.exclusion import no_means
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.hypotheses import RowsCompared, compare_rows, update_rows
+from ship_estimation.hypotheses import RowsCompared, compare_rows
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import predict, slow_error_later
 from ship_estimation.outcome import Measurement
@@ -102,7 +102,7 @@ class ShipFilter:
             The next state and the decision; None where samples that may still come belong to the measurement.
         """
         predicted = self.predicted(state, measurement.time_ns)
-        mean, covariance = predicted.mean, predicted.covariance
+        mean, covariance = predicted.means[0], predicted.parts_by_row[0].sum(axis=0)
         last_ns = state.used_ns.get(measurement.source)
         found = self.linearisation.of(measurement, mean, covariance, track, watch, may_wait, last_ns)
         if found is None:
@@ -142,7 +142,7 @@ class ShipFilter:
             gate=gate,
             left_out=found.compared.left_out,
         )
-        after = self._updated(state, predicted, source, found.compared, compared, accepted, measurement.time_ns)
+        after = self.suspects.learned(state, predicted, measurement, found.compared, compared, accepted)
         if decision.accepted:
             after = self._used(after, measurement)
         elif source in state.excluded and (accepted[0] or state.excluded[source].apart is None):
@@ -160,7 +160,7 @@ class ShipFilter:
         self, predicted: FilterState, source: str, compared: Compared, gate: float
     ) -> tuple[FilterState, RowsCompared]:
         """A measurement beside all rows; that where the INS is wrong is opened where they differ."""
-        linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.mean
+        linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.means[0]
         rows = compare_rows(predicted.means, predicted.parts_by_row, linear, at_mean, by_turn)
         row = self.suspects.ins_row
         if row is None or rows.nis[row] <= gate or not self.suspects.contradicted(predicted, source, row):
@@ -171,26 +171,6 @@ class ShipFilter:
         # What the row has seen is judged as it was before it was opened.
         judged = replace(wider, turn=np.where(np.arange(len(rows.nis))[:, None] == row, rows.turn, wider.turn))
         return replace(predicted, parts_by_row=opened), judged
-
-    def _updated(
-        self,
-        state: FilterState,
-        predicted: FilterState,
-        source: str,
-        measured: Compared,
-        compared: RowsCompared,
-        accepted: NDArray[np.bool_],
-        time_ns: int,
-    ) -> FilterState:
-        """All rows with what each learns of a measurement; where none learns, not even the prediction is kept."""
-        learns = self.suspects.learns(predicted, source, accepted)
-        seen = self.suspects.seen(predicted, source, compared, accepted, time_ns)
-        turn_v = compared.turn_root[0] @ compared.turn[0]
-        apart = with_entry(state.apart, source, Apart(turn_v, measured.predicted_nv @ turn_v))
-        if not learns.any():
-            return replace(state, seen=seen, apart=apart)
-        corrections, parts = update_rows(predicted.parts_by_row, measured.linear, compared, learns)
-        return replace(predicted, means=predicted.means + corrections, parts_by_row=parts, seen=seen, apart=apart)
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """The decision with what the verdict says; a source excluded by its own measurement is told at once."""
@@ -228,8 +208,8 @@ class ShipFilter:
         source = measurement.source
         return replace(
             state,
-            refusals=with_entry(state.refusals, source, 0),
-            used_ns=with_entry(state.used_ns, source, measurement.time_ns),
+            refusals=MappingProxyType({**state.refusals, source: 0}),
+            used_ns=MappingProxyType({**state.used_ns, source: measurement.time_ns}),
             jumped=state.jumped and not self.devices[source].is_star,
         )
 

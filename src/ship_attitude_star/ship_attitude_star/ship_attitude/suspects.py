@@ -16,13 +16,13 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.ship_attitude.comparison import Compared
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, Device, ShipStateModel
-from ship_attitude_star.ship_attitude.state import Doubt, FilterState, with_entry, without
+from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, with_entry, without
 from ship_estimation.exclusion import (
     Exclusion,
     Finding,
-    Means,
     excess_limit,
     find_fault,
     forgotten,
@@ -31,7 +31,8 @@ from ship_estimation.exclusion import (
     observed,
     watched,
 )
-from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.hypotheses import RowsCompared, update_rows
+from ship_estimation.outcome import Measurement
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import Factors, factors
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -112,33 +113,37 @@ class Suspects:
         used: NDArray[np.bool_] = ~self._leaves_out & ~excluded
         return used
 
-    def learns(self, state: FilterState, source: str, accepted: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which states each row learns of a measurement of a source, shape (h, n).
-
-        Args:
-            state: before it.
-            source: who measured.
-            accepted: whether the measurement passed the gate of each row, shape (h,).
-        """
-        exclusion, used = state.excluded.get(source), self.uses(state)[:, self.sources.index(source)]
-        # A measurement that no row uses leaves all of them, to the last bit, as they are without it.
-        if not np.any(used & accepted) if exclusion is None else exclusion.apart is not None:
-            return np.zeros((len(used), self._model.size), dtype=bool)
-        learns: NDArray[np.bool_] = (used[:, None] | self._own[source]) & accepted[:, None]
-        return learns
-
-    def seen(
+    def learned(
         self,
         state: FilterState,
-        source: str,
+        predicted: FilterState,
+        measurement: Measurement,
+        measured: Compared,
         compared: RowsCompared,
         accepted: NDArray[np.bool_],
-        time_ns: int,
-    ) -> Means:
-        """What each row has seen of each source, with a measurement; the arguments are those of ``observed``."""
-        index = self.sources.index(source)
-        left_out = ~self.uses(state)[:, index]
-        return observed(state.seen, index, compared, accepted, left_out, time_ns, self.limit)
+    ) -> FilterState:
+        """All rows with what each learns of a measurement; where none learns, not even the prediction is kept.
+
+        Args:
+            state: before the measurement.
+            predicted: the same, carried to its moment.
+            measurement: itself.
+            measured: against the first row.
+            compared: with all rows.
+            accepted: whether it passed the gate of each row, shape (h,).
+        """
+        source, index = measurement.source, self.sources.index(measurement.source)
+        used = self.uses(state)[:, index]
+        seen = observed(state.seen, index, compared, accepted, ~used, measurement.time_ns, self.limit)
+        turn_v = compared.turn_root[0] @ compared.turn[0]
+        apart = MappingProxyType({**state.apart, source: Apart(turn_v, measured.predicted_nv @ turn_v)})
+        exclusion = state.excluded.get(source)
+        # A measurement that no row uses leaves all of them, to the last bit, as they are without it.
+        if not np.any(used & accepted) if exclusion is None else exclusion.apart is not None:
+            return replace(state, seen=seen, apart=apart)
+        learns = (used[:, None] | self._own[source]) & accepted[:, None]
+        corrections, parts = update_rows(predicted.parts_by_row, measured.linear, compared, learns)
+        return replace(predicted, means=predicted.means + corrections, parts_by_row=parts, seen=seen, apart=apart)
 
     def contradicted(self, state: FilterState, source: str, row: int) -> bool:
         """Whether a source that a row uses has contradicted it for so long that one refusal more makes it a fault."""
