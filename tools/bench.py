@@ -11,22 +11,32 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ship_attitude_star.measurements.samples import AttitudeDecision
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.linearised import Linearised
+from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import Mounted, solve_deck, solve_exposure
 from ship_attitude_star.stars.solution import SolutionStatus
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_estimation.kalman import innovation, update
+from ship_estimation.outcome import Measurement
 from ship_estimation.parameters import build
+from ship_estimation.refusals import Reason
 from ship_replay.trials.live_run import LiveFailure, LiveRun
-from ship_replay.trials.monte_carlo import sky_input, star_exposure
-from ship_simulation.run import SKY_SOURCES, simulate
+from ship_replay.trials.monte_carlo import core_for, feed_attitude, sky_input, star_exposure
+from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import star_attitude_configuration
 
@@ -38,6 +48,9 @@ GREATEST_BOX_RATIO = 1.10
 """A black box may cost a tenth of its node."""
 MOST_SOLUTION_RATIO = 150.0 / 46.0
 """150 us where scipy's align_vectors with sensitivity takes 46 us."""
+
+MOST_INTEGRITY_RATIO = 1.6
+"""Of the filter's step with the estimates without each source, and without them."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +129,58 @@ def star_solution() -> list[Row]:
     ]
 
 
+class _WithoutIntegrity(ShipFilter):
+    """The step with one estimate alone and its gate: what the estimates beside it are measured against."""
+
+    def __init__(self, config: ShipAttitudeConfig) -> None:
+        super().__init__(config)
+        self.suspects.names, self.suspects.ins_row = (), None
+
+    def _judged(
+        self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
+    ) -> tuple[FilterState, AttitudeDecision]:
+        linear = found.compared.linear
+        covariance, nis = innovation(predicted.parts, linear)
+        correction, parts = update(predicted.parts, linear, covariance)
+        after = replace(predicted, means=predicted.means + correction, parts_by_row=parts[None])
+        decision = AttitudeDecision(measurement, Reason.NONE, True, nis=nis, ins_time_ns=found.ins_time_ns)
+        return self._used(after, measurement), decision
+
+
+def integrity_cost() -> list[Row]:
+    """The filter's step by three star sensors, with the estimates without each source beside it and without them."""
+    scenario = dataclasses.replace(load_scenario(ROOT / "bags" / "scenarios" / "three_sensors.yaml"), duration_s=20.0)
+    run = simulate(scenario, seed=1)
+    times_us: dict[str, list[float]] = {"without": [], "with": []}
+    for _ in range(PAIRS):
+        for name, kind in (("without", _WithoutIntegrity), ("with", ShipFilter)):
+            core = core_for(scenario)
+            core.filter = kind(core.config)
+            core.reset()
+            times_us[name].append(_median_step_us(core, run))
+    without_us, with_us = min(times_us["without"]), min(times_us["with"])
+    return [
+        Row("step by three star sensors, one estimate: median", without_us, "us"),
+        Row("the same with integrity, five estimates: median", with_us, "us"),
+        Row("ratio: integrity", with_us / without_us, "x", MOST_INTEGRITY_RATIO),
+    ]
+
+
+def _median_step_us(core: ShipAttitudeCore, run: SimulatedRun) -> float:
+    """The time of a step of the core's filter over a run."""
+    step, times_ns = core.filter.step, []
+
+    def timed(*arguments: Any) -> Any:
+        begin_ns = time.perf_counter_ns()
+        result = step(*arguments)
+        times_ns.append(time.perf_counter_ns() - begin_ns)
+        return result
+
+    core.filter.step = timed  # type: ignore[method-assign]
+    feed_attitude(core, run)
+    return float(np.median(times_ns)) * 1e-3
+
+
 def _median_us(call: Callable[[], object], calls: int = 2000) -> float:
     times_ns = []
     for _ in range(calls):
@@ -125,7 +190,11 @@ def _median_us(call: Callable[[], object], calls: int = 2000) -> float:
     return float(np.median(times_ns)) * 1e-3
 
 
-BENCHMARKS: dict[str, Callable[[], list[Row]]] = {"black_box": black_box_cost, "star_solution": star_solution}
+BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
+    "black_box": black_box_cost,
+    "star_solution": star_solution,
+    "integrity": integrity_cost,
+}
 
 
 def main() -> int:
