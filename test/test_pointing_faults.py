@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.outcome import Status
+from ship_geometry.rotations import ARCSEC
 from ship_testing.pointing_faults import (
     FAULT_S,
     baseline_moved,
@@ -116,3 +117,53 @@ def test_mend_11_encoders_that_slip_less_than_the_mount_can_move_are_told_by_lig
     assert 20.0 < found.seconds(Status.DEGRADED) < 22.0
     assert found.status[-1] == Status.VALID
     assert found.named == {"encoder"}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_levels_hold_with_lights_and_there_is_none_without(seed):
+    leave_s = 70.0
+    found = claims(clean_session(seed, lights_leave_s=leave_s))
+    # Before the first sightings nothing is known; three seconds after the last light nothing is checked any more.
+    with_lights = (found.time_s > 5.0) & (found.time_s < leave_s)
+    levels_arcsec = found.levels / ARCSEC
+    assert np.all(np.abs(found.errors[with_lights]) < found.levels[with_lights])
+    # Without one light the other one and the encoders leave some 6": 5.2 sigma of that, and 2.9 of the estimate itself.
+    middle = np.median(levels_arcsec[with_lights], axis=0)
+    assert np.all((middle > [30.0, 30.0, 150.0]) & (middle < [60.0, 60.0, 300.0]))
+    assert np.all(np.isnan(found.levels[found.time_s > leave_s + 4.0]))
+
+
+@pytest.mark.parametrize(
+    ("arcsec_n", "moved_a", "moved_b"),
+    [
+        ((0.0, 20.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 0.0), (0.0, 0.15, 0.0), (0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.3, 0.0)),
+    ],
+)
+def test_nothing_valid_is_further_off_than_its_level(arcsec_n, moved_a, moved_b):
+    run = baseline_moved(baseline_moved(clean_session(1), "a", moved_a), "b", moved_b)
+    found = claims(ship_turned(run, arcsec_n))
+    assert found.worst_of_level() < 0.8
+
+
+def test_a_small_wrong_fix_is_named_by_the_rows():
+    """0.15 m are 15", too little for its own continuity: the angle to the other light tells it, and who is wrong."""
+    found = claims(baseline_moved(clean_session(1), "a", (0.15, 0.0, 0.0)))
+    assert found.named == {"beacon.a"}
+    assert found.worst(Status.VALID) < 5.0
+
+
+def test_an_alert_limit_caps_the_status():
+    run = clean_session(1, lights_leave_s=70.0)
+    wide = claims(run, integrity__alert_limit_arcsec=[200.0, 200.0, 1000.0])
+    with_lights = (wide.time_s > 5.0) & (wide.time_s < 70.0)
+    assert set(wide.status[with_lights]) == {Status.VALID}
+    # Without lights there is no level, and a limit is asked for.
+    assert set(wide.status[wide.time_s > 75.0]) == {Status.DEGRADED}
+    assert wide.estimates[-1].text.startswith("there are too few sources")
+    narrow = claims(run, integrity__alert_limit_arcsec=[20.0, 20.0, 1000.0])
+    assert set(narrow.status[with_lights]) == {Status.DEGRADED}
+    assert "above its alert limit: azimuth_cos_elevation" in narrow.estimates[400].text

@@ -74,6 +74,8 @@ class Claims:
         time_s: after the start, shape (k,).
         status: shape (k,).
         sigmas: largest error of azimuth·cosE, elevation and image rotation in sigmas as claimed, shape (k,).
+        errors: of these three, rad, shape (k, 3).
+        levels: their protection levels, rad, shape (k, 3); NaN where there is none.
         estimates: the claims themselves.
         core: after the session.
         refused: inputs and exposures that were not used.
@@ -84,6 +86,8 @@ class Claims:
     time_s: FloatArray
     status: np.ndarray
     sigmas: FloatArray
+    errors: FloatArray
+    levels: FloatArray
     estimates: list[PointingEstimate]
     core: OpticalAxisCore
     refused: int
@@ -94,6 +98,11 @@ class Claims:
         """The largest error in sigmas while one of some statuses was claimed; 0 where none was."""
         chosen = np.isin(self.status, statuses) & (self.time_s >= from_s)
         return float(np.max(self.sigmas[chosen], initial=0.0))
+
+    def worst_of_level(self, from_s: float = FAULT_S) -> float:
+        """The largest error as a share of its protection level while VALID; 0 where there was no level."""
+        chosen = (self.status == Status.VALID) & (self.time_s >= from_s) & np.all(np.isfinite(self.levels), axis=1)
+        return float(np.max(np.abs(self.errors[chosen]) / self.levels[chosen], initial=0.0))
 
     def seconds(self, status: Status, from_s: float = FAULT_S, beyond: float = 0.0) -> float:
         """For how long a status was claimed with an error beyond so many sigmas."""
@@ -108,7 +117,11 @@ def claims(run: SimulatedRun, **changes: object) -> Claims:
         values = {**flatten(config), **{name.replace("__", "."): value for name, value in changes.items()}}
         config = build(OpticalAxisConfig, nest(values))
     core = OpticalAxisCore(config)
-    outcomes = [give_pointing(core, run, source, index) for _, source, index in run.pointing_arrivals()]
+    outcomes, levels = [], {}
+    for _, source, index in run.pointing_arrivals():
+        outcome = give_pointing(core, run, source, index)
+        outcomes.append(outcome)
+        levels |= {estimate.time_ns: core.integrity(estimate).level for estimate in outcome.estimates}
     decisions = [decision for outcome in outcomes for decision in outcome.decisions]
     refused = sum(outcome.refusal is not None for outcome in outcomes)
     refused += sum(not decision.accepted for decision in decisions)
@@ -116,10 +129,14 @@ def claims(run: SimulatedRun, **changes: object) -> Claims:
     rows = {int(stamp): row for row, stamp in enumerate(run.theodolite.encoder.time_ns[truth.encoder_index])}
     estimates = [found for outcome in outcomes for found in outcome.estimates]
     kept = [found for found in estimates if found.time_ns in rows and found.status is not Status.INVALID]
+    compared = [_errors(found, truth.mount.rotation_nm[rows[found.time_ns]]) for found in kept]
+    errors, sigma = (np.array(column) for column in zip(*compared, strict=True))
     return Claims(
         time_s=np.array([(found.time_ns - run.start_ns) * 1e-9 for found in kept]),
         status=np.array([found.status for found in kept]),
-        sigmas=np.array([_sigmas(found, truth.mount.rotation_nm[rows[found.time_ns]]) for found in kept]),
+        sigmas=np.max(np.abs(errors) / sigma, axis=1),
+        errors=errors,
+        levels=np.array([levels[found.time_ns] for found in kept]),
         estimates=kept,
         core=core,
         refused=refused,
@@ -128,8 +145,10 @@ def claims(run: SimulatedRun, **changes: object) -> Claims:
     )
 
 
-def _sigmas(found: PointingEstimate, true_nm: FloatArray) -> float:
+def _errors(found: PointingEstimate, true_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Errors of azimuth·cosE, elevation and image rotation, and their sigmas as claimed, rad, shape (3,) each."""
     azimuth, elevation, _ = angles_from_rotation(found.rotation_nm)
     to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
-    errors = to_angles @ log_rotation(true_nm @ found.rotation_nm.T)
-    return float(np.max(np.abs(errors) / np.sqrt(np.diagonal(to_angles @ found.covariance_n @ to_angles.T))))
+    to_angles[0] *= np.cos(elevation)
+    covariance = to_angles @ found.covariance_n @ to_angles.T
+    return to_angles @ log_rotation(true_nm @ found.rotation_nm.T), np.sqrt(np.diagonal(covariance))

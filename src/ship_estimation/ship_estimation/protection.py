@@ -263,6 +263,26 @@ def integrity_report(
     )
 
 
+def above_limit(report: IntegrityReport, quantities: Sequence[str]) -> str:
+    """Why the levels do not meet their limits; empty where they do, or where none are configured.
+
+    Example:
+        >>> found = Separation(np.array([0.5]), np.deg2rad([0.001, 0.002, 0.004]), dominant=0)
+        >>> limits = IntegrityConfig(alert_limit_arcsec=(12.0, 12.0, 12.0))
+        >>> told = integrity_report(0, limits, ["star.bow"], found, checked=True, threshold=5.1, excluded=[])
+        >>> above_limit(told, ["heading", "pitch", "roll"])
+        'a protection level is above its alert limit: heading 3.6″, pitch 7.2″, roll 14.4″'
+    """
+    if report.state is IntegrityState.EXCEEDED:
+        levels = ", ".join(
+            f"{name} {math.degrees(level) * 3600.0:.1f}″" for name, level in zip(quantities, report.level, strict=True)
+        )
+        return f"a protection level is above its alert limit: {levels}"
+    if report.state is IntegrityState.UNAVAILABLE:
+        return "there are too few sources to check one another, and alert limits are configured"
+    return ""
+
+
 def _sigmas(probability: float) -> float:
     """Of a normal error, that it exceeds on one side with a probability."""
     return float(-ndtri(probability))

@@ -4,8 +4,6 @@ The rows of the filter's state (:mod:`ship_attitude_star.ship_attitude.suspects`
 another one without each of its sources; :mod:`ship_estimation.protection` makes levels of that.
 """
 
-import math
-
 import numpy as np
 
 from ship_attitude_star.measurements.samples import AttitudeEstimate
@@ -16,7 +14,6 @@ from ship_estimation.outcome import Status
 from ship_estimation.protection import (
     Factors,
     IntegrityReport,
-    IntegrityState,
     Separation,
     integrity_report,
     separation,
@@ -68,15 +65,3 @@ def _checked(filter_: ShipFilter, state: FilterState, estimate: AttitudeEstimate
     by_stars = any(filter_.devices[source].is_star for source in others)
     in_dispute = state.doubt is not None or state.jumped or estimate.status is Status.INVALID
     return by_stars and len(others) >= _LEAST_SOURCES and not in_dispute
-
-
-def above_limit(report: IntegrityReport) -> str:
-    """Why the levels do not meet their limits; empty where they do, or where none are configured."""
-    if report.state is IntegrityState.EXCEEDED:
-        levels = ", ".join(
-            f"{name} {math.degrees(level) * 3600.0:.1f}″" for name, level in zip(QUANTITIES, report.level, strict=True)
-        )
-        return f"a protection level is above its alert limit: {levels}"
-    if report.state is IntegrityState.UNAVAILABLE:
-        return "there are too few sources to check one another, and alert limits are configured"
-    return ""

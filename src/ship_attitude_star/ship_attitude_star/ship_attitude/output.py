@@ -9,7 +9,7 @@ from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Horizon, SolvedAttitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.integrity import above_limit, integrity_of
+from ship_attitude_star.ship_attitude.integrity import QUANTITIES, integrity_of
 from ship_attitude_star.ship_attitude.model import SOURCE_INS_NOISE, SOURCE_INTERPOLATION
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.suspects import INS, UNKNOWN_INS_RAD_PER_SQRT_S
@@ -19,6 +19,7 @@ from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.kalman import lasting
 from ship_estimation.outcome import Measurement, Status
+from ship_estimation.protection import above_limit
 from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
@@ -118,7 +119,7 @@ class CorrectedIns:
         )
         if status is Status.DEGRADED or not config.integrity.alert_limit_arcsec:
             return estimate
-        text = above_limit(integrity_of(self._filter, config, self.state, estimate))
+        text = above_limit(integrity_of(self._filter, config, self.state, estimate), QUANTITIES)
         return replace(estimate, status=Status.DEGRADED, text=text) if text else estimate
 
     def _worth(self, star_age_s: float, coasting_after_s: float) -> tuple[Status, str]:

@@ -25,8 +25,9 @@ BEACON = "beacon."
 ENCODER = "encoder"
 SHIP = "ship_attitude"
 
-_UNKNOWN = 72_000.0 * ARCSEC
-"""Sigma of an error of which nothing is known: of encoders that stood still while the axis turned."""
+_UNKNOWN = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC}
+"""Sigma of an error of which nothing is known: of encoders that stood still while the axis turned; of a ship's
+attitude that crept away, for its rates tell a larger step."""
 _ONLY_SOURCE = 0
 
 
@@ -119,15 +120,20 @@ class SourceRows:
         parts = rows.parts.copy()
         for row, source in enumerate(self.sources):
             for name in {source, *excluded} & self._states.keys():
-                forget(parts[row], self._states[name], _ONLY_SOURCE)
+                forget(parts[row], self._states[name], _ONLY_SOURCE, _UNKNOWN[name])
         return replace(rows, parts=parts)
 
     def forget(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
         """The same for covariance parts (n_sources, n, n) of the estimate by all sources that are not excluded."""
         parts = parts.copy()
         for name in sorted(excluded & self._states.keys()):
-            forget(parts, self._states[name], source_index)
+            forget(parts, self._states[name], source_index, _UNKNOWN[name])
         return parts
+
+    def _unknown_rows(self, excluded: Set[str]) -> NDArray[np.bool_]:
+        """To which estimates, that by all sources first, the encoders or the ship are unknown, shape (h + 1,)."""
+        unknown = [bool({source, *excluded} & self._states.keys()) for source in self.sources]
+        return np.array([bool(excluded & self._states.keys()), *unknown])
 
     def seen(
         self,
@@ -135,6 +141,7 @@ class SourceRows:
         names: tuple[str, ...],
         measurement: LinearMeasurement,
         first: tuple[FloatArray, FloatArray],
+        excluded: Set[str],
         probability: float,
     ) -> tuple[Alternatives, RowsSeen]:
         """The rows after a sighting, and what they see of it.
@@ -144,6 +151,7 @@ class SourceRows:
             names: of its lights, none of them of a drone that is excluded.
             measurement: with two components for each light; its residual is that of the estimate by all sources.
             first: mean and covariance of that estimate, predicted, shapes (n,), (n, n).
+            excluded: the sources that every row does without.
             probability: of the gate.
         """
         h, noise = measurement.jacobian, measurement.noise
@@ -152,11 +160,15 @@ class SourceRows:
         covariance = h @ cross + noise
         all_residuals = np.concatenate([measurement.residual[None], residual])
         all_covariances = np.concatenate([(h @ first[1] @ h.T + noise)[None], covariance])
-        by_light = tuple(whitened(all_residuals, all_covariances, noise, 2 * light) for light in range(len(names)))
         # What a row does without has no part in it.
-        blind = np.zeros(residual.shape, dtype=bool)
+        blind = np.zeros(all_residuals.shape, dtype=bool)
         for light, name in enumerate(names):
-            blind[self.sources.index(BEACON + name), 2 * light : 2 * light + 2] = True
+            blind[1 + self.sources.index(BEACON + name), 2 * light : 2 * light + 2] = True
+        known = ~blind & self._unknown_rows(excluded)[:, None]
+        by_light = tuple(
+            _light_seen(all_residuals, all_covariances, noise, light, known) for light in range(len(names))
+        )
+        blind = blind[1:]
         seen_by_both = ~blind[:, :, None] & ~blind[:, None, :]
         covariance = np.where(seen_by_both, covariance, np.eye(h.shape[0]))
         residual, cross = np.where(blind, 0.0, residual), np.where(blind[:, None, :], 0.0, cross)
@@ -173,28 +185,53 @@ class SourceRows:
         return replace(rows, mean=mean, parts=updated[:, None]), RowsSeen(accepted, by_light)
 
 
-def forget(parts: FloatArray, states: NDArray[np.intp], source_index: int) -> None:
-    """Make states unknown in place, and independent of all others, in parts of shape (n_sources, n, n)."""
+def forget(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:
+    """Give states a new sigma in place, independent of all others, in parts of shape (n_sources, n, n)."""
     parts[:, states, :] = 0.0
     parts[:, :, states] = 0.0
-    parts[source_index, states, states] = _UNKNOWN**2
+    parts[source_index, states, states] = sigma_rad**2
 
 
-def whitened(residual: FloatArray, covariance: FloatArray, noise: FloatArray, first: int) -> RowsCompared:
-    """The residual of one light in every row, whitened along the axes of the detector.
+def _light_seen(
+    residual: FloatArray, covariance: FloatArray, noise: FloatArray, light: int, known: NDArray[np.bool_]
+) -> RowsCompared:
+    """The residual of one light in every row, whitened; where the others are known, what they leave of it.
+
+    To a row of which the encoders or the ship are unknown a light alone says nothing, but beside the others it does.
 
     Args:
         residual: of all lights, shape (h, m).
         covariance: of the residual, shape (h, m, m).
         noise: share of the sighting's own noise in it, shape (m, m).
-        first: its first component.
+        light: its number.
+        known: the components that are taken as known in each row, those of the light aside, shape (h, m).
     """
-    own = slice(first, first + 2)
-    values, vectors = np.linalg.eigh(covariance[:, own, own])
+    own = slice(2 * light, 2 * light + 2)
+    known = known.copy()
+    known[:, own] = False
+    of_others = np.where(known[:, :, None] & known[:, None, :], covariance, np.eye(residual.shape[1]))
+    with_others = np.where(known[:, :, None], covariance[:, :, own], 0.0)
+    weights = np.linalg.solve(of_others, with_others).swapaxes(-1, -2)
+    left = residual[:, own] - (weights @ residual[:, :, None])[:, :, 0]
+    noise_left = -weights
+    noise_left[:, :, own] += np.eye(2)
+    covariance_left = covariance[:, own, own] - weights @ with_others
+    return whitened(left, covariance_left, noise_left @ noise @ noise_left.swapaxes(-1, -2))
+
+
+def whitened(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> RowsCompared:
+    """The residual of one light in every row, whitened along the axes of the detector.
+
+    Args:
+        residual: shape (h, 2).
+        covariance: of the residual, shape (h, 2, 2).
+        noise: share of the sighting's own noise in it, shape (h, 2, 2).
+    """
+    values, vectors = np.linalg.eigh(covariance)
     root = (vectors / np.sqrt(values)[:, None, :]) @ vectors.swapaxes(-1, -2)
     count = len(residual)
     turn, turn_noise = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
-    turn[:, :2] = (root @ residual[:, own, None])[:, :, 0]
-    turn_noise[:, :2, :2] = root @ noise[own, own] @ root
+    turn[:, :2] = (root @ residual[:, :, None])[:, :, 0]
+    turn_noise[:, :2, :2] = root @ noise @ root
     nis = np.einsum("hi,hi->h", turn, turn)
-    return RowsCompared(residual[:, own], covariance[:, own, own], nis, np.empty(0), turn, turn_noise, np.empty(0))
+    return RowsCompared(residual, covariance, nis, np.empty(0), turn, turn_noise, np.empty(0))

@@ -23,9 +23,11 @@ light.<id>.refraction (1)             further error of k on the way to this ligh
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_estimation.kalman import StateBlock, StateModel, block, slow_error_later
 from ship_geometry.rotations import ARCSEC, FloatArray
+from theodolite_calib.chain.axes import CHAIN_STATES
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
 
 SOURCE_SHIP = "ship_attitude"
@@ -73,6 +75,11 @@ def state_model(config: OpticalAxisConfig) -> StateModel:
     used = [entry for entry in blocks if entry.name in known or np.any(entry.sigma > 0.0)]
     noise_sources = [SOURCE_SHIP_NOISE, SOURCE_ENCODER, SOURCE_IMAGE, SOURCE_RTK, SOURCE_SAVED]
     return StateModel(used, noise_sources)
+
+
+def chain_rows(model: StateModel) -> NDArray[np.intp]:
+    """Where the states that turn the main axis are, in the order of CHAIN_STATES."""
+    return np.concatenate([model.rows(name) for name in CHAIN_STATES if name in model.slices])
 
 
 def _ship_blocks(config: OpticalAxisConfig) -> list[StateBlock]:

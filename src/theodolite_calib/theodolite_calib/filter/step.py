@@ -16,11 +16,11 @@ from ship_estimation.gates import chi_square_gate
 from ship_estimation.protection import Factors, IntegrityConfig, factors, separation
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
-from theodolite_calib.chain.axes import CHAIN_STATES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, whitened
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.judgement import SightingJudge, focal_length_m
+from theodolite_calib.filter.model import chain_rows
 from theodolite_calib.filter.trust import LeftOut, Referee, Trust
 from theodolite_calib.measured.baseline_track import BaselineJump
 from theodolite_calib.measured.samples import Exposure, ExposureDecision
@@ -41,8 +41,7 @@ class SightingStep:
         self._factors = hypothesis_factors(config.integrity, filter_.rows.sources)
         threshold = self._factors.false_exclusion
         self._referee = Referee(config.integrity, config.gate, filter_.rows, threshold)
-        chain = [filter_.model.rows(name) for name in CHAIN_STATES if name in filter_.model.slices]
-        self._turning = np.concatenate(chain)
+        self._turning = chain_rows(filter_.model)
 
     def __call__(
         self,
@@ -136,7 +135,7 @@ class SightingStep:
         """What the rows say of a sighting that was used; ``before`` is the state predicted to its moment."""
         first = before.mean, before.covariance
         alternatives, seen = self._filter.rows.seen(
-            before.alternatives, names, compared.measurement, first, self._gate.probability
+            before.alternatives, names, compared.measurement, first, before.trust.excluded, self._gate.probability
         )
         time_ns = decision.measurement.time_ns
         trust = self._referee.observed(before.trust, names, seen, True, time_ns)
@@ -160,7 +159,12 @@ class SightingStep:
         """What the rows say of a sighting that was refused; ``predicted`` is the state at its moment."""
         first = predicted.mean, predicted.covariance
         alternatives, seen = self._filter.rows.seen(
-            predicted.alternatives, sighting.names, comparison.measurement, first, self._gate.probability
+            predicted.alternatives,
+            sighting.names,
+            comparison.measurement,
+            first,
+            predicted.trust.excluded,
+            self._gate.probability,
         )
         time_ns = sighting.time_ns
         trust = self._referee.observed(held.trust, sighting.names, seen, False, time_ns)
@@ -217,8 +221,9 @@ class SightingStep:
             comparison = self._filter.compare(state, sighting.chosen([row]))
             if comparison is not None:
                 measurement = comparison.measurement
-                covariance, noise = comparison.covariance[None], measurement.noise
-                compared = whitened(measurement.residual[None], covariance, noise, 0)
+                compared = whitened(
+                    measurement.residual[None], comparison.covariance[None], measurement.noise[None]
+                )
                 refused_m = self._refused_m(trust.left_out[BEACON + name], comparison, others)
                 trust = self._referee.watched_light(trust, name, compared, sighting.time_ns, refused_m)
         return trust

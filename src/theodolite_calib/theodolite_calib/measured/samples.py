@@ -1,7 +1,7 @@
 """What goes into the optical-axis core and what comes out: plain structs in radians, metres and nanoseconds."""
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
 
@@ -160,6 +160,7 @@ class PointingEstimate:
         status: what it is worth.
         light_count: lights used.
         text: why it is not VALID.
+        by_error_n: rotation vector of the main axis in n per error of the chain, shape (3, k).
     """
 
     time_ns: int
@@ -171,6 +172,7 @@ class PointingEstimate:
     status: Status
     light_count: int
     text: str = ""
+    by_error_n: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
 
 
 PointingOutcome = Outcome[ExposureDecision, PointingEstimate]

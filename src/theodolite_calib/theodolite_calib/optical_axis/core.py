@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from ship_estimation.estimator_shell import EstimatorShell, Model
+from ship_estimation.protection import IntegrityReport
 from ship_estimation.refusals import Refusal, contradiction_text
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
@@ -42,6 +43,7 @@ from theodolite_calib.optical_axis.calibration import (
     prior_of,
     state_from_prior,
 )
+from theodolite_calib.optical_axis.integrity import integrity_of
 from theodolite_calib.optical_axis.output import PointingOutput, no_pointing
 
 
@@ -187,6 +189,16 @@ class OpticalAxisCore:
         if self.state.used_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_of(self.filter, self.config, self.state)
+
+    def integrity(self, estimate: PointingEstimate) -> IntegrityReport:
+        """How far a pointing may be wrong although nothing says so."""
+        return integrity_of(self.filter, self.config, self.state, estimate)
+
+    @property
+    def suspected(self) -> tuple[bool, tuple[str, ...]]:
+        """Whether sources contradict one another and nothing tells which is wrong; those that are excluded."""
+        trust = self.state.trust
+        return trust.conflict is not None, tuple(sorted(trust.excluded))
 
     def sighting(self, exposure: Exposure) -> Sighting | None:
         """An exposure within ``lag_s`` with all that belongs to it; None where that is not there."""

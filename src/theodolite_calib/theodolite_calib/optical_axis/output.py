@@ -1,14 +1,15 @@
 """The pointing at an encoder reading: by the filter's state and the ship's attitude, with its covariance by source."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ship_estimation.outcome import Status
+from ship_estimation.protection import above_limit
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.chain.axes import CHAIN_STATES, DEFORMATION, SHIP, ChainErrors, axis_chain
+from theodolite_calib.chain.axes import DEFORMATION, SHIP, ChainErrors, axis_chain
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import BEACON
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -18,9 +19,11 @@ from theodolite_calib.filter.model import (
     SOURCE_SAVED,
     SOURCE_SHIP,
     SOURCE_SHIP_NOISE,
+    chain_rows,
 )
 from theodolite_calib.measured.samples import EncoderSample, Mode, PointingEstimate
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
+from theodolite_calib.optical_axis.integrity import QUANTITIES, integrity_of
 
 
 @dataclass(frozen=True)
@@ -31,11 +34,13 @@ class AxisAt:
         rotation_nm: horizon from main frame, shape (..., 3, 3).
         parts_n: error covariance of the main axis by source, rotation vector in n, rad², shape (..., n_sources, 3, 3).
         rotation_nt: horizon from telescope, shape (..., 3, 3).
+        by_error_n: rotation vector of the main axis in n per state that turns it, shape (..., 3, k).
     """
 
     rotation_nm: FloatArray
     parts_n: FloatArray
     rotation_nt: FloatArray
+    by_error_n: FloatArray
 
 
 class CorrectedAxis:
@@ -53,7 +58,7 @@ class CorrectedAxis:
         self.state = state
         model, self._ship_error = filter_.model, filter_.ship_error
         self._transition = model.transition
-        self._rows = np.concatenate([model.rows(name) for name in CHAIN_STATES if name in model.slices])
+        self._rows = chain_rows(model)
         self._mean = state.mean[self._rows]
         self._parts = state.parts[:, self._rows[:, None], self._rows]
         self._known = filter_.sightings.chain_errors(state.mean)
@@ -84,7 +89,7 @@ class CorrectedAxis:
         by_encoder = chain.by_encoder @ np.swapaxes(chain.by_encoder, -1, -2)
         parts_n[..., self._encoder, :, :] += np.asarray(encoder.noise)[..., None, None] * by_encoder
         parts_n[..., self._ship_noise, :, :] += np.asarray(ship.noise)[..., None, None] * np.eye(3)
-        return AxisAt(chain.rotation_nm, parts_n, chain.rotation_nm @ self._rotation_mt)
+        return AxisAt(chain.rotation_nm, parts_n, chain.rotation_nm @ self._rotation_mt, by_error[..., 0, :, :])
 
     def _carried(self, since_s: float | FloatArray, ship: ShipAt) -> tuple[FloatArray, FloatArray]:
         """Errors of the chain and their covariance by source, shapes (..., k), (..., n_sources, k, k)."""
@@ -108,7 +113,7 @@ class PointingOutput:
     """
 
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
-        self._filter = filter_
+        self._config, self._filter = config, filter_
         self._recent_ns = round(config.lights_recent_s * SECOND_NS)
         self._corrected: CorrectedAxis | None = None
         self._saved = filter_.model.sources.index(SOURCE_SAVED)
@@ -133,7 +138,7 @@ class PointingOutput:
         axis = self._corrected.at(since_s, ship, EncoderAt(azimuth, elevation, sample.sigma**2))
         if state.trust.conflict is not None:
             axis.parts_n[self._disagreement] += state.trust.conflict.spread_n
-        return PointingEstimate(
+        estimate = PointingEstimate(
             time_ns=sample.time_ns,
             rotation_nm=axis.rotation_nm,
             parts_n=axis.parts_n,
@@ -143,7 +148,12 @@ class PointingOutput:
             status=status,
             light_count=state.light_count if recent else 0,
             text=text,
+            by_error_n=axis.by_error_n,
         )
+        if status is Status.DEGRADED or not self._config.integrity.alert_limit_arcsec:
+            return estimate
+        text = above_limit(integrity_of(self._filter, self._config, state, estimate), QUANTITIES)
+        return replace(estimate, status=Status.DEGRADED, text=text) if text else estimate
 
     def _worth(self, state: CalibrationState, mode: Mode, ship_status: Status, doubt: str) -> tuple[Status, str]:
         if doubt:

@@ -17,6 +17,7 @@ from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
     INNOVATION_TYPE,
+    INTEGRITY_TYPE,
     DiagnosticStatus,
     Level,
     error_budget,
@@ -29,12 +30,13 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import Exposure, Mode, PointingEstimate
 from theodolite_calib.optical_axis.calibration import Calibration
 from theodolite_calib.optical_axis.core import OpticalAxisCore
+from theodolite_calib.optical_axis.integrity import QUANTITIES
 from theodolite_calib.ros import messages_in
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 MAIN_FRAME = "theodolite_main"
 BASE_FRAME = "theodolite_base"
-POINTING_TOPIC = "theodolite/pointing"
+POINTING_TOPIC, INTEGRITY_TOPIC = "theodolite/pointing", "theodolite/integrity"
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 _SHIP = {
@@ -73,11 +75,15 @@ class OpticalAxisAdapter(ReportingAdapter):
     services: ClassVar[tuple[str, ...]] = ("reset", "save_alignment", "load_alignment")
     main_topic: ClassVar[str] = POINTING_TOPIC
     innovation_topic: ClassVar[str] = "theodolite/innovation"
+    integrity_topic: ClassVar[str] = INTEGRITY_TOPIC
+    integrity_frame: ClassVar[str] = MAIN_FRAME
+    quantities: ClassVar[tuple[str, ...]] = QUANTITIES
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(POINTING_TOPIC, "ship_msgs/msg/OpticalAxisPointing"),
         OutputTopic("theodolite/calibration", "ship_msgs/msg/TheodoliteCalibration", latched=True),
         OutputTopic("theodolite/error_budget", BUDGET_TYPE),
         OutputTopic(innovation_topic, INNOVATION_TYPE),
+        OutputTopic(INTEGRITY_TOPIC, INTEGRITY_TYPE),
         OutputTopic("theodolite/error_arcsec", "ship_msgs/msg/PointingErrorArcsec"),
         *OWN_OUTPUTS,
     )
@@ -137,6 +143,7 @@ class OpticalAxisAdapter(ReportingAdapter):
         return [
             pointing_status(self.latest, self.clock_jumps),
             calibration_status(self.core.calibration(), told),
+            *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.verdicts.statuses(),
             clock_status(self.core.filter.model, self.core.state.mean, {"ship": "ins"}),

@@ -1,0 +1,76 @@
+"""The integrity of the pointing as it is published: levels, limits, exclusions, and configurations that are none."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_estimation.outcome import Status
+from ship_estimation.parameters import ParameterError
+from ship_geometry.rotations import ARCSEC
+from ship_msgs.msg import Integrity
+from ship_testing.adapter_runs import SECOND_NS, START_NS, changed_where
+from ship_testing.small_session import BASELINE, BEACONS, clean_run, config, drive, new_adapter, session, stamp_of
+
+TOPIC = "theodolite/integrity"
+
+
+def seconds(message: Any) -> float:
+    return (stamp_of(message) - START_NS) * 1e-9
+
+
+def test_levels_go_out_once_a_second_and_name_their_hypotheses() -> None:
+    run = clean_run()
+    told = run.messages(TOPIC)
+    assert 5 <= len(told) <= 8
+    assert {m.header.frame_id for m in told} == {"theodolite_main"}
+    last = told[-1]
+    assert last.quantities == ["azimuth_cos_elevation", "elevation", "image_rotation"]
+    assert last.hypotheses == ["beacon.alpha", "beacon.bravo", "encoder", "ship_attitude"]
+    assert (last.state, last.excluded) == (Integrity.NO_LIMIT, [])
+    assert np.all(np.isnan(last.alert_limit))
+    assert np.all(np.array(last.protection_level) / ARCSEC > 5.0)
+    assert np.all(np.array(last.statistic) < last.threshold)
+    assert last.dominant in last.hypotheses
+
+
+def test_without_lights_nothing_checks_the_encoders() -> None:
+    dark = tuple(a for a in session(10.0) if a.topic != BEACONS or (a.stamp_ns - START_NS) < 3 * SECOND_NS)
+    run = drive(new_adapter(), dark)
+    last = run.messages(TOPIC)[-1]
+    assert last.state == Integrity.UNAVAILABLE
+    assert np.all(np.isnan(last.protection_level))
+
+
+def test_a_source_that_is_excluded_is_told_at_once_and_in_the_diagnostics() -> None:
+    def moved(message: Any) -> None:
+        message.enu.z += 3.0
+
+    wrong = changed_where(
+        session(10.0), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 5 * SECOND_NS, moved
+    )
+    run = drive(new_adapter(), wrong)
+    told = [m for m in run.messages(TOPIC) if m.excluded]
+    assert told[0].excluded == ["beacon.alpha"]
+    assert 4.8 < seconds(told[0]) < 6.5
+    assert told[-1].excluded_for_s[0] == pytest.approx(seconds(told[-1]) - seconds(told[0]), abs=0.6)
+    assert told[-1].hypotheses == ["beacon.bravo", "encoder", "ship_attitude"]
+    assert run.pointings[-1].status == Status.VALID
+    since_ns = START_NS + 9 * SECOND_NS
+    assert any("beacon.alpha" in text for _, text in run.diagnostics("integrity", since_ns, since_ns + 2 * SECOND_NS))
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"integrity__max_hypotheses": 4}, "integrity.max_hypotheses"),
+        ({"integrity__alert_limit_arcsec": [0.0, 10.0, 10.0]}, "integrity.alert_limit_arcsec"),
+        ({"integrity__alert_limit_arcsec": [-1.0, 10.0, 10.0]}, "integrity.alert_limit_arcsec"),
+        ({"integrity__alert_limit_arcsec": [10.0]}, "integrity.alert_limit_arcsec"),
+        ({"integrity__prior_per_h": {"encoder": 0.0}}, "integrity.prior_per_h.encoder"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(changes: dict[str, Any], name: str) -> None:
+    with pytest.raises(ParameterError) as refused:
+        config(**changes)
+    assert name in str(refused.value)

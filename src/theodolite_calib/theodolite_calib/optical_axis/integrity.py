@@ -1,0 +1,55 @@
+"""How far the pointing may be wrong although nothing says so: protection levels of its angles.
+
+The estimates without one source each (:mod:`theodolite_calib.filter.alternatives`) tell how far the main axis would be
+another one without it; :mod:`ship_estimation.protection` makes levels of that.
+"""
+
+import numpy as np
+
+from ship_estimation.outcome import Status
+from ship_estimation.protection import Factors, IntegrityReport, Separation, integrity_report, separation
+from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.model import chain_rows
+from theodolite_calib.filter.step import hypothesis_factors
+from theodolite_calib.measured.samples import Mode, PointingEstimate
+
+QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
+"""What the levels bound."""
+
+
+def integrity_of(
+    filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState, estimate: PointingEstimate
+) -> IntegrityReport:
+    """The integrity of a pointing.
+
+    Args:
+        filter_: the filter and its model.
+        config: its configuration.
+        state: that the pointing rests on.
+        estimate: the pointing.
+    """
+    sources, excluded = filter_.rows.sources, state.trust.left_out
+    rows = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=int)
+    names, k = [sources[row] for row in rows], hypothesis_factors(config.integrity, sources)
+    azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
+    to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
+    to_angles[0] *= np.cos(elevation)
+    turning, by_error = chain_rows(filter_.model), to_angles @ estimate.by_error_n
+    beside, first = state.alternatives, state.covariance[turning[:, None], turning]
+    further = beside.parts[rows, 0][:, turning[:, None], turning] - first
+    # What a pointing adds to the error of the state, as the noise of the encoders, is the same in every estimate.
+    all_sources = to_angles @ estimate.covariance_n @ to_angles.T
+    without = all_sources + by_error @ further @ by_error.T
+    distance = (beside.mean[rows] - state.mean)[:, turning] @ by_error.T
+    found = Separation(np.empty(0), np.full(3, np.nan), -1)
+    if names:
+        found = separation(
+            distance, without, all_sources, Factors(k.right, k.false_exclusion, k.missed[rows])
+        )
+    since = [(name, left_out.exclusion.since_ns) for name, left_out in sorted(excluded.items())]
+    # Without lights nothing checks the encoders and the ship's attitude.
+    in_dispute = state.trust.conflict is not None or state.refusals > 0 or estimate.status is Status.INVALID
+    checked = estimate.mode is not Mode.ENCODER and not in_dispute
+    return integrity_report(estimate.time_ns, config.integrity, names, found, checked, k.false_exclusion, since)
