@@ -128,6 +128,43 @@ def test_several_bags_come_together_and_between_the_truths_the_truth_is_interpol
     assert together.statistics()["epochs"] == 31
 
 
+def pointing(stamp_ns, azimuth, elevation):
+    unknown = dict.fromkeys(("telescope_azimuth", "telescope_elevation", "telescope_rotation"), math.nan)
+    return FACTORY.make(
+        "ship_msgs/msg/OpticalAxisPointing",
+        header=make_header(FACTORY, stamp_ns, "main"),
+        azimuth=azimuth % (2.0 * np.pi),
+        elevation=elevation,
+        image_rotation=0.0,
+        covariance=np.zeros(9),
+        rotation_covariance=np.zeros(9),
+        mode=0,
+        status=0,
+        light_count=2,
+        **unknown,
+    )
+
+
+def test_the_azimuth_of_a_pointing_counts_on_the_sky_and_only_where_its_truth_was_told(tmp_path):
+    """At 60 degrees of elevation 18 arcseconds of azimuth are 9 on the sky: within a level of 10."""
+    path, elevation = tmp_path / "p.mcap", np.deg2rad(60.0)
+    with BagWriter(path) as bag:
+        levels = integrity(START_NS, (10.0, 5.0, 20.0), quantities=POINTING.channels)
+        bag.write("theodolite/integrity", levels, START_NS)
+        for number in range(6):
+            stamp_ns = START_NS + number * TENTH_NS
+            if number % 2 == 0:
+                bag.write("truth/pointing", pointing(stamp_ns, 0.0, elevation), stamp_ns)
+            bag.write("theodolite/pointing", pointing(stamp_ns, 18.0 * ARCSEC, elevation + 6.0 * ARCSEC), stamp_ns)
+    (found,) = epochs_of([path])
+    assert found.orientation is POINTING
+    assert found.counts() == {
+        "azimuth_cos_elevation": {NOMINAL: 3, MISLEADING: 0, HAZARDOUS: 0, UNAVAILABLE: 0},
+        "elevation": {NOMINAL: 0, MISLEADING: 3, HAZARDOUS: 0, UNAVAILABLE: 0},
+        "image_rotation": {NOMINAL: 3, MISLEADING: 0, HAZARDOUS: 0, UNAVAILABLE: 0},
+    }
+
+
 def test_a_quantity_without_a_level_is_unavailable(tmp_path):
     levels = {0: lambda stamp_ns: integrity(stamp_ns, (10.0,), (math.nan,), quantities=("heading",))}
     (found,) = epochs_of([write_run(tmp_path / "a.mcap", [((0.0, 0.0, 0.0), Status.VALID)], levels)])
