@@ -115,7 +115,7 @@ def suite_yaml(scenario: Scenario) -> str:
 
 def suite_configuration(scenario: Scenario) -> dict[str, Any]:
     """Parameters of ``ship_attitude`` as nested mapping."""
-    configuration: dict[str, Any] = {"ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS)}}
+    configuration: dict[str, Any] = {"ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS), **_rates(scenario)}}
     if scenario.star_sensors:
         configuration["star_sensors"] = {
             key: {"frame_id": star_frame(key), **_input(sensor), **_told(sensor, _STAR_SENSOR)}
@@ -133,7 +133,7 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
 def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
     """Parameters of ``star_attitude``, for the sensors that give single stars."""
     return {
-        "ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS_BESIDE_STARS)},
+        "ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS_BESIDE_STARS), **_rates(scenario)},
         "star_sensors": {
             key: {"frame_id": star_frame(key), "camera": _camera(sensor.camera), **_told(sensor, _STAR_MOUNTING)}
             for key, sensor in scenario.star_sensors.items()
@@ -155,11 +155,17 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
         "air": _told(theodolite.air, _REFRACTION),
         "ship_antenna": _told(theodolite.ship_antenna, ("sigma_m", "time_s")),
         "ship": _ship(scenario),
-        "ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS)},
+        "ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS), **_rates(scenario)},
     }
     if scenario.beacons:
         configuration["beacons"] = {key: _beacon(key, beacon) for key, beacon in scenario.beacons.items()}
     return configuration
+
+
+def _rates(scenario: Scenario) -> dict[str, Any]:
+    """What is said of the INS's rates: nothing where they are free of errors, as they are by default."""
+    told = _told(scenario.ins, ("rate_sigma_arcsec_per_s", "rate_has_earth_rate"))
+    return {name: value for name, value in told.items() if value}
 
 
 def _told(device: object, names: tuple[str, ...]) -> dict[str, Any]:

@@ -1,0 +1,110 @@
+"""An INS that steps under ship_attitude: DEGRADED from the step until stars agree, and never far beyond its sigma.
+
+Before, in brackets, by the same runs: the largest error in sigmas while VALID after the step.
+"""
+
+import functools
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.measurements.samples import AttitudeMeasurement
+from ship_estimation.outcome import Status
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+from ship_replay.trials.monte_carlo import core_for
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.ship.motion import carrier_of
+
+PAPER = Path(__file__).parents[1] / "bags" / "scenarios" / "paper.yaml"
+STEP_S, END_S = 18.0, 21.0
+"""Both star sensors expose at the moment of the step: an exposure is compared with the INS's attitude of before it."""
+
+
+class Claim(NamedTuple):
+    """An attitude that was put out: its moment, its status, and its largest error in sigmas."""
+
+    time_s: float
+    status: Status
+    sigmas: float
+
+
+@functools.cache
+def voyage(rate_hz: float, **ins: float) -> SimulatedRun:
+    whole = load_scenario(PAPER)
+    return simulate(replace(whole, duration_s=END_S, ins=replace(whole.ins, rate_hz=rate_hz, **ins)), seed=2)
+
+
+def claims(run: SimulatedRun, arcsec_n: tuple[float, float, float], until_s: float = np.inf) -> list[Claim]:
+    """What is put out after the INS has stepped about North, Up and East at STEP_S, and back at ``until_s``."""
+    core, carrier = core_for(run.scenario), carrier_of(run.scenario.carrier, run.seed)
+    step, found = exp_rotation(np.array(arcsec_n) * ARCSEC), []
+    for _, source, index in run.arrivals():
+        if source == "ins":
+            time_ns, rotation_nd = int(run.ins.time_ns[index]), run.ins.rotation_nd[index]
+            since_s = (time_ns - run.start_ns) * 1e-9
+            turned = step @ rotation_nd if STEP_S <= since_s < until_s else rotation_nd
+            outcome = core.add_ins(AttitudeSample(time_ns, turned, run.ins.rate_d[index]), estimate=since_s > 17.0)
+        elif source.startswith("star."):
+            star = run.stars[source.removeprefix("star.")]
+            values = int(star.time_ns[index]), star.rotation_nv[index], star.noise_v, star.common_n
+            outcome = core.add_measurement(AttitudeMeasurement(source, *values))
+        else:
+            continue
+        for estimate in outcome.estimates:
+            since_s = (estimate.time_ns - run.start_ns) * 1e-9
+            error_n = log_rotation(carrier.attitude(np.array(since_s)) @ estimate.rotation_nd.T)
+            sigmas = float(np.max(np.abs(error_n) / np.sqrt(np.diagonal(estimate.covariance_n))))
+            found.append(Claim(since_s, estimate.status, sigmas))
+    return [claim for claim in found if claim.time_s >= STEP_S - 1e-9]
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 100.0, 200.0])
+@pytest.mark.parametrize(
+    "arcsec_n",
+    [
+        (14.0, 0.0, 0.0),  # [11.0, 11.3, 11.1 at 20, 100, 200 Hz]
+        (0.0, 14.0, 0.0),  # [7.5, 7.6, 8.7]
+        (0.0, 30.0, 0.0),
+        (0.0, 0.0, 100.0),
+        (60.0, 300.0, 60.0),
+    ],
+)
+def test_a_step_of_fourteen_sigma_is_degraded_from_the_first_attitude_on(rate_hz, arcsec_n):
+    found = claims(voyage(rate_hz), arcsec_n)
+    assert found[0].status is Status.DEGRADED
+    assert found[0].time_s <= STEP_S + 6.0 / rate_hz
+    assert max(claim.sigmas for claim in found) < 5.0
+    degraded = [claim for claim in found if claim.status is Status.DEGRADED]
+    assert found[: len(degraded)] == degraded
+    assert degraded[-1].time_s < STEP_S + 1.0
+    assert {claim.status for claim in found[len(degraded) :]} == {Status.VALID}
+
+
+@pytest.mark.parametrize(("rate_hz", "arcsec"), [(50.0, 8.0), (100.0, 7.0), (200.0, 6.0)])
+def test_a_smaller_step_opens_from_its_own_moment_on(rate_hz, arcsec):
+    """Some attitudes are put out VALID before means tell it; what stars were then compared with is compared anew."""
+    for axis in range(3):
+        found = claims(voyage(rate_hz), tuple(arcsec * np.eye(3)[axis]))
+        told_s = next(claim.time_s for claim in found if claim.status is Status.DEGRADED)
+        assert told_s < STEP_S + 0.25
+        assert max(claim.sigmas for claim in found) < 6.0
+        assert max(claim.sigmas for claim in found if claim.time_s >= told_s) < 5.0
+        assert found[-1].status is Status.VALID
+
+
+def test_a_step_that_goes_back_within_some_samples_changes_nothing():
+    found = claims(voyage(100.0), (0.0, 100.0, 0.0), until_s=STEP_S + 0.035)
+    assert {claim.status for claim in found} == {Status.VALID}
+    assert found[0].time_s >= STEP_S + 0.035
+    assert max(claim.sigmas for claim in found) < 5.0
+
+
+def test_the_rates_noise_of_a_scenario_is_told_to_the_estimator():
+    found = claims(voyage(100.0, rate_sigma_arcsec_per_s=60.0, rate_bias_sigma_arcsec_per_s=10.0), (0.0, 30.0, 0.0))
+    assert found[0].status is Status.DEGRADED
+    assert max(claim.sigmas for claim in found) < 5.0
