@@ -38,4 +38,3 @@ def test_the_heading_is_as_good_as_it_says_in_a_turn(rate_deg_per_s: float) -> N
     print(f"\n{rate_deg_per_s:.0f}°/s: RMS {rms:.2f}″, σ {sigma:.2f}″, largest {most:.2f}″, {SEEDS} seeds")
     lowest, highest = sigma_ratio_band(SEEDS)
     assert lowest <= np.sqrt(np.mean((errors / sigmas) ** 2)) <= highest
-    assert sum(end.refused for end in ends) == 0
