@@ -41,7 +41,7 @@ def surely_few(stars: SightedStars, covariance_n: FloatArray) -> bool:
 def by_chance(
     stars: SightedStars, members: NDArray[np.bool_], basis: FloatArray, covariance_n: FloatArray
 ) -> float:
-    """How many sets of as many stars as the members are would agree with a prior by chance, on the average.
+    """How many sets of as many stars as the members are would agree with a prior by chance, on the average at most.
 
     Args:
         stars: with their rivals.
@@ -56,6 +56,9 @@ def by_chance(
         cross = turned @ left_n
         gate = cross @ turned.T + stars.worst_sigma[row] ** 2 * np.eye(2)
         expected *= float(stars.rivals[row]) * gate_area(float(np.sqrt(np.linalg.det(gate))))
+        # That the first of them agree by chance is no less probable than that all do.
+        if expected <= MOST_BY_CHANCE:
+            break
         left_n = left_n - cross.T @ np.linalg.solve(gate, cross)
     return expected
 

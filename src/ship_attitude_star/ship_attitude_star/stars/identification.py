@@ -44,8 +44,8 @@ class Candidates:
     Attributes:
         rows: of the catalogue, the stars in the field, shape (c,).
         fitting: whether a detection may be that star, shape (k, c).
-        nearest: angle from the predicted place of each detection to the nearest star in the field, rad, shape (k,);
-            infinite where there is none.
+        nearest: angle from the predicted place of each detection that no star fits to the nearest star in the field,
+            rad, shape (k,); infinite where there is none. Of no meaning where one fits.
     """
 
     rows: NDArray[np.int64]
@@ -77,13 +77,14 @@ def candidates(
     seen_n = directions_s @ prior.rotation_nb.T
     variance = sigma[:, None] ** 2 + catalogue.position_sigma[rows] ** 2
     smear_n = None if smear_s is None else prior.rotation_nb @ smear_s @ prior.rotation_nb.T
-    fitting = np.zeros((len(seen_n), len(rows)), dtype=bool)
-    if _crowd(seen_n, magnitude, prior, moment) > _CROWDED:
-        return Candidates(rows, ~fitting, np.zeros(len(seen_n)))
+    nearest = np.zeros(len(seen_n))
+    if prior.is_wide and _crowd(seen_n, magnitude, prior, moment) > _CROWDED:
+        return Candidates(rows, np.ones((len(seen_n), len(rows)), dtype=bool), nearest + np.inf)
     fitting = _mahalanobis(seen_n, reference_n, variance, smear_n, prior) < chi_square_gate(GATE_PROBABILITY, 2)
     fitting &= ~(np.abs(magnitude[:, None] - catalogue.magnitude[rows]) > MAGNITUDE_TOLERANCE)
-    angles = angle_between(seen_n[:, None], reference_n)
-    return Candidates(rows, fitting, np.min(angles, axis=1, initial=np.inf))
+    alone = np.flatnonzero(~fitting.any(axis=1))
+    nearest[alone] = np.min(angle_between(seen_n[alone, None], reference_n), axis=1, initial=np.inf)
+    return Candidates(rows, fitting, nearest)
 
 
 def _crowd(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, moment: SkyMoment) -> float:
