@@ -109,7 +109,7 @@ class ShipFilter:
             return None
         if isinstance(found, NotCompared):
             return self._refused(state, measurement, found)
-        if state.jumped_ns is not None and found.ins_time_ns <= state.jumped_ns:
+        if state.jumped_ns is not None and found.paired_ns <= state.jumped_ns:
             before = Refusal(Reason.GAP, "the INS's attitude of before its jump tells nothing of that after it")
             return self._refused(state, measurement, NotCompared(before, found.ins_time_ns))
         if isinstance(found.measured, AttitudeMeasurement) and found.measured.common_n.any():

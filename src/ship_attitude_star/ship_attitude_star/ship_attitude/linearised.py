@@ -58,12 +58,14 @@ class Linearised:
             it, from the predicted state, leads to the estimate, and its NIS is the least sum of squares that any state
             can reach against prediction and measurement together: chi² with as many degrees of freedom as residuals.
         ins: attitude of the INS that belongs to the measurement.
+        paired_ns: stamp of the INS at which it was compared.
         ins_time_ns: the latest stamp of the INS that the comparison rests on.
     """
 
     measured: Measurement
     compared: Compared
     ins: InterpolatedAttitude
+    paired_ns: int
     ins_time_ns: int
 
 
@@ -114,10 +116,11 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Paired:
-    """A measurement as it is compared, the attitude of the INS that belongs to it, and how far samples matter to it."""
+    """A measurement as it is compared, the INS's attitude that belongs to it, its stamp and the latest one needed."""
 
     measurement: Measurement
     ins: InterpolatedAttitude
+    paired_ns: int
     ins_time_ns: int
 
 
@@ -203,7 +206,7 @@ class Linearisation:
         compared = compare(paired.measurement, device, predicted, self._model, mean, covariance, watch)
         if isinstance(compared, Refusal):
             return NotCompared(compared, paired.ins_time_ns)
-        return Linearised(paired.measurement, compared, paired.ins, paired.ins_time_ns)
+        return Linearised(paired.measurement, compared, paired.ins, paired.paired_ns, paired.ins_time_ns)
 
     def _paired(self, task: _Task, mean: FloatArray) -> _Paired | NotCompared | None:
         """What of a measurement is compared, with the attitude of the INS that belongs to it by a mean of the state.
@@ -237,12 +240,12 @@ class Linearisation:
             ins = replace(ins, noise_gain=turning.noise_gain, error_covariance_d=turning.error_covariance)
             measurement = at_middle(measurement, turning.mounted(task.device.rotation_dv0))
         if around_ns:
-            bent_d = _bent_by_offset(track, ins_time_ns, around_ns, ins.rotation_nd)
+            bent_d = _bent_by_offset(track, ins_time_ns, around_ns, ins)
             if bent_d is None:
-                text = "no INS samples as far around it as the offset of its clock is unknown"
+                text = "no INS samples around it, and the offset of its clock is not known"
                 return NotCompared(Refusal(Reason.GAP, text), ins_time_ns + around_ns)
             ins = replace(ins, error_covariance_d=ins.error_covariance_d + task.alike * bent_d)
-        return _Paired(measurement, ins, ins_time_ns + around_ns)
+        return _Paired(measurement, ins, ins_time_ns, ins_time_ns + around_ns)
 
     def _settled(self, task: _Task, paired: _Paired, expected: PredictedAttitude) -> Linearised | NotCompared | None:
         """The measurement linearised at the point that it leads to, its residual relative to the predicted mean."""
@@ -268,7 +271,7 @@ class Linearisation:
             step = float(np.linalg.norm(predicted.jacobian_v @ (reached - correction)))
             if step < _SMALL_TURN:
                 compared = replace(there, linear=linear, predicted_nv=expected.rotation_nv)
-                return Linearised(found.measurement, compared, paired.ins, until_ns)
+                return Linearised(found.measurement, compared, paired.ins, found.paired_ns, until_ns)
             correction = reached
         text = f"no estimate settles between what is expected and what it says, after {_MOST_STEPS} steps"
         return NotCompared(Refusal(Reason.GATE, text), until_ns)
@@ -290,26 +293,26 @@ class Linearisation:
 
 
 def _bent_by_offset(
-    track: AttitudeTrack, ins_time_ns: int, around_ns: int, rotation_nd: FloatArray
+    track: AttitudeTrack, ins_time_ns: int, around_ns: int, here: InterpolatedAttitude
 ) -> FloatArray | None:
-    """What an unknown offset of the clocks does to an attitude beside the turn that grows with it evenly.
+    """Covariance of what an unknown offset does beside the turn that grows with it evenly; deck frame, rad², (3, 3).
 
     The attitudes that belong to offsets far off, :data:`_FAR` sigma before and after, tell it: half their sum is the
     part that grows with the square of the offset, and what half their difference has more than the rate says grows with
     its cube. They count as that many sigma of a normal error. For most offsets this is too much; the offset is known
-    the sooner for not trusting what is far off.
-
-    Returns:
-        Covariance, rotation vector in the deck frame, rad², shape (3, 3); None where the track does not reach so far.
+    the sooner for it. Where the track does not reach so far, nearer attitudes tell it; None where not an eighth as far.
     """
-    before, after, here = (track.at(ins_time_ns + offset_ns) for offset_ns in (-around_ns, around_ns, 0))
-    if before is None or after is None or here is None:
-        return None
-    to_before, to_after = (log_rotation(rotation_nd.T @ other.rotation_nd) for other in (before, after))
-    square = 0.5 * (to_after + to_before)
-    cube = 0.5 * (to_after - to_before) - here.rate_d * (around_ns / SECOND_NS)
-    covariance: FloatArray = (np.outer(square, square) + np.outer(cube, cube)) / _FAR**2
-    return covariance
+    for nearer in (1, 2, 4, 8):
+        off_ns = around_ns // nearer
+        before, after = track.at(ins_time_ns - off_ns), track.at(ins_time_ns + off_ns)
+        if before is None or after is None:
+            continue
+        to_before, to_after = (log_rotation(here.rotation_nd.T @ other.rotation_nd) for other in (before, after))
+        square = 0.5 * (to_after + to_before) * nearer**2
+        cube = (0.5 * (to_after - to_before) - here.rate_d * (off_ns / SECOND_NS)) * nearer**3
+        covariance: FloatArray = (np.outer(square, square) + np.outer(cube, cube)) / _FAR**2
+        return covariance
+    return None
 
 
 def _correction(linear: LinearMeasurement, covariance: FloatArray) -> FloatArray | None:
