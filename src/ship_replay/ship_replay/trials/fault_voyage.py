@@ -184,7 +184,7 @@ def _described(one: DrawnFault) -> dict[str, Any]:
         "kind": one.fault.kind,
         "start_s": one.fault.start_s,
         "end_s": one.fault.end_s,
-        "sizes": {name: value for name, value in given.items() if value not in (0, 0.0, "")},
+        "sizes": {name: value for name, value in given.items() if name == "value" or value not in (0, 0.0, "")},
         "sigmas": one.threat.sigmas(given),
     }
 
