@@ -75,7 +75,7 @@ def put(message: Any, path: Path, value: Any) -> None:
 @pytest.mark.parametrize("one_light", [False, True], ids=["two lights", "one light"])
 def test_the_voyage_is_honest_where_nothing_is_wrong(one_light: bool) -> None:
     run = voyage(NODE).run(arrivals(one_light))
-    assert 0.1 < worst_claim(NODE, run) < 4.0
+    assert 0.1 < worst_claim(voyage(NODE), run) < 4.0
     last = run.messages("theodolite/pointing")[-40]
     assert (last.mode, last.status) == (Mode.ONE_LIGHT if one_light else Mode.TWO_LIGHTS, Status.VALID)
 
@@ -102,6 +102,6 @@ def test_no_value_of_any_field_raises_or_makes_a_claim_dishonest(topic: str, one
         hand_over(run, heard)
         for _, _, message in run.published:
             serialize_message(message)
-        if not worst_claim(NODE, run) < 5.0:
-            wrong.append((path, value, worst_claim(NODE, run)))
+        if not worst_claim(voyage(NODE), run) < 5.0:
+            wrong.append((path, value, worst_claim(voyage(NODE), run)))
     assert not wrong

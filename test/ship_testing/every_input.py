@@ -62,27 +62,36 @@ class Voyage:
 @functools.cache
 def voyage(node: str) -> Voyage:
     """The voyage of one of NODES."""
-    scenario = _theodolite(node) if node.startswith("optical_axis") else _ship()
+    return voyage_of(node, scenario(node))
+
+
+def scenario(node: str, **changes: Any) -> Scenario:
+    """The scenario of one of NODES, with other values for some of its fields."""
+    return replace(_theodolite(node) if node.startswith("optical_axis") else _ship(), **changes)
+
+
+def voyage_of(node: str, given: Scenario) -> Voyage:
+    """What one of NODES hears in a scenario."""
     adapter_class = {
         "ship_attitude": ShipAttitudeAdapter,
         "star_attitude": StarAttitudeAdapter,
         "optical_axis": OpticalAxisAdapter,
     }[node.partition(" ")[0]]
-    config = load_config(adapter_class.config_type, suite_yaml(scenario), anywhere(adapter_class.node_name))
+    config = load_config(adapter_class.config_type, suite_yaml(given), anywhere(adapter_class.node_name))
 
     def new_adapter() -> ReportingAdapter:
         return adapter_class(config, FACTORY)
 
     heard = {feed.topic for feed in new_adapter().inputs}
-    logged = list(messages(simulate(scenario, _SEED), FACTORY))
+    logged = list(messages(simulate(given, _SEED), FACTORY))
     arrivals = tuple(Arrival(topic, message, log_ns) for topic, message, log_ns in logged if topic in heard)
     kind = "truth/pointing" if node.startswith("optical_axis") else "truth/attitude"
     return Voyage(new_adapter, arrivals, {log_ns: message for topic, message, log_ns in logged if topic == kind})
 
 
-def sigmas(node: str, message: Any) -> float:
+def sigmas(known: Voyage, message: Any) -> float:
     """The largest error of an attitude or a pointing, of East, North and Up, in its own sigmas; 0 without a truth."""
-    true = voyage(node).truth.get(stamp_of(message))
+    true = known.truth.get(stamp_of(message))
     if true is None or message.status == Status.INVALID:
         return 0.0
     error_n = log_rotation(_rotation(true) @ _rotation(message).T)
@@ -98,10 +107,10 @@ def _rotation(message: Any) -> FloatArray:
     return rotation_from_angles(message.azimuth, message.elevation, message.image_rotation)
 
 
-def worst_claim(node: str, run: AdapterRun, statuses: Collection[int] = (Status.VALID, Status.COASTING)) -> float:
+def worst_claim(known: Voyage, run: AdapterRun, statuses: Collection[int] = (Status.VALID, Status.COASTING)) -> float:
     """The largest error in sigmas of all that a run claimed with one of some statuses."""
     claimed = [m for m in run.messages(run.adapter.main_topic) if m.status in statuses]
-    return max((sigmas(node, message) for message in claimed), default=0.0)
+    return max((sigmas(known, message) for message in claimed), default=0.0)
 
 
 def topics(node: str) -> tuple[str, ...]:

@@ -1,0 +1,78 @@
+"""Another attitude system, a star tracker, and the theodolite with one light, under faults: what is claimed is honest.
+
+Faults come from the simulation, last from 6 s to 9 s of a voyage of 14 s, and hit every message of one topic.
+"""
+
+from typing import Any
+
+import pytest
+
+from ship_estimation.outcome import Status
+from ship_simulation.scenario.fault import Fault
+from ship_testing.adapter_runs import SECOND_NS, stamp_of
+from ship_testing.every_input import scenario, sigmas, voyage_of, worst_claim
+from theodolite_calib.measured.samples import Mode
+
+DURATION_S, BEGIN_S, END_S = 14.0, 6.0, 9.0
+SIGMAS, ALERT_S = 5.0, 1.0
+
+OF_FORM: dict[str, dict[str, Any]] = {
+    "delay": {"delay_s": 1.5},
+    "conflict": {},
+    "flood": {"times": 10},
+    "freeze": {},
+    "nan": {},
+    "clock_step": {"step_s": -0.3},
+}
+"""Kinds that every topic can suffer, with their sizes."""
+
+TURNED = {
+    "reference/gyro/imu": {"bias": {"up_arcsec": 200.0, "north_arcsec": 100.0}, "axes": {"axes": "ned_frd"}},
+    "star/aft/inertial_attitude": {"knock": {"up_arcsec": 50.0}, "drift": {"right_arcsec_per_min": 300.0}},
+}
+ONE_LIGHT = {
+    "ship/attitude": {"bias": {"up_arcsec": 100.0}},
+    "theodolite/encoder": {"slip": {"azimuth_arcsec": 100.0}, "angles_in_degrees": {}},
+    "theodolite/beacons": {"knock": {"up_arcsec": 100.0}, "wrong_id": {}},
+    "beacon/b/baseline": {"wrong_fix": {"east_m": 0.5}, "units": {}},
+    "beacon/b/imu": {"bias": {"up_arcsec": 20_000.0}},
+}
+
+
+def cases(own: dict[str, dict[str, dict[str, Any]]]) -> list[tuple[str, str, dict[str, Any]]]:
+    return [(topic, kind, sizes) for topic in own for kind, sizes in {**OF_FORM, **own[topic]}.items()]
+
+
+def fault(topic: str, kind: str, sizes: dict[str, Any]) -> Fault:
+    return Fault(topic=topic, kind=kind, start_s=BEGIN_S, end_s=END_S, **sizes)
+
+
+@pytest.mark.parametrize(("topic", "kind", "sizes"), cases(TURNED))
+def test_a_reference_and_a_star_tracker_under_faults(topic: str, kind: str, sizes: dict[str, Any]) -> None:
+    faults = {"one": fault(topic, kind, sizes)}
+    known = voyage_of("ship_attitude", scenario("ship_attitude", duration_s=DURATION_S, faults=faults))
+    run = known.run()
+    assert worst_claim(known, run) < SIGMAS
+    claimed = [message for message in run.messages("ship/attitude") if message.status != Status.INVALID]
+    # A source that contradicted itself is in doubt for ten seconds more.
+    assert claimed[-1].status == (Status.DEGRADED if kind == "conflict" and "reference" not in topic else Status.VALID)
+
+
+@pytest.mark.parametrize(("topic", "kind", "sizes"), cases(ONE_LIGHT))
+def test_the_theodolite_with_one_light_under_faults(topic: str, kind: str, sizes: dict[str, Any]) -> None:
+    """The light of drone a is hidden from the beginning."""
+    hidden = Fault(topic="theodolite/beacons", kind="hide", start_s=0.0)
+    faults = {"a hidden": hidden, "one": fault(topic, kind, sizes)}
+    known = voyage_of("optical_axis", scenario("optical_axis", duration_s=DURATION_S, faults=faults))
+    run = known.run()
+    pointings = run.messages("theodolite/pointing")
+    assert {message.mode for message in pointings[100:200]} == {Mode.ONE_LIGHT}
+    start_ns = known.arrivals[0].stamp_ns
+    wrong_s = [
+        (stamp_of(message) - start_ns) / SECOND_NS
+        for message in pointings
+        if message.status in (Status.VALID, Status.COASTING) and not sigmas(known, message) < SIGMAS
+    ]
+    # A slip smaller than what the mount can reach from one reading to the next is seen by the next lights.
+    assert all(BEGIN_S <= since_s < BEGIN_S + ALERT_S for since_s in wrong_s if kind == "slip")
+    assert kind == "slip" or not wrong_s
