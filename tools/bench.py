@@ -142,7 +142,7 @@ class _WithoutIntegrity(ShipFilter):
         linear = found.compared.linear
         covariance, nis = innovation(predicted.parts, linear)
         correction, parts = update(predicted.parts, linear, covariance)
-        after = replace(predicted, means=predicted.means + correction, parts_by_row=parts[None])
+        after = replace(predicted, means=predicted.means + correction, stack=parts)
         decision = AttitudeDecision(measurement, Reason.NONE, True, nis=nis, ins_time_ns=found.ins_time_ns)
         return self._used(after, measurement), decision
 

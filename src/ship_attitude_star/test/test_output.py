@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.output import CorrectedIns
+from ship_estimation.hypotheses import covariances
 from ship_estimation.ins import InsJump
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import InterpolatedAttitude
@@ -52,18 +53,20 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
         assert np.all(np.abs(parts[row] - of_one) <= 1e-14 * largest)
 
 
-def test_a_state_of_several_hypotheses_is_predicted_and_opened_as_each_alone_to_the_last_bit() -> None:
+def test_each_row_of_a_state_is_predicted_and_opened_as_if_it_were_alone() -> None:
     rng = np.random.default_rng(11)
-    hypotheses, initial = 5, FILTER.initial_state()
-    mean = rng.normal(scale=1e-4, size=(hypotheses, FILTER.model.size))
-    root = rng.normal(scale=1e-4, size=(hypotheses, *initial.parts.shape))
-    parts = root @ root.swapaxes(-1, -2)
+    rows, initial = 5, FILTER.initial_state()
+    means = rng.normal(scale=1e-4, size=(rows, FILTER.model.size))
+    root = rng.normal(scale=1e-4, size=(len(initial.parts) + rows - 1, FILTER.model.size, FILTER.model.size))
+    stack = root @ root.swapaxes(-1, -2)
     common_n = MappingProxyType({"star.fore": (20.0 * ARCSEC) ** 2 * np.eye(3)})
     jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)
-    stacked = replace(initial, time_ns=1_000_000_000, means=mean, parts_by_row=parts, common_n=common_n)
-    together = FILTER.opened(FILTER.predicted(stacked, 31_000_000_000), jump)
-    for row in range(hypotheses):
-        one = replace(stacked, means=mean[row : row + 1], parts_by_row=parts[row : row + 1])
+    together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n)
+    after = FILTER.opened(FILTER.predicted(together, 31_000_000_000), jump)
+    for row in range(rows):
+        parts = np.zeros_like(initial.parts)
+        parts[0] = covariances(stack, rows)[row]
+        one = replace(together, means=means[row : row + 1], stack=parts)
         alone = FILTER.opened(FILTER.predicted(one, 31_000_000_000), jump)
-        assert together.means[row].tobytes() == alone.mean.tobytes()
-        assert together.parts_by_row[row].tobytes() == alone.parts.tobytes()
+        assert after.means[row].tobytes() == alone.mean.tobytes()
+        np.testing.assert_allclose(covariances(after.stack, rows)[row], alone.covariance, rtol=1e-12, atol=1e-20)

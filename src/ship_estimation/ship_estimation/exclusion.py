@@ -54,6 +54,7 @@ _HALF_BACK = 0.5
 """A source that was not knocked, and yet contradicted all others, has come back when less of its distance is left."""
 
 _WEIGHTS = np.array([2.0 / (count + 1.0) for count in MEANS_OVER])
+_KEPT, _UNIT = 1.0 - _WEIGHTS, np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def observed(
         >>> number
         4
     """
-    size = np.sqrt(np.einsum("hi,hi->h", compared.turn, compared.turn))
+    size = np.sqrt(np.sum(compared.turn * compared.turn, axis=-1))
     largest = _LARGEST_TURN * math.sqrt(limit)
     if not np.all(np.isfinite(size)):
         # What is no number has no mean; it is a refusal.
@@ -151,20 +152,23 @@ def observed(
         refused[:, source] += 1
         return replace(means, refused=refused)
     bounded = compared.turn * np.minimum(1.0, largest / np.maximum(size, largest))[:, None]
-    kept = 1.0 - _WEIGHTS
     turn, variance, filled = means.turn.copy(), means.variance.copy(), means.filled.copy()
-    turn[:, source] = kept[:, None] * turn[:, source] + _WEIGHTS[:, None] * bounded[:, None, :]
-    variance[:, source] = kept**2 * variance[:, source] + _WEIGHTS**2
-    filled[:, source] = kept * filled[:, source] + _WEIGHTS
-    # What a row uses it has whitened to independent turns. What it does without it sees against an error of its own
-    # that lasts: only the measurement's noise averages out.
-    own = compared.turn_noise[:, None]
-    lasting = filled[:, source, :, None, None] ** 2 * (np.eye(3) - own)
-    covariance = variance[:, source, :, None, None] * np.where(leaves_out[:, None, None, None], own, np.eye(3))
-    covariance = covariance + np.where(leaves_out[:, None, None, None], lasting, 0.0) + 1e-9 * np.eye(3)
-    solved = np.linalg.solve(covariance, turn[:, source, :, :, None])[..., 0]
     excess, refused, heard_ns = means.excess.copy(), means.refused.copy(), means.heard_ns.copy()
-    excess[:, source] = np.max(np.einsum("hwi,hwi->hw", turn[:, source], solved), axis=-1) / limit
+    turn[:, source] = mean = _KEPT[:, None] * turn[:, source] + _WEIGHTS[:, None] * bounded[:, None, :]
+    variance[:, source] = spread = _KEPT**2 * variance[:, source] + _WEIGHTS**2
+    filled[:, source] = _KEPT * filled[:, source] + _WEIGHTS
+    # What a row uses it has whitened to independent turns.
+    chi2 = np.sum(mean * mean, axis=-1) / spread
+    (without,) = leaves_out.nonzero()
+    if len(without):
+        # What a row does without it sees against an error of its own that lasts: only the measurement's noise averages
+        # out.
+        own = compared.turn_noise[without, None]
+        lasting = filled[without, source, :, None, None] ** 2 * (_UNIT - own)
+        covariance = spread[without, :, None, None] * own + lasting + 1e-9 * _UNIT
+        solved = np.linalg.solve(covariance, mean[without, :, :, None])[..., 0]
+        chi2[without] = np.sum(mean[without] * solved, axis=-1)
+    excess[:, source] = np.max(chi2, axis=-1) / limit
     refused[:, source] = np.where(accepted, 0, refused[:, source] + 1)
     heard_ns[source] = max(int(heard_ns[source]), time_ns)
     contradicts_ns = means.contradicts_ns.copy()
@@ -256,12 +260,14 @@ def find_fault(
         Finding(fault=True, row=1, explaining=(1,))
     """
     heard = means.heard_ns >= now_ns - _HEARD_NS
+    apart = not statistic[candidates].max(initial=0.0) <= threshold  # NaN is apart
+    in_first = uses[0] & heard
+    agrees = bool(np.all((means.excess[0] <= 1.0) & (means.refused[0] < degraded_after) | ~in_first))  # NaN does not
+    if agrees and not apart:
+        return Finding(fault=False)
     counts = uses & heard
     contradicted = np.where(means.refused >= degraded_after, np.maximum(means.excess, 2.0), means.excess)
     worst = np.max(np.where(counts, contradicted, 0.0), axis=-1, initial=0.0)
-    apart = any(not statistic[row] <= threshold for row in candidates)  # NaN is apart
-    if worst[0] <= 1.0 and not apart:
-        return Finding(fault=False)
     # A row explains a fault where all that it uses was heard since the contradiction began, and well agrees with it.
     began_ns = np.max(means.contradicts_ns, initial=_LONG_AGO_NS, where=heard)
     well = (means.excess <= _WELL) & (means.refused == 0) & (means.heard_ns >= began_ns)
@@ -272,7 +278,7 @@ def find_fault(
     best = explaining[0]
     if all(not worst[row] < worst[best] + _CLEARER for row in candidates if row != best):
         return Finding(fault=True, row=best, explaining=tuple(explaining))
-    if worst[0] <= 1.0 and len(explaining) > 1:
+    if agrees and len(explaining) > 1:
         farthest, second = sorted(explaining, key=lambda row: -statistic[row])[:2]
         if statistic[farthest] > _FARTHER * statistic[second]:
             return Finding(fault=True, row=farthest, explaining=tuple(explaining))

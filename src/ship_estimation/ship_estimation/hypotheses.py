@@ -1,10 +1,12 @@
 """Several estimates side by side: by all sources, and without each of them, updated in one step.
 
-Each estimate is a row: a mean (n,) and a covariance by error source (n_sources, n, n), on a leading axis of h rows. A
-measurement is compared with all rows at once. A row that does without the source of a measurement learns of it nothing
-but the states that belong to that source alone (its installation): the other states, and their covariance, are to the
-last digit those of an estimate that never heard of the source. So the row goes on watching the source that it leaves
-out, and knows, should the source be used again, how it was mounted.
+Each estimate is a row. A measurement is compared with all rows at once. A row that does without the source of a
+measurement learns of it nothing but the states that belong to that source alone (its installation): the other states,
+and their covariance, are to the last digit those of an estimate that never heard of the source. So the row goes on
+watching the source that it leaves out, and knows, should the source be used again, how it was mounted.
+
+The first row has an error budget: its covariance is kept by error source. For the others one matrix each is enough. All
+are kept in one stack: the n_sources parts of the first row, then the covariances of the h - 1 others.
 """
 
 from dataclasses import dataclass
@@ -41,14 +43,84 @@ class RowsCompared:
     turn_root: FloatArray
 
 
+def covariances(stack: FloatArray, rows: int) -> FloatArray:
+    """The covariance of each of h rows, shape (h, n, n), of a stack of them.
+
+    Example:
+        The first row has two parts, of 1 and of 2; the second one is 5:
+
+        >>> print(covariances(np.array([[[1.0]], [[2.0]], [[5.0]]]), rows=2).ravel())
+        [3. 5.]
+    """
+    parts = len(stack) - rows + 1
+    return np.concatenate([stack[:parts].sum(axis=0, keepdims=True), stack[parts:]])
+
+
+def add_error(
+    stack: FloatArray, rows: int, part: int, states: slice, covariance: FloatArray, row: int | None = None
+) -> None:
+    """Add an error of some states, in place, to all rows or to one of those beside the first.
+
+    Args:
+        stack: shape (n_sources + h - 1, n, n).
+        rows: h.
+        part: of the first row, to which the error is booked.
+        states: that err.
+        covariance: of the error.
+        row: which one; None for all.
+
+    Example:
+        >>> stack = np.zeros((3, 1, 1))  # two parts of the first row, and a second row
+        >>> add_error(stack, 2, part=1, states=slice(0, 1), covariance=np.array([[4.0]]))
+        >>> print(stack.ravel())
+        [0. 4. 4.]
+    """
+    parts = len(stack) - rows + 1
+    if row is not None:
+        stack[parts + row - 1, states, states] += covariance
+        return
+    stack[part, states, states] += covariance
+    stack[parts:, states, states] += covariance
+
+
+def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:
+    """The stack in which one of the rows has become the first, and the start of all others.
+
+    That row had no budget of its own. The parts of the first row are carried over by the linear map that turns the
+    covariance of the one into that of the other: their sum is right, and what each source has in it is about what it
+    had. Later measurements change them as the filter does.
+
+    Args:
+        stack: shape (n_sources + h - 1, n, n).
+        rows: h.
+        row: which one.
+
+    Example:
+        >>> stack = np.array([[[1.0]], [[3.0]], [[8.0]]])  # parts of 1 and 3, and a second row of 8
+        >>> print(promoted(stack, 2, row=1).ravel())
+        [2. 6. 8.]
+    """
+    both = covariances(stack, rows)[[0, row]]
+    sigma = np.sqrt(np.diagonal(both[0]))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    values, vectors = np.linalg.eigh(both / (scale[:, None] * scale))
+    root = np.sqrt(np.maximum(values, 0.0))
+    inverse = np.where(root[0] > 1e-7 * root[0, -1], 1.0 / np.where(root[0] > 0.0, root[0], 1.0), 0.0)
+    to_row = (vectors[1] * root[1]) @ vectors[1].T @ (vectors[0] * inverse) @ vectors[0].T
+    to_row = scale[:, None] * to_row / scale
+    parts = to_row @ stack[: len(stack) - rows + 1] @ to_row.T
+    parts[np.argmax(np.trace(parts, axis1=-2, axis2=-1))] += both[1] - parts.sum(axis=0)  # rounding
+    return np.concatenate([parts, np.tile(both[1], (rows - 1, 1, 1))])
+
+
 def compare_rows(
-    means: FloatArray, parts: FloatArray, measurement: LinearMeasurement, at_mean: FloatArray, by_turn: FloatArray
+    means: FloatArray, covariance: FloatArray, measurement: LinearMeasurement, at_mean: FloatArray, by_turn: FloatArray
 ) -> RowsCompared:
     """Compare a measurement with every row.
 
     Args:
         means: predicted states, shape (h, n).
-        parts: their covariance by source, shape (h, n_sources, n, n).
+        covariance: of each, shape (h, n, n).
         measurement: linearised; its residual is that of the state ``at_mean``.
         at_mean: shape (n,).
         by_turn: derivative of the residual by a rotation of the device, shape (m, 3).
@@ -59,59 +131,60 @@ def compare_rows(
     Example:
         One state, known to 3 and to 4, is measured as 10 with the sigma 4; the rows stand at 0 and at 5:
 
-        >>> parts = np.array([[[[9.0]]], [[[16.0]]]])
+        >>> covariance = np.array([[[9.0]], [[16.0]]])
         >>> measured = LinearMeasurement(np.array([10.0]), np.array([[1.0]]), {0: np.array([[16.0]])})
         >>> means, by_turn = np.array([[0.0], [5.0]]), np.array([[1.0, 0.0, 0.0]])
-        >>> found = compare_rows(means, parts, measured, np.array([0.0]), by_turn)
+        >>> found = compare_rows(means, covariance, measured, np.array([0.0]), by_turn)
         >>> print(found.nis, found.gain.ravel())
         [4.      0.78125] [0.36 0.5 ]
     """
     h, noise = measurement.jacobian, measurement.noise
     residual = measurement.residual - (means - at_mean) @ h.T
-    cross = parts.sum(axis=1) @ h.T
-    covariance = h @ cross + noise
-    size, states = len(measurement.residual), means.shape[-1]
-    asked = np.empty((size, states + 4))
+    cross = covariance @ h.T
+    innovation_covariance = h @ cross + noise
+    rows, size, states = len(means), len(measurement.residual), means.shape[-1]
+    asked, solved = np.empty((size, states + 4)), np.empty((rows, size, states + 4))
     asked[:, states + 1 :] = by_turn
-    nis, gain = np.empty(len(means)), np.empty_like(cross)
-    turn, turn_noise, turn_root = np.empty((len(means), 3)), np.empty((len(means), 3, 3)), np.empty((len(means), 3, 3))
-    for row in range(len(means)):
+    for row in range(rows):
         asked[:, :states], asked[:, states] = cross[row].T, residual[row]
-        _, solved, info = lapack.dposv(covariance[row], asked)
+        _, solved[row], info = lapack.dposv(innovation_covariance[row], asked)
         if info != 0:
             raise np.linalg.LinAlgError("innovation covariance is not positive definite")
-        gain[row], nis[row] = solved[:, :states].T, residual[row] @ solved[:, states]
-        turn[row], turn_noise[row], turn_root[row] = _whitened(by_turn, solved[:, states:], noise)
-    return RowsCompared(residual, covariance, nis, gain, turn, turn_noise, turn_root)
+    gain = solved[:, :, :states].transpose(0, 2, 1)
+    nis = np.einsum("hm,hm->h", residual, solved[:, :, states])
+    whitened = _whitened(by_turn, solved[:, :, states:], noise)
+    return RowsCompared(residual, innovation_covariance, nis, gain, *whitened)
 
 
 def _whitened(by_turn: FloatArray, solved: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Turn, share of the noise and root of the covariance of :class:`RowsCompared`, for one row.
+    """Turn, share of the noise and root of the covariance of :class:`RowsCompared`.
 
     Args:
         by_turn: shape (m, 3).
-        solved: inverse covariance of the residual times the residual and times ``by_turn``, shape (m, 4).
+        solved: inverse covariance of the residual times the residual and times ``by_turn``, shape (h, m, 4).
         noise: covariance of the measurement's own noise, shape (m, m).
     """
     seen = by_turn.T @ solved
-    values, vectors = np.linalg.eigh(seen[:, 1:])
+    values, vectors = np.linalg.eigh(seen[:, :, 1:])
     # A turn that the measurement does not show has no information: it counts for nothing, instead of for infinity.
-    shown = values > 1e-9 * values[-1]
+    shown = values > 1e-9 * values[:, -1:]
+    scale = np.where(shown, 1.0 / np.sqrt(np.where(shown, values, 1.0)), 0.0)
     # The symmetric root: whitened turns of successive measurements keep their directions.
-    inverse_root = (vectors * np.where(shown, 1.0 / np.sqrt(np.where(shown, values, 1.0)), 0.0)) @ vectors.T
-    weights = solved[:, 1:] @ inverse_root
-    return inverse_root.T @ seen[:, 0], weights.T @ noise @ weights, inverse_root
+    inverse_root = (vectors * scale[:, None, :]) @ vectors.transpose(0, 2, 1)
+    weights = solved[:, :, 1:] @ inverse_root
+    turn: FloatArray = (inverse_root @ seen[:, :, :1])[:, :, 0]
+    return turn, weights.transpose(0, 2, 1) @ (noise @ weights), inverse_root
 
 
 def update_rows(
-    parts: FloatArray, measurement: LinearMeasurement, compared: RowsCompared, learns: NDArray[np.bool_]
+    stack: FloatArray, measurement: LinearMeasurement, compared: RowsCompared, learns: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
-    """Corrections, shape (h, n), and covariances by source after a measurement.
+    """Corrections, shape (h, n), and the stack of covariances after a measurement.
 
     The update has Joseph's form, which is right for any gain: that of a row that learns only some states too.
 
     Args:
-        parts: before, shape (h, n_sources, n, n).
+        stack: before, shape (n_sources + h - 1, n, n).
         measurement: as compared.
         compared: by :func:`compare_rows`.
         learns: which states each row learns of it; none where the row refuses it, shape (h, n).
@@ -120,23 +193,28 @@ def update_rows(
         Of two states with a variance of 4 each, the sum is measured with the sigma 1. The second row learns only of the
         second state; what it knows of the first one stays, but it knows now how the two go together:
 
-        >>> parts = np.tile(4.0 * np.eye(2), (2, 1, 1, 1))
+        >>> stack = np.tile(4.0 * np.eye(2), (2, 1, 1))
         >>> measured = LinearMeasurement(np.array([9.0]), np.array([[1.0, 1.0]]), {0: np.array([[1.0]])})
-        >>> found = compare_rows(np.zeros((2, 2)), parts, measured, np.zeros(2), np.array([[1.0, 0.0, 0.0]]))
-        >>> corrections, after = update_rows(parts, measured, found, np.array([[True, True], [False, True]]))
-        >>> print(corrections, after[1, 0].round(3).tolist())
+        >>> found = compare_rows(np.zeros((2, 2)), stack, measured, np.zeros(2), np.array([[1.0, 0.0, 0.0]]))
+        >>> corrections, after = update_rows(stack, measured, found, np.array([[True, True], [False, True]]))
+        >>> print(corrections, after[1].round(3).tolist())
         [[4. 4.]
          [0. 4.]] [[4.0, -1.778], [-1.778, 2.222]]
     """
-    rows, sources, states, _ = parts.shape
+    rows, states = learns.shape
+    parts = len(stack) - rows + 1
     gain = np.where(learns[:, :, None], compared.gain, 0.0)
-    keep_transposed = (np.eye(states) - gain @ measurement.jacobian).transpose(0, 2, 1)
-    # Both products take all sources of a row at once; between them the symmetric parts are transposed.
-    halfway = (parts.reshape(rows, sources * states, states) @ keep_transposed).reshape(parts.shape)
-    halfway = np.ascontiguousarray(halfway.swapaxes(-1, -2)).reshape(rows, sources * states, states)
-    updated = (halfway @ keep_transposed).reshape(parts.shape)
+    gain_transposed = gain.transpose(0, 2, 1)
+    keep_transposed = np.eye(states) - measurement.jacobian.T @ gain_transposed
+    updated = np.empty_like(stack)
+    # Both products of the first row take all its parts at once; between them the symmetric parts are transposed.
+    halfway = (stack[:parts].reshape(parts * states, states) @ keep_transposed[0]).reshape(parts, states, states)
+    halfway = np.ascontiguousarray(halfway.swapaxes(-1, -2)).reshape(parts * states, states)
+    updated[:parts] = (halfway @ keep_transposed[0]).reshape(parts, states, states)
+    updated[parts:] = keep_transposed[1:].swapaxes(-1, -2) @ stack[parts:] @ keep_transposed[1:]
     for source_index, noise in measurement.noise_by_source.items():
-        updated[:, source_index] += gain @ noise @ gain.transpose(0, 2, 1)
+        updated[source_index] += gain[0] @ noise @ gain_transposed[0]
+    updated[parts:] += gain[1:] @ (measurement.noise @ gain_transposed[1:])
     updated = 0.5 * (updated + updated.swapaxes(-1, -2))
     corrections: FloatArray = (gain @ compared.residual[:, :, None])[:, :, 0]
     return corrections, updated

@@ -28,25 +28,25 @@ class Bank:
         self.uses = np.vstack([np.ones(sensors, dtype=bool), ~np.eye(sensors, dtype=bool)])
         self.means = np.zeros((sensors + 1, size))
         prior = np.diag(np.repeat([10.0, *[MOUNTING] * sensors], 3) ** 2)
-        self.parts = np.tile(prior, (sensors + 1, 1, 1, 1))
+        self.stack = np.tile(prior, (sensors + 1, 1, 1))
         self.seen, self.limit = no_means(sensors + 1, sensors), excess_limit(IntegrityConfig(), sensors)
 
     def take(self, sensor, residual, time_ns):
         jacobian = np.zeros((3, self.means.shape[1]))
         jacobian[:, :3] = jacobian[:, 3 * sensor + 3 : 3 * sensor + 6] = np.eye(3)
-        self.parts[:, 0, range(3), range(3)] += WALK**2
+        self.stack[:, range(3), range(3)] += WALK**2
         measured = LinearMeasurement(residual, jacobian, {0: NOISE**2 * np.eye(3)})
-        compared = compare_rows(self.means, self.parts, measured, np.zeros(self.means.shape[1]), np.eye(3))
+        compared = compare_rows(self.means, self.stack, measured, np.zeros(self.means.shape[1]), np.eye(3))
         accepted, left = compared.nis < 21.1, ~self.uses[:, sensor]
         own = np.isin(np.arange(self.means.shape[1]), range(3 * sensor + 3, 3 * sensor + 6))
         learns = np.where(left[:, None], own, True) & accepted[:, None] & np.any(accepted & ~left)
-        correction, self.parts = update_rows(self.parts, measured, compared, learns)
+        correction, self.stack = update_rows(self.stack, measured, compared, learns)
         self.means = self.means + correction
         self.seen = observed(self.seen, sensor, compared, accepted, left, time_ns, self.limit)
 
     def finding(self, time_ns):
         apart = self.means[1:, :3] - self.means[0, :3]
-        total = self.parts.sum(1)[:, range(3), range(3)]
+        total = self.stack[:, range(3), range(3)]
         statistic = np.max(np.abs(apart) / np.sqrt(np.maximum(total[1:] - total[0], 1e-6 * total[0])), axis=-1)
         rows = range(1, self.sensors + 1)
         return find_fault(self.seen, self.uses, np.concatenate([[0.0], statistic]), 5.1, rows, time_ns)

@@ -16,7 +16,7 @@ from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.exclusion import no_means
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.hypotheses import RowsCompared, compare_rows
+from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows, covariances
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import predict, slow_error_later
 from ship_estimation.outcome import Measurement
@@ -52,16 +52,19 @@ class ShipFilter:
             return replace(state, time_ns=time_ns)
         dt_s = max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)
-        parts = predict(state.parts_by_row, decay, self.model.booked_noise(noise))
+        rows = len(state.means)
+        booked = self.model.booked_noise(noise)
+        booked = np.concatenate([booked, np.broadcast_to(noise, (rows - 1, len(noise)))])
+        stack = predict(state.stack, decay, booked)
         for source, steady in state.common_n.items():
-            rows = self.model.slices[f"{source}.common"]
-            fresh = 1.0 - decay[rows.start] ** 2
-            parts[..., self._common_index, rows, rows] += fresh * steady
-        self.suspects.carried(state, parts, dt_s)
-        means, rows = decay * state.means, self.model.slices["ins.attitude"]
+            common = self.model.slices[f"{source}.common"]
+            fresh = 1.0 - decay[common.start] ** 2
+            add_error(stack, rows, self._common_index, common, fresh * steady)
+        self.suspects.carried(state, stack, dt_s)
+        means, slow = decay * state.means, self.model.slices["ins.attitude"]
         sigma = self.model.blocks["ins.attitude"].sigma
-        means[..., rows] = slow_error_later(state.means[..., rows], decay[rows], sigma)
-        return replace(state, time_ns=max(time_ns, state.time_ns), means=means, parts_by_row=parts)
+        means[:, slow] = slow_error_later(state.means[:, slow], decay[slow], sigma)
+        return replace(state, time_ns=max(time_ns, state.time_ns), means=means, stack=stack)
 
     def opened(self, state: FilterState, jump: InsJump) -> FilterState:
         """The state after a jump of the INS: its slow error may be as large as that.
@@ -70,9 +73,9 @@ class ShipFilter:
         no measurement with the attitude of after the jump comes before; one with the attitude of before is refused.
         """
         state = self.predicted(state, self.opens_ns(jump))
-        rows, parts = self.model.slices["ins.attitude"], state.parts_by_row.copy()
-        parts[..., self._ins_index, rows, rows] += jump.covariance_n
-        return replace(self.suspects.acquitted(state), parts_by_row=parts, jumped=True, jumped_ns=jump.time_ns)
+        stack, slow = state.stack.copy(), self.model.slices["ins.attitude"]
+        add_error(stack, len(state.means), self._ins_index, slow, jump.covariance_n)
+        return replace(self.suspects.acquitted(state), stack=stack, jumped=True, jumped_ns=jump.time_ns)
 
     def opens_ns(self, jump: InsJump) -> int:
         """The time of measurements from which on the state is open for a jump of the INS."""
@@ -102,7 +105,7 @@ class ShipFilter:
             The next state and the decision; None where samples that may still come belong to the measurement.
         """
         predicted = self.predicted(state, measurement.time_ns)
-        mean, covariance = predicted.means[0], predicted.parts_by_row[0].sum(axis=0)
+        mean, covariance = predicted.means[0], predicted.covariance
         last_ns = state.used_ns.get(measurement.source)
         found = self.linearisation.of(measurement, mean, covariance, track, watch, may_wait, last_ns)
         if found is None:
@@ -161,16 +164,17 @@ class ShipFilter:
     ) -> tuple[FilterState, RowsCompared]:
         """A measurement beside all rows; that where the INS is wrong is opened where they differ."""
         linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.means[0]
-        rows = compare_rows(predicted.means, predicted.parts_by_row, linear, at_mean, by_turn)
+        count = len(predicted.means)
+        rows = compare_rows(predicted.means, covariances(predicted.stack, count), linear, at_mean, by_turn)
         row = self.suspects.ins_row
         if row is None or rows.nis[row] <= gate or not self.suspects.contradicted(predicted, source, row):
             return predicted, rows
         turn_n = compared.predicted_nv @ rows.turn_root[row] @ rows.turn[row]
-        opened = self.suspects.opened_for(predicted.parts_by_row, turn_n)
-        wider = compare_rows(predicted.means, opened, linear, at_mean, by_turn)
+        opened = self.suspects.opened_for(predicted, turn_n)
+        wider = compare_rows(predicted.means, covariances(opened, count), linear, at_mean, by_turn)
         # What the row has seen is judged as it was before it was opened.
         judged = replace(wider, turn=np.where(np.arange(len(rows.nis))[:, None] == row, rows.turn, wider.turn))
-        return replace(predicted, parts_by_row=opened), judged
+        return replace(predicted, stack=opened), judged
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """The decision with what the verdict says; a source excluded by its own measurement is told at once."""
@@ -198,9 +202,9 @@ class ShipFilter:
         """The state opened where a source's run of refusals is as long as configured for that, and what is said."""
         if not self._gate.reopen_after or state.refusals[source] % self._gate.reopen_after:
             return state, ""
-        opened = state.parts_by_row * self._gate.reopen_factor
-        seen = no_means(len(opened), len(self.devices))
-        state = replace(state, parts_by_row=opened, seen=seen, excluded=without(state.excluded, source))
+        opened = state.stack * self._gate.reopen_factor
+        seen = no_means(len(state.means), len(self.devices))
+        state = replace(state, stack=opened, seen=seen, excluded=without(state.excluded, source))
         return state, f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
 
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
@@ -215,12 +219,12 @@ class ShipFilter:
 
     def _with_common(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
         """The common error of this sensor's messages, as large as the message says."""
-        parts, source = state.parts_by_row, measurement.source
+        stack, source = state.stack, measurement.source
         if source not in state.common_n:
-            rows = self.model.slices[f"{source}.common"]
-            parts = parts.copy()
-            parts[..., self._common_index, rows, rows] += measurement.common_n
-        return replace(state, parts_by_row=parts, common_n=with_entry(state.common_n, source, measurement.common_n))
+            stack = stack.copy()
+            common = self.model.slices[f"{source}.common"]
+            add_error(stack, len(state.means), self._common_index, common, measurement.common_n)
+        return replace(state, stack=stack, common_n=with_entry(state.common_n, source, measurement.common_n))
 
     def _held(
         self, state: FilterState, decision: AttitudeDecision, found: Linearised

@@ -10,6 +10,7 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
+from ship_estimation.hypotheses import covariances
 from ship_estimation.outcome import Status
 from ship_estimation.protection import (
     Factors,
@@ -44,7 +45,7 @@ def integrity_of(
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
     to_angles = angle_errors_from_rotation_vector(heading, pitch)
     columns = model.rows("ins.attitude")
-    covariance = state.parts_by_row[:, :, columns[:, None], columns].sum(axis=1)
+    covariance = covariances(state.stack[:, columns[:, None], columns], len(state.means))
     # What an attitude adds to the error of the state, as the noise of the INS, is the same in every row.
     without_n = estimate.covariance_n + covariance[rows] - covariance[0]
     distance = (state.means[rows][:, columns] - state.means[0, columns]) @ to_angles.T

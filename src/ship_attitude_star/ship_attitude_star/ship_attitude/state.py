@@ -48,7 +48,8 @@ class FilterState:
     Attributes:
         time_ns: moment of the state; None before the first measurement.
         means: estimated errors, shape (h, n).
-        parts_by_row: covariance by error source, shape (h, n_sources, n, n).
+        stack: covariance of the first row by error source, then those of the others, as in
+            :mod:`ship_estimation.hypotheses`, shape (n_sources + h - 1, n, n).
         seen: what each row has seen of each source.
         excluded: by source, its exclusion.
         record: by source, how often it was excluded.
@@ -64,7 +65,7 @@ class FilterState:
 
     time_ns: int | None
     means: FloatArray
-    parts_by_row: FloatArray
+    stack: FloatArray
     seen: Means
     excluded: MappingProxyType[str, Exclusion] = field(default_factory=lambda: MappingProxyType({}))
     record: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -86,7 +87,7 @@ class FilterState:
     @property
     def parts(self) -> FloatArray:
         """Their covariance by error source, shape (n_sources, n, n)."""
-        parts: FloatArray = self.parts_by_row[0]
+        parts: FloatArray = self.stack[: len(self.stack) - len(self.means) + 1]
         return parts
 
     @property

@@ -31,7 +31,7 @@ from ship_estimation.exclusion import (
     observed,
     watched,
 )
-from ship_estimation.hypotheses import RowsCompared, update_rows
+from ship_estimation.hypotheses import RowsCompared, add_error, covariances, promoted, update_rows
 from ship_estimation.outcome import Measurement
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import Factors, factors
@@ -94,21 +94,22 @@ class Suspects:
     def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
         """All rows at one state, before any measurement; shapes (n,) and (n_sources, n, n)."""
         rows = len(self.names) + 1
-        by_row = np.tile(parts, (rows, 1, 1, 1))
+        stack = np.concatenate([parts, np.tile(parts.sum(axis=0), (rows - 1, 1, 1))])
         if self.ins_row is not None:
-            self._open_ins(by_row[self.ins_row], _UNKNOWN_RAD**2 * np.eye(3))
-        return FilterState(None, np.tile(mean, (rows, 1)), by_row, no_means(rows, len(self.sources)))
+            self._open_ins(stack, rows, _UNKNOWN_RAD**2 * np.eye(3), self.ins_row)
+        return FilterState(None, np.tile(mean, (rows, 1)), stack, no_means(rows, len(self.sources)))
 
-    def carried(self, state: FilterState, parts_by_row: FloatArray, dt_s: float) -> None:
+    def carried(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
         """Let the INS wander, in place, where it is the one that is wrong."""
-        walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * np.eye(3)
-        if INS in state.excluded:
-            self._open_ins(parts_by_row, walked)
-        elif self.ins_row is not None:
-            self._open_ins(parts_by_row[..., self.ins_row, :, :, :], walked)
+        everywhere = INS in state.excluded
+        if everywhere or self.ins_row is not None:
+            walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * np.eye(3)
+            self._open_ins(stack, len(state.means), walked, None if everywhere else self.ins_row)
 
     def uses(self, state: FilterState) -> NDArray[np.bool_]:
         """Which source each row uses, shape (h, s)."""
+        if not state.excluded:
+            return ~self._leaves_out
         excluded = np.array([name in state.excluded for name in self.sources], dtype=bool)
         used: NDArray[np.bool_] = ~self._leaves_out & ~excluded
         return used
@@ -142,20 +143,20 @@ class Suspects:
         if not np.any(used & accepted) if exclusion is None else exclusion.apart is not None:
             return replace(state, seen=seen, apart=apart)
         learns = (used[:, None] | self._own[source]) & accepted[:, None]
-        corrections, parts = update_rows(predicted.parts_by_row, measured.linear, compared, learns)
-        return replace(predicted, means=predicted.means + corrections, parts_by_row=parts, seen=seen, apart=apart)
+        corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
+        return replace(predicted, means=predicted.means + corrections, stack=stack, seen=seen, apart=apart)
 
     def contradicted(self, state: FilterState, source: str, row: int) -> bool:
         """Whether a source that a row uses has contradicted it for so long that one refusal more makes it a fault."""
         refused = state.seen.refused[row, self.sources.index(source)]
         return source not in state.excluded and bool(refused >= self._degraded_after - 1)
 
-    def opened_for(self, parts_by_row: FloatArray, turn_n: FloatArray) -> FloatArray:
+    def opened_for(self, state: FilterState, turn_n: FloatArray) -> FloatArray:
         """Covariances where the INS, being the one that is wrong, has turned by a rotation vector, rad, shape (3,)."""
-        assert self.ins_row is not None
-        parts_by_row = parts_by_row.copy()
-        self._open_ins(parts_by_row[self.ins_row], np.outer(turn_n, turn_n) + 0.01 * (turn_n @ turn_n) * np.eye(3))
-        return parts_by_row
+        stack: FloatArray = state.stack.copy()
+        covariance_n = np.outer(turn_n, turn_n) + 0.01 * (turn_n @ turn_n) * np.eye(3)
+        self._open_ins(stack, len(state.means), covariance_n, self.ins_row)
+        return stack
 
     def separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
         """Distances of the rows from the first one, about North, Up and East, and these in sigmas at most.
@@ -164,7 +165,7 @@ class Suspects:
         """
         apart_n = state.means[:, self._ins] - state.means[0, self._ins]
         columns = np.arange(self._ins.start, self._ins.stop)
-        variance = state.parts_by_row[:, :, columns, columns].sum(axis=1)
+        variance = covariances(state.stack[:, columns, columns], len(state.means))
         sigma = np.sqrt(np.maximum(variance - variance[0], np.maximum(1e-6 * variance[0], _TINY_RAD2)))
         return apart_n, np.max(np.abs(apart_n) / sigma, axis=-1)
 
@@ -225,13 +226,13 @@ class Suspects:
 
     def _without(self, state: FilterState, wrong: str, time_ns: int) -> tuple[FilterState, str]:
         """The state once a source is excluded: the row without it is the first one now, and the start of all others."""
-        row = self.names.index(wrong) + 1
-        means = np.tile(state.means[row], (len(state.means), 1))
-        parts = np.tile(state.parts_by_row[row], (len(state.means), 1, 1, 1))
+        row, rows = self.names.index(wrong) + 1, len(state.means)
+        means = np.tile(state.means[row], (rows, 1))
+        stack = promoted(state.stack, rows, row)
         # What is farther off than a knock can make it has another mistake: that must be mended, not learnt.
         relearns = wrong != INS and self._knock(state, wrong) is not None
         if relearns:
-            self._open_mounting(parts, state, wrong)
+            self._open_mounting(stack, state, wrong)
         seen = forgotten(state.seen, slice(None), slice(None))
         times = state.record.get(wrong, 0) + 1
         apart = None if relearns or wrong == INS else state.apart[wrong].turn_v
@@ -239,7 +240,7 @@ class Suspects:
         state = replace(
             state,
             means=means,
-            parts_by_row=parts,
+            stack=stack,
             seen=seen,
             excluded=excluded,
             record=with_entry(state.record, wrong, times),
@@ -260,9 +261,9 @@ class Suspects:
             state = replace(state, excluded=with_entry(state.excluded, source, exclusion))
             if exclusion.apart is None and self._contradicts(state, index):
                 # Knocked once more, or back: what was learnt of its mounting since is void.
-                parts = state.parts_by_row.copy()
-                self._open_mounting(parts, state, source)
-                state = replace(state, parts_by_row=parts, seen=forgotten(state.seen, slice(None), [index]))
+                stack = state.stack.copy()
+                self._open_mounting(stack, state, source)
+                state = replace(state, stack=stack, seen=forgotten(state.seen, slice(None), [index]))
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
             agrees = "it does not agree with the others"
             if exclusion.agrees_since_ns is not None:
@@ -330,16 +331,17 @@ class Suspects:
         knock_v = _KNOCKED_SIGMA * state.apart[source].turn_v
         return knock_v if np.linalg.norm(knock_v) <= _LARGEST_KNOCK_RAD else None
 
-    def _open_mounting(self, parts_by_row: FloatArray, state: FilterState, source: str) -> None:
+    def _open_mounting(self, stack: FloatArray, state: FilterState, source: str) -> None:
         """Let it be learnt anew, in place, how a source is mounted: it may have been knocked."""
         knock_v = self._knock(state, source)
         if knock_v is not None:
-            block = self._model.slices[f"{source}.installation"]
-            cause = self._model.sources.index(self._model.blocks[f"{source}.installation"].source)
-            parts_by_row[:, cause, block, block] += np.outer(knock_v, knock_v) + _LEAST_KNOCK_RAD**2 * np.eye(3)
+            block = self._model.blocks[f"{source}.installation"]
+            covariance = np.outer(knock_v, knock_v) + _LEAST_KNOCK_RAD**2 * np.eye(3)
+            part = self._model.sources.index(block.source)
+            add_error(stack, len(state.means), part, self._model.slices[block.name], covariance)
 
-    def _open_ins(self, parts: FloatArray, covariance_n: FloatArray) -> None:
-        parts[..., self._ins_index, self._ins, self._ins] += covariance_n
+    def _open_ins(self, stack: FloatArray, rows: int, covariance_n: FloatArray, row: int | None) -> None:
+        add_error(stack, rows, self._ins_index, self._ins, covariance_n, row)
 
 
 def _own_states(model: ShipStateModel, source: str) -> NDArray[np.bool_]:
