@@ -82,7 +82,7 @@ class Suspects:
             reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {rows} of these sources: "
             raise ParameterError(reason + ", ".join(self.names), "integrity.max_hypotheses", value=most)
         self.ins_row = rows - 1 if len(self.sources) > 1 else None
-        self._leaves_out = np.arange(rows)[:, None] == np.arange(1, len(self.sources) + 1)
+        self._uses_all: NDArray[np.bool_] = np.arange(rows)[:, None] != np.arange(1, len(self.sources) + 1)
         self._own = {name: _own_states(model, name) for name in self.sources}
         prior = config.integrity.prior_per_h
         kinds = [prior.star_sensor if device.is_star else prior.reference for device in devices.values()]
@@ -109,9 +109,9 @@ class Suspects:
     def uses(self, state: FilterState) -> NDArray[np.bool_]:
         """Which source each row uses, shape (h, s)."""
         if not state.excluded:
-            return ~self._leaves_out
+            return self._uses_all
         excluded = np.array([name in state.excluded for name in self.sources], dtype=bool)
-        used: NDArray[np.bool_] = ~self._leaves_out & ~excluded
+        used: NDArray[np.bool_] = self._uses_all & ~excluded
         return used
 
     def learned(
