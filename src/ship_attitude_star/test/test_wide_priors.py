@@ -205,3 +205,29 @@ def test_mend_11_what_the_gate_judges_is_chi_square(sky: Sky, width: Width) -> N
         values.append(ship_filter.step(ship_filter.initial_state(), exposure, track, sky.watch)[1].nis)
     low, high = mean_nees_band(SEEDS, 16)
     assert low <= np.mean(values) <= high
+
+
+@pytest.mark.parametrize("count", [8, 4, 3])
+@pytest.mark.parametrize("width", [WIDTHS[3], Width(3.0 * DEGREE, 3.0 * DEGREE), WIDTHS[6]], ids=str)
+def test_mend_11_two_exchanged_names_never_make_a_wrong_attitude(sky: Sky, width: Width, count: int) -> None:
+    """The right stars outvote them, or the exposure is refused."""
+    used = 0
+    for seed in range(20):
+        rng = np.random.default_rng([17, seed])
+        error_n = np.array([width.tilt, width.heading, width.tilt]) * ARCSEC * rng.standard_normal(3)
+        exposure = sky.seen("fore", TIME_NS, count, np.zeros(3), rng.standard_normal(4), rng)
+        one, other = rng.choice(count, 2, replace=False)
+        names = np.arange(count)
+        names[[one, other]] = other, one
+        exchanged = replace(exposure, hip=exposure.hip[names], positions=exposure.positions[names])
+        ship_filter = ShipFilter(width.config("observations"))
+        track = ins_track(TIME_NS, error_n)
+        state, decision = ship_filter.step(ship_filter.initial_state(), exchanged, track, sky.watch)
+        if decision.accepted:
+            used += 1
+            rows = ship_filter.model.rows("ins.attitude")
+            by_error = left_jacobian(state.mean[rows])
+            left_n = log_rotation(exp_rotation(error_n) @ exp_rotation(state.mean[rows]).T)
+            covariance_n = by_error @ state.covariance[np.ix_(rows, rows)] @ by_error.T
+            assert normalized_error_squared(left_n, covariance_n) < 30.7  # chi², three degrees, one in a million
+    assert used == 20 or count < 8

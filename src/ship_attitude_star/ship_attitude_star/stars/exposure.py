@@ -25,7 +25,7 @@ from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
 from ship_attitude_star.stars.chance import WRONG_NAMES
 from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, WIDEST, candidates
-from ship_attitude_star.stars.selection import StarPrior
+from ship_attitude_star.stars.selection import LINEAR_RANGE, StarPrior
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.exposure_mean import Nodes, Turning, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -216,7 +216,7 @@ def visible_stars(
         exposure, direction_n, shared_n, named = exposure[seen], direction_n[seen], shared_n[seen], named[seen]
     rivals = None
     # By a prior that is not wide a star with a name is hardly ever another one.
-    if prior is not None and (prior.is_wide or not named.all()):
+    if prior is not None and (np.trace(prior.covariance_n) > LINEAR_RANGE**2 or not named.all()):
         rivals = detections * moment.bright.density(exposure.magnitude, MAGNITUDE_TOLERANCE)
         rivals *= np.where(named, WRONG_NAMES, 1.0)
     stars = SightedStars(
