@@ -140,6 +140,26 @@ def test_outputs_are_bit_equal_to_those_without_the_refused_messages(node: str, 
     assert run.results() == clean.results()
 
 
+@pytest.mark.parametrize(
+    ("node", "topic"),
+    [
+        ("ship_attitude", "ins/imu"),
+        ("star_attitude", "ins/imu"),
+        ("optical_axis", "ship/attitude"),
+        ("optical_axis", "theodolite/encoder"),
+        ("optical_axis by ins", "ins/imu"),
+    ],
+)
+def test_nor_do_values_of_now_that_are_stamped_a_while_ago(node: str, topic: str) -> None:
+    """By 0.3 s: where the ship or the mount has moved meanwhile, the samples beside it tell, and it is refused."""
+    arrivals = voyage(node).arrivals
+    back = stamped(lambda arrival: arrival.stamp_ns - 3 * SECOND_NS // 10 - 1)
+    moved = [a for a in arrivals if a.topic == topic and a.stamp_ns > arrivals[0].stamp_ns + 2 * SECOND_NS]
+    run = voyage(node).run(in_order((*arrivals, *map(back, moved))))
+    assert run.reasons(topic)["gate"] == len(moved)
+    assert run.results() == clean_run(node).results()
+
+
 def flood_cases() -> list[tuple[str, str]]:
     """The measurements that a filter goes back for."""
     return [

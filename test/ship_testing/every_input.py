@@ -132,5 +132,5 @@ def _ship() -> Scenario:
 
 def _theodolite(node: str) -> Scenario:
     scenario = bag_scenario(duration_s=6.0)
-    by_ins = {"star_sensors": {}} if node.endswith("by ins") else {}
-    return replace(scenario, ins=replaced(scenario.ins, rate_hz=20.0), **by_ins)
+    fused = replaced(scenario.fused_attitude, written=not node.endswith("by ins"))
+    return replace(scenario, ins=replaced(scenario.ins, rate_hz=20.0), star_sensors={}, fused_attitude=fused)
