@@ -54,6 +54,9 @@ class SampleTrack(Generic[Sample]):
         3 [2.25]
     """
 
+    keeps_ns = 0
+    """Samples up to so long before a moment are kept for it, beside those that interpolation needs."""
+
     def __init__(self, max_gap_ns: int) -> None:
         self.max_gap_ns = max_gap_ns
         self._times: list[int] = []
@@ -117,7 +120,7 @@ class SampleTrack(Generic[Sample]):
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed to interpolate at or after ``time_ns``, or to move the newest sample."""
         # Three samples before the moment stay: the start of its interval, and two that tell the interpolation's error.
-        keep_from = min(bisect.bisect_right(self._times, time_ns) - 3, self._recent_from())
+        keep_from = min(bisect.bisect_right(self._times, time_ns - self.keeps_ns) - 3, self._recent_from())
         if keep_from > 0:
             del self._times[:keep_from]
             del self._samples[:keep_from]

@@ -9,6 +9,7 @@ The rows have no error budget: their covariance is one matrix, and a sighting ch
 
 from collections.abc import Set
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,25 @@ class RowsSeen:
     by_light: tuple[RowsCompared, ...]
 
 
+class _Pattern(NamedTuple):
+    """Which components of the lights each row sees; h rows, l lights, m = 2 l components.
+
+    Attributes:
+        sees: shape (h, m).
+        seen_by_both: shape (h, m, m).
+        known: the components of other lights that are taken as known where a light is looked at: in the estimate by all
+            sources and in every row, shape (l, h + 1, m).
+        both_known: shape (l, h + 1, m, m).
+        gates: of what each row sees, shape (h,).
+    """
+
+    sees: NDArray[np.bool_]
+    seen_by_both: NDArray[np.bool_]
+    known: NDArray[np.bool_]
+    both_known: NDArray[np.bool_]
+    gates: FloatArray
+
+
 class SourceRows:
     """Steps of the rows of a configuration.
 
@@ -80,6 +100,7 @@ class SourceRows:
         self._model, self._ship_error = model, ship_error
         first_axis = model.slices["axes"].start
         zero_points = first_axis + np.array([NAMES.index("g"), NAMES.index("h")])
+        self._patterns: dict[tuple[tuple[str, ...], frozenset[str], float], _Pattern] = {}
         self._states = {ENCODER: zero_points, SHIP: model.rows("ship.attitude")}
 
     def states_of(self, excluded: Set[str]) -> NDArray[np.intp]:
@@ -130,10 +151,30 @@ class SourceRows:
             forget(parts, self._states[name], source_index, _UNKNOWN[name])
         return parts
 
-    def _unknown_rows(self, excluded: Set[str]) -> NDArray[np.bool_]:
-        """To which estimates, that by all sources first, the encoders or the ship are unknown, shape (h + 1,)."""
-        unknown = [bool({source, *excluded} & self._states.keys()) for source in self.sources]
-        return np.array([bool(excluded & self._states.keys()), *unknown])
+    def _pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_Pattern":
+        """What each row sees of lights with these names; made once for all sightings of them."""
+        key = names, excluded, probability
+        if key not in self._patterns:
+            self._patterns[key] = self._new_pattern(names, excluded, probability)
+        return self._patterns[key]
+
+    def _new_pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_Pattern":
+        unknown = excluded & self._states.keys()
+        unknown_rows = [bool(unknown), *(bool(unknown) or source in self._states for source in self.sources)]
+        sees = np.ones((1 + len(self.sources), 2 * len(names)), dtype=bool)
+        for light, name in enumerate(names):
+            sees[1 + self.sources.index(BEACON + name), 2 * light : 2 * light + 2] = False
+        # Of each light, the components of the others: shape (l, 1, m).
+        others = ~np.repeat(np.eye(len(names), dtype=bool), 2, axis=1)[:, None]
+        known = sees & np.array(unknown_rows)[:, None] & others
+        degrees = np.count_nonzero(sees[1:], axis=1).tolist()
+        return _Pattern(
+            sees=sees[1:],
+            seen_by_both=sees[1:, :, None] & sees[1:, None, :],
+            known=known,
+            both_known=known[..., :, None] & known[..., None, :],
+            gates=np.array([chi_square_gate(probability, count) if count else np.inf for count in degrees]),
+        )
 
     def seen(
         self,
@@ -150,7 +191,7 @@ class SourceRows:
             rows: predicted to its moment.
             names: of its lights, none of them of a drone that is excluded.
             measurement: with two components for each light; its residual is that of the estimate by all sources.
-            first: mean and covariance of that estimate, predicted, shapes (n,), (n, n).
+            first: mean of that estimate, predicted, shape (n,), and the covariance of its residual, shape (m, m).
             excluded: the sources that every row does without.
             probability: of the gate.
         """
@@ -159,27 +200,21 @@ class SourceRows:
         cross = rows.parts[:, 0] @ h.T
         covariance = h @ cross + noise
         all_residuals = np.concatenate([measurement.residual[None], residual])
-        all_covariances = np.concatenate([(h @ first[1] @ h.T + noise)[None], covariance])
+        all_covariances = np.concatenate([first[1][None], covariance])
+        pattern = self._pattern(names, frozenset(excluded), probability)
+        by_light = _lights_seen(all_residuals, all_covariances, noise, pattern)
         # What a row does without has no part in it.
-        blind = np.zeros(all_residuals.shape, dtype=bool)
-        for light, name in enumerate(names):
-            blind[1 + self.sources.index(BEACON + name), 2 * light : 2 * light + 2] = True
-        known = ~blind & self._unknown_rows(excluded)[:, None]
-        by_light = tuple(
-            _light_seen(all_residuals, all_covariances, noise, light, known) for light in range(len(names))
-        )
-        blind = blind[1:]
-        seen_by_both = ~blind[:, :, None] & ~blind[:, None, :]
-        covariance = np.where(seen_by_both, covariance, np.eye(h.shape[0]))
-        residual, cross = np.where(blind, 0.0, residual), np.where(blind[:, None, :], 0.0, cross)
-        gain = np.linalg.solve(covariance, cross.swapaxes(-1, -2)).swapaxes(-1, -2)
-        nis = np.einsum("hm,hm->h", residual, np.linalg.solve(covariance, residual[:, :, None])[:, :, 0])
-        degrees = h.shape[0] - np.count_nonzero(blind, axis=1)
-        gates = np.array([chi_square_gate(probability, int(count)) if count else np.inf for count in degrees])
-        accepted = nis <= gates  # NaN is not
+        covariance = np.where(pattern.seen_by_both, covariance, np.eye(h.shape[0]))
+        residual, cross = residual * pattern.sees, cross * pattern.sees[:, None, :]
+        asked = np.concatenate([cross.swapaxes(-1, -2), residual[:, :, None]], axis=-1)
+        solved = np.linalg.solve(covariance, asked)
+        gain, nis = solved[:, :, :-1].swapaxes(-1, -2), np.einsum("hm,hm->h", residual, solved[:, :, -1])
+        accepted = nis <= pattern.gates  # NaN is not
         gain[~accepted] = 0.0
-        keep = np.eye(h.shape[1]) - gain @ h
-        updated = keep @ rows.parts[:, 0] @ keep.swapaxes(-1, -2) + gain @ noise @ gain.swapaxes(-1, -2)
+        # Joseph's form, (I - K H) P (I - K H)ᵀ + K R Kᵀ, without a product of large matrices.
+        transposed = gain.swapaxes(-1, -2)
+        kept = rows.parts[:, 0] - gain @ (h @ rows.parts[:, 0])
+        updated = kept - (kept @ h.T) @ transposed + gain @ noise @ transposed
         updated = 0.5 * (updated + updated.swapaxes(-1, -2))
         mean = rows.mean + (gain @ residual[:, :, None])[:, :, 0]
         return replace(rows, mean=mean, parts=updated[:, None]), RowsSeen(accepted, by_light)
@@ -192,46 +227,51 @@ def forget(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma
     parts[source_index, states, states] = sigma_rad**2
 
 
-def _light_seen(
-    residual: FloatArray, covariance: FloatArray, noise: FloatArray, light: int, known: NDArray[np.bool_]
-) -> RowsCompared:
-    """The residual of one light in every row, whitened; where the others are known, what they leave of it.
+def _lights_seen(
+    residual: FloatArray, covariance: FloatArray, noise: FloatArray, pattern: _Pattern
+) -> tuple[RowsCompared, ...]:
+    """The residual of each light in every row, whitened; where the other lights are known, what they leave of it.
 
     To a row of which the encoders or the ship are unknown a light alone says nothing, but beside the others it does.
 
     Args:
-        residual: of all lights, shape (h, m).
+        residual: of all lights, two components each, shape (h, m).
         covariance: of the residual, shape (h, m, m).
         noise: share of the sighting's own noise in it, shape (m, m).
-        light: its number.
-        known: the components that are taken as known in each row, those of the light aside, shape (h, m).
+        pattern: what is taken as known.
     """
-    own = slice(2 * light, 2 * light + 2)
-    known = known.copy()
-    known[:, own] = False
-    of_others = np.where(known[:, :, None] & known[:, None, :], covariance, np.eye(residual.shape[1]))
-    with_others = np.where(known[:, :, None], covariance[:, :, own], 0.0)
+    count, size = residual.shape
+    lights = np.arange(size).reshape(-1, 2)
+    # A leading axis of lights: shapes (l, h, m), (l, h, m, m), (l, h, m, 2).
+    of_others = np.where(pattern.both_known, covariance, np.eye(size))
+    with_own = covariance.reshape(count, size, -1, 2).transpose(2, 0, 1, 3)
+    with_others = with_own * pattern.known[..., None]
     weights = np.linalg.solve(of_others, with_others).swapaxes(-1, -2)
-    left = residual[:, own] - (weights @ residual[:, :, None])[:, :, 0]
-    noise_left = -weights
-    noise_left[:, :, own] += np.eye(2)
-    covariance_left = covariance[:, own, own] - weights @ with_others
-    return whitened(left, covariance_left, noise_left @ noise @ noise_left.swapaxes(-1, -2))
+    own = np.stack([covariance[:, first : first + 2, first : first + 2] for first in range(0, size, 2)])
+    left = residual.reshape(count, -1, 2).swapaxes(0, 1) - (weights @ residual[:, :, None])[..., 0]
+    noise_left = np.eye(size)[lights][:, None] - weights
+    seen = whitened(left, own - weights @ with_others, noise_left @ noise @ noise_left.swapaxes(-1, -2))
+    return tuple(RowsCompared(*(field[light] for field in seen)) for light in range(len(lights)))
 
 
-def whitened(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> RowsCompared:
-    """The residual of one light in every row, whitened along the axes of the detector.
+def whitened(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> tuple[FloatArray, ...]:
+    """The residual of one light in every row, whitened along the axes of the detector: the fields of RowsCompared.
 
     Args:
-        residual: shape (h, 2).
-        covariance: of the residual, shape (h, 2, 2).
-        noise: share of the sighting's own noise in it, shape (h, 2, 2).
+        residual: shape (..., h, 2).
+        covariance: of the residual, shape (..., h, 2, 2).
+        noise: share of the sighting's own noise in it, shape (..., h, 2, 2).
     """
-    values, vectors = np.linalg.eigh(covariance)
-    root = (vectors / np.sqrt(values)[:, None, :]) @ vectors.swapaxes(-1, -2)
-    count = len(residual)
-    turn, turn_noise = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
-    turn[:, :2] = (root @ residual[:, :, None])[:, :, 0]
-    turn_noise[:, :2, :2] = root @ noise @ root
-    nis = np.einsum("hi,hi->h", turn, turn)
-    return RowsCompared(residual, covariance, nis, np.empty(0), turn, turn_noise, np.empty(0))
+    # The inverse of the symmetric root of a matrix of two rows.
+    first, second, mixed = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
+    area = np.sqrt(first * second - mixed * mixed)
+    scale = 1.0 / (area * np.sqrt(first + second + 2.0 * area))
+    root = np.empty(covariance.shape)
+    root[..., 0, 0], root[..., 1, 1] = (second + area) * scale, (first + area) * scale
+    root[..., 0, 1] = root[..., 1, 0] = -mixed * scale
+    turn, turn_noise = np.zeros((*residual.shape[:-1], 3)), np.zeros((*residual.shape[:-1], 3, 3))
+    turn[..., :2] = (root @ residual[..., None])[..., 0]
+    turn_noise[..., :2, :2] = root @ noise @ root
+    turn_noise[..., 2, 2] = 1.0
+    nothing = np.empty((*residual.shape[:-2], 0))
+    return residual, covariance, np.sum(turn**2, axis=-1), nothing, turn, turn_noise, nothing

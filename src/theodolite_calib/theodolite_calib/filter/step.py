@@ -13,6 +13,7 @@ import numpy as np
 
 from ship_estimation.exclusion import Exclusion
 from ship_estimation.gates import chi_square_gate
+from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.protection import Factors, IntegrityConfig, factors, separation
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
@@ -133,7 +134,7 @@ class SightingStep:
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
         """What the rows say of a sighting that was used; ``before`` is the state predicted to its moment."""
-        first = before.mean, before.covariance
+        first = before.mean, compared.covariance
         alternatives, seen = self._filter.rows.seen(
             before.alternatives, names, compared.measurement, first, before.trust.excluded, self._gate.probability
         )
@@ -157,7 +158,7 @@ class SightingStep:
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
         """What the rows say of a sighting that was refused; ``predicted`` is the state at its moment."""
-        first = predicted.mean, predicted.covariance
+        first = predicted.mean, comparison.covariance
         alternatives, seen = self._filter.rows.seen(
             predicted.alternatives,
             sighting.names,
@@ -193,7 +194,7 @@ class SightingStep:
         to_axes = compared.prediction.rotation_nt.T @ compared.prediction.turn_n[:, turning]
         apart = (rows.mean - state.mean)[:, turning] @ to_axes.T
         left_out = to_axes @ rows.parts[:, 0][:, turning[:, None], turning] @ to_axes.T
-        first = to_axes @ state.covariance[turning[:, None], turning] @ to_axes.T
+        first = to_axes @ state.parts[:, turning[:, None], turning].sum(axis=0) @ to_axes.T
         return separation(apart, left_out, first, self._factors).statistic
 
     def _farthest(self, state: CalibrationState, compared: Comparison) -> FloatArray:
@@ -221,9 +222,8 @@ class SightingStep:
             comparison = self._filter.compare(state, sighting.chosen([row]))
             if comparison is not None:
                 measurement = comparison.measurement
-                compared = whitened(
-                    measurement.residual[None], comparison.covariance[None], measurement.noise[None]
-                )
+                found = whitened(measurement.residual[None], comparison.covariance[None], measurement.noise[None])
+                compared = RowsCompared(*found)
                 refused_m = self._refused_m(trust.left_out[BEACON + name], comparison, others)
                 trust = self._referee.watched_light(trust, name, compared, sighting.time_ns, refused_m)
         return trust

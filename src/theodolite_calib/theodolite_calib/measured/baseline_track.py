@@ -46,6 +46,8 @@ class BaselineJump:
 class BaselineTrack(VectorTrack[BaselineSample]):
     """Baselines to one drone, good and bad: nothing is interpolated from a bad one or across it."""
 
+    keeps_ns = _LONGEST_NS
+
     def usable_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Refusal:
         """The baseline at a moment (N, U, E), m, with the covariance of what is new in it, m²; or why there is none."""
         interval = self._interval(time_ns)
@@ -87,10 +89,6 @@ class BaselineTrack(VectorTrack[BaselineSample]):
                 break
             first -= 1
         return self._jump_among(first, last + 1)
-
-    def drop_before(self, time_ns: int) -> None:
-        """Forget what is not needed at or after ``time_ns``, to interpolate or to find a jump."""
-        super().drop_before(time_ns - _LONGEST_NS)
 
     def _jump_among(self, first: int, end: int) -> BaselineJump | None:
         count = end - first

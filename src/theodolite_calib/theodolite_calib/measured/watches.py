@@ -251,8 +251,9 @@ class ShipWatch:
         """Whether the rates are measured: then no step of some sigmas of a sample passes unseen."""
         return self._guard.rates is Rates.MEASURED
 
-    def judge(self, sample: ShipSample) -> JudgedIns:
-        """What is to be done with a sample."""
+    def judge(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
+        """What is to be done with a sample; none before ``oldest_ns`` will come."""
+        self._used.drop_before(oldest_ns)
         judged = self._guard.judge(sample, self._used, {}, self._told_rad(sample))
         if judged.rates_wrong_after_ns is not None:
             self._used.forget_rates(judged.rates_wrong_after_ns)
@@ -275,10 +276,6 @@ class ShipWatch:
         """Why the attitude of a moment is in doubt; empty where it is not."""
         jumped = self._unconfirmed_ns is not None and time_ns > self._unconfirmed_ns
         return f"{self._source} has jumped, and no light has confirmed it since" if jumped else ""
-
-    def drop_before(self, time_ns: int) -> None:
-        """Forget what no sample at or after a stamp is judged by."""
-        self._used.drop_before(time_ns)
 
     def _told_rad(self, sample: ShipSample) -> float:
         """How far the source may have stepped with a sample by what it states of its covariance."""

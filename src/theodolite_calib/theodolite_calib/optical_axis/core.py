@@ -225,7 +225,7 @@ class OpticalAxisCore:
 
     def _judge_ship(self, sample: ShipSample, outcome: PointingOutcome) -> tuple[Refusal | None, ShipSample]:
         """Why an attitude of the ship is not used, and the attitude as it may be used."""
-        judged = self._ship_watch.judge(sample)
+        judged = self._ship_watch.judge(sample, self._shell.window.oldest_ns)
         if judged.rates_wrong_after_ns is not None:
             # What was compared with the help of these rates is compared again without them.
             changed_after_ns = self._tracks.ship.forget_rates(judged.rates_wrong_after_ns)
@@ -264,7 +264,6 @@ class OpticalAxisCore:
     def _forget_before(self, time_ns: int) -> None:
         """Forget what no exposure at or after a stamp is compared with."""
         self._tracks.drop_before(time_ns)
-        self._ship_watch.drop_before(time_ns)
 
     def _tell_watches(self, decision: ExposureDecision) -> None:
         """What the lights of an exposure say of the encoders and of the INS."""
