@@ -109,7 +109,9 @@ def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:
     to_row = (vectors[1] * root[1]) @ vectors[1].T @ (vectors[0] * inverse) @ vectors[0].T
     to_row = scale[:, None] * to_row / scale
     parts = to_row @ stack[: len(stack) - rows + 1] @ to_row.T
-    parts[np.argmax(np.trace(parts, axis1=-2, axis2=-1))] += both[1] - parts.sum(axis=0)  # rounding
+    # What is known exactly stays so, rounding aside.
+    parts[:, sigma == 0.0, :] = parts[:, :, sigma == 0.0] = 0.0
+    parts[np.argmax(np.trace(parts, axis1=-2, axis2=-1))] += both[1] - parts.sum(axis=0)
     return np.concatenate([parts, np.tile(both[1], (rows - 1, 1, 1))])
 
 

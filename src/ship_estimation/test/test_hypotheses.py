@@ -72,6 +72,7 @@ def test_a_row_becomes_the_first_with_the_budget_carried_over():
     for row in range(3):
         np.testing.assert_allclose(covariances(after, 3)[row], stack[-1], rtol=1e-8, atol=1e-8)
     assert np.all(np.linalg.eigvalsh(after[:SOURCES]) > -1e-8)
+    assert np.all(covariances(after, 3)[:, 6] == 0.0)
     same = np.concatenate([stack[:SOURCES], stack[:SOURCES].sum(0)[None]])
     np.testing.assert_allclose(promoted(same, 2, row=1)[:SOURCES], stack[:SOURCES], rtol=1e-6, atol=1e-7)
 

@@ -191,7 +191,7 @@ class Linearisation:
         source = measurement.source
         device, by_offset = self._devices[source], self._offsets[source]
         # A state that was opened for another reason does not make a clock less known than it was told.
-        offset_sigma_s = min(math.sqrt(float(by_offset @ covariance @ by_offset)), self._told_sigma_s(device))
+        offset_sigma_s = min(math.sqrt(max(float(by_offset @ covariance @ by_offset), 0.0)), self._told_sigma_s(device))
         since_s = _SAME_MOTION_S if last_ns is None else max(measurement.time_ns - last_ns, 1) / SECOND_NS
         alike = max(_SAME_MOTION_S / since_s, 1.0)
         task = _Task(measurement, device, mean, covariance, track, watch, may_wait, offset_sigma_s, alike)
