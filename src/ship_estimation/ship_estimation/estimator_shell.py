@@ -68,9 +68,9 @@ class LagWindow:
         self.oldest_ns = self.newest_ns - self._lag_ns
 
 
-MOST_REPEATS_PER_S = 200
-"""Measurements applied again in a second: ten in ordinary data, as many as these where every input of a ship comes out
-of order by up to two seconds. A flood of late ones would make thousands, and hold up the output."""
+MOST_REPEATS_PER_S = 400
+"""Measurements applied again in a second: ten in ordinary data, two to three hundred where every input of a ship comes
+out of order by up to two seconds. A flood of late ones would make thousands, and hold up the output."""
 MOST_REPEATS_AT_ONCE = 50
 """Of these for one input: the output that follows it waits no longer than they take."""
 MOST_OVERTAKEN_PER_S = 200

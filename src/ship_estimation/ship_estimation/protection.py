@@ -113,7 +113,7 @@ def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
     """The numbers of sigmas that keep the configured probabilities.
 
     The probability of misleading information is shared out in equal parts to "all sources are right" and to each
-    hypothesis. That of a false exclusion is shared out to all separations and to their independent values in an hour
+    hypothesis. Half of the false exclusions is shared out to all separations and to their independent values in an hour
     (:data:`TESTS_PER_H`).
 
     Args:
@@ -125,14 +125,15 @@ def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
 
         >>> found = factors(IntegrityConfig(), [1e-3, 1e-3, 1e-3])
         >>> print(round(found.right, 2), round(found.false_exclusion, 2), found.missed.round(2))
-        5.97 5.12 [2.81 2.81 2.81]
+        5.97 5.25 [2.81 2.81 2.81]
     """
     share = config.p_hmi / (len(priors_per_h) + 1)
     tests = _COMPONENTS * TESTS_PER_H
     missed = [_sigmas(min(share / prior, _MOST_PROBABLE_MISS)) for prior in priors_per_h]
     return Factors(
         right=_sigmas(0.5 * share / tests),
-        false_exclusion=_sigmas(0.5 * config.false_exclusions_per_h / (tests * max(len(priors_per_h), 1))),
+        # On both sides; the other half of the false exclusions is that of the means (ship_estimation.exclusion).
+        false_exclusion=_sigmas(0.25 * config.false_exclusions_per_h / (tests * max(len(priors_per_h), 1))),
         missed=np.array(missed),
     )
 
