@@ -149,6 +149,7 @@ def test_claims_beyond_five_sigmas_are_counted_until_the_next_fault():
         ("theodolite/beacons", "lights", "baseline.a"),
         ("theodolite/encoder", "encoder", "ship"),
         ("ship/attitude", "ship", "ins"),
+        ("ship/attitude", "ship_attitude", "ins"),
         ("gnss/fix", "gnss/fix", "ins"),
     ],
 )

@@ -225,7 +225,7 @@ def is_source(name: str, topic: str) -> bool:
         return name in (f"beacon.{id_}", f"baseline.{id_}", f"drone.{id_}", f"light.{id_}")
     if topic == "theodolite/beacons":
         return name in ("lights", "telescope") or name.startswith("light.")
-    names = {"ins/imu": ("ins",), "ship/attitude": ("ship",), "theodolite/encoder": ("encoder",)}
+    names = {"ins/imu": ("ins",), "ship/attitude": ("ship", "ship_attitude"), "theodolite/encoder": ("encoder",)}
     return name in (topic, *names.get(topic, ()))
 
 
