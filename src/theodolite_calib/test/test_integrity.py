@@ -9,7 +9,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC
 from ship_msgs.msg import Integrity
-from ship_testing.adapter_runs import SECOND_NS, START_NS, changed_where
+from ship_testing.adapter_runs import SECOND_NS, START_NS, changed_where, delayed
 from ship_testing.small_session import BASELINE, BEACONS, clean_run, config, drive, new_adapter, session, stamp_of
 
 TOPIC = "theodolite/integrity"
@@ -74,3 +74,26 @@ def test_what_cannot_be_is_refused_by_name(changes: dict[str, Any], name: str) -
     with pytest.raises(ParameterError) as refused:
         config(**changes)
     assert name in str(refused.value)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_exclusion_does_not_depend_on_the_order_of_arrival(seed: int) -> None:
+    """A baseline that jumps by 3 m, then messages of lights and baselines up to two seconds late."""
+
+    def moved(message: Any) -> None:
+        message.enu.z += 3.0
+
+    wrong = changed_where(
+        session(), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 3 * SECOND_NS, moved
+    )
+    rng = np.random.default_rng(seed)
+    late = np.array([a.topic in (BEACONS, *BASELINE.values()) for a in wrong])
+    shuffled = delayed(wrong, np.where(late, rng.uniform(0.0, 1.9, late.size), 0.005))
+    in_order, out_of_order = drive(new_adapter(), wrong), drive(new_adapter(), shuffled)
+    assert out_of_order.state() == in_order.state()
+    one, other = (run.adapter.core.state for run in (in_order, out_of_order))
+    assert set(one.trust.excluded) == {"beacon.alpha"}
+    assert one.trust.left_out["beacon.alpha"].exclusion == other.trust.left_out["beacon.alpha"].exclusion
+    assert one.alternatives.mean.tobytes() == other.alternatives.mean.tobytes()
+    assert one.alternatives.parts.tobytes() == other.alternatives.parts.tobytes()
+    assert one.trust.means.turn.tobytes() == other.trust.means.turn.tobytes()
