@@ -25,6 +25,9 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
+_CONFIRMED_BY = 2
+"""Moments of star measurements after a jump of the INS: the first one finds the attitude, the next agrees with it."""
+
 
 class ShipFilter:
     """The model of a configuration and the step from state to state.
@@ -39,6 +42,7 @@ class ShipFilter:
         self.linearisation = Linearisation(self.model, self.devices)
         self.suspects = Suspects(config, self.model, self.devices)
         self._gate: GateConfig = config.gate
+        self._believed_after_ns = round(config.integrity.return_after_s * SECOND_NS)
         self._ins_index = self.model.sources.index(SOURCE_INS)
         self._common_index = self.model.sources.index(SOURCE_STAR_COMMON) if config.star_sensors else -1
 
@@ -75,7 +79,7 @@ class ShipFilter:
         state = self.predicted(state, self.opens_ns(jump))
         stack, slow = state.stack.copy(), self.model.slices["ins.attitude"]
         add_error(stack, len(state.means), self._ins_index, slow, jump.covariance_n)
-        return replace(self.suspects.acquitted(state), stack=stack, jumped=True, jumped_ns=jump.time_ns)
+        return replace(self.suspects.acquitted(state), stack=stack, unconfirmed=_CONFIRMED_BY, jumped_ns=jump.time_ns)
 
     def opens_ns(self, jump: InsJump) -> int:
         """The time of measurements from which on the state is open for a jump of the INS."""
@@ -152,12 +156,18 @@ class ShipFilter:
             decision = replace(decision, reason=Reason.EXCLUDED)
         else:
             after, decision = self._held(after, decision, found)
-        vouched = found.ins.sample is not None and found.ins.sample.rate_d is not None
+        vouched = self._ins_vouched(state, found)
         if self.devices[source].is_star and not (accepted[0] or vouched):
-            # Without rates nothing else tells that the INS has jumped.
-            after = replace(after, jumped=True)
+            # Nothing else tells that the INS has jumped.
+            after = replace(after, unconfirmed=_CONFIRMED_BY)
         after, text = self.suspects.judged(after, source, compared, vouched, measurement.time_ns)
         return after, self._told(decision, after, text)
+
+    def _ins_vouched(self, state: FilterState, found: Linearised) -> bool:
+        """Whether the INS's rates would have told a step of it: they are known, and it has not jumped not long ago."""
+        if found.ins.sample is None or found.ins.sample.rate_d is None:
+            return False
+        return state.jumped_ns is None or found.ins_time_ns - state.jumped_ns > self._believed_after_ns
 
     def _beside(
         self, predicted: FilterState, source: str, compared: Compared, gate: float
@@ -209,12 +219,13 @@ class ShipFilter:
 
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
         """The state, with a measurement that passed the gate, told of it."""
-        source = measurement.source
+        source, is_star = measurement.source, self.devices[measurement.source].is_star
+        confirms = is_star and all(measurement.time_ns > used_ns for used_ns in state.used_ns.values())
         return replace(
             state,
             refusals=MappingProxyType({**state.refusals, source: 0}),
             used_ns=MappingProxyType({**state.used_ns, source: measurement.time_ns}),
-            jumped=state.jumped and not self.devices[source].is_star,
+            unconfirmed=max(state.unconfirmed - confirms, 0),
         )
 
     def _with_common(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:

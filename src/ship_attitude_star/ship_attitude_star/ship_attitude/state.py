@@ -58,7 +58,8 @@ class FilterState:
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
         used_ns: by source, the stamp of its last measurement used.
-        jumped: whether the INS has jumped, or may have, since the last star measurement used.
+        unconfirmed: moments at which star measurements must be used, one after the other, before an INS that has
+            jumped, or may have, is believed.
         departures: by source, its last measurement refused.
         jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
     """
@@ -74,7 +75,7 @@ class FilterState:
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    jumped: bool = False
+    unconfirmed: int = 0
     departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
     jumped_ns: int | None = None
 
@@ -83,6 +84,11 @@ class FilterState:
         """Estimated errors by all sources that are not excluded, shape (n,)."""
         mean: FloatArray = self.means[0]
         return mean
+
+    @property
+    def jumped(self) -> bool:
+        """Whether the INS has jumped, or may have, and the stars have not confirmed its attitude since."""
+        return self.unconfirmed > 0
 
     @property
     def parts(self) -> FloatArray:
