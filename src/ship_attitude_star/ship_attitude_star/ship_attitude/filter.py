@@ -219,8 +219,9 @@ class ShipFilter:
 
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
         """The state, with a measurement that passed the gate, told of it."""
-        source, is_star = measurement.source, self.devices[measurement.source].is_star
-        confirms = is_star and all(measurement.time_ns > used_ns for used_ns in state.used_ns.values())
+        source = measurement.source
+        by_stars = [used_ns for name, used_ns in state.used_ns.items() if self.devices[name].is_star]
+        confirms = self.devices[source].is_star and measurement.time_ns > max(by_stars, default=0)
         return replace(
             state,
             refusals=MappingProxyType({**state.refusals, source: 0}),

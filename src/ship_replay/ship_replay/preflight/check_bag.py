@@ -30,6 +30,7 @@ _OF_THE_CONFIGURATION = frozenset(
     for reason in (
         Reason.ATTITUDE_CONFLICT,
         Reason.BAD_QUATERNION,
+        Reason.EXCLUDED,
         Reason.FRAME,
         Reason.GATE,
         Reason.LIGHT_CONFLICT,
