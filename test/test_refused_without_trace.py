@@ -168,7 +168,6 @@ def flood_cases() -> list[tuple[str, str]]:
         ("ship_attitude", "star/fore/horizon_attitude"),
         ("ship_attitude", "star/starboard/observations"),
         ("optical_axis", "theodolite/beacons"),
-        ("optical_axis by ins", "theodolite/beacons"),
     ]
 
 

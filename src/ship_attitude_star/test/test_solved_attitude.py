@@ -39,7 +39,7 @@ from ship_testing.star_voyage import FIX, HUMIDITY, PRESSURE, TEMPERATURE, clean
 from ship_testing.star_voyage import voyage as star_voyage
 
 SECOND_NS = 1_000_000_000
-SEEDS = 200
+SEEDS = 100
 EPOCHS = 3
 METRES_PER_RADIAN = 6.37e6
 

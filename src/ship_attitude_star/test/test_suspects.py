@@ -184,7 +184,7 @@ def assert_within_levels(sailed: Sailed) -> None:
 
 
 @pytest.mark.parametrize("sensors", [("aft", "bow", "port"), ("bow", "port")], ids=["three", "two"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_nobody_is_excluded_where_all_are_right(sensors: tuple[str, ...], seed: int) -> None:
     sailed = sailed_with(sensors=sensors, seconds=120.0, seed=seed)
     assert sailed.excluded == [(0.0, ())]
