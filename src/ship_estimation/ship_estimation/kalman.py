@@ -11,6 +11,7 @@ covariance may have leading axes (...), one entry for each of several hypotheses
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg.lapack as lapack
@@ -177,7 +178,7 @@ class LinearMeasurement:
     jacobian: FloatArray
     noise_by_source: Mapping[int, FloatArray]
 
-    @property
+    @cached_property
     def noise(self) -> FloatArray:
         """Covariance of the whole measurement noise, shape (m, m)."""
         first, *others = self.noise_by_source.values()

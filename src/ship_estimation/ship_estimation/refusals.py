@@ -157,6 +157,9 @@ class Contradictions:
 
     Of the two things one is kept, which may as well be the wrong one: what rests on such a source is not VALID.
 
+    Attributes:
+        latest_ns: by source, the stamp of its last conflict, however long ago.
+
     Example:
         >>> told = Contradictions()
         >>> told.note("ship", 5 * SECOND_NS, Refusal(Reason.CONFLICT, "the same stamp with other content"))
@@ -168,19 +171,19 @@ class Contradictions:
     """
 
     def __init__(self) -> None:
-        self._latest_ns: dict[str, int] = {}
+        self.latest_ns: dict[str, int] = {}
 
     def note(self, source: str, time_ns: int, refusal: Refusal | None) -> None:
         """Take note of what was said of an input with this stamp; only CONFLICT counts."""
         if refusal is not None and refusal.reason is Reason.CONFLICT:
-            self._latest_ns[source] = max(time_ns, self._latest_ns.get(source, time_ns))
+            self.latest_ns[source] = max(time_ns, self.latest_ns.get(source, time_ns))
 
     def at(self, time_ns: int) -> dict[str, int]:
         """The sources that have not agreed with themselves for long, each with the stamp of its last conflict."""
-        if not self._latest_ns:
+        if not self.latest_ns:
             return {}
         since_ns = time_ns - round(AGREES_AGAIN_AFTER_S * SECOND_NS)
-        return {source: latest_ns for source, latest_ns in self._latest_ns.items() if latest_ns >= since_ns}
+        return {source: latest_ns for source, latest_ns in self.latest_ns.items() if latest_ns >= since_ns}
 
 
 def contradiction_text(sources: Iterable[str]) -> str:

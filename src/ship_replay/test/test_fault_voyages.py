@@ -15,7 +15,7 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
-from ship_replay.trials.fault_judge import EXCLUSION, Flight, Told, VoyageSink, is_source, judged
+from ship_replay.trials.fault_judge import EXCLUSION, Passage, Told, VoyageSink, is_source, judged
 from ship_replay.trials.fault_results import ResultsFile, kind_rows, pair_rows, totals
 from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, replayed, run_voyage, voyages
 from ship_replay.trials.one_fault import one_fault_lines
@@ -92,12 +92,12 @@ FAULT = Fault(topic="ins/imu", kind="bias", start_s=10.0, end_s=20.0, up_arcsec=
 def verdict(told, clean=None, until_s=60.0):
     """The first message that the fault hits comes at 10.02 s, the next ones every 0.1 s."""
     arrivals_ns = np.arange(round(0.02 * NS_PER_S), 60 * NS_PER_S, NS_PER_S // 10)
-    return judged(FAULT, told, Flight(clean or told_of(), {"ins/imu": arrivals_ns}, 0, 60 * NS_PER_S), until_s)
+    return judged(FAULT, told, Passage(clean or told_of(), {"ins/imu": arrivals_ns}, 0, 60 * NS_PER_S), until_s)
 
 
 def test_what_a_fault_hits_and_how_soon_it_must_be_told():
     times_ns = {"ins/imu": np.arange(60) * NS_PER_S, "met/pressure": np.array([0])}
-    flight = Flight(told_of(), times_ns, 0, 60 * NS_PER_S)
+    flight = Passage(told_of(), times_ns, 0, 60 * NS_PER_S)
     assert (flight.hits(FAULT) / NS_PER_S).tolist() == list(range(10, 20))
     assert flight.alert_limit_s(FAULT) == 3.0
     pressure = Fault(topic="met/pressure", kind="drop", start_s=10.0)

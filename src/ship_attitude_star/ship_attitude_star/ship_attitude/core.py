@@ -248,6 +248,8 @@ class ShipAttitudeCore:
 
     def _doubted(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
         """An estimate is DEGRADED where a source that it rests on contradicted itself not long ago."""
+        if not self._shell.contradictions.latest_ns:
+            return estimate
         used_ns, devices = self.state.used_ns, self.filter.devices
         contradictory = [
             source

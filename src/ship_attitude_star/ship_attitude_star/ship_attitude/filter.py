@@ -64,10 +64,10 @@ class ShipFilter:
             common = self.model.slices[f"{source}.common"]
             fresh = 1.0 - decay[common.start] ** 2
             add_error(stack, rows, self._common_index, common, fresh * steady)
-        self.suspects.carried(state, stack, dt_s)
         means, slow = decay * state.means, self.model.slices["ins.attitude"]
         sigma = self.model.blocks["ins.attitude"].sigma
         means[:, slow] = slow_error_later(state.means[:, slow], decay[slow], sigma)
+        self.suspects.carried(state, stack, dt_s)
         return replace(state, time_ns=max(time_ns, state.time_ns), means=means, stack=stack)
 
     def opened(self, state: FilterState, jump: InsJump) -> FilterState:
@@ -109,7 +109,8 @@ class ShipFilter:
             The next state and the decision; None where samples that may still come belong to the measurement.
         """
         predicted = self.predicted(state, measurement.time_ns)
-        mean, covariance = predicted.means[0], predicted.covariance
+        parts = predicted.stack[: len(self.model.sources)]
+        mean, covariance = predicted.means[0], parts.sum(axis=0)
         last_ns = state.used_ns.get(measurement.source)
         found = self.linearisation.of(measurement, mean, covariance, track, watch, may_wait, last_ns)
         if found is None:

@@ -128,7 +128,7 @@ class CorrectedIns:
             return Status.DEGRADED, self.state.doubt.text
         if math.isnan(star_age_s):
             return Status.DEGRADED, "INS alone, no star yet"
-        if self.state.jumped:
+        if self.state.unconfirmed:
             return Status.DEGRADED, "the INS has jumped, or may have, and no star has confirmed its attitude since"
         if star_age_s <= coasting_after_s:
             return Status.VALID, ""

@@ -186,8 +186,8 @@ class Suspects:
             state, text = self._watched(state, source, compared, time_ns)
             if source in state.excluded:
                 return state, text
-        apart_n, statistic = self.separations(state)
         uses = self.uses(state)
+        apart_n, statistic = self.separations(state)
         candidates = [row for row, name in enumerate(self.names, start=1) if name not in state.excluded]
         # A step of the INS its rates would have told; that it creeps they do not tell.
         stepped = bool(np.any(state.seen.refused[0] > 0))

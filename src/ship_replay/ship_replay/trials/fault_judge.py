@@ -57,7 +57,7 @@ class Told:
 
 
 @dataclass
-class Flight:
+class Passage:
     """One voyage through the nodes.
 
     Attributes:
@@ -178,7 +178,7 @@ class FaultVerdict:
     longest_beyond_s: float
 
 
-def judged(fault: Fault, told: Told, clean: Flight, until_s: float) -> FaultVerdict:
+def judged(fault: Fault, told: Told, clean: Passage, until_s: float) -> FaultVerdict:
     """What became of a fault.
 
     Args:

@@ -22,7 +22,7 @@ from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.orientations import ORIENTATIONS
 from ship_replay.offline.replay import ReplayRun, ReplaySummary
-from ship_replay.trials.fault_judge import Flight, Told, VoyageSink, judged
+from ship_replay.trials.fault_judge import Passage, Told, VoyageSink, judged
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, DrawnFault, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
@@ -67,7 +67,7 @@ def make_bag(scenario_path: Path, duration_s: float, seed: int, path: Path) -> P
     return path
 
 
-def run_voyage(voyage: Voyage, clean: Flight) -> dict[str, Any]:
+def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
     """Make a voyage; what became of it and of each of its faults, as plain data.
 
     Args:
@@ -104,7 +104,7 @@ def taken_topics(bag: Bag) -> dict[str, str]:
     return {topic.topic: topic.type_name for topic in chain.inputs if topic.topic in bag.topics}
 
 
-def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Flight) -> tuple[list[dict[str, Any]], Told]:
+def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Passage) -> tuple[list[dict[str, Any]], Told]:
     """Replay a bag with faults; what became of each that hit a message, and what was told."""
     faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
     told = replayed(path, faults, seed).told
@@ -119,12 +119,12 @@ def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Flight) -> tu
     return verdicts, told
 
 
-def clean_voyage(path: Path) -> Flight:
+def clean_voyage(path: Path) -> Passage:
     """A voyage without faults."""
     return replayed(path, {}, 0)
 
 
-def replayed(path: Path, faults: Mapping[str, Fault], seed: int) -> Flight:
+def replayed(path: Path, faults: Mapping[str, Fault], seed: int) -> Passage:
     """Replay a bag with faults in this process."""
     arrivals: dict[str, list[int]] = {}
     with read_bag(path) as bag:
@@ -138,7 +138,7 @@ def replayed(path: Path, faults: Mapping[str, Fault], seed: int) -> Flight:
                 run.take(record.topic, record)
         run.finish()
         start_ns, end_ns = bag.start_ns or 0, bag.end_ns or 0
-    return Flight(sink.told, {topic: np.array(times) for topic, times in arrivals.items()}, start_ns, end_ns)
+    return Passage(sink.told, {topic: np.array(times) for topic, times in arrivals.items()}, start_ns, end_ns)
 
 
 class _Quiet(AdapterChain):
