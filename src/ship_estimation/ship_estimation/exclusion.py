@@ -29,7 +29,7 @@ MEANS_OVER = (3, 30, 300)
 MEASUREMENTS_PER_H = 18_000
 """Of one source, for the probability of a false exclusion: five in a second."""
 
-_HEARD_NS = 10 * SECOND_NS
+HEARD_NS = 10 * SECOND_NS
 """A source not heard of for so long contradicts nobody."""
 
 _LARGEST_TURN = math.sqrt(0.5)
@@ -259,7 +259,7 @@ def find_fault(
         >>> find_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
         Finding(fault=True, row=1, explaining=(1,))
     """
-    heard = means.heard_ns >= now_ns - _HEARD_NS
+    heard = means.heard_ns >= now_ns - HEARD_NS
     apart = not statistic[candidates].max(initial=0.0) <= threshold  # NaN is apart
     in_first = uses[0] & heard
     agrees = bool(np.all((means.excess[0] <= 1.0) & (means.refused[0] < degraded_after) | ~in_first))  # NaN does not

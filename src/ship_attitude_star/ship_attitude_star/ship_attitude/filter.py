@@ -96,7 +96,7 @@ class ShipFilter:
         """Predict to the measurement, judge it, and use it where the gate lets it pass.
 
         The track must span the moment of the measurement; in a gap of it the measurement is refused. Of a measurement
-        that is refused not even the prediction is kept: the estimate stays, to the last bit, as without it.
+        that no row uses not even the prediction is kept: the estimate stays, to the last bit, as without it.
 
         Args:
             state: after the measurement before.
@@ -178,7 +178,8 @@ class ShipFilter:
         count = len(predicted.means)
         rows = compare_rows(predicted.means, covariances(predicted.stack, count), linear, at_mean, by_turn)
         row = self.suspects.ins_row
-        if row is None or rows.nis[row] <= gate or not self.suspects.contradicted(predicted, source, row):
+        # Written so that NaN opens nothing.
+        if row is None or not rows.nis[row] > gate or not self.suspects.contradicted(predicted, source, row):
             return predicted, rows
         turn_n = compared.predicted_nv @ rows.turn_root[row] @ rows.turn[row]
         opened = self.suspects.opened_for(predicted, turn_n)

@@ -4,9 +4,10 @@ The first row is by all sources that are not excluded; each other row does witho
 INS is the one that is wrong: its slow error is unknown there, but its turn from one measurement to the next is used. A
 ship with a single source has no such row: it would be nothing but that source.
 
-A source is excluded where the row without it explains what the others cannot. The INS is not excluded by stars: that
-they all contradict it is told as a doubt, and they are not used until they agree with it again, for a wrong position
-moves all stars alike. Whether the INS has jumped its own rates tell (:mod:`ship_estimation.ins_guard`).
+A source is excluded where the row without it explains what the others cannot; so is an INS that creeps away from all
+others. A step is another matter: a wrong position moves all stars alike, just as a step of the INS would. Where all
+stars suddenly contradict the INS this is told as a doubt, and they are not used until they agree with it again. Whether
+it was the INS that jumped, its own rates tell (:mod:`ship_estimation.ins_guard`).
 """
 
 from collections.abc import Mapping
@@ -21,6 +22,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, Device, ShipStateModel
 from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, with_entry, without
 from ship_estimation.exclusion import (
+    HEARD_NS,
     Exclusion,
     Finding,
     excess_limit,
@@ -139,8 +141,10 @@ class Suspects:
         turn_v = compared.turn_root[0] @ compared.turn[0]
         apart = MappingProxyType({**state.apart, source: Apart(turn_v, measured.predicted_nv @ turn_v)})
         exclusion = state.excluded.get(source)
-        # A measurement that no row uses leaves all of them, to the last bit, as they are without it.
-        if not np.any(used & accepted) if exclusion is None else exclusion.apart is not None:
+        # A measurement that no row uses leaves all of them, to the last bit, as they are without it. Of an excluded
+        # source nothing is used, but how it is mounted may be learnt anew.
+        learnt = bool(np.any(used & accepted)) if exclusion is None else exclusion.apart is None
+        if not learnt:
             return replace(state, seen=seen, apart=apart)
         learns = (used[:, None] | self._own[source]) & accepted[:, None]
         corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
@@ -315,7 +319,8 @@ class Suspects:
         return any(name != wrong for name in self._in_use(state, time_ns))
 
     def _in_use(self, state: FilterState, time_ns: int) -> list[str]:
-        heard = state.seen.heard_ns >= time_ns - 10 * SECOND_NS
+        """The sources heard of not long ago that are not excluded."""
+        heard = state.seen.heard_ns >= time_ns - HEARD_NS
         return [name for index, name in enumerate(self.sources) if heard[index] and name not in state.excluded]
 
     def _listed(self, state: FilterState, wrong: str) -> str:
