@@ -303,7 +303,7 @@ def test_a_row_without_a_sensor_is_the_estimate_of_a_ship_that_never_had_it() ->
     without = configuration(("port",))
     single = sail(ShipAttitudeCore(without), [a for a in arrivals if getattr(a[1], "source", "") != "star.bow"]).core
     ins = core.filter.model.slices["ins.attitude"]
-    row = core.filter.suspects.names.index("star.bow") + 1
+    row = core.filter.suspects.table.names.index("star.bow") + 1
     np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
     covariance = covariances(core.state.stack, len(core.state.means))[row]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)

@@ -177,7 +177,7 @@ class ShipFilter:
         linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.means[0]
         count = len(predicted.means)
         rows = compare_rows(predicted.means, covariances(predicted.stack, count), linear, at_mean, by_turn)
-        row = self.suspects.ins_row
+        row = self.suspects.table.ins_row
         # Written so that NaN opens nothing.
         if row is None or not rows.nis[row] > gate or not self.suspects.contradicted(predicted, source, row):
             return predicted, rows

@@ -39,9 +39,9 @@ def integrity_of(
         state: that the attitude rests on.
         estimate: the attitude.
     """
-    suspects, model = filter_.suspects, filter_.model
-    rows = [row for row, name in enumerate(suspects.names, start=1) if name not in state.excluded]
-    names = [suspects.names[row - 1] for row in rows]
+    table, model = filter_.suspects.table, filter_.model
+    rows = [row for row, name in enumerate(table.names, start=1) if name not in state.excluded]
+    names = [table.names[row - 1] for row in rows]
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
     to_angles = angle_errors_from_rotation_vector(heading, pitch)
     columns = model.rows("ins.attitude")
@@ -49,13 +49,13 @@ def integrity_of(
     # What an attitude adds to the error of the state, as the noise of the INS, is the same in every row.
     without_n = estimate.covariance_n + covariance[rows] - covariance[0]
     distance = (state.means[rows][:, columns] - state.means[0, columns]) @ to_angles.T
-    k = Factors(suspects.k.right, suspects.k.false_exclusion, suspects.k.missed[np.array(rows, dtype=int) - 1])
+    k = Factors(table.k.right, table.k.false_exclusion, table.k.missed[np.array(rows, dtype=int) - 1])
     found = Separation(np.empty(0), np.full(3, np.nan), -1)
     if rows:
         by_angle = to_angles @ without_n @ to_angles.T
         found = separation(distance, by_angle, to_angles @ estimate.covariance_n @ to_angles.T, k)
     excluded = [(name, exclusion.since_ns) for name, exclusion in sorted(state.excluded.items())]
-    threshold = suspects.k.false_exclusion
+    threshold = table.k.false_exclusion
     checked = _checked(filter_, state, estimate)
     return integrity_report(estimate.time_ns, config.integrity, names, found, checked, threshold, excluded)
 

@@ -1,13 +1,10 @@
-"""Who is suspected: the rows of hypotheses of a ship, and what they say of her sources after each measurement.
+"""Who is suspected: what the rows of hypotheses say of a ship's sources after each measurement.
 
-The first row is by all sources that are not excluded; each other row does without one source more. In the last row the
-INS is the one that is wrong: its slow error is unknown there, but its turn from one measurement to the next is used. A
-ship with a single source has no such row: it would be nothing but that source.
-
-A source is excluded where the row without it explains what the others cannot; so is an INS that creeps away from all
-others. A step is another matter: a wrong position moves all stars alike, just as a step of the INS would. Where all
-stars suddenly contradict the INS this is told as a doubt, and they are not used until they agree with it again. Whether
-it was the INS that jumped, its own rates tell (:mod:`ship_estimation.ins_guard`).
+What each row leaves out is told by the table of rows (:mod:`ship_attitude_star.ship_attitude.row_table`). A source is
+excluded where the row without it explains what the others cannot; so is an INS that creeps away from all others. A step
+is another matter: a wrong position moves all stars alike, just as a step of the INS would. Where all stars suddenly
+contradict the INS this is told as a doubt, and they are not used until they agree with it again. Whether it was the INS
+that jumped, its own rates tell (:mod:`ship_estimation.ins_guard`).
 """
 
 from collections.abc import Mapping
@@ -20,12 +17,12 @@ from numpy.typing import NDArray
 from ship_attitude_star.ship_attitude.comparison import Compared
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, Device, ShipStateModel
+from ship_attitude_star.ship_attitude.row_table import INS, RowTable
 from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, with_entry, without
 from ship_estimation.exclusion import (
     HEARD_NS,
     Exclusion,
     Finding,
-    excess_limit,
     find_fault,
     forgotten,
     must_agree_s,
@@ -35,12 +32,9 @@ from ship_estimation.exclusion import (
 )
 from ship_estimation.hypotheses import RowsCompared, add_error, covariances, promoted, update_rows
 from ship_estimation.outcome import Measurement
-from ship_estimation.parameters import ParameterError
-from ship_estimation.protection import Factors, factors
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
-INS = "ins"
 _UNKNOWN_RAD = 600.0 * ARCSEC
 UNKNOWN_INS_RAD_PER_SQRT_S = 3.0 * ARCSEC
 """Where the INS is the one that is wrong, its slow error starts with the first sigma and walks by the second."""
@@ -56,7 +50,7 @@ _LEAST_KNOCK_RAD, _LARGEST_KNOCK_RAD = 10.0 * ARCSEC, 3600.0 * ARCSEC
 
 
 class Suspects:
-    """The rows of a configuration, and the verdicts by them.
+    """The verdicts by the rows of a configuration.
 
     Args:
         config: the node's configuration.
@@ -64,11 +58,7 @@ class Suspects:
         devices: the sources by name.
 
     Attributes:
-        sources: names, in the order of their index.
-        names: of the hypotheses, one for each row after the first.
-        limit: chi² of a mean of whitened turns that no source exceeds which is right.
-        k: numbers of sigmas of the protection levels.
-        ins_row: where the INS is the one that is wrong; None where there is no such row.
+        table: the rows.
 
     Raises:
         ParameterError: there are more rows than ``integrity.max_hypotheses``.
@@ -77,43 +67,32 @@ class Suspects:
     def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
         self._integrity, self._model, self._devices = config.integrity, model, devices
         self._degraded_after = config.gate.degraded_after
-        self.sources = tuple(devices)
-        self.names = (*self.sources, INS) if len(self.sources) > 1 else self.sources
-        rows, most = len(self.names) + 1, config.integrity.max_hypotheses
-        if rows > most:
-            reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {rows} of these sources: "
-            raise ParameterError(reason + ", ".join(self.names), "integrity.max_hypotheses", value=most)
-        self.ins_row = rows - 1 if len(self.sources) > 1 else None
-        self._uses_all: NDArray[np.bool_] = np.arange(rows)[:, None] != np.arange(1, len(self.sources) + 1)
-        self._own = {name: _own_states(model, name) for name in self.sources}
-        prior = config.integrity.prior_per_h
-        kinds = [prior.star_sensor if device.is_star else prior.reference for device in devices.values()]
-        self.k: Factors = factors(config.integrity, [*kinds, prior.ins][: len(self.names)])
-        self.limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
+        self.table = RowTable(config, model, devices)
+        self._sources = self.table.sources
         self._ins = model.slices["ins.attitude"]
         self._ins_index = model.sources.index(SOURCE_INS)
 
     def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
         """All rows at one state, before any measurement; shapes (n,) and (n_sources, n, n)."""
-        rows = len(self.names) + 1
+        rows = self.table.rows
         stack = np.concatenate([parts, np.tile(parts.sum(axis=0), (rows - 1, 1, 1))])
-        if self.ins_row is not None:
-            self._open_ins(stack, rows, _UNKNOWN_RAD**2 * np.eye(3), self.ins_row)
-        return FilterState(None, np.tile(mean, (rows, 1)), stack, no_means(rows, len(self.sources)))
+        if self.table.ins_row is not None:
+            self._open_ins(stack, rows, _UNKNOWN_RAD**2 * np.eye(3), self.table.ins_row)
+        return FilterState(None, np.tile(mean, (rows, 1)), stack, no_means(rows, len(self._sources)))
 
     def carried(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
         """Let the INS wander, in place, where it is the one that is wrong."""
         everywhere = INS in state.excluded
-        if everywhere or self.ins_row is not None:
+        if everywhere or self.table.ins_row is not None:
             walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * np.eye(3)
-            self._open_ins(stack, len(state.means), walked, None if everywhere else self.ins_row)
+            self._open_ins(stack, len(state.means), walked, None if everywhere else self.table.ins_row)
 
     def uses(self, state: FilterState) -> NDArray[np.bool_]:
         """Which source each row uses, shape (h, s)."""
         if not state.excluded:
-            return self._uses_all
-        excluded = np.array([name in state.excluded for name in self.sources], dtype=bool)
-        used: NDArray[np.bool_] = self._uses_all & ~excluded
+            return self.table.uses
+        excluded = np.array([name in state.excluded for name in self._sources], dtype=bool)
+        used: NDArray[np.bool_] = self.table.uses & ~excluded
         return used
 
     def learned(
@@ -135,9 +114,9 @@ class Suspects:
             compared: with all rows.
             accepted: whether it passed the gate of each row, shape (h,).
         """
-        source, index = measurement.source, self.sources.index(measurement.source)
+        source, index = measurement.source, self._sources.index(measurement.source)
         used = self.uses(state)[:, index]
-        seen = observed(state.seen, index, compared, accepted, ~used, measurement.time_ns, self.limit)
+        seen = observed(state.seen, index, compared, accepted, ~used, measurement.time_ns, self.table.limit)
         turn_v = compared.turn_root[0] @ compared.turn[0]
         apart = MappingProxyType({**state.apart, source: Apart(turn_v, measured.predicted_nv @ turn_v)})
         exclusion = state.excluded.get(source)
@@ -146,20 +125,20 @@ class Suspects:
         learnt = bool(np.any(used & accepted)) if exclusion is None else exclusion.apart is None
         if not learnt:
             return replace(state, seen=seen, apart=apart)
-        learns = (used[:, None] | self._own[source]) & accepted[:, None]
+        learns = (used[:, None] | self.table.own[source]) & accepted[:, None]
         corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
         return replace(predicted, means=predicted.means + corrections, stack=stack, seen=seen, apart=apart)
 
     def contradicted(self, state: FilterState, source: str, row: int) -> bool:
         """Whether a source that a row uses has contradicted it for so long that one refusal more makes it a fault."""
-        refused = state.seen.refused[row, self.sources.index(source)]
+        refused = state.seen.refused[row, self._sources.index(source)]
         return source not in state.excluded and bool(refused >= self._degraded_after - 1)
 
     def opened_for(self, state: FilterState, turn_n: FloatArray) -> FloatArray:
         """Covariances where the INS, being the one that is wrong, has turned by a rotation vector, rad, shape (3,)."""
         stack: FloatArray = state.stack.copy()
         covariance_n = np.outer(turn_n, turn_n) + 0.01 * (turn_n @ turn_n) * np.eye(3)
-        self._open_ins(stack, len(state.means), covariance_n, self.ins_row)
+        self._open_ins(stack, len(state.means), covariance_n, self.table.ins_row)
         return stack
 
     def separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
@@ -192,12 +171,12 @@ class Suspects:
                 return state, text
         uses = self.uses(state)
         apart_n, statistic = self.separations(state)
-        candidates = [row for row, name in enumerate(self.names, start=1) if name not in state.excluded]
+        candidates = [row for row, name in enumerate(self.table.names, start=1) if name not in state.excluded]
         # A step of the INS its rates would have told; that it creeps they do not tell.
         stepped = bool(np.any(state.seen.refused[0] > 0))
-        if ins_vouched and stepped and self.ins_row in candidates:
-            candidates.remove(self.ins_row)
-        threshold, after = self.k.false_exclusion, self._degraded_after
+        if ins_vouched and stepped and self.table.ins_row in candidates:
+            candidates.remove(self.table.ins_row)
+        threshold, after = self.table.k.false_exclusion, self._degraded_after
         finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after)
         if not finding.fault:
             return replace(state, doubt=None), ""
@@ -223,14 +202,14 @@ class Suspects:
 
     def _named(self, state: FilterState, finding: Finding) -> str | None:
         """The source that is wrong; among those that may be it the only one that was wrong before."""
-        known = [name for row in finding.explaining if (name := self.names[row - 1]) in state.record]
+        known = [name for row in finding.explaining if (name := self.table.names[row - 1]) in state.record]
         if len(known) == 1:
             return known[0]
-        return None if finding.row is None else self.names[finding.row - 1]
+        return None if finding.row is None else self.table.names[finding.row - 1]
 
     def _without(self, state: FilterState, wrong: str, time_ns: int) -> tuple[FilterState, str]:
         """The state once a source is excluded: the row without it is the first one now, and the start of all others."""
-        row, rows = self.names.index(wrong) + 1, len(state.means)
+        row, rows = self.table.names.index(wrong) + 1, len(state.means)
         means = np.tile(state.means[row], (rows, 1))
         stack = promoted(state.stack, rows, row)
         # What is farther off than a knock can make it has another mistake: that must be mended, not learnt.
@@ -257,7 +236,7 @@ class Suspects:
         self, state: FilterState, source: str, compared: RowsCompared, time_ns: int
     ) -> tuple[FilterState, str]:
         """The state after a measurement of an excluded source, which may return with it."""
-        index, exclusion = self.sources.index(source), state.excluded[source]
+        index, exclusion = self._sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
         exclusion, back = watched(exclusion, state.seen, index, compared, time_ns, after_s)
         after_s = must_agree_s(exclusion, after_s)
@@ -310,8 +289,8 @@ class Suspects:
     def _stars_contradicting(self, state: FilterState, wrong: str | None, time_ns: int) -> tuple[str, ...]:
         """All stars in use, where each of them contradicts the rest; none where some do not."""
         heard = [name for name in self._in_use(state, time_ns) if self._devices[name].is_star]
-        refused = state.seen.refused[0]
-        against = [name for name in heard if name == wrong or refused[self.sources.index(name)] >= self._degraded_after]
+        long_refused = state.seen.refused[0] >= self._degraded_after
+        against = [name for name in heard if name == wrong or long_refused[self._sources.index(name)]]
         return tuple(heard) if heard and len(against) == len(heard) else ()
 
     def _others_remain(self, state: FilterState, wrong: str, time_ns: int) -> bool:
@@ -321,11 +300,11 @@ class Suspects:
     def _in_use(self, state: FilterState, time_ns: int) -> list[str]:
         """The sources heard of not long ago that are not excluded."""
         heard = state.seen.heard_ns >= time_ns - HEARD_NS
-        return [name for index, name in enumerate(self.sources) if heard[index] and name not in state.excluded]
+        return [name for index, name in enumerate(self._sources) if heard[index] and name not in state.excluded]
 
     def _listed(self, state: FilterState, wrong: str) -> str:
         """Those that agree without the one that is wrong."""
-        remaining = [name for name in (INS, *self.sources) if name != wrong and name not in state.excluded]
+        remaining = [name for name in (INS, *self._sources) if name != wrong and name not in state.excluded]
         return ", ".join(remaining)
 
     def _knock(self, state: FilterState, source: str) -> FloatArray | None:
@@ -347,11 +326,3 @@ class Suspects:
 
     def _open_ins(self, stack: FloatArray, rows: int, covariance_n: FloatArray, row: int | None) -> None:
         add_error(stack, rows, self._ins_index, self._ins, covariance_n, row)
-
-
-def _own_states(model: ShipStateModel, source: str) -> NDArray[np.bool_]:
-    """The states that belong to one source alone, shape (n,)."""
-    own = np.zeros(model.size, dtype=bool)
-    for name, rows in model.slices.items():
-        own[rows] = name.startswith(f"{source}.")
-    return own
