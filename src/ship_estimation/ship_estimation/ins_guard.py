@@ -69,6 +69,8 @@ class InsGuard:
         self._taken: SeenSample | None = None
         # Whether each sample since the last one taken goes on with the motion before it.
         self._smooth_since_taken = True
+        # By so much attitudes contradicted the rates, and from which stamp on, when the rates lost their trust by it.
+        self._disputed: InsJump | None = None
         self.by_rates: Witness | None = None
         self.reconfigure(config)
 
@@ -161,7 +163,10 @@ class InsGuard:
         if verdict is JumpVerdict.REFUSED:
             if self._jumps.refused == 1:
                 self._previous = seen._replace(before=moved_back(sample, taken))
-            return JudgedIns(sample, _gate_refusal(match), (), self._judge_rates(previous, seen))
+            wrong_after_ns = self._judge_rates(previous, seen)
+            if wrong_after_ns is not None and measured:
+                self._disputed = InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad)
+            return JudgedIns(sample, _gate_refusal(match), (), wrong_after_ns)
         return self._taken_after_all(taken, previous, seen, match, step is match, verdict is JumpVerdict.JUMPED)
 
     def _taken_after_all(
@@ -169,9 +174,12 @@ class InsGuard:
     ) -> JudgedIns:
         """Take a sample that the line of those before does not tell of: there is none yet, or it has jumped."""
         jumps: tuple[InsJump, ...] = ()
-        if jumped:
+        if self._disputed is not None:
+            # The rates are not believed any more; whether the attitudes were right, only others can tell.
+            jumps, self._disputed = (self._disputed,), None
+        elif jumped:
             jumps = (InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad),)
-        if not jumped and match.fits:
+        if not jumps and match.fits:
             jumps = self._kept(seen)
         else:
             self._steps.restart()

@@ -70,6 +70,27 @@ def test_mend_03_a_freeze_in_calm_swell_is_told_within_two_seconds_and_ends_with
     assert jumps == 0
 
 
+def test_attitudes_taken_against_the_rates_are_a_jump_until_others_confirm_them() -> None:
+    """An INS that stands still, and then drifts by 165″/min, which its stuck guard cannot see; its rates go on."""
+    samples = stream(20.0, 100.0)
+    frozen, drifts_ns = samples[1000], samples[1080].time_ns
+    lying = [
+        replace(s, rotation_nd=_turned_east(2.75e-9 * max(s.time_ns - drifts_ns, 0)) @ frozen.rotation_nd)
+        for s in samples[1000:1500]
+    ]
+    guard = InsGuard(GuardedInsConfig())
+    found = [guard.judge(sample, NOTHING_LATE, {}) for sample in [*samples[:1000], *lying]]
+    reasons = {result.refusal.reason.name for result in found if result.refusal is not None}
+    assert reasons == {"GATE", "STUCK"}
+    taken = next(n for n in range(1080, 1500) if found[n].refusal is None)
+    assert found[taken].jumps, "from here on the attitude is degrees wrong"
+    assert not any(result.jumps for result in [*found[:taken], *found[taken + 1 :]])
+
+
+def _turned_east(arcsec: float) -> np.ndarray:
+    return exp_rotation(np.array([0.0, 0.0, arcsec * ARCSEC]))
+
+
 @pytest.mark.parametrize("rate_hz", [100.0, 50.0, 20.0, 10.0, 2.0])
 @pytest.mark.parametrize("factor", [0.0, -1.0])
 def test_mend_06_rates_that_are_none_are_known_before_they_do_harm(rate_hz: float, factor: float) -> None:
