@@ -1,7 +1,7 @@
 """Voyages with faults, drawn by seed: is each told, is the right source named, is anything VALID that is wrong?
 
-Each voyage is a line in a file of results as soon as it is made; a run that was killed goes on where it was. Exits 1
-where a voyage raised an exception, or an output was VALID with an error beyond its protection level.
+Each voyage is a line in a file of results as soon as it is made; a run that was killed goes on where it was. Prints
+each bound that the voyages are held to, and exits 1 where one is not met.
 """
 
 import argparse

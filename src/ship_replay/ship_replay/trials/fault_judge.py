@@ -1,29 +1,38 @@
-"""What a voyage with faults put out, against the truth: was each fault told, who was named, and what was claimed then.
+"""What became of the faults of a voyage: was each told, who was named, and what was claimed then.
 
-The judge reads outputs alone: statuses, errors against ``truth/*``, innovations, and the protection levels and
-exclusions of ``ship/integrity`` and ``theodolite/integrity`` where they are published. What the same voyage says
-without faults is no sign of one, so that it is taken off.
+The judge reads outputs alone (:mod:`ship_replay.trials.voyage_told`). What the same voyage says without faults is no
+sign of one, so that it is taken off. A fault counts from the first message that it changed.
+
+**Who was named** is what a watch officer was told first:
+
+1. A source that is excluded; or one that is refused again and again for what it is by itself: its form, its stamps, its
+   own stream of values. The earlier of the two names. After an exclusion, every other source that is excluded must be
+   the faulty one, too. What is refused first by itself, and others set aside after that in doubt, names the first.
+2. Without these, the source that was first refused again and again in comparison with others.
+
+A refusal in comparison accuses nobody while somebody is excluded: a light or a star that is right is refused all the
+same where the encoders or the position are wrong.
+
+A name is right where the source that it means (:mod:`ship_estimation.protection`) holds the fault: see
+:func:`is_source`.
 """
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_estimation.refusals import Reason
-from ship_replay.evaluation.sources import Truth
-from ship_replay.offline.orientations import ORIENTATIONS, Orientation
+from ship_bags.stamps import NS_PER_S
+from ship_replay.trials.voyage_told import EXCLUSION, INTEGRITY, RESTS_ON_OTHERS, Claim, Sign, Told
 from ship_simulation.scenario.fault import Fault
-
-_INNOVATIONS = ("ship/innovation", "theodolite/innovation")
-_INTEGRITY = {"ship/attitude": "ship/integrity", "theodolite/pointing": "theodolite/integrity"}
-_VALID = 0
+from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
 
 SETTLING_S = 3.0
 """What a fault leaves behind is told within this after its end."""
+
+MEASUREMENTS = 3
+"""A step is told within so many measurements of its source, or within a second."""
 
 _BESIDE_NS = NS_PER_S // 2
 """So near to a moment at which the voyage without faults was not VALID either, a status is no sign of a fault."""
@@ -35,40 +44,28 @@ BEYOND = 5.0
 _PERIOD_S = 0.1
 """From one moment of the truth to the next."""
 
-
-@dataclass
-class Told:
-    """What a voyage put out.
-
-    Attributes:
-        claims: of each VALID output at a moment of the truth: (topic, stamp, log time, largest error in sigmas, largest
-            error over its protection level; NaN where there is none).
-        not_valid: (topic, stamp, log time, status) of the other outputs.
-        signs: (source, log time, stamp, reason) of each refusal, and of each exclusion at its beginning.
-        failures: refusals because the software failed.
-        outputs: number of statuses.
-    """
-
-    claims: list[tuple[str, int, int, float, float]] = field(default_factory=list)
-    not_valid: list[tuple[str, int, int, int]] = field(default_factory=list)
-    signs: list[tuple[str, int, int, str]] = field(default_factory=list)
-    failures: int = 0
-    outputs: int = 0
+_ONE_LIGHT_KINDS = ("swap", "false_lights", "hide", "wrong_id")
+_NEVER_COMPARED = ("ins", "ship", "encoder", "gnss/fix")
+"""Sources that only their own stream is held against: they lead, and others are compared with them."""
 
 
 @dataclass
 class Passage:
-    """One voyage through the nodes.
+    """One voyage through the nodes without faults, and what of its bag the judge has to know.
 
     Attributes:
         told: what it put out.
         arrivals_ns: input topic → when its messages arrived, in order.
+        lights_ns: when the images arrived that show a light, in order.
+        mount_deg_per_s2: how fast the theodolite's mount may change its rate; NaN without one.
         start_ns: beginning of the bag.
         end_ns: its end.
     """
 
     told: Told
     arrivals_ns: dict[str, np.ndarray]
+    lights_ns: np.ndarray
+    mount_deg_per_s2: float
     start_ns: int
     end_ns: int
 
@@ -77,80 +74,40 @@ class Passage:
         """How long the bag is."""
         return (self.end_ns - self.start_ns) / NS_PER_S
 
-    def hits(self, fault: Fault) -> np.ndarray:
-        """When the messages arrive, ns, that a fault of this voyage hits; by arrivals, for want of their stamps."""
-        times_ns = self.arrivals_ns.get(fault.topic, np.zeros(0, dtype=np.int64))
-        since_s = (times_ns - self.start_ns) / NS_PER_S
-        found: np.ndarray = times_ns[(since_s >= fault.start_s) & (since_s < fault.end_s)]
-        return found
-
     def alert_limit_s(self, fault: Fault) -> float:
         """Within this a large step must be told: a second, or three measurements of the source."""
-        periods_ns = np.diff(self.arrivals_ns[fault.topic])
-        return max(1.0, 3.0 * float(np.median(periods_ns)) / NS_PER_S) if periods_ns.size else 1.0
+        return max(1.0, MEASUREMENTS * self._period_s(fault.topic))
+
+    def unseen(self, fault: Fault, first_ns: int) -> str:
+        """The row of what no data can tell that a fault belongs to; empty where the data can tell it.
+
+        Args:
+            fault: it changed a message.
+            first_ns: when the first of these arrived.
+        """
+        return next((row for row, holds in _UNSEEN.items() if holds(self, fault, first_ns)), "")
+
+    def _slips_without_lights(self, fault: Fault, first_ns: int) -> bool:
+        """Encoders that slip by no more than the mount could turn, while no light is in view."""
+        if fault.kind != "slip":
+            return False
+        size_deg = max(abs(fault.azimuth_arcsec), abs(fault.elevation_arcsec)) / 3600.0
+        end_ns = first_ns + round(self.alert_limit_s(fault) * NS_PER_S)
+        in_view = (self.lights_ns >= first_ns) & (self.lights_ns < end_ns)
+        return not in_view.any() and size_deg <= self.mount_deg_per_s2 * self._period_s(fault.topic) ** 2
+
+    def _period_s(self, topic: str) -> float:
+        """From one message of a topic to the next."""
+        periods_ns = np.diff(self.arrivals_ns.get(topic, np.zeros(0)))
+        return float(np.median(periods_ns)) / NS_PER_S if periods_ns.size else 0.0
 
 
-EXCLUSION = "excluded from the estimate"
+_UNSEEN: dict[str, Callable[[Passage, Fault, int], bool]] = {
+    "encoder slip, no lights": Passage._slips_without_lights,
+}
 
-
-class VoyageSink:
-    """Takes what a replay gives, and keeps what is judged.
-
-    Args:
-        truths: topic of an orientation → its truth.
-    """
-
-    def __init__(self, truths: Mapping[str, Truth]) -> None:
-        self.told = Told()
-        self._truths = truths
-        self._orientations = {known.topic: known for known in ORIENTATIONS}
-        self._levels: dict[str, np.ndarray] = {}
-        self._excluded: dict[str, set[str]] = {}
-
-    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Take the truth, which is known."""
-
-    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Take an output."""
-        if topic in _INNOVATIONS:
-            self._innovation(message, log_time_ns)
-        elif topic in _INTEGRITY.values():
-            self._integrity(topic, message, log_time_ns)
-        elif topic in self._orientations:
-            self._claim(self._orientations[topic], message, log_time_ns)
-
-    def _innovation(self, message: Any, log_time_ns: int) -> None:
-        reason = Reason(message.reason)
-        if reason is Reason.FAILED:
-            self.told.failures += 1
-        if not message.accepted and reason not in (Reason.NONE, Reason.REVISED):
-            self.told.signs.append((message.source, log_time_ns, ns_from_stamp(message.header.stamp), reason.word))
-
-    def _integrity(self, topic: str, message: Any, log_time_ns: int) -> None:
-        self._levels[topic] = np.array(message.protection_level, dtype=float)
-        now = set(message.excluded)
-        for source in sorted(now - self._excluded.get(topic, set())):
-            self.told.signs.append((source, log_time_ns, ns_from_stamp(message.header.stamp), EXCLUSION))
-        self._excluded[topic] = now
-
-    def _claim(self, orientation: Orientation, message: Any, log_time_ns: int) -> None:
-        stamp_ns, status = ns_from_stamp(message.header.stamp), int(message.status)
-        self.told.outputs += 1
-        if status != _VALID:
-            self.told.not_valid.append((orientation.topic, stamp_ns, log_time_ns, status))
-            return
-        truth = self._truths.get(orientation.topic)
-        truth_nd = None if truth is None else truth.exactly_at(stamp_ns)
-        if truth_nd is None:
-            return
-        angles = orientation.angles_of(message)
-        error = np.abs(orientation.errors_arcsec(angles, truth_nd)) * np.pi / 648_000.0
-        sigma = orientation.scale(angles) * np.sqrt(np.diagonal(np.asarray(message.covariance).reshape(3, 3)))
-        level = self._levels.get(_INTEGRITY[orientation.topic], np.full(3, np.nan))
-        over_level = error / level if np.all(np.isfinite(level)) else np.full(3, np.nan)
-        # An error that is no number is a wrong claim, too.
-        sigmas = float(np.max(np.nan_to_num(error / sigma, nan=np.inf)))
-        self.told.claims.append((orientation.topic, stamp_ns, log_time_ns, sigmas, float(np.max(over_level))))
+UNSEEN_ROWS = tuple(_UNSEEN)
+"""What no data can tell, as ``docs/explanation/integrity.md`` lists it; each has a row of its own in the table."""
 
 
 @dataclass(frozen=True)
@@ -158,9 +115,10 @@ class FaultVerdict:
     """What became of one fault.
 
     Attributes:
+        changed: how many messages it changed.
         detected: a status left VALID, or the faulty source was named.
         attributed: the source named is the faulty one.
-        alert_s: from the first message that the fault hit to the first sign; NaN without one.
+        alert_s: from the first message that the fault changed to the first sign; NaN without one.
         named: source → signs of it.
         worst_sigmas: largest error of an output that was VALID, in sigmas, until the next fault.
         worst_over_level: the same over its protection level; NaN where there was none.
@@ -168,6 +126,7 @@ class FaultVerdict:
         longest_beyond_s: and without a break.
     """
 
+    changed: int
     detected: bool
     attributed: bool
     alert_s: float
@@ -178,69 +137,99 @@ class FaultVerdict:
     longest_beyond_s: float
 
 
-def judged(fault: Fault, told: Told, clean: Passage, until_s: float) -> FaultVerdict:
+def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, until_s: float) -> FaultVerdict:
     """What became of a fault.
 
     Args:
         fault: what went wrong.
+        changed_ns: when the messages that it changes arrive without it, in order; one or more.
         told: by the voyage.
-        clean: the same voyage without faults; the fault hits some of its messages.
+        clean: the same voyage without faults.
         until_s: beginning of the next fault, or the end of the voyage.
     """
-    start_ns, first_hit_ns = clean.start_ns, int(clean.hits(fault)[0])
-    begin_ns = start_ns + round(fault.start_s * NS_PER_S)
-    end_ns = start_ns + round(min(fault.end_s + SETTLING_S, until_s) * NS_PER_S)
-    known = {(source, stamp_ns) for source, _, stamp_ns, _ in clean.told.signs}
+    start_ns, first_ns = clean.start_ns, int(changed_ns[0])
+    begin_ns, until_ns = start_ns + round(fault.start_s * NS_PER_S), start_ns + round(until_s * NS_PER_S)
+    end_ns = min(start_ns + round((fault.end_s + SETTLING_S) * NS_PER_S), until_ns)
+    known = {(sign.source, sign.stamp_ns) for sign in clean.told.signs}
     signs = [
-        sign for sign in told.signs if begin_ns <= sign[1] < end_ns and (sign[0], sign[2]) not in known
-    ]
-    left_ns = _first_left(told, clean.told, begin_ns, end_ns)
-    named = Counter(source for source, *_ in signs)
-    own = [log_ns for source, log_ns, *_ in signs if is_source(source, fault.topic)]
+        sign
+        for sign in told.signs
+        if first_ns <= sign.log_ns < end_ns and (sign.source, sign.stamp_ns) not in known
+    ]  # fmt: skip
+    left_ns = _first_left(told, clean.told, first_ns, end_ns)
+    own = [sign.log_ns for sign in signs if is_source(sign.source, fault)]
     alerts_ns = [*own[:1], *([] if left_ns is None else [left_ns])]
-    after = [claim for claim in told.claims if begin_ns <= claim[1] < start_ns + round(until_s * NS_PER_S)]
-    beyond_s, longest_s = _beyond(after)
-    levels = [claim[4] for claim in after if np.isfinite(claim[4])]
+    after = [claim for claim in told.claims if begin_ns <= claim.stamp_ns < until_ns]
+    beyond_s, longest_s = beyond(after)
+    levels = [claim.over_level for claim in after if np.isfinite(claim.over_level)]
+    names = first_named(signs)
     return FaultVerdict(
+        changed=len(changed_ns),
         detected=bool(alerts_ns),
-        attributed=_attributed(fault, signs, named),
-        alert_s=max((min(alerts_ns) - first_hit_ns) / NS_PER_S, 0.0) if alerts_ns else float("nan"),
-        named=dict(named),
-        worst_sigmas=max((claim[3] for claim in after), default=0.0),
+        attributed=bool(names) and all(is_source(name, fault) for name in names),
+        alert_s=(min(alerts_ns) - first_ns) / NS_PER_S if alerts_ns else float("nan"),
+        named=dict(Counter(sign.source for sign in signs)),
+        worst_sigmas=max((claim.sigmas for claim in after), default=0.0),
         worst_over_level=max(levels, default=float("nan")),
         beyond_s=beyond_s,
         longest_beyond_s=longest_s,
     )
 
 
-def is_source(name: str, topic: str) -> bool:
-    """Whether a source by the name that nodes give it is the device behind a topic."""
+def first_named(signs: Sequence[Sign]) -> set[str]:
+    """Whom a watch officer was told to be wrong, by the rule of this module; empty without signs.
+
+    Args:
+        signs: in the order in which they were told.
+    """
+    by_itself = [sign for sign in signs if _is_by_itself(sign)]
+    times = Counter(sign.source for sign in by_itself)
+    for sign in signs:
+        if sign.reason == EXCLUSION:
+            return {other.source for other in signs if other.reason == EXCLUSION}
+        if _is_by_itself(sign) and times[sign.source] >= _LEAST_REFUSALS:
+            return {sign.source}
+    times = Counter(sign.source for sign in signs)
+    repeated = [sign.source for sign in signs if times[sign.source] >= _LEAST_REFUSALS]
+    return set(repeated[:1] or [sign.source for sign in signs[:1]])
+
+
+def _is_by_itself(sign: Sign) -> bool:
+    """Whether a source is refused, or silent, for what it is by itself."""
+    return sign.reason != EXCLUSION and (sign.reason not in RESTS_ON_OTHERS or sign.source in _NEVER_COMPARED)
+
+
+def is_source(name: str, fault: Fault) -> bool:
+    """Whether a name that nodes give is that of a source which holds a fault.
+
+    A node names the topic, or its source. ``beacon.a`` is a wrong baseline or light of drone a: one light that is wrong
+    in the image is held by it, a telescope that was turned is not. ``ship`` and ``ship_attitude`` are the ship's
+    attitude under the theodolite; a wrong INS is in it.
+    """
+    topic = fault.topic
     kind, _, rest = topic.partition("/")
     id_ = rest.partition("/")[0]
-    if kind == "star":
-        return name == f"star.{id_}"
-    if kind == "reference":
-        return name == f"reference.{id_}"
+    if name == topic:
+        return True
+    if kind in ("star", "reference"):
+        return name == f"{kind}.{id_}"
     if kind == "beacon":
-        return name in (f"beacon.{id_}", f"baseline.{id_}", f"drone.{id_}", f"light.{id_}")
-    if topic == "theodolite/beacons":
-        return name in ("lights", "telescope") or name.startswith("light.")
-    names = {"ins/imu": ("ins",), "ship/attitude": ("ship", "ship_attitude"), "theodolite/encoder": ("encoder",)}
-    return name in (topic, *names.get(topic, ()))
+        return name in _drone_names(id_)
+    if topic == IMAGE_TOPIC:
+        is_one_light = fault.kind in _ONE_LIGHT_KINDS or fault.field.startswith("beacons[")
+        return name in ("lights", "telescope") or (is_one_light and name.startswith(_drone_names("")))
+    ship = ("ship", "ship_attitude")
+    names = {"ins/imu": ("ins", *ship), FUSED_TOPIC: ship, ENCODER_TOPIC: ("encoder",)}
+    return name in names.get(topic, ())
 
 
-def _attributed(fault: Fault, signs: list[tuple[str, int, int, str]], named: Counter[str]) -> bool:
-    """Whether who is excluded is the faulty one alone; or, without exclusions, who was refused first and repeatedly."""
-    excluded = {source for source, _, _, reason in signs if reason == EXCLUSION}
-    if excluded:
-        return all(is_source(source, fault.topic) for source in excluded)
-    candidates = [source for source, *_ in signs if named[source] >= _LEAST_REFUSALS] or [sign[0] for sign in signs]
-    return bool(candidates) and is_source(candidates[0], fault.topic)
+def _drone_names(id_: str) -> tuple[str, ...]:
+    return tuple(f"{kind}.{id_}" for kind in ("beacon", "baseline", "drone", "light"))
 
 
 def _first_left(told: Told, clean: Told, begin_ns: int, end_ns: int) -> int | None:
     """Log time of the first output that is not VALID, where the voyage without faults was."""
-    for topic in _INTEGRITY:
+    for topic in INTEGRITY:
         usual = np.array(sorted(stamp for name, stamp, *_ in clean.not_valid if name == topic))
         for name, stamp_ns, log_ns, _ in told.not_valid:
             if name == topic and begin_ns <= log_ns < end_ns:
@@ -250,14 +239,17 @@ def _first_left(told: Told, clean: Told, begin_ns: int, end_ns: int) -> int | No
     return None
 
 
-def _beyond(claims: list[tuple[str, int, int, float, float]]) -> tuple[float, float]:
-    """How long VALID claims were beyond five sigmas, in all and without a break, s; the worse of the outputs."""
-    total, longest = 0, 0
-    for topic in _INTEGRITY:
-        run = count = 0
-        for claim in (claim for claim in claims if claim[0] == topic):
-            run = run + 1 if not claim[3] <= BEYOND else 0
-            count += not claim[3] <= BEYOND
-            longest = max(longest, run)
-        total = max(total, count)
+def beyond(claims: Sequence[Claim]) -> tuple[float, float]:
+    """How long VALID claims were beyond five sigmas, in all and without a break, s; the worse of the outputs.
+
+    An output that was not VALID in between is a break.
+    """
+    total, longest, most_ns = 0, 0, round(1.5 * _PERIOD_S * NS_PER_S)
+    for topic in INTEGRITY:
+        run, last_ns = 0, 0
+        wrong = sorted(claim.stamp_ns for claim in claims if claim.topic == topic and not claim.sigmas <= BEYOND)
+        for stamp_ns in wrong:
+            run = run + 1 if run and stamp_ns - last_ns <= most_ns else 1
+            longest, last_ns = max(longest, run), stamp_ns
+        total = max(total, len(wrong))
     return total * _PERIOD_S, longest * _PERIOD_S

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from ship_bags.errors import BadInput
-from ship_replay.trials.fault_judge import BEYOND
+from ship_replay.trials.fault_judge import BEYOND, MEASUREMENTS, UNSEEN_ROWS
 from ship_replay.trials.fault_voyage import Voyage
-from ship_replay.trials.threats import OVERLAPPING, SINGLE
+from ship_replay.trials.threats import DATA_LIKE, OVERLAPPING, SINGLE
 
 Result = dict[str, Any]
 Row = tuple[str, ...]
@@ -23,11 +23,20 @@ Row = tuple[str, ...]
 _LARGE_STEP = 8.0
 """Steps of so many sigmas of one measurement must be told in time."""
 
+_IN_TIME, _NAMED = 0.99, 0.95
+"""Shares of the large steps told in time, and of the detected single faults whose source is named."""
+
+_LONGEST_BEYOND_S = 2.0
+"""With overlapping faults nothing is VALID beyond five sigmas for longer."""
+
 KIND_HEAD = (
     "threat", "count", "detected", "attributed", "alert s: median", "99 %", "worst σ", "beyond 5σ", "longest s",
     "worst/level", "level exceeded",
 )  # fmt: skip
-PAIR_HEAD = ("pair", "count", "worst σ", "worst/level", "longest beyond 5σ, s")
+PAIR_HEAD = ("pair", "count", "longest beyond 5σ, s", "worst σ", "worst/level")
+_LEVEL = "worst_over_level"
+_PAIR_VALUES = ("longest_beyond_s", "worst_sigmas", _LEVEL)
+_DATA_LIKE = {threat.label for threat in DATA_LIKE} | set(UNSEEN_ROWS)
 
 
 class ResultsFile:
@@ -38,7 +47,7 @@ class ResultsFile:
         fresh: forget what is there.
 
     Raises:
-        BadInput: a line before the last is no result.
+        BadInput: a line before the last is no result, or one of another judge.
     """
 
     def __init__(self, path: Path, fresh: bool = False) -> None:
@@ -83,6 +92,8 @@ class ResultsFile:
 
 
 def _key(result: Result) -> tuple[int, str, str]:
+    if not result["exception"]:
+        result["longest_beyond_s"], [fault["changed"] for fault in result["faults"]]
     return result["voyage"], result["bag"], result["mode"]
 
 
@@ -125,16 +136,13 @@ def pair_rows(results: Sequence[Result]) -> list[Row]:
                 key = tuple(sorted((first["threat"], second["threat"])))
                 # What is claimed after the later beginning is the pair's.
                 pairs[key[0], key[1]].append(max(first, second, key=lambda fault: float(fault["start_s"])))
-    return [
-        (
-            f"{pair[0]} + {pair[1]}",
-            str(len(faults)),
-            _number(_most(faults, "worst_sigmas")),
-            _number(_most(faults, "worst_over_level")),
-            _number(_most(faults, "longest_beyond_s")),
-        )
-        for pair, faults in sorted(pairs.items(), key=lambda item: -_most(item[1], "worst_sigmas"))
+    rows = [
+        (f"{pair[0]} + {pair[1]}", len(faults), *(_most(faults, name) for name in _PAIR_VALUES))
+        for pair, faults in pairs.items()
     ]
+    # The longest wrong claim first, then the largest; no number last.
+    rows.sort(key=lambda row: (*(1.0 if math.isnan(value) else -value for value in row[2:]), row[0]))
+    return [(pair, str(count), *map(_number, values)) for pair, count, *values in rows]
 
 
 @dataclass(frozen=True)
@@ -142,8 +150,8 @@ class Totals:
     """What the voyages say together.
 
     Attributes:
-        lines: for people.
-        sound: no exception, and with single faults nothing VALID beyond its protection level.
+        lines: for people; each bound, and whether it is met.
+        sound: all bounds are met.
     """
 
     lines: list[str]
@@ -151,25 +159,69 @@ class Totals:
 
 
 def totals(results: Sequence[Result]) -> Totals:
-    """The bounds that the voyages are held to, and whether they are kept."""
+    """The bounds that the voyages are held to, and whether they are met; without a case a bound is met."""
     raised = [result for result in results if result["exception"] or result["failures"]]
+    overlapping = [result for result in results if result["mode"] == OVERLAPPING and "longest_beyond_s" in result]
+    longest_s = max((result["longest_beyond_s"] for result in overlapping), default=0.0)
     single = [fault for fault in _judged_faults(results) if fault["mode"] == SINGLE]
-    overlapping = [fault for fault in _judged_faults(results) if fault["mode"] == OVERLAPPING]
+    bounds = [
+        (not raised, f"{len(results)} voyages: {len(raised)} with exceptions; bound 0"),
+        *_single_bounds(single),
+        (
+            longest_s <= _LONGEST_BEYOND_S,
+            (
+                f"overlapping faults, {len(overlapping)} voyages: the longest VALID beyond 5σ {_number(longest_s)} s; "
+                f"bound {_LONGEST_BEYOND_S:g} s"
+            ),
+        ),
+    ]
+    lines = [f"{'met' if met else 'NOT MET':7}  {text}" for met, text in bounds]
+    lines += [f"voyage {one['voyage']} ({one['bag']}): {_last_line(one)}" for one in raised]
+    pairs = [fault for fault in _judged_faults(results) if fault["mode"] == OVERLAPPING]
+    over, worst, level = _above(pairs, "worst_sigmas", BEYOND), _most(pairs, "worst_sigmas"), _most(pairs, _LEVEL)
+    lines.append(
+        f"         overlapping faults: {over} of {len(pairs)} beyond 5σ; worst {_number(worst)} σ, "
+        f"{_number(level)} of the level"
+    )
+    return Totals(lines, all(met for met, _ in bounds))
+
+
+def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
+    """Whether each bound of single faults is met, and words for it."""
+    unseen = [fault for fault in single if fault["threat"] in UNSEEN_ROWS]
+    seen = [fault for fault in single if fault["threat"] not in UNSEEN_ROWS]
+    exceeded, beyond = _above(single, _LEVEL, 1.0), _above(seen, "worst_sigmas", BEYOND)
+    large = [fault for fault in seen if (fault["sigmas"] or 0.0) >= _LARGE_STEP]
+    # Where the source made fewer measurements, its time to be told had not run out.
+    steps = [fault for fault in large if fault["changed"] >= MEASUREMENTS or fault["detected"]]
     detected = [fault for fault in single if fault["detected"]]
-    steps = [fault for fault in single if (fault["sigmas"] or 0.0) >= _LARGE_STEP]
-    exceeded = _above(single, "worst_over_level", 1.0)
-    lines = [f"{len(results)} voyages, {len(raised)} with exceptions"]
-    lines += [f"  voyage {one['voyage']} ({one['bag']}): {_last_line(one)}" for one in raised]
-    beyond = _above(single, "worst_sigmas", BEYOND)
-    lines.append(f"single faults: {len(single)}; VALID beyond 5σ {beyond}, beyond the protection level {exceeded}")
-    told, in_time = _share(steps, _told), _share(steps, _in_time)
-    lines.append(f"  steps ≥ {_LARGE_STEP:g}σ told: {told} of {len(steps)}; within 1 s or three measurements {in_time}")
-    lines.append(f"  the right source named: {_share(detected, _attributed)} of {len(detected)}")
-    beyond, longest_s = _above(overlapping, "worst_sigmas", BEYOND), _number(_most(overlapping, "longest_beyond_s"))
-    level = _number(_most(overlapping, "worst_over_level"))
-    lines.append(f"overlapping faults: {len(overlapping)}; VALID beyond 5σ {beyond}, longest {longest_s} s")
-    lines.append(f"  worst error {level} of the protection level")
-    return Totals(lines, not raised and not exceeded)
+    data_like = [fault for fault in detected if fault["threat"] in _DATA_LIKE]
+    in_time, named = sum(map(_in_time, steps)), sum(map(_attributed, detected))
+    return [
+        (not exceeded, f"single faults, {len(single)}: {exceeded} VALID beyond the protection level; bound 0"),
+        (
+            not beyond,
+            (
+                f"  VALID beyond 5σ: {beyond}; bound 0, without the {len(unseen)} that no data can tell "
+                f"({_above(unseen, 'worst_sigmas', BEYOND)} beyond)"
+            ),
+        ),
+        (
+            in_time >= _IN_TIME * len(steps),
+            (
+                f"  of {len(steps)} steps ≥ {_LARGE_STEP:g}σ told within 1 s or {MEASUREMENTS} measurements: "
+                f"{_share(steps, _in_time)}, at some time {_share(steps, _told)}; bound {_IN_TIME:.0%}; "
+                f"{len(large) - len(steps)} more ended before"
+            ),
+        ),
+        (
+            named >= _NAMED * len(detected),
+            (
+                f"  of {len(detected)} detected the right source named: {_share(detected, _attributed)}; "
+                f"bound {_NAMED:.0%}; of the {len(data_like)} that look like data {_share(data_like, _attributed)}"
+            ),
+        ),
+    ]
 
 
 def _judged_faults(results: Sequence[Result]) -> list[Result]:

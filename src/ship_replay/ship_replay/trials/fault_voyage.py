@@ -4,7 +4,7 @@ import dataclasses
 import math
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -22,12 +22,13 @@ from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.orientations import ORIENTATIONS
 from ship_replay.offline.replay import ReplayRun, ReplaySummary
-from ship_replay.trials.fault_judge import Passage, Told, VoyageSink, judged
+from ship_replay.trials.fault_judge import Passage, beyond, judged
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, DrawnFault, draw_faults
+from ship_replay.trials.voyage_told import Told, VoyageSink
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_simulation.run import simulate
-from ship_simulation.scenario.fault import Fault
+from ship_simulation.scenario.names import IMAGE_TOPIC
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
@@ -90,7 +91,7 @@ def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
     }
     try:
         verdicts, told = fly(voyage.bag, drawn, voyage.number, clean)
-        result |= {"failures": told.failures, "faults": verdicts}
+        result |= {"failures": told.failures, "faults": verdicts, "longest_beyond_s": round(beyond(told.claims)[1], 4)}
     except Exception:
         # A defect of the software is what is looked for: it is told, and the others go on.
         result |= {"exception": traceback.format_exc(limit=-4), "faults": [_described(one) for one in drawn]}
@@ -105,40 +106,56 @@ def taken_topics(bag: Bag) -> dict[str, str]:
 
 
 def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Passage) -> tuple[list[dict[str, Any]], Told]:
-    """Replay a bag with faults; what became of each that hit a message, and what was told."""
+    """Replay a bag with faults; what became of each that changed a message, and what was told."""
     faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
-    told = replayed(path, faults, seed).told
+    injection = Injection(path, faults, seed)
+    told = replayed(injection)
     verdicts = []
-    for number, one in enumerate(drawn):
+    for number, (name, one) in enumerate(zip(faults, drawn, strict=True)):
+        changed_ns = np.array(injection.changed_ns(name))
+        if not changed_ns.size:
+            continue
         later = [other.fault.start_s for other in drawn[number + 1 :]]
-        until_s = min([*later, clean.length_s])
-        if clean.hits(one.fault).size:
-            verdict = judged(one.fault, told, clean, until_s)
-            plain = {key: _plain(value) for key, value in dataclasses.asdict(verdict).items()}
-            verdicts.append(_described(one) | plain | {"alert_limit_s": clean.alert_limit_s(one.fault)})
+        verdict = judged(one.fault, changed_ns, told, clean, min([*later, clean.length_s]))
+        plain = {key: _plain(value) for key, value in dataclasses.asdict(verdict).items()}
+        row = {"threat": clean.unseen(one.fault, int(changed_ns[0])) or one.threat.label}
+        verdicts.append(_described(one) | row | plain | {"alert_limit_s": clean.alert_limit_s(one.fault)})
     return verdicts, told
 
 
 def clean_voyage(path: Path) -> Passage:
     """A voyage without faults."""
-    return replayed(path, {}, 0)
-
-
-def replayed(path: Path, faults: Mapping[str, Fault], seed: int) -> Passage:
-    """Replay a bag with faults in this process."""
     arrivals: dict[str, list[int]] = {}
+    lights: list[int] = []
     with read_bag(path) as bag:
+        chain, _ = suite_chain(bag, NODES, RosbagsFactory())
+        for record in bag.records({topic.topic for topic in chain.inputs if topic.topic in bag.topics}):
+            arrivals.setdefault(record.topic, []).append(record.log_time_ns)
+            if record.topic == IMAGE_TOPIC and record.decode().beacons:
+                lights.append(record.log_time_ns)
+        pointing = chain.configs.get(OpticalAxisAdapter.node_name)
+        return Passage(
+            told=replayed(Injection(path, {}, 0)),
+            arrivals_ns={topic: np.array(times) for topic, times in arrivals.items()},
+            lights_ns=np.array(lights),
+            mount_deg_per_s2=math.nan if pointing is None else pointing.encoder.max_acceleration_deg_per_s2,
+            start_ns=bag.start_ns or 0,
+            end_ns=bag.end_ns or 0,
+        )
+
+
+def replayed(injection: Injection) -> Told:
+    """What the nodes put out, in this process, over a bag with faults."""
+    with read_bag(injection.path) as bag:
         chain, _ = suite_chain(bag, NODES, RosbagsFactory())
         taken = {topic.topic for topic in chain.inputs}
         sink = VoyageSink(_truths(bag))
         run = ReplayRun(_Quiet(chain), sink, ReplaySummary(), truth_topics=())
-        for record in Injection(path, faults, seed).records(bag):
+        for record in injection.records(bag):
             if record.topic in taken:
-                arrivals.setdefault(record.topic, []).append(record.log_time_ns)
                 run.take(record.topic, record)
         run.finish()
-        start_ns, end_ns = bag.start_ns or 0, bag.end_ns or 0
-    return Passage(sink.told, {topic: np.array(times) for topic, times in arrivals.items()}, start_ns, end_ns)
+    return sink.told
 
 
 class _Quiet(AdapterChain):

@@ -4,12 +4,16 @@ from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
+import numpy as np
+
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_replay.offline.status_course import STATUS_WORDS
-from ship_replay.trials.fault_judge import Told, is_source, judged
+from ship_replay.trials.fault_judge import is_source, judged
 from ship_replay.trials.fault_voyage import clean_voyage, replayed, taken_topics
+from ship_replay.trials.voyage_told import Told
+from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.fault_file import load_faults
 
@@ -29,15 +33,20 @@ def one_fault_lines(path: Path, words: str, seed: int = 1) -> list[str]:
     """
     with read_bag(path) as bag:
         faults = load_faults(f"faults: {{one: {{{words}}}}}", taken_topics(bag), "an input of the nodes")
-    clean, fault = clean_voyage(path), faults["one"]
-    if not clean.hits(fault).size:
-        raise BadInput(f"no message of {fault.topic} in the time of the fault", file=path)
-    told, start_ns, until_s = replayed(path, faults, seed).told, clean.start_ns, clean.length_s
-    verdict = judged(fault, told, clean, until_s)
+    fault, injection = faults["one"], Injection(path, faults, seed)
+    changed_ns = np.array(injection.changed_ns("one"))
+    if not changed_ns.size:
+        raise BadInput(f"the fault changes no message of {fault.topic}", file=path)
+    clean, told = clean_voyage(path), replayed(injection)
+    start_ns, until_s = clean.start_ns, clean.length_s
+    verdict = judged(fault, changed_ns, told, clean, until_s)
+    unseen = clean.unseen(fault, int(changed_ns[0]))
     worst = f"worst error {verdict.worst_sigmas:.1f} σ, {verdict.worst_over_level:.2f} of its protection level"
     beyond = f"beyond 5σ for {verdict.beyond_s:.1f} s, longest {verdict.longest_beyond_s:.1f} s"
     return [
         f"{path.name}: {fault.kind} on {fault.topic} from {fault.start_s:g} s to {min(fault.end_s, until_s):g} s",
+        f"changed {verdict.changed} messages, the first at {_seconds(int(changed_ns[0]), start_ns).strip()}",
+        *([f"what no data can tell: {unseen}"] if unseen else []),
         f"detected {verdict.detected} after {verdict.alert_s:.2f} s, attributed {verdict.attributed}",
         f"while VALID: {worst}; {beyond}; failures {told.failures}",
         *_worst_by_time(told, start_ns),
@@ -52,14 +61,14 @@ def _seconds(time_ns: int, start_ns: int) -> str:
 
 def _worst_by_time(told: Told, start_ns: int) -> Iterator[str]:
     """The worst claim of each ten seconds."""
-    for topic in sorted({claim[0] for claim in told.claims}):
+    for topic in sorted({claim.topic for claim in told.claims}):
         yield f"worst error of {topic} while VALID, in each ten seconds (σ; share of the level):"
-        claims = [claim for claim in told.claims if claim[0] == topic]
-        spans = groupby(sorted(claims, key=lambda claim: claim[1]), key=lambda c: (c[1] - start_ns) // (10 * NS_PER_S))
+        claims = sorted((claim for claim in told.claims if claim.topic == topic), key=lambda claim: claim.stamp_ns)
+        spans = groupby(claims, key=lambda claim: (claim.stamp_ns - start_ns) // (10 * NS_PER_S))
         texts = []
         for span, group in spans:
             kept = list(group)
-            texts.append(f"{10 * span}s {max(c[3] for c in kept):.1f};{max(c[4] for c in kept):.2f}")
+            texts.append(f"{10 * span}s {max(c.sigmas for c in kept):.1f};{max(c.over_level for c in kept):.2f}")
         yield "  " + "  ".join(texts)
 
 
@@ -85,7 +94,7 @@ def _named(told: Told, fault: Fault, start_ns: int) -> Iterator[str]:
     for source, log_ns, _, reason in told.signs:
         kinds.setdefault((source, reason), []).append(log_ns)
     for (source, reason), times in sorted(kinds.items(), key=lambda item: item[1][0])[:_MOST_LINES]:
-        own = "  <- the faulty one" if is_source(source, fault.topic) else ""
+        own = "  <- the faulty one" if is_source(source, fault) else ""
         yield (
             f"  {_seconds(times[0], start_ns)} to {_seconds(times[-1], start_ns)}  "
             f"{source}: {reason}, {len(times)} times{own}"

@@ -76,6 +76,31 @@ class Injection:
             for _, _, record in heapq.merge(*streams, key=lambda entry: entry[:2]):
                 yield record
 
+    def changed_ns(self, name: str) -> list[int]:
+        """When the messages that a fault by itself changes arrive without it, in order, ns.
+
+        Changed is a message with other bytes or another time of arrival, one that is missing, and one that another
+        message comes beside. A fault may change nothing: a telescope is knocked while no light is in view.
+
+        Args:
+            name: of the fault.
+
+        Raises:
+            BadInput: the fault needs a camera that the bag does not describe.
+        """
+        alone = Injection(self.path, {name: self.faults[name]}, self.seed, self.namespace)
+        with read_bag(self.path) as bag, read_bag(self.path) as again:
+            optics = optics_of_bag(bag, alone.faults, self.namespace)
+            topic = relative_topics(bag.topics, self.namespace)[self.faults[name].topic]
+            found: dict[int, list[tuple[int, bytes]]] = {}
+            for at_ns, order, record in alone._spoilt(again, topic, optics):
+                found.setdefault(order, []).append((at_ns, record.data))
+            return [
+                record.log_time_ns
+                for order, record in enumerate(bag.records())
+                if record.topic == topic and found.get(order) != [(record.log_time_ns, record.data)]
+            ]
+
     def _spoilt(self, bag: Bag, name: str, optics: Optics) -> Iterator[tuple[int, int, BagRecord]]:
         faults = {
             key: fault

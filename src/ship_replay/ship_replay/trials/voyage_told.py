@@ -1,0 +1,193 @@
+"""What a voyage with faults told: statuses, errors against the truth, and whom it named, gathered from its outputs.
+
+Three messages carry names: the innovations, the exclusions in ``ship/integrity`` and ``theodolite/integrity``, and
+``input_health``, which counts the refusals of a topic by their reasons and tells that one is silent.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ship_bags.stamps import ns_from_stamp
+from ship_estimation.refusals import Reason
+from ship_replay.evaluation.sources import Truth
+from ship_replay.offline.orientations import ORIENTATIONS, Orientation
+
+INTEGRITY = {"ship/attitude": "ship/integrity", "theodolite/pointing": "theodolite/integrity"}
+"""Topic of an output → topic of its protection levels."""
+
+EXCLUSION = "excluded from the estimate"
+SILENT = "silent"
+
+RESTS_ON_OTHERS = frozenset(
+    reason.word
+    for reason in (
+        Reason.GATE,
+        Reason.ATTITUDE_CONFLICT,
+        Reason.LIGHT_CONFLICT,
+        Reason.MISIDENTIFIED,
+        Reason.UNIDENTIFIED,
+        Reason.EXCLUDED,
+        Reason.REVISED,
+        Reason.GAP,
+        Reason.NO_FIX,
+    )
+)
+"""Reasons for which a measurement may be refused although it is right: what it was compared with was wrong, or
+missing."""
+
+_INNOVATIONS = ("ship/innovation", "theodolite/innovation")
+_HEALTH = "input_health"
+_WARN = 1
+_VALID = 0
+
+
+class Sign(NamedTuple):
+    """A source was named: refused, excluded, or silent.
+
+    Attributes:
+        source: as the nodes name it; of ``input_health``, the topic.
+        log_ns: when it was told.
+        stamp_ns: of the measurement, or of the report.
+        reason: a word of :class:`ship_estimation.refusals.Reason`, EXCLUSION or SILENT.
+    """
+
+    source: str
+    log_ns: int
+    stamp_ns: int
+    reason: str
+
+
+class Claim(NamedTuple):
+    """An output that was VALID, at a moment of the truth.
+
+    Attributes:
+        topic: of the output.
+        stamp_ns: its moment.
+        log_ns: when it came.
+        sigmas: largest error in sigmas.
+        over_level: largest error over its protection level; NaN where there is none.
+    """
+
+    topic: str
+    stamp_ns: int
+    log_ns: int
+    sigmas: float
+    over_level: float
+
+
+@dataclass
+class Told:
+    """What a voyage put out.
+
+    Attributes:
+        claims: VALID outputs at moments of the truth.
+        not_valid: (topic, stamp, log time, status) of the other outputs.
+        signs: each refusal, each exclusion at its beginning, and each report on an input that is silent or has new
+            refusals for what it is by itself.
+        failures: refusals because the software failed.
+        outputs: number of statuses.
+    """
+
+    claims: list[Claim] = field(default_factory=list)
+    not_valid: list[tuple[str, int, int, int]] = field(default_factory=list)
+    signs: list[Sign] = field(default_factory=list)
+    failures: int = 0
+    outputs: int = 0
+
+
+class VoyageSink:
+    """Takes what a replay gives, and keeps what is judged.
+
+    Args:
+        truths: topic of an orientation → its truth.
+    """
+
+    def __init__(self, truths: Mapping[str, Truth]) -> None:
+        self.told = Told()
+        self._truths = truths
+        self._orientations = {known.topic: known for known in ORIENTATIONS}
+        self._levels: dict[str, np.ndarray] = {}
+        self._excluded: dict[str, set[str]] = {}
+        self._health = HealthBook()
+
+    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
+        """Take the truth, which is known."""
+
+    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
+        """Take an output."""
+        if topic in _INNOVATIONS:
+            self._innovation(message, log_time_ns)
+        elif topic in INTEGRITY.values():
+            self._integrity(topic, message, log_time_ns)
+        elif topic == _HEALTH:
+            self.told.signs += self._health.signs(message, log_time_ns)
+        elif topic in self._orientations:
+            self._claim(self._orientations[topic], message, log_time_ns)
+
+    def _innovation(self, message: Any, log_time_ns: int) -> None:
+        reason = Reason(message.reason)
+        if reason is Reason.FAILED:
+            self.told.failures += 1
+        if not message.accepted and reason not in (Reason.NONE, Reason.REVISED):
+            stamp_ns = ns_from_stamp(message.header.stamp)
+            self.told.signs.append(Sign(message.source, log_time_ns, stamp_ns, reason.word))
+
+    def _integrity(self, topic: str, message: Any, log_time_ns: int) -> None:
+        self._levels[topic] = np.array(message.protection_level, dtype=float)
+        now = set(message.excluded)
+        for source in sorted(now - self._excluded.get(topic, set())):
+            self.told.signs.append(Sign(source, log_time_ns, ns_from_stamp(message.header.stamp), EXCLUSION))
+        self._excluded[topic] = now
+
+    def _claim(self, orientation: Orientation, message: Any, log_time_ns: int) -> None:
+        stamp_ns, status = ns_from_stamp(message.header.stamp), int(message.status)
+        self.told.outputs += 1
+        if status != _VALID:
+            self.told.not_valid.append((orientation.topic, stamp_ns, log_time_ns, status))
+            return
+        truth = self._truths.get(orientation.topic)
+        truth_nd = None if truth is None else truth.exactly_at(stamp_ns)
+        if truth_nd is None:
+            return
+        angles = orientation.angles_of(message)
+        error = np.abs(orientation.errors_arcsec(angles, truth_nd)) * np.pi / 648_000.0
+        sigma = orientation.scale(angles) * np.sqrt(np.diagonal(np.asarray(message.covariance).reshape(3, 3)))
+        level = self._levels.get(INTEGRITY[orientation.topic], np.full(3, np.nan))
+        over_level = error / level if np.all(np.isfinite(level)) else np.full(3, np.nan)
+        # An error that is no number is a wrong claim, too.
+        sigmas = float(np.max(np.nan_to_num(error / sigma, nan=np.inf)))
+        self.told.claims.append(Claim(orientation.topic, stamp_ns, log_time_ns, sigmas, float(np.max(over_level))))
+
+
+class HealthBook:
+    """What is new in reports on inputs, each compared with the one before of the same node and topic.
+
+    A report does not say which node it is of. Nodes report at the same moments in the same order, so that the place of
+    a report among those of its topic and stamp tells it.
+    """
+
+    def __init__(self) -> None:
+        self._place: dict[str, tuple[int, int]] = {}
+        self._before: dict[tuple[str, int], tuple[int, Counter[str]]] = {}
+
+    def signs(self, report: Any, log_time_ns: int) -> list[Sign]:
+        """The signs in a report: that its topic is silent, or why messages were refused for what they are.
+
+        Refusals that rest on others are told by the innovations, one by one.
+        """
+        topic, stamp_ns = report.topic, ns_from_stamp(report.header.stamp)
+        last_ns, place = self._place.get(topic, (stamp_ns, -1))
+        place = place + 1 if last_ns == stamp_ns else 0
+        self._place[topic] = stamp_ns, place
+        received = int(report.received)
+        counts = Counter(dict(zip(report.reasons, map(int, report.reason_counts), strict=True)))
+        had_received, before = self._before.get((topic, place), (-1, Counter[str]()))
+        self._before[topic, place] = received, counts
+        new = sorted(reason for reason in counts - before if reason not in RESTS_ON_OTHERS)
+        if received == had_received and report.level >= _WARN:
+            new.append(SILENT)
+        return [Sign(topic, log_time_ns, stamp_ns, reason) for reason in new]
