@@ -37,7 +37,8 @@ LENGTHS_S = {"demo": 120.0, "theodolite": 120.0, "paper_stars": 180.0, "everythi
 
 def main() -> int:
     """Make the voyages and print the tables."""
-    parser = CommandParser(prog="faults", description=__doc__.splitlines()[0], epilog=__doc__.splitlines()[2])
+    first, _, *others = __doc__.splitlines()
+    parser = CommandParser(prog="faults", description=first, epilog=" ".join(others))
     parser.add_argument("--voyages", type=int, default=1000, help="how many (1000)")
     parser.add_argument("--mode", choices=(SINGLE, OVERLAPPING, "both"), default="both", help="of the faults (both)")
     parser.add_argument("--bags", nargs="*", default=list(LENGTHS_S), choices=list(LENGTHS_S), help="scenarios (all)")
