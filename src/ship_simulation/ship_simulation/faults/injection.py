@@ -89,11 +89,11 @@ class Injection:
             BadInput: the fault needs a camera that the bag does not describe.
         """
         alone = Injection(self.path, {name: self.faults[name]}, self.seed, self.namespace)
-        with read_bag(self.path) as bag, read_bag(self.path) as again:
+        with read_bag(self.path) as bag:
             optics = optics_of_bag(bag, alone.faults, self.namespace)
             topic = relative_topics(bag.topics, self.namespace)[self.faults[name].topic]
             found: dict[int, list[tuple[int, bytes]]] = {}
-            for at_ns, order, record in alone._spoilt(again, topic, optics):
+            for at_ns, order, record in alone._spoilt(bag, topic, optics):
                 found.setdefault(order, []).append((at_ns, record.data))
             return [
                 record.log_time_ns

@@ -31,8 +31,9 @@ COVARIANCES = {
     INERTIAL: ("covariance",),
     SHIP_ATTITUDE: ("covariance", "rotation_covariance"),
     BASELINE: ("covariance",),
+    FIX: ("position_covariance",),
 }
-"""Message type → its fields that are covariances, 3 × 3 each."""
+"""Message type → its fields that are covariances of what the nodes take from it, 3 × 3 each."""
 
 FIRST_VALUE = {
     IMU: "orientation.x",
