@@ -27,7 +27,9 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotati
 from ship_geometry.time_scales import SECOND_NS
 
 INS_NS, STAR_NS = SECOND_NS // 20, SECOND_NS // 5
-AZIMUTH_DEG = {"aft": 240.0, "bow": 0.0, "port": 120.0}
+AZIMUTH_DEG = {"aft": 240.0, "bow": 0.0, "port": 120.0, "stern": 180.0}
+THREE, FOUR = ("aft", "bow", "port"), ("aft", "bow", "port", "stern")
+WITH_PAIRS = {"integrity": {"pairs": True, "max_hypotheses": 16}}
 NOISE = np.array([100.0, 3.0, 3.0]) * ARCSEC
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -280,16 +282,17 @@ def test_levels_above_their_limit_make_the_attitude_degraded_and_a_single_source
     assert of_one.estimates[-1].status is Status.DEGRADED
 
 
-def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included() -> None:
-    knock = Lie("star.aft", np.array([0.0, 25.0, 0.0]) * ARCSEC, 10.0)
-    LIES.append(knock)
-    arrivals = voyage(("aft", "bow", "port"), (len(LIES) - 1,), 25.0, 3, True)
+@pytest.mark.parametrize(("knocked", "changes"), [(("aft",), {}), (("aft", "port"), WITH_PAIRS)])
+def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
+    knocked: tuple[str, ...], changes: dict[str, Any]
+) -> None:
+    LIES.extend(Lie(f"star.{name}", np.array([0.0, 25.0, 0.0]) * ARCSEC, 10.0) for name in knocked)
+    arrivals = voyage(THREE, tuple(range(len(LIES) - len(knocked), len(LIES))), 25.0, 3, True)
     mixed = random.Random(4)
     shuffled = sorted(arrivals, key=lambda arrival: arrival[0] + mixed.uniform(0.0, 1.5) * SECOND_NS)
-    states = [
-        sail(ShipAttitudeCore(configuration(("aft", "bow", "port"))), run).core.state for run in (arrivals, shuffled)
-    ]
-    assert states[0].excluded == states[1].excluded != {}
+    states = [sail(ShipAttitudeCore(configuration(THREE, **changes)), run).core.state for run in (arrivals, shuffled)]
+    assert states[0].excluded == states[1].excluded
+    assert set(states[0].excluded) == {f"star.{name}" for name in knocked}
     for name in ("means", "stack"):
         assert getattr(states[0], name).tobytes() == getattr(states[1], name).tobytes()
     for name in ("turn", "excess", "refused"):
@@ -304,6 +307,87 @@ def test_a_row_without_a_sensor_is_the_estimate_of_a_ship_that_never_had_it() ->
     single = sail(ShipAttitudeCore(without), [a for a in arrivals if getattr(a[1], "source", "") != "star.bow"]).core
     ins = core.filter.model.slices["ins.attitude"]
     row = core.filter.suspects.table.names.index("star.bow") + 1
+    np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
+    covariance = covariances(core.state.stack, len(core.state.means))[row]
+    np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)
+
+
+@pytest.mark.parametrize("sensors", [THREE, FOUR], ids=["three", "four"])
+@pytest.mark.parametrize("knocks_arcsec", [(30.0, 30.0), (15.0, -15.0)], ids=["alike", "differently"])
+def test_two_sensors_knocked_at_once_are_both_excluded_where_pairs_are_left_out(
+    sensors: tuple[str, ...], knocks_arcsec: tuple[float, float]
+) -> None:
+    knocks_rad = dict(zip(("bow", "port"), ARCSEC * np.array(knocks_arcsec), strict=True))
+    lies = [Lie(f"star.{name}", UP * knock_rad, 15.0) for name, knock_rad in knocks_rad.items()]
+    sailed = sailed_with(*lies, sensors=sensors, seconds=20.0, **WITH_PAIRS)
+    since_s, excluded = sailed.excluded_first()
+    assert excluded == ("star.bow", "star.port")
+    assert since_s < 16.0  # within three measurements of each
+    assert sailed.estimates[-1].status is Status.VALID
+    assert_honest(sailed)
+    # Two that remain check one another; one does not.
+    told = sailed.reports[-1][0]
+    assert (told.state is IntegrityState.UNAVAILABLE) == (sensors == THREE)
+    assert not any("+" in name for name in told.hypotheses)
+    # By rows without one source the contradiction is seen, and nothing tells who is wrong.
+    without_pairs = sailed_with(*lies, sensors=sensors, seconds=20.0)
+    assert without_pairs.excluded == [(0.0, ())]
+    assert without_pairs.estimates[-1].status is Status.DEGRADED
+
+
+def test_both_of_two_excluded_sensors_return_by_themselves() -> None:
+    knock, glitch = Lie("star.bow", UP * 40.0 * ARCSEC, 10.0), Lie("star.port", -UP * 60.0 * ARCSEC, 10.0, end_s=30.0)
+    sailed = sailed_with(knock, glitch, seconds=100.0, **WITH_PAIRS)
+    both = ("star.bow", "star.port")
+    assert [names for _, names in sailed.excluded] == [(), both, ("star.port",), ()]
+    # Each agrees for a minute: that whose mounting is learnt anew, and that which came back.
+    came_back_s = [seconds for seconds, _ in sailed.excluded[2:]]
+    assert 70.0 < came_back_s[0] < 75.0
+    assert 90.0 < came_back_s[1] < 95.0
+    assert set(sailed.estimates[-1].sources) == {"ins", "star.aft", *both}
+    assert_honest(sailed)
+
+
+def test_a_single_fault_is_that_of_one_source_where_pairs_are_left_out() -> None:
+    for name, knock_arcsec in (("aft", 12.0), ("port", 300.0)):
+        sailed = sailed_with(Lie(f"star.{name}", UP * knock_arcsec * ARCSEC, 15.0), seconds=20.0, **WITH_PAIRS)
+        assert [names for _, names in sailed.excluded] == [(), (f"star.{name}",)]
+        assert_honest(sailed)
+
+
+def test_two_of_three_are_not_named_against_an_ins_that_may_have_stepped() -> None:
+    """One sensor and an INS without rates agree by chance as well as two sensors do: 2 against 2."""
+    lies = Lie("ins", UP * 50.0 * ARCSEC, 15.0), Lie("star.bow", UP * 40.0 * ARCSEC, 15.0)
+    sailed = sailed_with(*lies, seconds=25.0, rates=False, **WITH_PAIRS)
+    assert ("star.aft", "star.port") not in [names for _, names in sailed.excluded]
+    assert {one.status for one in sailed.between(15.7, 25.0)} == {Status.DEGRADED}
+
+
+def test_the_attitude_does_not_depend_on_rows_without_pairs_and_the_levels_grow() -> None:
+    plain, with_pairs = (sailed_with(seconds=60.0, **changes) for changes in ({}, WITH_PAIRS))
+    assert with_pairs.excluded == [(0.0, ())]
+    for one, other in zip(plain.estimates, with_pairs.estimates, strict=True):
+        assert one.rotation_nd.tobytes() == other.rotation_nd.tobytes()
+        assert one.covariance_parts_n.tobytes() == other.covariance_parts_n.tobytes()
+        assert one.status is other.status
+    first, last = plain.core.state, with_pairs.core.state
+    assert first.mean.tobytes() == last.mean.tobytes()
+    assert first.parts.tobytes() == last.parts.tobytes()
+    lower, higher = plain.reports[-1][0], with_pairs.reports[-1][0]
+    assert higher.hypotheses[:4] == lower.hypotheses == ("star.aft", "star.bow", "star.port", "ins")
+    assert np.all(higher.level > lower.level)
+    assert higher.dominant in higher.hypotheses[4:]
+
+
+def test_a_row_without_two_sensors_is_the_estimate_of_a_ship_that_never_had_them() -> None:
+    """But for the point of linearisation, which is that of the first row."""
+    arrivals = voyage(THREE, (), 20.0, 5, True)
+    core = sail(ShipAttitudeCore(configuration(THREE, **WITH_PAIRS)), arrivals).core
+    left_out = {"star.aft", "star.bow"}
+    of_port = [arrival for arrival in arrivals if getattr(arrival[1], "source", "") not in left_out]
+    single = sail(ShipAttitudeCore(configuration(("port",))), of_port).core
+    ins = core.filter.model.slices["ins.attitude"]
+    row = core.filter.suspects.table.names.index("star.aft+star.bow") + 1
     np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
     covariance = covariances(core.state.stack, len(core.state.means))[row]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)

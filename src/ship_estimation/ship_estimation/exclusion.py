@@ -237,8 +237,9 @@ def find_fault(
     candidates: Sequence[int],
     now_ns: int,
     degraded_after: int = 3,
+    larger: Sequence[int] = (),
 ) -> Finding:
-    """Which source is wrong, if any.
+    """Which source is wrong, if any; or which two are.
 
     Args:
         means: what every row has seen of every source.
@@ -248,6 +249,9 @@ def find_fault(
         candidates: the rows that may explain a fault, in the order of their preference.
         now_ns: the moment.
         degraded_after: refusals in a row of one source that contradict a row.
+        larger: rows that leave out more than one of the candidates does. Such a row explains what each of them does
+            that it contains; so it is asked only where all candidates are contradicted, or where it stands clearly
+            farther off than any other.
 
     Example:
         Three rows: by both sources, without the first one, without the second. The first source contradicts all that
@@ -260,7 +264,7 @@ def find_fault(
         Finding(fault=True, row=1, explaining=(1,))
     """
     heard = means.heard_ns >= now_ns - HEARD_NS
-    apart = not statistic[candidates].max(initial=0.0) <= threshold  # NaN is apart
+    apart = not statistic[[*candidates, *larger]].max(initial=0.0) <= threshold  # NaN is apart
     in_first = uses[0] & heard
     agrees = bool(np.all((means.excess[0] <= 1.0) & (means.refused[0] < degraded_after) | ~in_first))  # NaN does not
     if agrees and not apart:
@@ -272,17 +276,25 @@ def find_fault(
     began_ns = np.max(means.contradicts_ns, initial=_LONG_AGO_NS, where=heard)
     well = (means.excess <= _WELL) & (means.refused == 0) & (means.heard_ns >= began_ns)
     explains = np.all(well | ~counts, axis=-1)
-    explaining = sorted((row for row in candidates if explains[row]), key=lambda row: worst[row])
+    asked = larger if larger and not np.any(worst[candidates] <= 1.0) else candidates
+    explaining = sorted((row for row in asked if explains[row]), key=lambda row: worst[row])
     if not explaining:
         return Finding(fault=True)
     best = explaining[0]
-    if all(not worst[row] < worst[best] + _CLEARER for row in candidates if row != best):
+    if all(not worst[row] < worst[best] + _CLEARER for row in asked if row != best):
         return Finding(fault=True, row=best, explaining=tuple(explaining))
+    row = None
     if agrees and len(explaining) > 1:
-        farthest, second = sorted(explaining, key=lambda row: -statistic[row])[:2]
-        if statistic[farthest] > _FARTHER * statistic[second]:
-            return Finding(fault=True, row=farthest, explaining=tuple(explaining))
-    return Finding(fault=True, explaining=tuple(explaining))
+        both = [*explaining, *(row for row in larger if explains[row])]
+        row = _farthest(both, statistic, threshold) or _farthest(explaining, statistic, threshold)
+    return Finding(fault=True, row=row, explaining=tuple(explaining))
+
+
+def _farthest(rows: Sequence[int], statistic: FloatArray, threshold: float) -> int | None:
+    """Which of two rows or more stands beyond the threshold, and clearly farther than the others; None: none does."""
+    farthest, second = sorted(rows, key=lambda row: -statistic[row])[:2]
+    clear = statistic[farthest] > max(threshold, _FARTHER * statistic[second])
+    return farthest if clear else None
 
 
 def watched(

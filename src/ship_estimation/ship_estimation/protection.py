@@ -75,7 +75,7 @@ class IntegrityConfig:
         60.0, doc="an excluded source is used again once it has agreed so long", unit="s", minimum=1.0, maximum=86400.0
     )
     max_hypotheses: int = parameter(
-        8, doc="most estimates side by side: all sources, and without each of them", minimum=2, maximum=64
+        8, doc="most estimates side by side: all sources, and without those of each hypothesis", minimum=2, maximum=64
     )
     prior_per_h: PriorConfig = section(PriorConfig)
 
@@ -92,6 +92,22 @@ class IntegrityConfig:
     def alert_limit(self) -> FloatArray:
         """Of each component, rad, shape (3,); NaN where none is configured."""
         return ARCSEC * np.array(self.alert_limit_arcsec or [math.nan] * _COMPONENTS)
+
+
+def prior_of_all(priors_per_h: Sequence[float]) -> float:
+    """How often in an hour independent sources go wrong together: the product of their probabilities in that hour.
+
+    The probability of several faults at a time is the product of those of each (Blanch et al. 2015, the fault modes of
+    section III). Each is that of an exposure: here the hour of ``p_hmi``. So the two faults begin in the same hour, in
+    any order. That an older fault which nothing has told is met by a second one is not counted.
+
+    Example:
+        Two sources, each of which fails once in a thousand hours:
+
+        >>> prior_of_all([1e-3, 1e-3])
+        1e-06
+    """
+    return math.prod(priors_per_h)
 
 
 @dataclass(frozen=True)
@@ -118,7 +134,8 @@ def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
 
     Args:
         config: the probabilities.
-        priors_per_h: how often the source of each hypothesis goes wrong in an hour.
+        priors_per_h: how often the source of each hypothesis goes wrong in an hour; of several by
+            :func:`prior_of_all`. Where it is no more than twice the share the level is the threshold alone.
 
     Example:
         Two star sensors and an INS, each of which fails once in a thousand hours:

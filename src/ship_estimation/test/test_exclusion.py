@@ -1,4 +1,6 @@
-"""Which source is wrong: two, three sensors on a shaken base, each sensor knocked in turn."""
+"""Which source is wrong: two to four sensors on a shaken base, one of them knocked, or two."""
+
+import itertools
 
 import numpy as np
 import pytest
@@ -21,15 +23,21 @@ NOISE, WALK, MOUNTING = 3.0, 0.3, 20.0
 
 
 class Bank:
-    """An angle about each axis that wanders, seen by sensors whose mounting is to be learnt; a row without each."""
+    """An angle about each axis that wanders, seen by sensors whose mounting is to be learnt.
 
-    def __init__(self, sensors):
+    A row without each sensor and, where there are ``pairs``, without each two.
+    """
+
+    def __init__(self, sensors, pairs=False):
         self.sensors, size = sensors, 3 * (sensors + 1)
-        self.uses = np.vstack([np.ones(sensors, dtype=bool), ~np.eye(sensors, dtype=bool)])
-        self.means = np.zeros((sensors + 1, size))
+        one = [(sensor,) for sensor in range(sensors)]
+        self.left_out = [(), *one, *(itertools.combinations(range(sensors), 2) if pairs else ())]
+        self.uses = np.array([[sensor not in out for sensor in range(sensors)] for out in self.left_out])
+        rows = len(self.left_out)
+        self.means = np.zeros((rows, size))
         prior = np.diag(np.repeat([10.0, *[MOUNTING] * sensors], 3) ** 2)
-        self.stack = np.tile(prior, (sensors + 1, 1, 1))
-        self.seen, self.limit = no_means(sensors + 1, sensors), excess_limit(IntegrityConfig(), sensors)
+        self.stack = np.tile(prior, (rows, 1, 1))
+        self.seen, self.limit = no_means(rows, sensors), excess_limit(IntegrityConfig(), sensors)
 
     def take(self, sensor, residual, time_ns):
         jacobian = np.zeros((3, self.means.shape[1]))
@@ -48,25 +56,34 @@ class Bank:
         apart = self.means[1:, :3] - self.means[0, :3]
         total = self.stack[:, range(3), range(3)]
         statistic = np.max(np.abs(apart) / np.sqrt(np.maximum(total[1:] - total[0], 1e-6 * total[0])), axis=-1)
-        rows = range(1, self.sensors + 1)
-        return find_fault(self.seen, self.uses, np.concatenate([[0.0], statistic]), 5.1, rows, time_ns)
+        one, two = range(1, self.sensors + 1), range(self.sensors + 1, len(self.left_out))
+        return find_fault(self.seen, self.uses, np.concatenate([[0.0], statistic]), 5.1, one, time_ns, larger=two)
 
 
-def _voyage(seed, sensors, knock=0.0, knocked=0, epochs=400, at=200):
-    """Epochs after the knock until a fault is told, and the sensor first named; None where none is told."""
-    rng, bank = np.random.default_rng(seed), Bank(sensors)
+def _voyage(seed, sensors, knocks=(), epochs=400, at=200, pairs=False):
+    """Epochs after the knocks until a fault is told, and the sensors first named; None where none is told.
+
+    Args:
+        seed: of the noise.
+        sensors: how many.
+        knocks: by sensor, about the second axis.
+        epochs: measurements of each sensor.
+        at: since when the sensors are knocked.
+        pairs: whether rows leave out two.
+    """
+    rng, bank = np.random.default_rng(seed), Bank(sensors, pairs)
     told = None
     mounting, angle = MOUNTING * rng.standard_normal((sensors, 3)), 10.0 * rng.standard_normal(3)
     for epoch in range(epochs):
         for sensor in range(sensors):
             angle = angle + WALK * rng.standard_normal(3)
-            wrong = knock * np.array([0.0, 1.0, 0.0]) if sensor == knocked and epoch >= at else 0.0
+            wrong = dict(knocks).get(sensor, 0.0) * np.array([0.0, 1.0, 0.0]) * (epoch >= at)
             measured = angle + mounting[sensor] + wrong + NOISE * rng.standard_normal(3)
             bank.take(sensor, measured, epoch * SECOND_NS // 5)
             found = bank.finding(epoch * SECOND_NS // 5)
             told = epoch - at if found.fault and told is None else told
             if found.row is not None:
-                return told, found.row - 1
+                return told, bank.left_out[found.row]
     return None if told is None else (told, None)
 
 
@@ -78,21 +95,57 @@ def test_sources_that_are_right_are_not_called_wrong(sensors):
 @pytest.mark.parametrize("knocked", [0, 2])
 @pytest.mark.parametrize("knock", [30.0, 60.0, -60.0])
 def test_a_knock_of_ten_sigmas_is_told_within_three_measurements_and_the_right_one_of_three_is_named(knock, knocked):
-    found = [_voyage(seed, 3, knock, knocked) for seed in range(8)]
-    assert [named for _, named in found] == [knocked] * 8
+    found = [_voyage(seed, 3, {knocked: knock}) for seed in range(8)]
+    assert [named for _, named in found] == [(knocked,)] * 8
     assert max(epochs for epochs, _ in found) <= 3
 
 
 def test_small_knocks_are_told_within_seconds_and_named():
     """Of 4 σ of one measurement: no single one tells it, their mean does."""
-    found = [_voyage(seed, 3, 12.0, 1) for seed in range(8)]
-    assert [named for _, named in found] == [1] * 8
+    found = [_voyage(seed, 3, {1: 12.0}) for seed in range(8)]
+    assert [named for _, named in found] == [(1,)] * 8
     assert max(epochs for epochs, _ in found) <= 50
 
 
 def test_of_two_sensors_the_right_one_is_named_by_what_the_base_can_turn():
-    found = [_voyage(seed, 2, 40.0, seed % 2) for seed in range(8)]
-    assert [named for _, named in found] == [seed % 2 for seed in range(8)]
+    found = [_voyage(seed, 2, {seed % 2: 40.0}) for seed in range(8)]
+    assert [named for _, named in found] == [(seed % 2,) for seed in range(8)]
+
+
+@pytest.mark.parametrize("sensors", [3, 4])
+@pytest.mark.parametrize("knocks", [(40.0, 40.0), (40.0, -60.0), (25.0, 1e4)])
+def test_two_sensors_knocked_at_once_are_both_named_where_pairs_are_left_out(sensors, knocks):
+    both = dict(zip((0, 2), knocks, strict=True))
+    found = [_voyage(seed, sensors, both, pairs=True) for seed in range(4)]
+    assert [named for _, named in found] == [(0, 2)] * 4
+    assert max(epochs for epochs, _ in found) <= 3
+    # Without such rows the faults are told, and nobody is named.
+    assert _voyage(0, sensors, both)[1] is None
+
+
+@pytest.mark.parametrize("knock", [12.0, 30.0, 1e4])
+def test_the_smaller_hypothesis_is_preferred_where_pairs_are_left_out(knock):
+    """A pair explains whatever a single source of it does."""
+    assert [_voyage(seed, 4, {1: knock}, pairs=True)[1] for seed in range(4)] == [(1,)] * 4
+
+
+def test_rows_without_pairs_call_nobody_wrong_where_all_are_right():
+    assert [_voyage(seed, 4, epochs=1000, pairs=True) for seed in range(2)] == [None] * 2
+
+
+def test_a_row_of_two_is_asked_where_no_row_of_one_can_be_it_or_where_it_stands_farthest():
+    uses = np.array([[True] * 3, [False, True, True], [True, False, True], [False, False, True]])
+    seen = no_means(4, 3)
+    seen.heard_ns[:], seen.excess[:2, 1], seen.excess[2, 0] = 0, [3.0, 2.0], 0.8
+    # The third row, of one, is not contradicted: it may still explain what is seen.
+    assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger=[3]).row is None
+    seen.excess[2, 0] = 1.1
+    assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger=[3]).row == 3
+    agrees = no_means(4, 3)
+    agrees.heard_ns[:] = 0
+    for far, told in ((6.0, 3), (5.2, None)):
+        # Nothing is clearly farther, and no row of one is beyond the threshold.
+        assert find_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger=[3]).row == told
 
 
 def test_a_single_gross_error_excludes_nobody():

@@ -1,5 +1,6 @@
 """Protection levels: their factors keep the configured probabilities, their bounds hold in a Monte Carlo run."""
 
+import itertools
 import math
 
 import numpy as np
@@ -15,6 +16,7 @@ from ship_estimation.protection import (
     Separation,
     factors,
     integrity_report,
+    prior_of_all,
     separation,
 )
 from ship_geometry.rotations import ARCSEC
@@ -47,6 +49,58 @@ def test_a_fault_that_is_not_told_stays_within_the_level():
         told = found.statistic.max() > k.false_exclusion
         misled += not told and bool(np.any(np.abs(estimate_0) > found.level))
     assert misled == 0
+
+
+def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
+    """How often nothing tells of two sensors that are wrong by the same, and a component is beyond its level.
+
+    The estimate is the mean of the sensors, of three components; each sensor measures them with the sigma 3, so k
+    sensors have the variance 9/k, and two nested estimates differ by the difference of their variances.
+    """
+    rng, everyone = np.random.default_rng(seed), set(range(sensors))
+    left_out = [*itertools.combinations(everyone, 1), *(itertools.combinations(everyone, 2) if pairs else ())]
+    uses = [sorted(everyone - set(names)) for names in left_out]
+    k = Factors(right=4.0, false_exclusion=5.0, missed=np.full(len(uses), MISSED))
+    variances = np.array([9.0 / len(row) for row in uses])[:, None, None] * np.eye(3)
+    misled = 0
+    for _ in range(draws):
+        measured = 3.0 * rng.standard_normal((sensors, 3))
+        measured[:2] += bias
+        estimate = measured.mean(axis=0)
+        distance = np.array([measured[row].mean(axis=0) for row in uses]) - estimate
+        found = separation(distance, variances, 9.0 / sensors * np.eye(3), k)
+        told = not found.statistic.max() <= k.false_exclusion
+        misled += not told and bool(np.any(np.abs(estimate) > found.level))
+    return misled / draws
+
+
+MISSED = 2.0
+"""K_md: on one side of a component, 2.3 % are farther off."""
+
+
+@pytest.mark.parametrize("sensors", [3, 4])
+def test_two_faults_at_a_time_that_are_not_told_stay_within_the_level_of_pairs(sensors):
+    biases = np.linspace(0.0, 40.0, 21)
+    # Each of three components may be beyond it.
+    most = 3.0 * norm.sf(MISSED)
+    assert max(misled_by_two_faults(sensors, bias, pairs=True) for bias in biases) <= most
+    # The levels of single faults do not promise that.
+    assert max(misled_by_two_faults(sensors, bias, pairs=False) for bias in biases) > 3.0 * most
+
+
+def test_the_threat_of_two_faults_is_as_probable_as_both_in_one_hour():
+    """Faults of two Poisson processes of an hour, counted."""
+    rng, rates, hours = np.random.default_rng(6), [0.02, 0.05], 400_000
+    both = np.sum(np.all(rng.poisson(rates, (hours, 2)) > 0, axis=1)) / hours
+    # One in a thousand: 400 cases, of a relative sigma of 5 %; two of a source in an hour count as one (3.5 %).
+    assert prior_of_all(rates) == pytest.approx(1e-3)
+    assert both == pytest.approx(prior_of_all(rates), rel=0.2)
+
+
+def test_a_threat_less_probable_than_its_share_adds_nothing_to_the_threshold():
+    found = factors(IntegrityConfig(p_hmi=1e-5), [1e-3, 1e-6, 1e-9])
+    assert found.missed[0] > 2.5
+    np.testing.assert_array_equal(found.missed[1:], [norm.isf(0.5)] * 2)
 
 
 def test_the_largest_hypothesis_dominates():

@@ -146,6 +146,16 @@ class ReferenceConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ShipIntegrityConfig(IntegrityConfig):
+    """Protection levels of a ship, and who is excluded."""
+
+    pairs: bool = parameter(
+        False,
+        doc="of three sources and more, and the INS, two at a time may be wrong: estimates without each pair too",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class ShipAttitudeConfig(StarSensorsById):
     """All parameters of ``ship_attitude``."""
 
@@ -153,7 +163,7 @@ class ShipAttitudeConfig(StarSensorsById):
     star_sensors: dict[str, StarSensorConfig] = mapping_of("star sensors by id")
     references: dict[str, ReferenceConfig] = mapping_of("other attitude systems by name")
     gate: GateConfig = section(GateConfig)
-    integrity: IntegrityConfig = section(IntegrityConfig)
+    integrity: ShipIntegrityConfig = section(ShipIntegrityConfig)
     sky: SkyConfig = section(SkyConfig)
     lag_s: float = parameter(
         2.0, doc="measurements up to this late are applied at their own time", unit="s", minimum=0.0, maximum=600.0

@@ -173,20 +173,22 @@ class ShipFilter:
     def _beside(
         self, predicted: FilterState, source: str, compared: Compared, gate: float
     ) -> tuple[FilterState, RowsCompared]:
-        """A measurement beside all rows; that where the INS is wrong is opened where they differ."""
+        """A measurement beside all rows; those where the INS is wrong are opened where they differ from it."""
         linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.means[0]
         count = len(predicted.means)
         rows = compare_rows(predicted.means, covariances(predicted.stack, count), linear, at_mean, by_turn)
-        row = self.suspects.table.ins_row
         # Written so that NaN opens nothing.
-        if row is None or not rows.nis[row] > gate or not self.suspects.contradicted(predicted, source, row):
+        far = [row for row in self.suspects.table.ins_rows if rows.nis[row] > gate]
+        wrong = [row for row in far if self.suspects.contradicted(predicted, source, row)]
+        if not wrong:
             return predicted, rows
-        turn_n = compared.predicted_nv @ rows.turn_root[row] @ rows.turn[row]
-        opened = self.suspects.opened_for(predicted, turn_n)
+        turns_n = {row: compared.predicted_nv @ rows.turn_root[row] @ rows.turn[row] for row in wrong}
+        opened = self.suspects.opened_for(predicted, turns_n)
         wider = compare_rows(predicted.means, covariances(opened, count), linear, at_mean, by_turn)
-        # What the row has seen is judged as it was before it was opened.
-        judged = replace(wider, turn=np.where(np.arange(len(rows.nis))[:, None] == row, rows.turn, wider.turn))
-        return replace(predicted, stack=opened), judged
+        # What a row has seen is judged as it was before it was opened.
+        turn = wider.turn.copy()
+        turn[wrong] = rows.turn[wrong]
+        return replace(predicted, stack=opened), replace(wider, turn=turn)
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """The decision with what the verdict says; a source excluded by its own measurement is told at once."""

@@ -40,7 +40,9 @@ def integrity_of(
         estimate: the attitude.
     """
     table, model = filter_.suspects.table, filter_.model
-    rows = [row for row, name in enumerate(table.names, start=1) if name not in state.excluded]
+    others = [name for name in estimate.sources if name in filter_.devices and name not in state.excluded]
+    rows = [row for row in table.singles if table.names[row - 1] not in state.excluded]
+    rows += table.pairs_in_question(others, state.excluded)
     names = [table.names[row - 1] for row in rows]
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
     to_angles = angle_errors_from_rotation_vector(heading, pitch)
@@ -56,13 +58,12 @@ def integrity_of(
         found = separation(distance, by_angle, to_angles @ estimate.covariance_n @ to_angles.T, k)
     excluded = [(name, exclusion.since_ns) for name, exclusion in sorted(state.excluded.items())]
     threshold = table.k.false_exclusion
-    checked = _checked(filter_, state, estimate)
+    checked = _checked(filter_, state, estimate, others)
     return integrity_report(estimate.time_ns, config.integrity, names, found, checked, threshold, excluded)
 
 
-def _checked(filter_: ShipFilter, state: FilterState, estimate: AttitudeEstimate) -> bool:
-    """Whether the sources that an attitude rests on check one another."""
-    others = [name for name in estimate.sources if name in filter_.devices and name not in state.excluded]
+def _checked(filter_: ShipFilter, state: FilterState, estimate: AttitudeEstimate, others: list[str]) -> bool:
+    """Whether the sources beside the INS that an attitude rests on check one another."""
     by_stars = any(filter_.devices[source].is_star for source in others)
     in_dispute = state.doubt is not None or state.jumped or estimate.status is Status.INVALID
     return by_stars and len(others) >= _LEAST_SOURCES and not in_dispute

@@ -1,11 +1,13 @@
 """The rows of hypotheses of a ship: what each of them leaves out, how probable that is, and what it owns.
 
-The first row is by all sources that are not excluded; each other row does without one source more. In the last row the
-INS is the one that is wrong: its slow error is unknown there, but its turn from one measurement to the next is used. A
-ship with a single source has no such row: it would be nothing but that source.
+The first row is by all sources that are not excluded; each other row does without one source more, and where that is
+configured some do without two. Where the INS is left out it is the one that is wrong: its slow error is unknown there,
+but its turn from one measurement to the next is used. A ship with a single source has no such row: it would be nothing
+but that source.
 """
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +16,12 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_estimation.exclusion import excess_limit
 from ship_estimation.parameters import ParameterError
-from ship_estimation.protection import Factors, factors
+from ship_estimation.protection import Factors, factors, prior_of_all
 
 INS = "ins"
+
+LEAST_FOR_PAIRS = 3
+"""Sources beside the INS: without two of them one is left that the INS checks; without one and the INS, two."""
 
 
 class RowTable:
@@ -29,9 +34,12 @@ class RowTable:
 
     Attributes:
         sources: names, in the order of their index.
-        names: of the hypotheses, one for each row after the first.
+        left_out: by each row after the first, names; ``ins`` where the INS is the one that is wrong.
+        names: of the hypotheses, one for each row after the first: "star.bow", "star.bow+star.port".
         rows: how many there are, with the first.
-        ins_row: where the INS is the one that is wrong; None where there is no such row.
+        singles: the rows that leave out one source.
+        pairs: those that leave out two.
+        ins_rows: those where the INS is the one that is wrong.
         uses: which source each row uses where none is excluded, shape (h, s).
         own: by source, the states that belong to it alone, shape (n,).
         k: numbers of sigmas of the protection levels.
@@ -43,18 +51,46 @@ class RowTable:
 
     def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
         self.sources = tuple(devices)
-        self.names = (*self.sources, INS) if len(self.sources) > 1 else self.sources
-        self.rows, most = len(self.names) + 1, config.integrity.max_hypotheses
-        if self.rows > most:
-            reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {self.rows} of these sources: "
-            raise ParameterError(reason + ", ".join(self.names), "integrity.max_hypotheses", value=most)
-        self.ins_row = self.rows - 1 if len(self.sources) > 1 else None
-        self.uses: NDArray[np.bool_] = np.arange(self.rows)[:, None] != np.arange(1, len(self.sources) + 1)
+        one = (*self.sources, INS) if len(self.sources) > 1 else self.sources
+        with_pairs = config.integrity.pairs and len(self.sources) >= LEAST_FOR_PAIRS
+        two = itertools.combinations(one, 2) if with_pairs else ()
+        self.left_out: tuple[tuple[str, ...], ...] = (*((name,) for name in one), *two)
+        self.names = tuple("+".join(names) for names in self.left_out)
+        self.rows = len(self.names) + 1
+        self._check_number(config.integrity.max_hypotheses)
+        self.singles, self.pairs = range(1, len(one) + 1), range(len(one) + 1, self.rows)
+        self.ins_rows = tuple(row for row, names in enumerate(self.left_out, start=1) if INS in names)
+        used = [[name not in names for name in self.sources] for names in ((), *self.left_out)]
+        self.uses: NDArray[np.bool_] = np.array(used, dtype=bool)
         self.own = {name: _own_states(model, name) for name in self.sources}
         prior = config.integrity.prior_per_h
-        kinds = [prior.star_sensor if device.is_star else prior.reference for device in devices.values()]
-        self.k: Factors = factors(config.integrity, [*kinds, prior.ins][: len(self.names)])
+        prior_per_h = {name: prior.star_sensor if one.is_star else prior.reference for name, one in devices.items()}
+        prior_per_h[INS] = prior.ins
+        priors_per_h = [prior_of_all([prior_per_h[name] for name in names]) for names in self.left_out]
+        self.k: Factors = factors(config.integrity, priors_per_h)
         self.limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
+
+    def pairs_in_question(self, in_use: Collection[str], excluded: Collection[str]) -> list[int]:
+        """The rows without two of those in use, where two or more others in use are left to check each other.
+
+        There are none while the INS is excluded: two pairs of sensors that contradict one another are alike then.
+
+        Args:
+            in_use: sources beside the INS.
+            excluded: sources, or the INS, that no row uses.
+        """
+        if INS in excluded or len(in_use) < LEAST_FOR_PAIRS:
+            return []
+        everyone = {INS, *in_use}
+        return [row for row in self.pairs if everyone.issuperset(self.left_out[row - 1])]
+
+    def _check_number(self, most: int) -> None:
+        if self.rows > most:
+            reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {self.rows} of these sources: "
+            reason += ", ".join(self.names)
+            if len(self.left_out[-1]) > 1:
+                reason += f"; set it to {self.rows}, or 'integrity.pairs' to false"
+            raise ParameterError(reason, "integrity.max_hypotheses", value=most)
 
 
 def _own_states(model: ShipStateModel, source: str) -> NDArray[np.bool_]:

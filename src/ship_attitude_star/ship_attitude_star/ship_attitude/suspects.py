@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ship_attitude_star.ship_attitude.comparison import Compared
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, Device, ShipStateModel
-from ship_attitude_star.ship_attitude.row_table import INS, RowTable
+from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
 from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, with_entry, without
 from ship_estimation.exclusion import (
     HEARD_NS,
@@ -76,16 +76,15 @@ class Suspects:
         """All rows at one state, before any measurement; shapes (n,) and (n_sources, n, n)."""
         rows = self.table.rows
         stack = np.concatenate([parts, np.tile(parts.sum(axis=0), (rows - 1, 1, 1))])
-        if self.table.ins_row is not None:
-            self._open_ins(stack, rows, _UNKNOWN_RAD**2 * np.eye(3), self.table.ins_row)
+        for row in self.table.ins_rows:
+            self._open_ins(stack, rows, _UNKNOWN_RAD**2 * np.eye(3), row)
         return FilterState(None, np.tile(mean, (rows, 1)), stack, no_means(rows, len(self._sources)))
 
     def carried(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
         """Let the INS wander, in place, where it is the one that is wrong."""
-        everywhere = INS in state.excluded
-        if everywhere or self.table.ins_row is not None:
-            walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * np.eye(3)
-            self._open_ins(stack, len(state.means), walked, None if everywhere else self.table.ins_row)
+        walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * np.eye(3)
+        for row in (None,) if INS in state.excluded else self.table.ins_rows:
+            self._open_ins(stack, len(state.means), walked, row)
 
     def uses(self, state: FilterState) -> NDArray[np.bool_]:
         """Which source each row uses, shape (h, s)."""
@@ -131,14 +130,22 @@ class Suspects:
 
     def contradicted(self, state: FilterState, source: str, row: int) -> bool:
         """Whether a source that a row uses has contradicted it for so long that one refusal more makes it a fault."""
-        refused = state.seen.refused[row, self._sources.index(source)]
-        return source not in state.excluded and bool(refused >= self._degraded_after - 1)
+        index = self._sources.index(source)
+        if source in state.excluded or not self.table.uses[row, index]:
+            return False
+        return bool(state.seen.refused[row, index] >= self._degraded_after - 1)
 
-    def opened_for(self, state: FilterState, turn_n: FloatArray) -> FloatArray:
-        """Covariances where the INS, being the one that is wrong, has turned by a rotation vector, rad, shape (3,)."""
+    def opened_for(self, state: FilterState, turns_n: Mapping[int, FloatArray]) -> FloatArray:
+        """Covariances where the INS, being the one that is wrong, has turned.
+
+        Args:
+            state: before.
+            turns_n: by row, rotation vector, rad, shape (3,).
+        """
         stack: FloatArray = state.stack.copy()
-        covariance_n = np.outer(turn_n, turn_n) + 0.01 * (turn_n @ turn_n) * np.eye(3)
-        self._open_ins(stack, len(state.means), covariance_n, self.table.ins_row)
+        for row, turn_n in turns_n.items():
+            covariance_n = np.outer(turn_n, turn_n) + 0.01 * (turn_n @ turn_n) * np.eye(3)
+            self._open_ins(stack, len(state.means), covariance_n, row)
         return stack
 
     def separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
@@ -171,21 +178,25 @@ class Suspects:
                 return state, text
         uses = self.uses(state)
         apart_n, statistic = self.separations(state)
-        candidates = [row for row, name in enumerate(self.table.names, start=1) if name not in state.excluded]
+        table, in_use = self.table, self._in_use(state, time_ns)
+        candidates = [row for row in table.singles if table.names[row - 1] not in state.excluded]
+        pairs = table.pairs_in_question(in_use, state.excluded) if table.pairs else []
         # A step of the INS its rates would have told; that it creeps they do not tell.
         stepped = bool(np.any(state.seen.refused[0] > 0))
-        if ins_vouched and stepped and self.table.ins_row in candidates:
-            candidates.remove(self.table.ins_row)
-        threshold, after = self.table.k.false_exclusion, self._degraded_after
-        finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after)
+        if ins_vouched and stepped:
+            candidates, pairs = ([row for row in rows if row not in table.ins_rows] for rows in (candidates, pairs))
+        elif stepped and len(in_use) <= LEAST_FOR_PAIRS:
+            pairs = []  # One source and an INS that may have stepped are no better than two other sources.
+        threshold, after = table.k.false_exclusion, self._degraded_after
+        finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after, pairs)
         if not finding.fault:
             return replace(state, doubt=None), ""
         wrong = self._named(state, finding)
-        if wrong == INS and stepped:
-            wrong = None  # A wrong position moves all stars alike, as a step of the INS without rates does.
-        if wrong is not None and self._others_remain(state, wrong, time_ns):
+        if INS in wrong and stepped:
+            wrong = ()  # A wrong position moves all stars alike, as a step of the INS without rates does.
+        if wrong and not set(in_use).issubset(wrong):
             return self._without(state, wrong, time_ns)
-        contradicting = self._stars_contradicting(state, wrong, time_ns)
+        contradicting = self._stars_contradicting(state, wrong, in_use)
         if contradicting:
             # Nothing tells that they were knocked: how they are mounted is not learnt anew.
             excluded = {name: Exclusion(time_ns, apart=state.apart[name].turn_v) for name in contradicting}
@@ -200,37 +211,41 @@ class Suspects:
 
     # -- verdicts -------------------------------------------------------------------------------------------
 
-    def _named(self, state: FilterState, finding: Finding) -> str | None:
-        """The source that is wrong; among those that may be it the only one that was wrong before."""
-        known = [name for row in finding.explaining if (name := self.table.names[row - 1]) in state.record]
-        if len(known) == 1:
-            return known[0]
-        return None if finding.row is None else self.table.names[finding.row - 1]
+    def _named(self, state: FilterState, finding: Finding) -> tuple[str, ...]:
+        """Those that are wrong; among those that may be it the only ones that were wrong before. Empty: nobody is."""
+        left_out = self.table.left_out
+        known = [row for row in finding.explaining if state.record.keys() >= set(left_out[row - 1])]
+        row = known[0] if len(known) == 1 else finding.row
+        return () if row is None else left_out[row - 1]
 
-    def _without(self, state: FilterState, wrong: str, time_ns: int) -> tuple[FilterState, str]:
-        """The state once a source is excluded: the row without it is the first one now, and the start of all others."""
-        row, rows = self.table.names.index(wrong) + 1, len(state.means)
+    def _without(self, state: FilterState, wrong: tuple[str, ...], time_ns: int) -> tuple[FilterState, str]:
+        """The state once sources are excluded: the row without them is now the first, and the start of all others."""
+        row, rows = self.table.left_out.index(wrong) + 1, len(state.means)
         means = np.tile(state.means[row], (rows, 1))
         stack = promoted(state.stack, rows, row)
-        # What is farther off than a knock can make it has another mistake: that must be mended, not learnt.
-        relearns = wrong != INS and self._knock(state, wrong) is not None
-        if relearns:
-            self._open_mounting(stack, state, wrong)
-        seen = forgotten(state.seen, slice(None), slice(None))
-        times = state.record.get(wrong, 0) + 1
-        apart = None if relearns or wrong == INS else state.apart[wrong].turn_v
-        excluded = with_entry(state.excluded, wrong, Exclusion(time_ns, times, apart=apart))
+        excluded, record, used_ns = dict(state.excluded), dict(state.record), dict(state.used_ns)
+        for name in wrong:
+            # What is farther off than a knock can make it has another mistake: that must be mended, not learnt.
+            relearns = name != INS and self._knock(state, name) is not None
+            if relearns:
+                self._open_mounting(stack, state, name)
+            record[name] = state.record.get(name, 0) + 1
+            apart = None if relearns or name == INS else state.apart[name].turn_v
+            excluded[name] = Exclusion(time_ns, record[name], apart=apart)
+            used_ns.pop(name, None)
         state = replace(
             state,
             means=means,
             stack=stack,
-            seen=seen,
-            excluded=excluded,
-            record=with_entry(state.record, wrong, times),
+            seen=forgotten(state.seen, slice(None), slice(None)),
+            excluded=MappingProxyType(excluded),
+            record=MappingProxyType(record),
             doubt=None,
-            used_ns=without(state.used_ns, wrong),
+            used_ns=MappingProxyType(used_ns),
         )
-        return state, f"{wrong} is excluded: without it {self._listed(state, wrong)} agree"
+        are, them = ("is", "it") if len(wrong) == 1 else ("are", "them")
+        remaining = ", ".join(name for name in (INS, *self._sources) if name not in excluded)
+        return state, f"{' and '.join(wrong)} {are} excluded: without {them} {remaining} agree"
 
     def _watched(
         self, state: FilterState, source: str, compared: RowsCompared, time_ns: int
@@ -286,26 +301,19 @@ class Suspects:
             text = "the sources contradict one another, and which of them is wrong nothing tells"
         return replace(state, doubt=Doubt(text, covariance_n))
 
-    def _stars_contradicting(self, state: FilterState, wrong: str | None, time_ns: int) -> tuple[str, ...]:
+    def _stars_contradicting(
+        self, state: FilterState, wrong: tuple[str, ...], in_use: list[str]
+    ) -> tuple[str, ...]:
         """All stars in use, where each of them contradicts the rest; none where some do not."""
-        heard = [name for name in self._in_use(state, time_ns) if self._devices[name].is_star]
+        heard = [name for name in in_use if self._devices[name].is_star]
         long_refused = state.seen.refused[0] >= self._degraded_after
-        against = [name for name in heard if name == wrong or long_refused[self._sources.index(name)]]
+        against = [name for name in heard if name in wrong or long_refused[self._sources.index(name)]]
         return tuple(heard) if heard and len(against) == len(heard) else ()
-
-    def _others_remain(self, state: FilterState, wrong: str, time_ns: int) -> bool:
-        """Whether another source beside the INS is in use."""
-        return any(name != wrong for name in self._in_use(state, time_ns))
 
     def _in_use(self, state: FilterState, time_ns: int) -> list[str]:
         """The sources heard of not long ago that are not excluded."""
         heard = state.seen.heard_ns >= time_ns - HEARD_NS
         return [name for index, name in enumerate(self._sources) if heard[index] and name not in state.excluded]
-
-    def _listed(self, state: FilterState, wrong: str) -> str:
-        """Those that agree without the one that is wrong."""
-        remaining = [name for name in (INS, *self._sources) if name != wrong and name not in state.excluded]
-        return ", ".join(remaining)
 
     def _knock(self, state: FilterState, source: str) -> FloatArray | None:
         """Sigma, as a rotation vector of the device, of a knock that explains a source's last measurement.
