@@ -5,8 +5,8 @@ This module names the reasons. A measurement meets those who decide in this orde
 1. the reader of its message (``ros/`` of each estimator, with the checks of ``ship_node/edge/messages_in``): fields;
 2. :class:`ship_estimation.estimator_shell.LagWindow`: LATE;
 3. the guards, which look at one stream by itself: :mod:`ship_estimation.ins_guard` at an INS, ``guards/`` at star
-   sensors and references, ``theodolite_calib/measured/watches`` at encoders: STUCK, UNITS, and GATE for one sample
-   that jumps;
+   sensors and references, ``theodolite_calib/measured/encoder_watch`` at encoders: STUCK, UNITS, and GATE for one
+   sample that jumps;
 4. :class:`ship_estimation.estimator_shell.EstimatorShell`: DUPLICATE, CONFLICT, OVERFLOW, and FAILED for our own
    defects;
 5. the filter that compares it with its state (``ship_attitude/filter``, ``theodolite_calib/filter/judgement``) and, in

@@ -12,9 +12,9 @@ from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_testing.simulated_session import LIGHTS_DEG, config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.step import SightingStep
+from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.samples import Exposure
 from theodolite_calib.measured.sighting import Sighting
-from theodolite_calib.measured.watches import EncoderJump
 
 EVERYTHING = {
     "ship__source": "ins/imu",

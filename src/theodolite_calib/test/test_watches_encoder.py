@@ -23,8 +23,8 @@ from ship_testing.small_session import (
     session,
     stamp_of,
 )
+from theodolite_calib.measured.encoder_watch import EncoderWatch
 from theodolite_calib.measured.samples import EncoderSample
-from theodolite_calib.measured.watches import EncoderWatch
 
 PERIOD_NS = 10_000_000
 FREE = 1e9

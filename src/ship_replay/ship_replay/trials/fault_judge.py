@@ -228,14 +228,18 @@ def _drone_names(id_: str) -> tuple[str, ...]:
 
 
 def _first_left(told: Told, clean: Told, begin_ns: int, end_ns: int) -> int | None:
-    """Log time of the first output that is not VALID, where the voyage without faults was."""
-    for topic in INTEGRITY:
-        usual = np.array(sorted(stamp for name, stamp, *_ in clean.not_valid if name == topic))
-        for name, stamp_ns, log_ns, _ in told.not_valid:
-            if name == topic and begin_ns <= log_ns < end_ns:
-                place = int(np.searchsorted(usual, stamp_ns - _BESIDE_NS))
-                if place == len(usual) or usual[place] > stamp_ns + _BESIDE_NS:
-                    return log_ns
+    """Log time of the first output that is worse than VALID, and worse than in the voyage without faults."""
+    usual: dict[tuple[str, int], np.ndarray] = {}
+    for name, stamp_ns, log_ns, status in told.not_valid:
+        if name not in INTEGRITY or not begin_ns <= log_ns < end_ns:
+            continue
+        if (name, status) not in usual:
+            alike = sorted(stamp for other, stamp, _, bad in clean.not_valid if other == name and bad >= status)
+            usual[name, status] = np.array(alike)
+        stamps_ns = usual[name, status]
+        place = int(np.searchsorted(stamps_ns, stamp_ns - _BESIDE_NS))
+        if place == len(stamps_ns) or stamps_ns[place] > stamp_ns + _BESIDE_NS:
+            return log_ns
     return None
 
 

@@ -19,8 +19,8 @@ from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorPro
 from theodolite_calib.filter.observability import Observability, Unaided
 from theodolite_calib.filter.prediction import Prediction, SightingModel
 from theodolite_calib.filter.trust import Trust, no_doubt
+from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
-from theodolite_calib.measured.watches import EncoderJump
 
 Jump = EncoderJump | InsJump
 

@@ -24,6 +24,7 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import ENCODER, SHIP
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.filter.step import SightingStep
+from theodolite_calib.measured.encoder_watch import EncoderWatch
 from theodolite_calib.measured.samples import (
     BaselineSample,
     EncoderSample,
@@ -33,9 +34,9 @@ from theodolite_calib.measured.samples import (
     PointingOutcome,
     ShipSample,
 )
+from theodolite_calib.measured.ship_watch import ShipWatch
 from theodolite_calib.measured.sighting import Sighting, SightingAssembler
 from theodolite_calib.measured.tracks import MeasuredTracks
-from theodolite_calib.measured.watches import EncoderWatch, ShipWatch
 from theodolite_calib.optical_axis.calibration import (
     Calibration,
     CalibrationPrior,
@@ -48,10 +49,11 @@ from theodolite_calib.optical_axis.output import PointingOutput, no_pointing
 
 
 class _WaitingReading(NamedTuple):
-    """A reading of the encoders whose moment the ship's attitude does not cover yet, and why it is in doubt."""
+    """A reading of the encoders that waits for the ship's attitude, why it is in doubt, and by how much."""
 
     sample: EncoderSample
     doubt: str
+    doubt_rad: float
 
 
 class OpticalAxisCore:
@@ -121,15 +123,15 @@ class OpticalAxisCore:
         track, shell = self._tracks.encoder, self._shell
         judged = self._watch.judge(sample, track, shell.window.late(sample.time_ns))
         outcome = PointingOutcome(judged.refusal)
+        if judged.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
+            shell.add_jump(judged.jump.time_ns, ENCODER, judged.jump, track.cut(judged.jump.time_ns))
         if judged.refusal is not None:
             shell.add_refused(ENCODER, track, sample)
             return outcome
-        if judged.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
-            shell.add_jump(judged.jump.time_ns, ENCODER, judged.jump, track.cut(judged.jump.time_ns))
         shell.add_sample(ENCODER, track, sample, outcome)
         if outcome.refusal is None and track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
-            self._waiting.append(_WaitingReading(sample, self._watch.doubt))
+            self._waiting.append(_WaitingReading(sample, self._watch.doubt, self._watch.doubt_rad))
             self._publish(outcome, arrival_ns)
         return outcome
 
@@ -272,6 +274,8 @@ class OpticalAxisCore:
             self._watch.see_lights(time_ns, *decision.telescope_dt)
         if decision.accepted and ENCODER not in decision.excluded:
             self._watch.confirm(time_ns)
+        elif decision.accepted:
+            self._watch.believe_lights(time_ns)
         if decision.accepted and SHIP not in decision.excluded:
             self._ship_watch.confirm(time_ns)
 
@@ -284,11 +288,11 @@ class OpticalAxisCore:
         covered_ns, too_old_ns = self._ship_covered_until_ns, self._shell.window.oldest_ns - 1
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
-            sample, doubt = self._waiting.popleft()
+            sample, doubt, doubt_rad = self._waiting.popleft()
             doubt = doubt or self._ship_watch.doubt(sample.time_ns) or self._contradiction(sample.time_ns)
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
-                estimate = functools.partial(self._pointing.estimate, sample, ship, doubt)
+                estimate = functools.partial(self._pointing.estimate, sample, ship, doubt, doubt_rad)
                 self._shell.put_out(outcome, sample.time_ns, waiting_ns, estimate)
 
     def _contradiction(self, time_ns: int) -> str:

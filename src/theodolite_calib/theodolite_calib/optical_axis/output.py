@@ -119,13 +119,16 @@ class PointingOutput:
         self._saved = filter_.model.sources.index(SOURCE_SAVED)
         self._disagreement = filter_.model.sources.index(SOURCE_SHIP)
 
-    def estimate(self, sample: EncoderSample, ship: ShipAt, doubt: str, state: CalibrationState) -> PointingEstimate:
+    def estimate(
+        self, sample: EncoderSample, ship: ShipAt, doubt: str, doubt_rad: float, state: CalibrationState
+    ) -> PointingEstimate:
         """The pointing at a reading.
 
         Args:
             sample: the reading.
             ship: of its moment.
             doubt: why the encoders are in doubt; empty where they are not.
+            doubt_rad: standard deviation of each angle by that, beside its noise.
             state: after the last exposure applied.
         """
         if self._corrected is None or self._corrected.state is not state:
@@ -135,7 +138,7 @@ class PointingOutput:
         status, text = self._worth(state, mode, ship.status, doubt)
         azimuth, elevation = sample.vector.tolist()
         since_s = 0.0 if state.time_ns is None else max(sample.time_ns - state.time_ns, 0) * 1e-9
-        axis = self._corrected.at(since_s, ship, EncoderAt(azimuth, elevation, sample.sigma**2))
+        axis = self._corrected.at(since_s, ship, EncoderAt(azimuth, elevation, sample.sigma**2 + doubt_rad**2))
         if state.trust.conflict is not None:
             axis.parts_n[self._disagreement] += state.trust.conflict.spread_n
         estimate = PointingEstimate(

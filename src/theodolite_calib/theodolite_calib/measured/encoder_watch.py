@@ -1,15 +1,14 @@
-"""The watches over what a pointing rests on: the encoders and the ship's attitude.
+"""The watch over the encoders.
 
-A watch refuses readings that cannot be true, believes a jump that lasts, and doubts what comes after until lights have
+It refuses readings that cannot be true, believes a jump that lasts, and doubts what comes after until lights have
 confirmed it.
 
-**The encoders.** A theodolite at rest reads the same for hours, and so does one that is stuck. The lights tell the two
+A theodolite at rest reads the same for hours, and so does one that is stuck. The lights tell the two
 apart: when they say that the telescope has turned in the deck, the encoders are stuck. Readings that stopped dead in
 the midst of a motion are in doubt. A reading that the mount could reach only with a larger acceleration than it has is
-wrong; a few such readings that agree among themselves are a slip of the encoders.
-
-**The ship.** The rates that come with its attitudes judge these and are judged by them, be they of the INS alone or of
-``ship/attitude``. The rates of the INS alone go no further: the pointing then rests on the attitudes alone.
+wrong; a few such readings that agree among themselves are a slip of the encoders. A smaller step in place
+(:mod:`theodolite_calib.measured.encoder_steps`) is in doubt until lights have confirmed it; where the mount could not
+have moved and stopped between two readings, it is a slip.
 """
 
 import math
@@ -18,10 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.ins import GuardedInsConfig
-from ship_estimation.ins_guard import InsGuard, JudgedIns
-from ship_estimation.rate_guard import Rates
-from ship_estimation.refusals import Reason, Refusal, same_stamp
+from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.value_guards import (
     Continuation,
     JumpGuard,
@@ -32,12 +28,10 @@ from ship_estimation.value_guards import (
     step_by_motion,
 )
 from ship_estimation.witnesses import Witness
-from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack
-from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import EncoderSample, ShipSample
+from theodolite_calib.measured.encoder_steps import EncoderStep, StepWatch, short_way
+from theodolite_calib.measured.samples import EncoderSample
 
 _LIGHTS = "lights"
 """Name of the lights as a witness."""
@@ -71,7 +65,7 @@ class JudgedReading(NamedTuple):
 
     Attributes:
         refusal: why the reading is not used; None where it is.
-        jump: the slip that is believed with this reading; None where there is none.
+        jump: the slip that is believed with this reading, used or not; None where there is none.
     """
 
     refusal: Refusal | None = None
@@ -98,6 +92,8 @@ class EncoderWatch:
         self._still_since_ns: int | None = None
         self._in_doubt_since_ns: int | None = None
         self._unconfirmed: tuple[int, str] | None = None
+        self._steps = StepWatch()
+        self._stepped: tuple[int, float] | None = None
         self._witnesses: dict[str, Witness] = {}
         self.reconfigure(sigma_rad, max_acceleration)
 
@@ -113,7 +109,16 @@ class EncoderWatch:
             return f"{self._unconfirmed[1]}, and no light has confirmed them since"
         if self._in_doubt_since_ns is not None:
             return "the encoders stopped dead in a motion: at rest, or stuck"
+        if self._stepped is not None:
+            return f"the encoders have stepped by {self._stepped[1] / ARCSEC:.0f}″, and no light has confirmed it since"
+        if self._steps.off_rad:
+            return "the encoders are not where the readings before lead: moved, or slipped"
         return ""
+
+    @property
+    def doubt_rad(self) -> float:
+        """By so much the readings may be wrong about each axis, as a standard deviation, beside their noise."""
+        return math.hypot(self._steps.off_rad, 0.0 if self._stepped is None else self._stepped[1])
 
     def judge(
         self, sample: EncoderSample, track: VectorTrack[EncoderSample], late: Refusal | None = None
@@ -137,10 +142,15 @@ class EncoderWatch:
             return judged
         if judged.jump is not None:
             self._unconfirmed = judged.jump.time_ns, "the encoders have jumped"
+            self._steps.restart()
+        step = self._steps.observe(sample.time_ns, sample.vector, self._sigma_rad, self._stuck.coarseness_rad)
+        if step is not None:
+            judged = self._judge_step(step)
         self._watch_motion(sample)
         if self._stuck.observe(sample.time_ns, sample.vector, self._sigma_rad, self._witnesses):
             # After a freeze the reading cannot be extrapolated.
             self._taken = self._all = ()
+            self._steps.restart()
             self._unconfirmed = sample.time_ns, "the encoders were stuck"
             text = "both encoders stand still while the lights say that the telescope turns in the deck"
             return JudgedReading(Refusal(Reason.STUCK, text))
@@ -158,6 +168,12 @@ class EncoderWatch:
             self._in_doubt_since_ns = None
         if self._unconfirmed is not None and time_ns > self._unconfirmed[0]:
             self._unconfirmed = None
+        self.believe_lights(time_ns)
+
+    def believe_lights(self, time_ns: int) -> None:
+        """Lights at a moment told where the encoders are, be they right or wrong: a step before it is known."""
+        if self._stepped is not None and time_ns > self._stepped[0]:
+            self._stepped = None
 
     def _units_refusal(self, sample: EncoderSample, counts: bool) -> Refusal | None:
         """The refusal of a reading that cannot be in radians; after a run of those that count, of all until a reset."""
@@ -194,6 +210,19 @@ class EncoderWatch:
             self._continuation.learn(match.difference)
         return JudgedReading()
 
+    def _judge_step(self, step: EncoderStep) -> JudgedReading:
+        """Judge the reading that proves a step in place."""
+        step_rad = size(step.step)
+        # From rest to rest: half of the way with all acceleration there is, and half of it braking.
+        reached_rad = 0.25 * self._max_acceleration * step.within_s**2
+        if not step.sure_rad > reached_rad:
+            before_rad = 0.0 if self._stepped is None else self._stepped[1]
+            self._stepped = step.time_ns, math.hypot(before_rad, step_rad)
+            return JudgedReading()
+        self._unconfirmed = step.time_ns, "the encoders have jumped"
+        text = f"{step_rad / ARCSEC:.0f}″ off in one step: more than {reached_rad / ARCSEC:.0f}″, as the mount can"
+        return JudgedReading(Refusal(Reason.GATE, text), EncoderJump(step.time_ns, step.step, step.sigma_rad))
+
     def _match(self, before: tuple[EncoderSample, ...], sample: EncoderSample) -> Match | None:
         """A reading against the place where two before it lead; None where there are not two, or too long ago."""
         if len(before) < 2:
@@ -202,8 +231,8 @@ class EncoderWatch:
         turned_s, seconds = (second.time_ns - first.time_ns) * 1e-9, (sample.time_ns - second.time_ns) * 1e-9
         if max(turned_s, seconds) > _LONGEST_STEP_S:
             return None
-        going_on = seconds / turned_s * _short(second.vector - first.vector)
-        difference = _short(sample.vector - second.vector - going_on)
+        going_on = seconds / turned_s * short_way(second.vector - first.vector)
+        difference = short_way(sample.vector - second.vector - going_on)
         step = step_by_motion(turned_s, seconds, self._max_acceleration, self._stuck.coarseness_rad)
         return self._continuation.match(difference, step)
 
@@ -213,82 +242,13 @@ class EncoderWatch:
             self._last, self._still_since_ns = (sample, np.zeros(2)), sample.time_ns
             return
         last, rate = self._last
-        step = _short(sample.vector - last.vector)
+        step = short_way(sample.vector - last.vector)
         interval_s = (sample.time_ns - last.time_ns) * 1e-9
         if np.any(step):
             self._witnesses, self._still_since_ns, self._in_doubt_since_ns = {}, sample.time_ns, None
         elif np.max(np.abs(rate)) * interval_s > _SIGMAS * self._sigma_rad and self._in_doubt_since_ns is None:
             self._in_doubt_since_ns = sample.time_ns
         self._last = sample, step / interval_s
-
-
-class ShipWatch:
-    """Watches the attitudes of the ship of one run in the order of their stamps.
-
-    An attitude that states its covariance may step by what the covariance changes with it: a fused attitude that was
-    put right by stars says so by a covariance that has shrunk.
-
-    Args:
-        config: the ship and the INS.
-        shift_ns: the attitudes are valid so much later than their stamps.
-    """
-
-    def __init__(self, config: OpticalAxisConfig, shift_ns: int) -> None:
-        self._source = "the INS" if config.ship.source == "ins/imu" else "the ship's attitude"
-        watched = _watched(config)
-        self._guard, self._shift_ns = InsGuard(watched), shift_ns
-        # The samples used, with their rates: a sample that comes after later ones is judged by these.
-        self._used = AttitudeTrack(round(watched.max_gap_s * SECOND_NS))
-        self._stated: FloatArray | None = None
-        self._unconfirmed_ns: int | None = None
-
-    def reconfigure(self, config: OpticalAxisConfig) -> None:
-        """Go on with another noise."""
-        self._guard.reconfigure(_watched(config))
-
-    @property
-    def proven(self) -> bool:
-        """Whether the rates are measured: then no step of some sigmas of a sample passes unseen."""
-        return self._guard.rates is Rates.MEASURED
-
-    def judge(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
-        """What is to be done with a sample; none before ``oldest_ns`` will come."""
-        self._used.drop_before(oldest_ns)
-        judged = self._guard.judge(sample, self._used, {}, self._told_rad(sample))
-        if judged.rates_wrong_after_ns is not None:
-            self._used.forget_rates(judged.rates_wrong_after_ns)
-        if judged.jumps:
-            self._unconfirmed_ns = judged.jumps[-1].time_ns + self._shift_ns
-        if judged.refusal is None:
-            if self._used.newest is None or sample.time_ns > self._used.newest.time_ns:
-                self._stated = sample.slow_covariance_n
-            known = self._used.get(sample.time_ns)
-            if known is None or same_stamp(known, judged.sample)[0]:
-                self._used.insert(judged.sample)
-        return judged
-
-    def confirm(self, time_ns: int) -> None:
-        """Lights at a moment agreed with the attitude of that moment."""
-        if self._unconfirmed_ns is not None and time_ns > self._unconfirmed_ns:
-            self._unconfirmed_ns = None
-
-    def doubt(self, time_ns: int) -> str:
-        """Why the attitude of a moment is in doubt; empty where it is not."""
-        jumped = self._unconfirmed_ns is not None and time_ns > self._unconfirmed_ns
-        return f"{self._source} has jumped, and no light has confirmed it since" if jumped else ""
-
-    def _told_rad(self, sample: ShipSample) -> float:
-        """How far the source may have stepped with a sample by what it states of its covariance."""
-        if self._stated is None or sample.slow_covariance_n is None:
-            return 0.0
-        return _SIGMAS * math.sqrt(abs(float(np.trace(sample.slow_covariance_n - self._stated))))
-
-
-def _watched(config: OpticalAxisConfig) -> GuardedInsConfig:
-    """The INS itself, or the fused attitude as if it were one."""
-    if config.ship.source == "ins/imu":
-        return config.ins
-    return GuardedInsConfig(white_sigma_arcsec=config.ship.white_sigma_arcsec, max_gap_s=config.ship.max_gap_s)
 
 
 def _before(track: VectorTrack[EncoderSample], time_ns: int) -> tuple[EncoderSample, ...]:
@@ -309,16 +269,10 @@ def _moved_back(sample: EncoderSample, first: EncoderSample, second: EncoderSamp
     The axis moves as it did from ``first`` to ``second``. After a slip, the next reading is predicted with it.
     """
     ratio = (sample.time_ns - second.time_ns) / (second.time_ns - first.time_ns)
-    return replace(second, vector=sample.vector - ratio * _short(second.vector - first.vector))
+    return replace(second, vector=sample.vector - ratio * short_way(second.vector - first.vector))
 
 
 def _gate_refusal(match: Match) -> Refusal:
     off, bound = size(match.difference) / ARCSEC, match.bound_rad / ARCSEC
     text = f"{off:.0f}″ from where the readings before lead: more than {bound:.0f}″, which the mount can reach"
     return Refusal(Reason.GATE, text)
-
-
-def _short(angles: FloatArray) -> FloatArray:
-    """Angles the short way round."""
-    wrapped: FloatArray = angles - 2.0 * np.pi * np.round(angles / (2.0 * np.pi))
-    return wrapped

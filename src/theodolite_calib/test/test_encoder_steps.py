@@ -1,0 +1,109 @@
+"""Steps of the encoders in place are told from motions that begin and end, and from single wrong readings."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ship_estimation.refusals import Reason
+from ship_geometry.rotations import ARCSEC
+from ship_geometry.vector_track import VectorTrack
+from theodolite_calib.measured.encoder_watch import EncoderWatch
+from theodolite_calib.measured.samples import EncoderSample
+
+RATE_HZ = 50
+PERIOD_NS = 20_000_000
+FAST = math.radians(100.0)
+"""The usual limit of a mount, rad/s²: from rest to rest within a period it goes FAST/4 (1/50)² = 36"."""
+
+
+def motion(seconds, rng, sigma_arcsec=1.0):
+    """A mount that sweeps as in the scenario theodolite.yaml: azimuth 1.2 deg/s, elevation 40 ± 30 deg in 110 s."""
+    azimuth, elevation = np.radians(1.2) * seconds, np.radians(40.0 + 30.0 * np.sin(2 * np.pi * seconds / 110.0))
+    noise = sigma_arcsec * ARCSEC * rng.standard_normal((len(seconds), 2))
+    return np.column_stack([azimuth, elevation]) % (2 * np.pi) + noise
+
+
+def watched(angles, acceleration=FAST, times_ns=None):
+    """For each reading: whether the encoders are in doubt after it; its refusal; the slip that it proved."""
+    watch, found = EncoderWatch(ARCSEC, acceleration), []
+    for number, row in enumerate(angles):
+        time_ns = number * PERIOD_NS if times_ns is None else int(times_ns[number])
+        judged = watch.judge(EncoderSample(time_ns, row, ARCSEC), VectorTrack(PERIOD_NS))
+        found.append((bool(watch.doubt), judged.refusal, judged.jump))
+    return watch, found
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_step_of_twenty_arcsec_is_in_doubt_at_its_first_reading_until_lights_agree(axis):
+    """Parabola through eight readings: sigma of a prediction 1.72", bound 11.2"; 20" is 5.1 sigma above it."""
+    seconds, at = np.arange(120) / RATE_HZ, 100
+    first = lasts = 0
+    for seed in range(200):
+        angles = motion(seconds, np.random.default_rng(seed))
+        angles[at:, axis] += 20.0 * ARCSEC
+        watch, found = watched(angles)
+        first += found[at][0]
+        lasts += all(doubt for doubt, *_ in found[at:])
+        assert all(refusal is None and jump is None for _, refusal, jump in found)
+        watch.confirm((at - 1) * PERIOD_NS)
+        assert bool(watch.doubt) == found[-1][0]
+        watch.confirm(119 * PERIOD_NS)
+        assert not watch.doubt
+    assert first == 200
+    assert lasts >= 196  # 2.5 sigma one-sided, as the next reading against 1.25 of the first one
+
+
+def test_a_step_that_no_mount_can_make_in_place_is_a_slip():
+    """45" are less than FAST · period² = 144", so that the first reading might be the start of a slew."""
+    seconds, at = np.arange(120) / RATE_HZ, 100
+    for seed in range(50):
+        angles = motion(seconds, np.random.default_rng(seed))
+        angles[at:, 1] -= 55.0 * ARCSEC
+        _, found = watched(angles)
+        (number,) = [n for n, (_, refusal, _) in enumerate(found) if refusal is not None]
+        _, refusal, jump = found[number]
+        assert number == at + 1
+        assert refusal.reason is Reason.GATE
+        assert jump.time_ns == at * PERIOD_NS - 1
+        assert np.all(np.abs(jump.jump - [0.0, -55.0 * ARCSEC]) < 4.5 * jump.sigma_rad)
+        assert all(doubt for doubt, *_ in found[at:])
+        # A mount with twice the acceleration goes 72" so: then it may have moved.
+        assert all(refusal is None for _, refusal, _ in watched(angles, 2.0 * FAST)[1])
+
+
+def test_slews_are_no_steps():
+    """Trapezoids of rate at up to the mount's acceleration, at any phase: in doubt at one reading of each corner."""
+    seconds = np.arange(600) / RATE_HZ
+    corners = doubts = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        acceleration, top = np.radians(rng.uniform(1.0, 60.0)), np.radians(rng.uniform(0.5, 10.0))
+        fine = np.arange(0.0, 12.0, 1e-4)
+        start, stop = rng.uniform(3.0, 4.0), rng.uniform(7.0, 8.0)
+        rate = np.clip(acceleration * (fine - start), 0.0, top) - np.clip(acceleration * (fine - stop), 0.0, top)
+        turned = np.interp(seconds, fine, np.cumsum(rate) * 1e-4)
+        angles = motion(seconds, rng)
+        angles[:, 0] += turned * rng.choice([-1.0, 1.0])
+        _, found = watched(angles % (2 * np.pi), FAST)
+        assert all(refusal is None and jump is None for _, refusal, jump in found)
+        assert not found[-1][0]
+        corners, doubts = corners + 4, doubts + sum(doubt for doubt, *_ in found)
+    assert doubts <= 2 * corners
+
+
+def test_a_single_wrong_reading_leaves_no_doubt():
+    angles = motion(np.arange(130) / RATE_HZ, np.random.default_rng(1))
+    angles[100] += 60.0 * ARCSEC
+    _, found = watched(angles)
+    assert [number for number, (doubt, *_) in enumerate(found) if doubt] == [100]
+
+
+@pytest.mark.parametrize("sigma_arcsec", [0.3, 1.0, 5.0])
+def test_good_readings_are_not_suspected(sigma_arcsec):
+    """More noise than is stated is learnt; stamps that jitter by a tenth of a period are taken as they are."""
+    rng = np.random.default_rng(7)
+    seconds = np.arange(20_000) / RATE_HZ + rng.uniform(-0.1, 0.1, 20_000) / RATE_HZ
+    angles = motion(seconds, rng, sigma_arcsec)
+    _, found = watched(angles, times_ns=np.round(seconds * 1e9) + 10**9)
+    assert not any(doubt for doubt, *_ in found)

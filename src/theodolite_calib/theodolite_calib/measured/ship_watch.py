@@ -1,0 +1,91 @@
+"""The watch over the ship's attitude.
+
+The rates that come with its attitudes judge these and are judged by them, be they of the INS alone or of
+``ship/attitude``. The rates of the INS alone go no further: the pointing then rests on the attitudes alone.
+"""
+
+import math
+
+import numpy as np
+
+from ship_estimation.ins import GuardedInsConfig
+from ship_estimation.ins_guard import InsGuard, JudgedIns
+from ship_estimation.rate_guard import Rates
+from ship_estimation.refusals import same_stamp
+from ship_geometry.attitude_track import AttitudeTrack
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.measured.samples import ShipSample
+
+_SIGMAS = 5.0
+"""So many sigmas of what it states of its covariance the source may step."""
+
+
+class ShipWatch:
+    """Watches the attitudes of the ship of one run in the order of their stamps.
+
+    An attitude that states its covariance may step by what the covariance changes with it: a fused attitude that was
+    put right by stars says so by a covariance that has shrunk.
+
+    Args:
+        config: the ship and the INS.
+        shift_ns: the attitudes are valid so much later than their stamps.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, shift_ns: int) -> None:
+        self._source = "the INS" if config.ship.source == "ins/imu" else "the ship's attitude"
+        watched = _watched(config)
+        self._guard, self._shift_ns = InsGuard(watched), shift_ns
+        # The samples used, with their rates: a sample that comes after later ones is judged by these.
+        self._used = AttitudeTrack(round(watched.max_gap_s * SECOND_NS))
+        self._stated: FloatArray | None = None
+        self._unconfirmed_ns: int | None = None
+
+    def reconfigure(self, config: OpticalAxisConfig) -> None:
+        """Go on with another noise."""
+        self._guard.reconfigure(_watched(config))
+
+    @property
+    def proven(self) -> bool:
+        """Whether the rates are measured: then no step of some sigmas of a sample passes unseen."""
+        return self._guard.rates is Rates.MEASURED
+
+    def judge(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
+        """What is to be done with a sample; none before ``oldest_ns`` will come."""
+        self._used.drop_before(oldest_ns)
+        judged = self._guard.judge(sample, self._used, {}, self._told_rad(sample))
+        if judged.rates_wrong_after_ns is not None:
+            self._used.forget_rates(judged.rates_wrong_after_ns)
+        if judged.jumps:
+            self._unconfirmed_ns = judged.jumps[-1].time_ns + self._shift_ns
+        if judged.refusal is None:
+            if self._used.newest is None or sample.time_ns > self._used.newest.time_ns:
+                self._stated = sample.slow_covariance_n
+            known = self._used.get(sample.time_ns)
+            if known is None or same_stamp(known, judged.sample)[0]:
+                self._used.insert(judged.sample)
+        return judged
+
+    def confirm(self, time_ns: int) -> None:
+        """Lights at a moment agreed with the attitude of that moment."""
+        if self._unconfirmed_ns is not None and time_ns > self._unconfirmed_ns:
+            self._unconfirmed_ns = None
+
+    def doubt(self, time_ns: int) -> str:
+        """Why the attitude of a moment is in doubt; empty where it is not."""
+        jumped = self._unconfirmed_ns is not None and time_ns > self._unconfirmed_ns
+        return f"{self._source} has jumped, and no light has confirmed it since" if jumped else ""
+
+    def _told_rad(self, sample: ShipSample) -> float:
+        """How far the source may have stepped with a sample by what it states of its covariance."""
+        if self._stated is None or sample.slow_covariance_n is None:
+            return 0.0
+        return _SIGMAS * math.sqrt(abs(float(np.trace(sample.slow_covariance_n - self._stated))))
+
+
+def _watched(config: OpticalAxisConfig) -> GuardedInsConfig:
+    """The INS itself, or the fused attitude as if it were one."""
+    if config.ship.source == "ins/imu":
+        return config.ins
+    return GuardedInsConfig(white_sigma_arcsec=config.ship.white_sigma_arcsec, max_gap_s=config.ship.max_gap_s)
