@@ -23,7 +23,7 @@ from ship_replay.trials.threats import BY_FORM, DATA_LIKE, OVERLAPPING, SINGLE, 
 from ship_replay.trials.voyage_told import EXCLUSION, SILENT, Claim, HealthBook, Sign, Told, VoyageSink
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
-from ship_simulation.scenario.fault import Fault, size_problems
+from ship_simulation.scenario.fault import KINDS, Fault, size_problems
 from ship_simulation.scenario.fault_file import fault_problems
 from ship_simulation.scenario.names import simulated_topics
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -46,6 +46,17 @@ def topics():
 
 def drawn(topics, number, mode, length_s=180.0):
     return draw_faults(topics, length_s, mode, 60.0, random_stream(number, "test"))
+
+
+def test_the_page_lists_every_kind_with_the_rows_that_it_is_drawn_for():
+    page = (ROOT / "docs" / "how-to" / "inject_faults.md").read_text(encoding="utf-8")
+    section = page.split("## Kinds")[1].split("\n## ")[0]
+    table = [[cell.strip() for cell in line.split("|")[1:4]] for line in section.splitlines() if line.startswith("| `")]
+    assert [(kind.strip("`"), doc) for kind, doc, _ in table] == [(kind, KINDS[kind].doc) for kind in KINDS]
+    for kind, _, rows in table:
+        drawn_for = {threat.label for threat in DATA_LIKE + BY_FORM if threat.kind == kind.strip("`")}
+        unseen = {row for row in UNSEEN_ROWS if row.split(",")[0] in drawn_for}
+        assert set(rows.split("; ")) - {"-"} == drawn_for | unseen
 
 
 @pytest.mark.parametrize("mode", [SINGLE, OVERLAPPING])

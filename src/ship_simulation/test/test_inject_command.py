@@ -451,6 +451,31 @@ def test_other_bad_input_is_one_line(bag, tmp_path, capsys):
     capsys.readouterr()
 
 
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["none.mcap", "--faults", "faults.yaml", "--out", "out.mcap"], "none.mcap: "),
+        (["faults.yaml", "--faults", "faults.yaml", "--out", "out.mcap"], "faults.yaml: "),
+        (["{bag}", "--faults", "faults.yaml", "--out", "out.mcap", "--seed", "-1"], "--seed"),
+        (["{bag}", "--faults", "faults.yaml", "--out", "out.mcap", "--namespace", "other"], "is not in the bag"),
+        (["{bag}", "--faults", "faults.yaml", "--out", "no/such/folder/out.mcap"], "no/such/folder"),
+        (["{bag}", "--faults", "faults.yaml"], "--out"),
+    ],
+)
+def test_wrong_words_are_exit_code_2_and_write_nothing(bag, tmp_path, capsys, monkeypatch, words, expected):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "faults.yaml").write_text("faults: {f: {topic: ins/imu, kind: drop, start_s: 1}}\n")
+    try:
+        code = main([word.format(bag=bag) for word in words])
+    except SystemExit as stop:
+        code = stop.code
+    assert code == 2
+    shown = capsys.readouterr()
+    assert expected in shown.err
+    assert "Traceback" not in shown.err
+    assert [path.name for path in tmp_path.iterdir()] == ["faults.yaml"]
+
+
 def test_a_camera_that_nobody_describes_is_named(bag, tmp_path, capsys):
     bare = tmp_path / "bare.mcap"
     with BagWriter(bare) as writer:

@@ -72,7 +72,7 @@ class Injection:
             # Each topic with faults is read for itself: what is delayed or waits for its successor holds nothing up.
             for name in sorted(hit):
                 other = stack.enter_context(read_bag(self.path))
-                streams.append(self._spoilt(other, name, optics))
+                streams.append(self._spoilt(other, name, _deliveries(other, name), optics))
             for _, _, record in heapq.merge(*streams, key=lambda entry: entry[:2]):
                 yield record
 
@@ -92,23 +92,27 @@ class Injection:
         with read_bag(self.path) as bag:
             optics = optics_of_bag(bag, alone.faults, self.namespace)
             topic = relative_topics(bag.topics, self.namespace)[self.faults[name].topic]
-            found: dict[int, list[tuple[int, bytes]]] = {}
-            for at_ns, order, record in alone._spoilt(bag, topic, optics):
-                found.setdefault(order, []).append((at_ns, record.data))
-            return [
-                record.log_time_ns
-                for order, record in enumerate(bag.records())
-                if record.topic == topic and found.get(order) != [(record.log_time_ns, record.data)]
-            ]
+            given: dict[int, tuple[int, bytes | None]] = {}
+            found: dict[int, list[tuple[int, bytes | None]]] = {}
 
-    def _spoilt(self, bag: Bag, name: str, optics: Optics) -> Iterator[tuple[int, int, BagRecord]]:
+            def noted() -> Iterator[Delivery]:
+                for delivery in _deliveries(bag, topic):
+                    given[delivery.order] = delivery.log_time_ns, delivery.data
+                    yield delivery
+
+            for at_ns, order, record in alone._spoilt(bag, topic, noted(), optics):
+                found.setdefault(order, []).append((at_ns, record.data))
+        return [message[0] for order, message in sorted(given.items()) if found.get(order) != [message]]
+
+    def _spoilt(
+        self, bag: Bag, name: str, deliveries: Iterator[Delivery], optics: Optics
+    ) -> Iterator[tuple[int, int, BagRecord]]:
         faults = {
             key: fault
             for key, fault in self.faults.items()
             if relative_topics([name], self.namespace).get(fault.topic) == name
         }
         type_name, store = bag.topics[name], bag.store
-        deliveries = _deliveries(bag, name)
         for delivery in spoilt(deliveries, type_name, faults, bag.start_ns or 0, self.seed, optics):
             data = delivery.data
             if data is None:
