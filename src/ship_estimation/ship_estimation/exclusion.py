@@ -50,11 +50,16 @@ _MOST_DOUBLINGS = 6
 
 _LONG_AGO_NS = -(2**62)
 
+SEEN_BY_ROWS = ("running", "excess", "refused")
+"""What of :class:`Means` each row has seen for itself."""
+
 _HALF_BACK = 0.5
 """A source that was not knocked, and yet contradicted all others, has come back when less of its distance is left."""
 
-_WEIGHTS = np.array([2.0 / (count + 1.0) for count in MEANS_OVER])
-_KEPT, _UNIT = 1.0 - _WEIGHTS, np.eye(3)
+_WEIGHTS = np.array([2.0 / (count + 1.0) for count in MEANS_OVER])[:, None]
+_GAINED = np.hstack([np.repeat(_WEIGHTS, 4, axis=1), _WEIGHTS**2])
+_KEPT = np.hstack([np.repeat(1.0 - _WEIGHTS, 4, axis=1), (1.0 - _WEIGHTS) ** 2])
+"""What a measurement adds to the columns of :class:`Means`, and what it leaves of them, shape (w, 5)."""
 
 
 @dataclass(frozen=True)
@@ -62,19 +67,17 @@ class Means:
     """Running means of whitened turns; h rows, s sources, w lengths.
 
     Attributes:
-        turn: the means, shape (h, s, w, 3).
-        variance: of a mean of independent turns, as a share of that of one turn, shape (h, s, w).
-        filled: share of the mean that measurements fill: 0 at the start, 1 soon, shape (h, s, w).
-        excess: largest chi² of a mean over its limit, shape (h, s).
+        running: in five columns the mean turn (three), the share of the mean that measurements fill (0 at the start, 1
+            soon), and the variance of a mean of independent turns as a share of that of one; shape (h, s, w, 5).
+        excess: largest chi² of a mean over its limit, shape (h, s); of a source that a row does without only that of
+            the first row counts.
         refused: refusals in a row, shape (h, s).
         heard_ns: stamp of the last measurement of each source, shape (s,).
         contradicts_ns: since when the first row does not well agree with each source, shape (s,); far in the past where
             it does.
     """
 
-    turn: FloatArray
-    variance: FloatArray
-    filled: FloatArray
+    running: FloatArray
     excess: FloatArray
     refused: NDArray[np.int64]
     heard_ns: NDArray[np.int64]
@@ -85,14 +88,11 @@ def no_means(rows: int, sources: int) -> Means:
     """Before any measurement.
 
     Example:
-        >>> no_means(rows=3, sources=2).turn.shape
-        (3, 2, 3, 3)
+        >>> no_means(rows=3, sources=2).running.shape
+        (3, 2, 3, 5)
     """
-    shape = (rows, sources, len(MEANS_OVER))
     return Means(
-        turn=np.zeros((*shape, 3)),
-        variance=np.zeros(shape),
-        filled=np.zeros(shape),
+        running=np.zeros((rows, sources, len(MEANS_OVER), 5)),
         excess=np.zeros((rows, sources)),
         refused=np.zeros((rows, sources), dtype=np.int64),
         heard_ns=np.full(sources, _LONG_AGO_NS),
@@ -144,40 +144,47 @@ def observed(
         >>> number
         4
     """
-    size = np.sqrt(np.sum(compared.turn * compared.turn, axis=-1))
-    largest = _LARGEST_TURN * math.sqrt(limit)
-    if not np.all(np.isfinite(size)):
+    refused = means.refused.copy()
+    size = np.sqrt(np.einsum("hk,hk->h", compared.turn, compared.turn))
+    if not size.max() < np.inf:
         # What is no number has no mean; it is a refusal.
-        refused = means.refused.copy()
         refused[:, source] += 1
         return replace(means, refused=refused)
-    bounded = compared.turn * np.minimum(1.0, largest / np.maximum(size, largest))[:, None]
-    turn, variance, filled = means.turn.copy(), means.variance.copy(), means.filled.copy()
-    excess, refused, heard_ns = means.excess.copy(), means.refused.copy(), means.heard_ns.copy()
-    turn[:, source] = mean = _KEPT[:, None] * turn[:, source] + _WEIGHTS[:, None] * bounded[:, None, :]
-    variance[:, source] = spread = _KEPT**2 * variance[:, source] + _WEIGHTS**2
-    filled[:, source] = _KEPT * filled[:, source] + _WEIGHTS
-    # What a row uses it has whitened to independent turns.
-    chi2 = np.sum(mean * mean, axis=-1) / spread
-    (without,) = leaves_out.nonzero()
-    if len(without):
-        # What a row does without it sees against an error of its own that lasts: only the measurement's noise averages
-        # out.
-        own = compared.turn_noise[without, None]
-        lasting = filled[without, source, :, None, None] ** 2 * (_UNIT - own)
-        covariance = spread[without, :, None, None] * own + lasting + 1e-9 * _UNIT
-        solved = np.linalg.solve(covariance, mean[without, :, :, None])[..., 0]
-        chi2[without] = np.sum(mean[without] * solved, axis=-1)
-    excess[:, source] = np.max(chi2, axis=-1) / limit
     refused[:, source] = np.where(accepted, 0, refused[:, source] + 1)
-    heard_ns[source] = max(int(heard_ns[source]), time_ns)
+    largest = _LARGEST_TURN * math.sqrt(limit)
+    seen = np.ones((len(size), 1, 5))
+    seen[:, 0, :3] = compared.turn * (largest / np.maximum(size, largest))[:, None]
+    running, excess, heard_ns = means.running.copy(), means.excess.copy(), means.heard_ns.copy()
+    running[:, source] = now = _KEPT * running[:, source] + _GAINED * seen
+    # What a row uses it has whitened to independent turns.
+    chi2 = np.einsum("hwk,hwk->hw", now[..., :3], now[..., :3]) / now[..., 4]
+    if leaves_out[0]:
+        chi2[0] = _chi2_beside(now[0], compared.turn_noise[0])
+    excess[:, source] = chi2.max(axis=-1) / limit
+    heard_ns[source] = max(heard_ns[source], time_ns)
     contradicts_ns = means.contradicts_ns.copy()
     well = excess[0, source] <= _WELL and refused[0, source] == 0  # NaN does not agree
     if well:
         contradicts_ns[source] = _LONG_AGO_NS
     elif contradicts_ns[source] == _LONG_AGO_NS:
         contradicts_ns[source] = time_ns
-    return Means(turn, variance, filled, excess, refused, heard_ns, contradicts_ns)
+    return Means(running, excess, refused, heard_ns, contradicts_ns)
+
+
+def _chi2_beside(running: FloatArray, turn_noise: FloatArray) -> FloatArray:
+    """Chi² of the means of a source that the row does without, shape (w,).
+
+    The row sees them against an error of its own that lasts: only the measurement's noise averages out.
+
+    Args:
+        running: as in :class:`Means`, of one row and source, shape (w, 5).
+        turn_noise: share of the noise of the last measurement, shape (3, 3).
+    """
+    turn, filled, variance = np.split(running[:, :, None], (3, 4), axis=1)
+    lasting = filled**2
+    covariance = (variance - lasting) * turn_noise + (lasting + 1e-9) * np.eye(3)
+    chi2: FloatArray = np.sum(turn * np.linalg.solve(covariance, turn), axis=(-2, -1))
+    return chi2
 
 
 def forgotten(means: Means, rows: Sequence[int] | slice, sources: Sequence[int] | slice) -> Means:
@@ -189,7 +196,7 @@ def forgotten(means: Means, rows: Sequence[int] | slice, sources: Sequence[int] 
         [[1, 0], [3, 0]]
     """
     cut = {}
-    for name in ("turn", "variance", "filled", "excess", "refused"):
+    for name in SEEN_BY_ROWS:
         values = getattr(means, name).copy()
         values[rows, sources] = 0
         cut[name] = values
@@ -264,10 +271,9 @@ def find_fault(
         Finding(fault=True, row=1, explaining=(1,))
     """
     heard = means.heard_ns >= now_ns - HEARD_NS
-    apart = not statistic[[*candidates, *larger]].max(initial=0.0) <= threshold  # NaN is apart
-    in_first = uses[0] & heard
-    agrees = bool(np.all((means.excess[0] <= 1.0) & (means.refused[0] < degraded_after) | ~in_first))  # NaN does not
-    if agrees and not apart:
+    agree = (means.excess[0] <= 1.0) & (means.refused[0] < degraded_after)  # NaN does not
+    agrees = bool((agree | ~(uses[0] & heard)).all())
+    if agrees and all(statistic[row] <= threshold for row in (*candidates, *larger)):  # NaN is not
         return Finding(fault=False)
     counts = uses & heard
     contradicted = np.where(means.refused >= degraded_after, np.maximum(means.excess, 2.0), means.excess)

@@ -144,18 +144,16 @@ def compare_rows(
     residual = measurement.residual - (means - at_mean) @ h.T
     cross = covariance @ h.T
     innovation_covariance = h @ cross + noise
-    rows, size, states = len(means), len(measurement.residual), means.shape[-1]
-    asked, solved = np.empty((size, states + 4)), np.empty((rows, size, states + 4))
-    asked[:, states + 1 :] = by_turn
-    for row in range(rows):
-        asked[:, :states], asked[:, states] = cross[row].T, residual[row]
-        _, solved[row], info = lapack.dposv(innovation_covariance[row], asked)
+    # Solved in place: of each row the gain, and the residual and ``by_turn`` times the inverse covariance.
+    solved = np.empty((len(means), means.shape[-1] + 4, len(measurement.residual)))
+    solved[:, :-4], solved[:, -4], solved[:, -3:] = cross, residual, by_turn.T
+    for row, asked in zip(innovation_covariance, solved, strict=True):
+        _, asked.T[:], info = lapack.dposv(row, asked.T, overwrite_b=True)
         if info != 0:
             raise np.linalg.LinAlgError("innovation covariance is not positive definite")
-    gain = solved[:, :, :states].transpose(0, 2, 1)
-    nis = np.einsum("hm,hm->h", residual, solved[:, :, states])
-    whitened = _whitened(by_turn, solved[:, :, states:], noise)
-    return RowsCompared(residual, innovation_covariance, nis, gain, *whitened)
+    nis = np.einsum("hm,hm->h", residual, solved[:, -4])
+    whitened = _whitened(by_turn, solved[:, -4:], noise)
+    return RowsCompared(residual, innovation_covariance, nis, solved[:, :-4], *whitened)
 
 
 def _whitened(by_turn: FloatArray, solved: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -163,19 +161,18 @@ def _whitened(by_turn: FloatArray, solved: FloatArray, noise: FloatArray) -> tup
 
     Args:
         by_turn: shape (m, 3).
-        solved: inverse covariance of the residual times the residual and times ``by_turn``, shape (h, m, 4).
+        solved: the residual, and ``by_turn`` transposed, times the inverse covariance of the residual, shape (h, 4, m).
         noise: covariance of the measurement's own noise, shape (m, m).
     """
-    seen = by_turn.T @ solved
-    values, vectors = np.linalg.eigh(seen[:, :, 1:])
+    seen = solved @ by_turn
+    values, vectors = np.linalg.eigh(seen[:, 1:])
     # A turn that the measurement does not show has no information: it counts for nothing, instead of for infinity.
-    shown = values > 1e-9 * values[:, -1:]
-    scale = np.where(shown, 1.0 / np.sqrt(np.where(shown, values, 1.0)), 0.0)
+    scale = 1.0 / np.sqrt(np.where(values > 1e-9 * values[:, -1:], values, np.inf))
     # The symmetric root: whitened turns of successive measurements keep their directions.
-    inverse_root = (vectors * scale[:, None, :]) @ vectors.transpose(0, 2, 1)
-    weights = solved[:, :, 1:] @ inverse_root
-    turn: FloatArray = (inverse_root @ seen[:, :, :1])[:, :, 0]
-    return turn, weights.transpose(0, 2, 1) @ (noise @ weights), inverse_root
+    inverse_root = (vectors * scale[:, None]) @ vectors.transpose(0, 2, 1)
+    weights = inverse_root @ solved[:, 1:]
+    turn: FloatArray = (seen[:, :1] @ inverse_root)[:, 0]
+    return turn, weights @ noise @ weights.transpose(0, 2, 1), inverse_root
 
 
 def update_rows(
@@ -210,13 +207,14 @@ def update_rows(
     keep_transposed = np.eye(states) - measurement.jacobian.T @ gain_transposed
     updated = np.empty_like(stack)
     # Both products of the first row take all its parts at once; between them the symmetric parts are transposed.
-    halfway = (stack[:parts].reshape(parts * states, states) @ keep_transposed[0]).reshape(parts, states, states)
-    halfway = np.ascontiguousarray(halfway.swapaxes(-1, -2)).reshape(parts * states, states)
-    updated[:parts] = (halfway @ keep_transposed[0]).reshape(parts, states, states)
-    updated[parts:] = keep_transposed[1:].swapaxes(-1, -2) @ stack[parts:] @ keep_transposed[1:]
+    halfway = (stack[:parts].reshape(-1, states) @ keep_transposed[0]).reshape(parts, states, states)
+    halfway = np.ascontiguousarray(halfway.swapaxes(-1, -2)).reshape(-1, states)
+    np.matmul(halfway, keep_transposed[0], out=updated[:parts].reshape(-1, states))
+    np.matmul(keep_transposed[1:].swapaxes(-1, -2) @ stack[parts:], keep_transposed[1:], out=updated[parts:])
     for source_index, noise in measurement.noise_by_source.items():
         updated[source_index] += gain[0] @ noise @ gain_transposed[0]
     updated[parts:] += gain[1:] @ (measurement.noise @ gain_transposed[1:])
-    updated = 0.5 * (updated + updated.swapaxes(-1, -2))
+    updated = updated + updated.swapaxes(-1, -2)
+    updated *= 0.5
     corrections: FloatArray = (gain @ compared.residual[:, :, None])[:, :, 0]
     return corrections, updated

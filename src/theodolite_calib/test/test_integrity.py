@@ -96,4 +96,4 @@ def test_an_exclusion_does_not_depend_on_the_order_of_arrival(seed: int) -> None
     assert one.trust.left_out["beacon.alpha"].exclusion == other.trust.left_out["beacon.alpha"].exclusion
     assert one.alternatives.mean.tobytes() == other.alternatives.mean.tobytes()
     assert one.alternatives.parts.tobytes() == other.alternatives.parts.tobytes()
-    assert one.trust.means.turn.tobytes() == other.trust.means.turn.tobytes()
+    assert one.trust.means.running.tobytes() == other.trust.means.running.tobytes()

@@ -57,8 +57,7 @@ class ShipFilter:
         dt_s = max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)
         rows = len(state.means)
-        booked = self.model.booked_noise(noise)
-        booked = np.concatenate([booked, np.broadcast_to(noise, (rows - 1, len(noise)))])
+        booked = np.concatenate([self.model.booked_noise(noise), *[noise[None]] * (rows - 1)])
         stack = predict(state.stack, decay, booked)
         for source, steady in state.common_n.items():
             common = self.model.slices[f"{source}.common"]

@@ -30,7 +30,7 @@ from ship_estimation.exclusion import (
     observed,
     watched,
 )
-from ship_estimation.hypotheses import RowsCompared, add_error, covariances, promoted, update_rows
+from ship_estimation.hypotheses import RowsCompared, add_error, promoted, update_rows
 from ship_estimation.outcome import Measurement
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -121,7 +121,7 @@ class Suspects:
         exclusion = state.excluded.get(source)
         # A measurement that no row uses leaves all of them, to the last bit, as they are without it. Of an excluded
         # source nothing is used, but how it is mounted may be learnt anew.
-        learnt = bool(np.any(used & accepted)) if exclusion is None else exclusion.apart is None
+        learnt = bool((used & accepted).any()) if exclusion is None else exclusion.apart is None
         if not learnt:
             return replace(state, seen=seen, apart=apart)
         learns = (used[:, None] | self.table.own[source]) & accepted[:, None]
@@ -154,10 +154,11 @@ class Suspects:
         Shapes (h, 3), rad, and (h,).
         """
         apart_n = state.means[:, self._ins] - state.means[0, self._ins]
-        columns = np.arange(self._ins.start, self._ins.stop)
-        variance = covariances(state.stack[:, columns, columns], len(state.means))
-        sigma = np.sqrt(np.maximum(variance - variance[0], np.maximum(1e-6 * variance[0], _TINY_RAD2)))
-        return apart_n, np.max(np.abs(apart_n) / sigma, axis=-1)
+        by_stack = state.stack[:, self._ins, self._ins].diagonal(axis1=-2, axis2=-1)
+        first = by_stack[: len(self._model.sources)].sum(axis=0)
+        # Of the first row, which is apart by nothing, any variance serves.
+        variance = np.maximum(by_stack[-len(apart_n) :] - first, np.maximum(1e-6 * first, _TINY_RAD2))
+        return apart_n, np.sqrt((apart_n * apart_n / variance).max(axis=-1))
 
     def judged(
         self, state: FilterState, source: str, compared: RowsCompared, ins_vouched: bool, time_ns: int
@@ -182,7 +183,7 @@ class Suspects:
         candidates = [row for row in table.singles if table.names[row - 1] not in state.excluded]
         pairs = table.pairs_in_question(in_use, state.excluded) if table.pairs else []
         # A step of the INS its rates would have told; that it creeps they do not tell.
-        stepped = bool(np.any(state.seen.refused[0] > 0))
+        stepped = bool(state.seen.refused[0].any())
         if ins_vouched and stepped:
             candidates, pairs = ([row for row in rows if row not in table.ins_rows] for rows in (candidates, pairs))
         elif stepped and len(in_use) <= LEAST_FOR_PAIRS:
@@ -190,7 +191,7 @@ class Suspects:
         threshold, after = table.k.false_exclusion, self._degraded_after
         finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after, pairs)
         if not finding.fault:
-            return replace(state, doubt=None), ""
+            return (state if state.doubt is None else replace(state, doubt=None)), ""
         wrong = self._named(state, finding)
         if INS in wrong and stepped:
             wrong = ()  # A wrong position moves all stars alike, as a step of the INS without rates does.

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ship_estimation.exclusion import (
+    SEEN_BY_ROWS,
     Exclusion,
     Finding,
     Means,
@@ -164,7 +165,7 @@ class Referee:
         row, means = 1 + self._rows.sources.index(source), trust.means
         same = {
             name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._rows.sources), axis=0)
-            for name in ("turn", "variance", "filled", "excess", "refused")
+            for name in SEEN_BY_ROWS
         }
         all_left_out = {**trust.left_out, source: left_out}
         return replace(trust, means=replace(means, **same), left_out=all_left_out, conflict=None)
