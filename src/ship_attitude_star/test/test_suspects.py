@@ -295,7 +295,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
     assert set(states[0].excluded) == {f"star.{name}" for name in knocked}
     for name in ("means", "stack"):
         assert getattr(states[0], name).tobytes() == getattr(states[1], name).tobytes()
-    for name in ("turn", "excess", "refused"):
+    for name in ("running", "excess", "refused"):
         assert getattr(states[0].seen, name).tobytes() == getattr(states[1].seen, name).tobytes()
 
 

@@ -115,59 +115,56 @@ def excess_limit(config: IntegrityConfig, sources: int) -> float:
 
 def observed(
     means: Means,
-    source: int,
-    compared: RowsCompared,
+    source: int | Sequence[int],
+    turn: FloatArray,
     accepted: NDArray[np.bool_],
-    leaves_out: NDArray[np.bool_],
     time_ns: int,
     limit: float,
+    turn_noise: FloatArray | None = None,
 ) -> Means:
-    """The means after a measurement.
+    """The means after a measurement, or after one of each of several sources at the same moment.
 
     Args:
         means: before.
-        source: its index.
-        compared: with every row.
-        accepted: whether its NIS passed the gate of each row, shape (h,).
-        leaves_out: which rows do without the source, shape (h,).
+        source: its index; or those of l sources, and the arrays have an axis more.
+        turn: whitened, in every row, shape (h, 3) or (h, l, 3).
+        accepted: whether its NIS passed the gate of each row, shape (h,) or (h, l).
         time_ns: its stamp.
         limit: by :func:`excess_limit`.
+        turn_noise: where the first row does without the source, the share of the noise in its turn, shape (3, 3).
 
     Example:
         Turns of three sigmas, always in the same direction, are too many after a few measurements:
 
-        >>> one = RowsCompared(*(np.empty(0),) * 4, np.array([[3.0, 0.0, 0.0]]), 0.5 * np.eye(3)[None], np.eye(3)[None])
-        >>> found, used = no_means(1, 1), np.array([False])
+        >>> found, turn = no_means(1, 1), np.array([[3.0, 0.0, 0.0]])
         >>> for number in range(8):
-        ...     found = observed(found, 0, one, np.array([True]), used, number, limit=37.4)
+        ...     found = observed(found, 0, turn, np.array([True]), number, limit=37.4)
         ...     if found.excess[0, 0] > 1.0: break
         >>> number
         4
     """
     refused = means.refused.copy()
-    size = np.sqrt(np.einsum("hk,hk->h", compared.turn, compared.turn))
+    size = np.sqrt(np.einsum("...k,...k->...", turn, turn))
     if not size.max() < np.inf:
         # What is no number has no mean; it is a refusal.
         refused[:, source] += 1
         return replace(means, refused=refused)
     refused[:, source] = np.where(accepted, 0, refused[:, source] + 1)
     largest = _LARGEST_TURN * math.sqrt(limit)
-    seen = np.ones((len(size), 1, 5))
-    seen[:, 0, :3] = compared.turn * (largest / np.maximum(size, largest))[:, None]
+    seen = np.ones((*size.shape, 1, 5))
+    seen[..., 0, :3] = turn * (largest / np.maximum(size, largest))[..., None]
     running, excess, heard_ns = means.running.copy(), means.excess.copy(), means.heard_ns.copy()
     running[:, source] = now = _KEPT * running[:, source] + _GAINED * seen
     # What a row uses it has whitened to independent turns.
-    chi2 = np.einsum("hwk,hwk->hw", now[..., :3], now[..., :3]) / now[..., 4]
-    if leaves_out[0]:
-        chi2[0] = _chi2_beside(now[0], compared.turn_noise[0])
+    chi2 = np.einsum("...k,...k->...", now[..., :3], now[..., :3]) / now[..., 4]
+    if turn_noise is not None:
+        chi2[0] = _chi2_beside(now[0], turn_noise)
     excess[:, source] = chi2.max(axis=-1) / limit
-    heard_ns[source] = max(heard_ns[source], time_ns)
+    heard_ns[source] = np.maximum(heard_ns[source], time_ns)
     contradicts_ns = means.contradicts_ns.copy()
-    well = excess[0, source] <= _WELL and refused[0, source] == 0  # NaN does not agree
-    if well:
-        contradicts_ns[source] = _LONG_AGO_NS
-    elif contradicts_ns[source] == _LONG_AGO_NS:
-        contradicts_ns[source] = time_ns
+    well = (excess[0, source] <= _WELL) & (refused[0, source] == 0)  # NaN does not agree
+    since_ns = np.where(contradicts_ns[source] == _LONG_AGO_NS, time_ns, contradicts_ns[source])
+    contradicts_ns[source] = np.where(well, _LONG_AGO_NS, since_ns)
     return Means(running, excess, refused, heard_ns, contradicts_ns)
 
 
@@ -320,7 +317,7 @@ def watched(
         return_after_s: how long it must agree after its first exclusion.
 
     Example:
-        >>> one = RowsCompared(*(np.empty(0),) * 4, np.zeros((1, 3)), 0.5 * np.eye(3)[None], np.eye(3)[None])
+        >>> one = RowsCompared(*(np.empty(0),) * 4, np.zeros((1, 3)), 0.5 * np.eye(3), np.eye(3)[None])
         >>> agreed = Exclusion(since_ns=0, agrees_since_ns=5 * SECOND_NS)
         >>> watched(agreed, no_means(1, 1), 0, one, 70 * SECOND_NS, return_after_s=60.0)[1]
         True

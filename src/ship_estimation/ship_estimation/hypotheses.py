@@ -30,7 +30,7 @@ class RowsCompared:
         gain: of the optimal update, shape (h, n, m).
         turn: the rotation of the device that the residual shows, whitened: of unit covariance where the row is right,
             shape (h, 3).
-        turn_noise: share of the measurement's own noise in that unit covariance, shape (h, 3, 3).
+        turn_noise: share of the measurement's own noise in that unit covariance in the first row, shape (3, 3).
         turn_root: root of the covariance of that rotation, rad, shape (h, 3, 3): ``turn_root @ turn`` is in rad.
     """
 
@@ -148,7 +148,7 @@ def compare_rows(
     solved = np.empty((len(means), means.shape[-1] + 4, len(measurement.residual)))
     solved[:, :-4], solved[:, -4], solved[:, -3:] = cross, residual, by_turn.T
     for row, asked in zip(innovation_covariance, solved, strict=True):
-        _, asked.T[:], info = lapack.dposv(row, asked.T, overwrite_b=True)
+        info = lapack.dposv(row, asked.T, overwrite_b=True)[-1]
         if info != 0:
             raise np.linalg.LinAlgError("innovation covariance is not positive definite")
     nis = np.einsum("hm,hm->h", residual, solved[:, -4])
@@ -170,9 +170,9 @@ def _whitened(by_turn: FloatArray, solved: FloatArray, noise: FloatArray) -> tup
     scale = 1.0 / np.sqrt(np.where(values > 1e-9 * values[:, -1:], values, np.inf))
     # The symmetric root: whitened turns of successive measurements keep their directions.
     inverse_root = (vectors * scale[:, None]) @ vectors.transpose(0, 2, 1)
-    weights = inverse_root @ solved[:, 1:]
     turn: FloatArray = (seen[:, :1] @ inverse_root)[:, 0]
-    return turn, weights @ noise @ weights.transpose(0, 2, 1), inverse_root
+    weights = inverse_root[0] @ solved[0, 1:]
+    return turn, weights @ noise @ weights.T, inverse_root
 
 
 def update_rows(

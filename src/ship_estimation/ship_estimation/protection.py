@@ -28,7 +28,8 @@ TESTS_PER_H = 360
 found anew."""
 
 _COMPONENTS = 3
-_TINY = 1e-24
+_TINY_RAD2 = 1e-24
+"""Of a source that is taken for exact nothing is apart by more than rounding."""
 _MOST_PROBABLE_MISS = 0.5
 """A level never lies below the threshold itself, however improbable the fault is."""
 
@@ -190,12 +191,27 @@ def separation(distance: FloatArray, left_out: FloatArray, all_sources: FloatArr
     variance_0 = np.diagonal(all_sources)
     # Without a source nothing is known better, but for one that was refused with it and is used without.
     variance = np.maximum(np.diagonal(left_out, axis1=-2, axis2=-1), variance_0)
-    # Rounding may leave nothing of a small difference; a thousandth of the sigma is nothing to a level.
-    apart = np.sqrt(np.maximum(variance - variance_0, np.maximum(1e-6 * variance_0, _TINY)))
+    apart = separation_sigma(variance, variance_0)
     levels = k.false_exclusion * apart + k.missed[:, None] * np.sqrt(variance)
     levels = np.vstack([k.right * np.sqrt(variance_0), levels])
     dominant = int(np.argmax(np.max(levels, axis=-1))) - 1
     return Separation(np.max(np.abs(distance) / apart, axis=-1), np.max(levels, axis=0), dominant)
+
+
+def separation_sigma(left_out: FloatArray, all_sources: FloatArray) -> FloatArray:
+    """Standard deviation of each distance of an estimate without one source from the estimate by all, shape (h, 3).
+
+    Args:
+        left_out: variances of the components without each source, rad², shape (h, 3).
+        all_sources: variances by all sources, rad², shape (3,).
+
+    Example:
+        >>> print(separation_sigma(np.array([[9.0, 25.0, 16.0]]), np.array([0.0, 16.0, 16.0])))
+        [[3.    3.    0.004]]
+    """
+    # Rounding may leave nothing of a small difference; a thousandth of the sigma is nothing to a level.
+    sigma: FloatArray = np.sqrt(np.maximum(left_out - all_sources, np.maximum(1e-6 * all_sources, _TINY_RAD2)))
+    return sigma
 
 
 class IntegrityState(enum.IntEnum):

@@ -50,7 +50,7 @@ class Bank:
         learns = np.where(left[:, None], own, True) & accepted[:, None] & np.any(accepted & ~left)
         correction, self.stack = update_rows(self.stack, measured, compared, learns)
         self.means = self.means + correction
-        self.seen = observed(self.seen, sensor, compared, accepted, left, time_ns, self.limit)
+        self.seen = observed(self.seen, sensor, compared.turn, accepted, time_ns, self.limit)
 
     def finding(self, time_ns):
         apart = self.means[1:, :3] - self.means[0, :3]
@@ -167,7 +167,7 @@ def test_nan_does_not_agree():
 
 def test_a_source_returns_after_it_agreed_for_long_enough_without_a_break():
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0)
-    one = RowsCompared(*(np.empty(0),) * 4, np.zeros((1, 3)), np.eye(3)[None], np.eye(3)[None])
+    one = RowsCompared(*(np.empty(0),) * 4, np.zeros((1, 3)), np.eye(3), np.eye(3)[None])
     for second in range(30):
         exclusion, back = watched(exclusion, means, 0, one, second * SECOND_NS, 60.0)
         assert not back
@@ -186,7 +186,7 @@ def test_a_source_that_was_not_knocked_must_come_back_however_wide_the_others_gr
         # The sigma of the others grows from 1 to 200: the turn of 30 becomes small beside it.
         sigma, turn = 1.0 + second, 30.0 if second < 100 else 2.0
         wide = RowsCompared(
-            *(np.empty(0),) * 4, np.array([[0.0, turn / sigma, 0.0]]), np.eye(3)[None], sigma * np.eye(3)[None]
+            *(np.empty(0),) * 4, np.array([[0.0, turn / sigma, 0.0]]), np.eye(3), sigma * np.eye(3)[None]
         )
         exclusion, back = watched(exclusion, means, 0, wide, second * SECOND_NS, 60.0)
         if back:

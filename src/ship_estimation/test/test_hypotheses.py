@@ -91,7 +91,7 @@ def test_whitened_turns_have_unit_covariance_and_the_share_of_the_noise_is_right
             found.append(compared.turn[0])
     # The sampling error of a variance of 2000 draws is 3 %; 0.12 is 3.8 of it.
     np.testing.assert_allclose(np.cov(np.array(turns).T), np.eye(3), atol=0.12)
-    np.testing.assert_allclose(np.cov(np.array(by_noise).T), compared.turn_noise[0], atol=0.12)
+    np.testing.assert_allclose(np.cov(np.array(by_noise).T), compared.turn_noise, atol=0.12)
 
 
 def test_a_covariance_that_is_none_is_refused():

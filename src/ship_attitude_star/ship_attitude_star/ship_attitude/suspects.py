@@ -32,6 +32,7 @@ from ship_estimation.exclusion import (
 )
 from ship_estimation.hypotheses import RowsCompared, add_error, promoted, update_rows
 from ship_estimation.outcome import Measurement
+from ship_estimation.protection import separation_sigma
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -41,9 +42,6 @@ UNKNOWN_INS_RAD_PER_SQRT_S = 3.0 * ARCSEC
 
 _KNOCKED_SIGMA = 2.0
 """After a knock the mounting may be off by so many times what is seen of the knock."""
-
-_TINY_RAD2 = 1e-24
-"""Of an INS that is taken for exact nothing is apart by more than rounding."""
 
 _LEAST_KNOCK_RAD, _LARGEST_KNOCK_RAD = 10.0 * ARCSEC, 3600.0 * ARCSEC
 """As its sigma."""
@@ -115,7 +113,10 @@ class Suspects:
         """
         source, index = measurement.source, self._sources.index(measurement.source)
         used = self.uses(state)[:, index]
-        seen = observed(state.seen, index, compared, accepted, ~used, measurement.time_ns, self.table.limit)
+        noise = None if used[0] else compared.turn_noise
+        seen = observed(
+            state.seen, index, compared.turn, accepted, measurement.time_ns, self.table.limit, noise
+        )
         turn_v = compared.turn_root[0] @ compared.turn[0]
         apart = MappingProxyType({**state.apart, source: Apart(turn_v, measured.predicted_nv @ turn_v)})
         exclusion = state.excluded.get(source)
@@ -157,8 +158,8 @@ class Suspects:
         by_stack = state.stack[:, self._ins, self._ins].diagonal(axis1=-2, axis2=-1)
         first = by_stack[: len(self._model.sources)].sum(axis=0)
         # Of the first row, which is apart by nothing, any variance serves.
-        variance = np.maximum(by_stack[-len(apart_n) :] - first, np.maximum(1e-6 * first, _TINY_RAD2))
-        return apart_n, np.sqrt((apart_n * apart_n / variance).max(axis=-1))
+        sigma = separation_sigma(by_stack[-len(apart_n) :], first)
+        return apart_n, np.abs(apart_n / sigma).max(axis=-1)
 
     def judged(
         self, state: FilterState, source: str, compared: RowsCompared, ins_vouched: bool, time_ns: int

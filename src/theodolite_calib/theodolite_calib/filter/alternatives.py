@@ -55,11 +55,14 @@ class RowsSeen:
 
     Attributes:
         accepted: whether what each row uses of it passes the gate, shape (h,).
-        by_light: for each light, its residual whitened: in the estimate by all sources and in every row, h + 1 in all.
+        light_nis: normalised innovation squared of each light, in the estimate by all sources and in every row, shape
+            (h + 1, l).
+        light_turn: its residual whitened, along the axes of the detector and 0, shape (h + 1, l, 3).
     """
 
     accepted: NDArray[np.bool_]
-    by_light: tuple[RowsCompared, ...]
+    light_nis: FloatArray
+    light_turn: FloatArray
 
 
 class _Pattern(NamedTuple):
@@ -202,7 +205,7 @@ class SourceRows:
         all_residuals = np.concatenate([measurement.residual[None], residual])
         all_covariances = np.concatenate([first[1][None], covariance])
         pattern = self._pattern(names, frozenset(excluded), probability)
-        by_light = _lights_seen(all_residuals, all_covariances, noise, pattern)
+        light_turn = _lights_seen(all_residuals, all_covariances, pattern)
         # What a row does without has no part in it.
         covariance = np.where(pattern.seen_by_both, covariance, np.eye(h.shape[0]))
         residual, cross = residual * pattern.sees, cross * pattern.sees[:, None, :]
@@ -212,12 +215,13 @@ class SourceRows:
         accepted = nis <= pattern.gates  # NaN is not
         gain[~accepted] = 0.0
         # Joseph's form, (I - K H) P (I - K H)ᵀ + K R Kᵀ, without a product of large matrices.
-        transposed = gain.swapaxes(-1, -2)
         kept = rows.parts[:, 0] - gain @ (h @ rows.parts[:, 0])
-        updated = kept - (kept @ h.T) @ transposed + gain @ noise @ transposed
-        updated = 0.5 * (updated + updated.swapaxes(-1, -2))
+        updated = kept - (kept @ h.T - gain @ noise) @ gain.swapaxes(-1, -2)
+        updated = updated + updated.swapaxes(-1, -2)
+        updated *= 0.5
         mean = rows.mean + (gain @ residual[:, :, None])[:, :, 0]
-        return replace(rows, mean=mean, parts=updated[:, None]), RowsSeen(accepted, by_light)
+        light_nis = np.einsum("hlk,hlk->hl", light_turn, light_turn)
+        return replace(rows, mean=mean, parts=updated[:, None]), RowsSeen(accepted, light_nis, light_turn)
 
 
 def forget(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:
@@ -227,9 +231,7 @@ def forget(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma
     parts[source_index, states, states] = sigma_rad**2
 
 
-def _lights_seen(
-    residual: FloatArray, covariance: FloatArray, noise: FloatArray, pattern: _Pattern
-) -> tuple[RowsCompared, ...]:
+def _lights_seen(residual: FloatArray, covariance: FloatArray, pattern: _Pattern) -> FloatArray:
     """The residual of each light in every row, whitened; where the other lights are known, what they leave of it.
 
     To a row of which the encoders or the ship are unknown a light alone says nothing, but beside the others it does.
@@ -237,41 +239,45 @@ def _lights_seen(
     Args:
         residual: of all lights, two components each, shape (h, m).
         covariance: of the residual, shape (h, m, m).
-        noise: share of the sighting's own noise in it, shape (m, m).
         pattern: what is taken as known.
+
+    Returns:
+        Shape (h, l, 3).
     """
     count, size = residual.shape
-    lights = np.arange(size).reshape(-1, 2)
-    # A leading axis of lights: shapes (l, h, m), (l, h, m, m), (l, h, m, 2).
+    # A leading axis of lights: shapes (l, h, m, m), (l, h, m, 2), (l, h, 2, m).
     of_others = np.where(pattern.both_known, covariance, np.eye(size))
     with_own = covariance.reshape(count, size, -1, 2).transpose(2, 0, 1, 3)
     with_others = with_own * pattern.known[..., None]
     weights = np.linalg.solve(of_others, with_others).swapaxes(-1, -2)
     own = np.stack([covariance[:, first : first + 2, first : first + 2] for first in range(0, size, 2)])
     left = residual.reshape(count, -1, 2).swapaxes(0, 1) - (weights @ residual[:, :, None])[..., 0]
-    noise_left = np.eye(size)[lights][:, None] - weights
-    seen = whitened(left, own - weights @ with_others, noise_left @ noise @ noise_left.swapaxes(-1, -2))
-    return tuple(RowsCompared(*(field[light] for field in seen)) for light in range(len(lights)))
+    turn = np.zeros((count, size // 2, 3))
+    turn[..., :2] = (_whitening(own - weights @ with_others) @ left[..., None])[..., 0].swapaxes(0, 1)
+    return turn
 
 
-def whitened(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> tuple[FloatArray, ...]:
-    """The residual of one light in every row, whitened along the axes of the detector: the fields of RowsCompared.
+def light_compared(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> RowsCompared:
+    """A light beside one estimate; what it turns is told along the axes of the detector.
 
     Args:
-        residual: shape (..., h, 2).
-        covariance: of the residual, shape (..., h, 2, 2).
-        noise: share of the sighting's own noise in it, shape (..., h, 2, 2).
+        residual: shape (2,).
+        covariance: of the residual, shape (2, 2).
+        noise: share of the sighting's own noise in it, shape (2, 2).
     """
-    # The inverse of the symmetric root of a matrix of two rows.
+    root = _whitening(covariance)
+    turn, turn_noise = np.zeros((1, 3)), np.eye(3)
+    turn[0, :2], turn_noise[:2, :2] = root @ residual, root @ noise @ root
+    nothing = np.empty(0)
+    return RowsCompared(residual[None], covariance[None], np.sum(turn**2, axis=-1), nothing, turn, turn_noise, nothing)
+
+
+def _whitening(covariance: FloatArray) -> FloatArray:
+    """The inverse of the symmetric root of covariances of two components, shape (..., 2, 2)."""
     first, second, mixed = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
     area = np.sqrt(first * second - mixed * mixed)
     scale = 1.0 / (area * np.sqrt(first + second + 2.0 * area))
     root = np.empty(covariance.shape)
     root[..., 0, 0], root[..., 1, 1] = (second + area) * scale, (first + area) * scale
     root[..., 0, 1] = root[..., 1, 0] = -mixed * scale
-    turn, turn_noise = np.zeros((*residual.shape[:-1], 3)), np.zeros((*residual.shape[:-1], 3, 3))
-    turn[..., :2] = (root @ residual[..., None])[..., 0]
-    turn_noise[..., :2, :2] = root @ noise @ root
-    turn_noise[..., 2, 2] = 1.0
-    nothing = np.empty((*residual.shape[:-2], 0))
-    return residual, covariance, np.sum(turn**2, axis=-1), nothing, turn, turn_noise, nothing
+    return root

@@ -13,12 +13,11 @@ import numpy as np
 
 from ship_estimation.exclusion import Exclusion
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.hypotheses import RowsCompared
-from ship_estimation.protection import Factors, IntegrityConfig, factors, separation
+from ship_estimation.protection import Factors, IntegrityConfig, factors, separation_sigma
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, whitened
+from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, light_compared
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.judgement import SightingJudge, focal_length_m
 from theodolite_calib.filter.model import chain_rows
@@ -193,9 +192,12 @@ class SightingStep:
         rows, turning = state.alternatives, self._turning
         to_axes = compared.prediction.rotation_nt.T @ compared.prediction.turn_n[:, turning]
         apart = (rows.mean - state.mean)[:, turning] @ to_axes.T
-        left_out = to_axes @ rows.parts[:, 0][:, turning[:, None], turning] @ to_axes.T
-        first = to_axes @ state.parts[:, turning[:, None], turning].sum(axis=0) @ to_axes.T
-        return separation(apart, left_out, first, self._factors).statistic
+        covariance = np.concatenate(
+            [state.parts[:, turning[:, None], turning].sum(axis=0)[None], rows.parts[:, 0, turning[:, None], turning]]
+        )
+        variance = np.sum(to_axes @ covariance * to_axes, axis=-1)
+        statistic: FloatArray = np.abs(apart / separation_sigma(variance[1:], variance[0])).max(axis=-1)
+        return statistic
 
     def _farthest(self, state: CalibrationState, compared: Comparison) -> FloatArray:
         """By so much the pointing of a row may differ from that by all sources, covariance in n, rad²."""
@@ -222,8 +224,7 @@ class SightingStep:
             comparison = self._filter.compare(state, sighting.chosen([row]))
             if comparison is not None:
                 measurement = comparison.measurement
-                found = whitened(measurement.residual[None], comparison.covariance[None], measurement.noise[None])
-                compared = RowsCompared(*found)
+                compared = light_compared(measurement.residual, comparison.covariance, measurement.noise)
                 refused_m = self._refused_m(trust.left_out[BEACON + name], comparison, others)
                 trust = self._referee.watched_light(trust, name, compared, sighting.time_ns, refused_m)
         return trust

@@ -122,12 +122,10 @@ class Referee:
 
     def observed(self, trust: Trust, names: tuple[str, ...], seen: RowsSeen, used: bool, time_ns: int) -> Trust:
         """What is known after the rows have seen a sighting, used or not, with lights that are not excluded."""
-        means, by_row = trust.means, np.concatenate([[used], seen.accepted])
-        for name, compared in zip(names, seen.by_light, strict=True):
-            index = self._rows.beacons.index(name)
-            leaves_out = self._leaves_out[:, index]
-            accepted = np.where(leaves_out, compared.nis <= self._light_gate, by_row)
-            means = observed(means, index, compared, accepted, leaves_out, time_ns, self._limit)
+        beacons = [self._rows.beacons.index(name) for name in names]
+        by_row = np.concatenate([[used], seen.accepted])[:, None]
+        accepted = np.where(self._leaves_out[:, beacons], seen.light_nis <= self._light_gate, by_row)
+        means = observed(trust.means, beacons, seen.light_turn, accepted, time_ns, self._limit)
         return replace(trust, means=means)
 
     def fault(self, trust: Trust, statistic: FloatArray, time_ns: int) -> tuple[bool, str | None]:
@@ -198,14 +196,10 @@ class Referee:
         index, source = self._rows.beacons.index(name), BEACON + name
         left_out = trust.left_out[source]
         rows = 1 + len(self._rows.sources)
-        every = replace(
-            compared,
-            turn=np.repeat(compared.turn, rows, axis=0),
-            turn_noise=np.repeat(compared.turn_noise, rows, axis=0),
-        )
+        turn = np.repeat(compared.turn, rows, axis=0)
         accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
-        means = observed(trust.means, index, every, accepted, np.ones(rows, dtype=bool), time_ns, self._limit)
-        exclusion, returns = watched(left_out.exclusion, means, index, every, time_ns, self._config.return_after_s)
+        means = observed(trust.means, index, turn, accepted, time_ns, self._limit, compared.turn_noise)
+        exclusion, returns = watched(left_out.exclusion, means, index, compared, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
         if 0.0 < refused_m <= _POWER_SIGMAS * sigma_m:
             exclusion, returns = replace(exclusion, agrees_since_ns=None), False
