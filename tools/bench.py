@@ -140,7 +140,7 @@ class _WithoutIntegrity(ShipFilter):
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         super().__init__(config)
-        self.suspects.table.rows, self.suspects.table.ins_row = 1, None
+        self.suspects.table.rows, self.suspects.table.ins_rows = 1, ()
 
     def _judged(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
