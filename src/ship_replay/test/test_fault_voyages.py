@@ -277,13 +277,23 @@ def test_reports_on_inputs_name_what_is_new_in_them_for_each_node():
     book = HealthBook()
     assert reported(book, 1, "ins/imu", 100) == []
     assert reported(book, 1, "ins/imu", 90) == []
-    assert reported(book, 2, "ins/imu", 200, {"frame": 2, "gate": 3}) == [("ins/imu", "frame")]
+    assert reported(book, 2, "ins/imu", 200, {"frame": 2, "revised": 3}) == [("ins/imu", "frame")]
     assert reported(book, 2, "ins/imu", 190) == []
     # The same counts again, and refusals that rest on others, say nothing new of the input itself.
-    assert reported(book, 3, "ins/imu", 300, {"frame": 2, "gate": 9, "excluded": 4}) == []
+    assert reported(book, 3, "ins/imu", 300, {"frame": 2, "excluded": 4}) == []
     assert reported(book, 3, "ins/imu", 290, {"frame": 1}) == [("ins/imu", "frame")]
-    assert reported(book, 4, "ins/imu", 300, {"frame": 2, "gate": 9}, level=1) == [("ins/imu", SILENT)]
+    assert reported(book, 4, "ins/imu", 300, {"frame": 2}, level=1) == [("ins/imu", SILENT)]
     assert reported(book, 4, "ins/imu", 290, {"frame": 1}) == []
+
+
+def test_a_refusal_in_comparison_with_others_accuses_only_what_leads():
+    """A star in the gate may be right, and so may one whose position is not known; a fix that is refused is not."""
+    stars = {"gate": 3, "attitude_conflict": 1, "gap": 1, "no_fix": 1}
+    assert reported(HealthBook(), 1, "star/bow/observations", 9, stars) == []
+    assert reported(HealthBook(), 1, "theodolite/beacons", 9, stars) == []
+    assert reported(HealthBook(), 1, "star/bow/observations", 9, {"stuck": 1}) == [("star/bow/observations", "stuck")]
+    assert reported(HealthBook(), 1, "gnss/fix", 9, {"no_fix": 1}) == [("gnss/fix", "no_fix")]
+    assert reported(HealthBook(), 1, "ins/imu", 9, {"gate": 1, "excluded": 1}) == [("ins/imu", "gate")]
 
 
 def test_levels_and_exclusions_are_those_of_the_last_integrity_message():

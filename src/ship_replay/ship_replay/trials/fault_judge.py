@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S
-from ship_replay.trials.voyage_told import EXCLUSION, INTEGRITY, RESTS_ON_OTHERS, Claim, Sign, Told
+from ship_replay.trials.voyage_told import EXCLUSION, INTEGRITY, Claim, Sign, Told
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
 
@@ -45,8 +45,6 @@ _PERIOD_S = 0.1
 """From one moment of the truth to the next."""
 
 _ONE_LIGHT_KINDS = ("swap", "false_lights", "hide", "wrong_id")
-_NEVER_COMPARED = ("ins", "ship", "encoder", "gnss/fix")
-"""Sources that only their own stream is held against: they lead, and others are compared with them."""
 
 
 @dataclass
@@ -182,21 +180,15 @@ def first_named(signs: Sequence[Sign]) -> set[str]:
     Args:
         signs: in the order in which they were told.
     """
-    by_itself = [sign for sign in signs if _is_by_itself(sign)]
-    times = Counter(sign.source for sign in by_itself)
+    times = Counter(sign.source for sign in signs if sign.is_by_itself)
     for sign in signs:
         if sign.reason == EXCLUSION:
             return {other.source for other in signs if other.reason == EXCLUSION}
-        if _is_by_itself(sign) and times[sign.source] >= _LEAST_REFUSALS:
+        if sign.is_by_itself and times[sign.source] >= _LEAST_REFUSALS:
             return {sign.source}
     times = Counter(sign.source for sign in signs)
     repeated = [sign.source for sign in signs if times[sign.source] >= _LEAST_REFUSALS]
     return set(repeated[:1] or [sign.source for sign in signs[:1]])
-
-
-def _is_by_itself(sign: Sign) -> bool:
-    """Whether a source is refused, or silent, for what it is by itself."""
-    return sign.reason != EXCLUSION and (sign.reason not in RESTS_ON_OTHERS or sign.source in _NEVER_COMPARED)
 
 
 def is_source(name: str, fault: Fault) -> bool:
@@ -218,7 +210,7 @@ def is_source(name: str, fault: Fault) -> bool:
     if topic == IMAGE_TOPIC:
         is_one_light = fault.kind in _ONE_LIGHT_KINDS or fault.field.startswith("beacons[")
         return name in ("lights", "telescope") or (is_one_light and name.startswith(_drone_names("")))
-    ship = ("ship", "ship_attitude")
+    ship = ("ship", "ship_attitude", FUSED_TOPIC)
     names = {"ins/imu": ("ins", *ship), FUSED_TOPIC: ship, ENCODER_TOPIC: ("encoder",)}
     return name in names.get(topic, ())
 

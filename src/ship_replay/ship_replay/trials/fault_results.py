@@ -193,7 +193,7 @@ def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
     exceeded, beyond = _above(single, _LEVEL, 1.0), _above(seen, "worst_sigmas", BEYOND)
     large = [fault for fault in seen if (fault["sigmas"] or 0.0) >= _LARGE_STEP]
     # Where the source made fewer measurements, its time to be told had not run out.
-    steps = [fault for fault in large if fault["changed"] >= MEASUREMENTS or fault["detected"]]
+    steps = [fault for fault in large if fault["changed"] >= MEASUREMENTS]
     detected = [fault for fault in single if fault["detected"]]
     data_like = [fault for fault in detected if fault["threat"] in _DATA_LIKE]
     in_time, named = sum(map(_in_time, steps)), sum(map(_attributed, detected))

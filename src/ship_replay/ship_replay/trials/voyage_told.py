@@ -22,7 +22,7 @@ INTEGRITY = {"ship/attitude": "ship/integrity", "theodolite/pointing": "theodoli
 EXCLUSION = "excluded from the estimate"
 SILENT = "silent"
 
-RESTS_ON_OTHERS = frozenset(
+_IN_COMPARISON = frozenset(
     reason.word
     for reason in (
         Reason.GATE,
@@ -30,14 +30,18 @@ RESTS_ON_OTHERS = frozenset(
         Reason.LIGHT_CONFLICT,
         Reason.MISIDENTIFIED,
         Reason.UNIDENTIFIED,
-        Reason.EXCLUDED,
-        Reason.REVISED,
         Reason.GAP,
         Reason.NO_FIX,
     )
 )
 """Reasons for which a measurement may be refused although it is right: what it was compared with was wrong, or
 missing."""
+
+_COMPARED = ("star", "reference", "light", "telescope", "beacon", "baseline", "drone", "theodolite/beacons")
+"""How names of what is compared with an estimate begin. INS, encoders, fix and weather lead: whatever they are refused
+for, it is their own stream that they are held against."""
+
+_CONSEQUENCES = (EXCLUSION, Reason.EXCLUDED.word, Reason.REVISED.word)
 
 _INNOVATIONS = ("ship/innovation", "theodolite/innovation")
 _HEALTH = "input_health"
@@ -59,6 +63,13 @@ class Sign(NamedTuple):
     log_ns: int
     stamp_ns: int
     reason: str
+
+    @property
+    def is_by_itself(self) -> bool:
+        """Whether the source is refused, or silent, for what it is by itself."""
+        if self.reason in _CONSEQUENCES:
+            return False
+        return self.reason not in _IN_COMPARISON or not self.source.startswith(_COMPARED)
 
 
 class Claim(NamedTuple):
@@ -177,7 +188,7 @@ class HealthBook:
     def signs(self, report: Any, log_time_ns: int) -> list[Sign]:
         """The signs in a report: that its topic is silent, or why messages were refused for what they are.
 
-        Refusals that rest on others are told by the innovations, one by one.
+        Refusals in comparison with others are told by the innovations, one by one.
         """
         topic, stamp_ns = report.topic, ns_from_stamp(report.header.stamp)
         last_ns, place = self._place.get(topic, (stamp_ns, -1))
@@ -187,7 +198,8 @@ class HealthBook:
         counts = Counter(dict(zip(report.reasons, map(int, report.reason_counts), strict=True)))
         had_received, before = self._before.get((topic, place), (-1, Counter[str]()))
         self._before[topic, place] = received, counts
-        new = sorted(reason for reason in counts - before if reason not in RESTS_ON_OTHERS)
+        new = sorted(counts - before)
         if received == had_received and report.level >= _WARN:
             new.append(SILENT)
-        return [Sign(topic, log_time_ns, stamp_ns, reason) for reason in new]
+        signs = [Sign(topic, log_time_ns, stamp_ns, reason) for reason in new]
+        return [sign for sign in signs if sign.is_by_itself]
