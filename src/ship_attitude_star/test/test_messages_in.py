@@ -49,6 +49,11 @@ def test_a_fix_without_error_has_the_configured_one(changes: dict[str, Any]) -> 
     np.testing.assert_array_equal(reading.value.covariance_m2, 49.0 * np.eye(3))
 
 
+def test_a_receiver_may_say_nothing_of_the_error_of_its_height() -> None:
+    flat = np.diag([4.0, 9.0, 0.0]).ravel()
+    assert position_fix(fix(position_covariance=flat), SkyConfig(), NOW_NS).covariance_known
+
+
 def test_a_receiver_without_height_is_at_sea_level() -> None:
     assert position_fix(fix(altitude=np.nan), SkyConfig(), NOW_NS).value.position.height_m == 0.0
 
@@ -68,6 +73,8 @@ FIXES = [
     ("altitude nonsense", {"altitude": 1e300}, "units", "altitude"),
     ("negative variance", {"position_covariance": -np.eye(3).ravel() * 4.0}, "bad_covariance", "negative"),
     ("covariance NaN", {"position_covariance": np.full(9, np.nan)}, "non_finite", "position_covariance"),
+    ("east exact", {"position_covariance": np.diag([0.0, 9.0, 25.0]).ravel()}, "bad_covariance", "is exact"),
+    ("north exact", {"position_covariance": np.diag([4.0, 0.0, 25.0]).ravel()}, "bad_covariance", "of zero"),
     ("sigma of half the Earth", {"position_covariance": np.eye(3).ravel() * 1e13}, "bad_covariance", "is no fix"),
     ("stamp zero", {"header": make_header(FACTORY, 0)}, "bad_stamp", "0 ns"),
 ]

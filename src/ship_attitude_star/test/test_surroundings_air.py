@@ -101,9 +101,9 @@ def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
     track.insert(AirReading("pressure", ns(0), 1010.0))
     track.insert(AirReading("pressure", ns(20), 1010.0))
     before = {t: track.air(ns(t)) for t in (0, 9, 10, 19, 20)}
-    assert track.insert(AirReading("pressure", ns(10), 1020.0)) == ns(10) - 1
+    assert track.insert(AirReading("pressure", ns(10), 1014.0)) == ns(10) - 1
     assert [t for t in before if track.air(ns(t)) != before[t]] == [10, 19]
-    assert track.insert(AirReading("pressure", ns(10), 1020.0)) is None
+    assert track.insert(AirReading("pressure", ns(10), 1014.0)) is None
 
 
 def test_the_same_stamp_again_is_told() -> None:
@@ -121,3 +121,51 @@ def test_what_is_dropped_is_needed_no_more() -> None:
     track.drop_before(ns(5.5))
     assert track.air(ns(5.5)).weather.temperature_c == 5.0
     assert track.air(ns(4.0)).weather.temperature_c == CONFIG.temperature_c
+
+
+def told(quantity: str, readings: list[tuple[float, float]]) -> tuple[list, Readings]:
+    """Which readings are refused, by their time, and the air after them."""
+    track, refused = Readings(CONFIG), []
+    for since_s, value in readings:
+        refusal = track.refusal(AirReading(quantity, ns(since_s), value))
+        if refusal is not None:
+            assert refusal.reason is Reason.JUMP
+            refused.append(since_s)
+        track.insert(AirReading(quantity, ns(since_s), value))
+    return refused, track
+
+
+@pytest.mark.parametrize("off_hpa", [20.0, -30.0])
+def test_pressure_that_jumps_is_refused_and_the_last_one_goes_on_with_a_larger_error(off_hpa: float) -> None:
+    wrong = [(float(t), 1010.0 + off_hpa) for t in range(20, 40, 2)]
+    refused, track = told("pressure", [(float(t), 1010.0) for t in range(0, 20, 2)] + wrong)
+    assert refused == [since_s for since_s, _ in wrong]
+    assert track.air(ns(38)).weather.pressure_hpa == 1010.0
+    # The variance has grown from 0.5² towards 15² for 20 s of 3600 s.
+    assert track.air(ns(38)).pressure_sigma_hpa**2 == pytest.approx(0.25 + (225.0 - 0.25) * 20.0 / 3600.0)
+    assert track.refusal(AirReading("pressure", ns(40), 1010.3)) is None
+
+
+def test_a_thermometer_that_jumps_is_refused() -> None:
+    # Kelvin for Celsius is told by its size; Fahrenheit is not: 20 °C become 68, 5 °C become 41.
+    refused, track = told("temperature", [(0.0, 5.0), (60.0, 5.1), (120.0, 41.0), (180.0, 41.1), (240.0, 5.2)])
+    assert refused == [120.0, 180.0]
+    assert track.air(ns(200)).weather.temperature_c == 5.1
+
+
+def test_weather_is_no_jump() -> None:
+    # The eye of a typhoon: 30 hPa within an hour, read once a minute and once in ten minutes.
+    for period_s in (60.0, 600.0):
+        times = [period_s * n for n in range(round(3600.0 / period_s) + 1)]
+        assert told("pressure", [(t, 980.0 - 30.0 * t / 3600.0) for t in times])[0] == []
+    # A squall: 3 hPa up and 12 K down within five minutes.
+    assert told("pressure", [(10.0 * n, 1005.0 + 0.1 * min(n, 30)) for n in range(60)])[0] == []
+    assert told("temperature", [(10.0 * n, 30.0 - 0.4 * min(n, 30)) for n in range(60)])[0] == []
+    # From dry air into fog.
+    assert told("humidity", [(0.0, 0.1), (1.0, 1.0)])[0] == []
+
+
+def test_another_pressure_is_believed_when_the_old_one_has_grown_too_old() -> None:
+    refused, track = told("pressure", [(0.0, 1010.0), (60.0, 1010.0), *((60.0 * n, 1040.0) for n in range(2, 63))])
+    assert refused == [60.0 * n for n in range(2, 62)]
+    assert track.air(ns(3720)).weather.pressure_hpa == 1040.0

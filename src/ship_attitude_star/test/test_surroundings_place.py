@@ -57,7 +57,7 @@ def test_between_fixes_the_place_is_on_the_line() -> None:
 
 
 def test_beyond_the_last_fix_it_goes_on_as_between_the_last_two() -> None:
-    place = track((0, at(0.0, 9.0)), (5, at(0.0, 10.0)), (6, at(0.0, 10.0001))).place(ns(8))
+    place = track((0, at(0.001, 10.0)), (5, at(0.0, 10.0)), (6, at(0.0, 10.0001))).place(ns(8))
     assert away_m(place, at(0.0, 10.0003)) < 1e-3
     np.testing.assert_allclose(place.observer.velocity_n_m_per_s, [0, 0, 1e-4 * M_PER_DEG_OF_LONGITUDE], atol=1e-3)
     assert place.age_s == 2.0
@@ -120,9 +120,10 @@ def test_with_one_fix_the_ship_may_sail_anywhere() -> None:
 
 
 def test_fixes_far_apart_say_nothing_of_the_velocity() -> None:
-    apart = track((0, at(0.0, 10.0)), (121, at(0.0, 10.1)), fix_max_age_s=60.0)
+    fast = {"fix_max_age_s": 60.0, "max_speed_m_per_s": 100.0}
+    apart = track((0, at(0.0, 10.0)), (121, at(0.0, 10.1)), **fast)
     assert away_m(apart.place(ns(3)), at(0.0, 10.0)) < 1e-6
-    joined = track((0, at(0.0, 10.0)), (120, at(0.0, 10.1)), fix_max_age_s=60.0)
+    joined = track((0, at(0.0, 10.0)), (120, at(0.0, 10.1)), **fast)
     # The chord of 11 km passes below the sea by s (L - s) / 2R: 2.3 m in its middle.
     assert away_m(joined.place(ns(60)), at(0.0, 10.05)) == pytest.approx(5566.0**2 / 2 / 6_378_137.0, rel=1e-3)
 
@@ -158,7 +159,7 @@ def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
     places = {t: at(50.0 + 1e-4 * t * t, 10.0) for t in times}
     moments = np.arange(-5.0, 15.0, 0.25)
     for late in times:
-        others = track(*((t, places[t]) for t in times if t != late))
+        others = track(*((t, places[t]) for t in times if t != late), max_speed_m_per_s=1000.0)
         before = [others.place(ns(m)).covariance_m2.tobytes() for m in moments]
         changed_after_ns = others.insert(PositionFix(ns(late), places[late], SIGMA_M))
         for moment, old in zip(moments, before, strict=True):
@@ -171,7 +172,7 @@ def test_the_same_stamp_again_is_told() -> None:
     fixes = track((0, at(50.0, 10.0)))
     assert fixes.refusal(PositionFix(ns(0), at(50.0, 10.0), SIGMA_M)).reason is Reason.DUPLICATE
     assert fixes.refusal(PositionFix(ns(0), at(50.0, 10.1), SIGMA_M)).reason is Reason.CONFLICT
-    assert fixes.refusal(PositionFix(ns(1), at(50.0, 10.1), SIGMA_M)) is None
+    assert fixes.refusal(PositionFix(ns(1), at(50.0, 10.0001), SIGMA_M)) is None
 
 
 def test_what_is_dropped_is_needed_no_more() -> None:
@@ -181,3 +182,62 @@ def test_what_is_dropped_is_needed_no_more() -> None:
     for since_s in (5.5, 6.0, 8.3, 12.0):
         assert away_m(kept.place(ns(since_s)), whole.place(ns(since_s)).observer.position) == 0.0
     assert away_m(kept.place(ns(2.0)), whole.place(ns(2.0)).observer.position) > 1.0
+
+
+def sailing(since_s: float, off_m: float = 0.0, latitude_deg: float = 50.0, longitude_deg: float = 10.0):
+    """Where a ship is that sails north at 10 m/s; ``off_m`` to the north of it."""
+    north_deg = (10.0 * since_s + off_m) / 111_229.0  # metres per degree of latitude at 50°, WGS 84
+    return since_s, at(latitude_deg + north_deg, longitude_deg)
+
+
+@pytest.mark.parametrize("off_m", [300.0, -1000.0, 10_000.0, 5e6])
+def test_a_fix_that_jumps_is_refused_and_the_ship_sails_on(off_m: float) -> None:
+    fixes = track(*(sailing(t) for t in range(10)))
+    for t in range(10, 30):
+        wrong = PositionFix(ns(t), sailing(t, off_m)[1], SIGMA_M)
+        refusal = fixes.refusal(wrong)
+        assert refusal is not None
+        assert (refusal.reason, "from the last one believed" in refusal.text) == (Reason.JUMP, True)
+        assert fixes.insert(wrong) is None
+        place = fixes.place(ns(t))
+        assert away_m(place, sailing(t)[1]) < 0.1
+        assert place.age_s == t - 9
+    # The error that the straight line leaves out, by 0.1 m/s²: as in any time without fixes.
+    north_m2 = 4.0 + (0.5 * ACCELERATION_SIGMA_M_PER_S2 * 20.0 * 21.0) ** 2
+    assert fixes.place(ns(29)).covariance_m2[0, 0] == pytest.approx(north_m2, rel=1e-3)
+    back = PositionFix(ns(30), sailing(30)[1], SIGMA_M)
+    assert fixes.refusal(back) is None
+    assert fixes.insert(back) == ns(9)
+
+
+def test_a_jump_that_lasts_is_believed_and_no_line_leads_to_it() -> None:
+    fixes = track(*(sailing(t) for t in range(10)), *(sailing(t, 1000.0) for t in range(10, 71)))
+    place = fixes.place(ns(70))
+    assert away_m(place, sailing(70, 1000.0)[1]) < 1e-3
+    # Half a second on: the ship may have sailed, but not at the speed that the jump would make.
+    assert away_m(fixes.place(ns(70.5)), sailing(70, 1000.0)[1]) < 1e-3
+    later = track(*(sailing(t) for t in range(10)), *(sailing(t, 1000.0) for t in range(10, 73))).place(ns(74))
+    assert away_m(later, sailing(74, 1000.0)[1]) < 0.1
+    assert later.observer.velocity_n_m_per_s[0] == pytest.approx(10.0, abs=0.01)
+
+
+def test_what_is_no_jump_is_taken() -> None:
+    def refused(*fixes, **config) -> list:
+        told, sky = [], Fixes(SkyConfig(**config))
+        for since_s, position, *sigma_m in fixes:
+            fix = PositionFix(ns(since_s), position, np.eye(3) * (sigma_m[0] if sigma_m else 3.0) ** 2)
+            told.append(sky.refusal(fix))
+            sky.insert(fix)
+        return [refusal for refusal in told if refusal is not None]
+
+    # Another antenna 45 m along the ship; minutes without fixes; a receiver that says that it knows little.
+    assert refused(*(sailing(t) for t in range(5)), *(sailing(t, 45.0) for t in range(5, 10))) == []
+    assert refused(sailing(0), sailing(1), sailing(400), sailing(401)) == []
+    assert refused(*((*sailing(t, 300.0 * (t % 2)), 100.0) for t in range(20))) == []
+    # The date line, and over the pole by 11 m on either side.
+    assert refused((0, at(0.0, 179.9999)), (1, at(0.0, -179.9999)), (2, at(0.0, -179.9997))) == []
+    assert refused((0, at(89.9999, 30.0)), (1, at(89.9999, -150.0)), (2, at(89.9997, -150.0))) == []
+    # On the other side of the Earth the straight way has no part along the horizon: it is a jump all the same.
+    assert len(refused((0, at(0.0, 10.0)), (1, at(0.0, 10.0)), (2, at(0.0, -170.0)))) == 1
+    # Height is not compared.
+    assert refused((0, at(50.0, 10.0, 20.0)), (1, at(50.0, 10.0, 900.0))) == []

@@ -6,7 +6,7 @@ This module names the reasons. A measurement meets those who decide in this orde
 2. :class:`ship_estimation.estimator_shell.LagWindow`: LATE;
 3. the guards, which look at one stream by itself: :mod:`ship_estimation.ins_guard` at an INS, ``guards/`` at star
    sensors and references, ``theodolite_calib/measured/encoder_watch`` at encoders: STUCK, UNITS, and GATE for one
-   sample that jumps;
+   sample that jumps; ``sky/stamped_values`` at the fix and the air: JUMP;
 4. :class:`ship_estimation.estimator_shell.EstimatorShell`: DUPLICATE, CONFLICT, OVERFLOW, and FAILED for our own
    defects;
 5. the filter that compares it with its state (``ship_attitude/filter``, ``theodolite_calib/filter/judgement``) and, in
@@ -73,6 +73,7 @@ class Reason(enum.IntEnum):
     CLOCK = 28
     FAILED = 29
     EXCLUDED = 30
+    JUMP = 31
 
     @property
     def word(self) -> str:

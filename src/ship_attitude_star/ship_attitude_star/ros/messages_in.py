@@ -172,6 +172,9 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessag
     if covariance_enu is not None and covariance_enu.diagonal().max() > _LARGEST_POSITION_SIGMA_M**2:
         largest_m = np.sqrt(covariance_enu.diagonal().max())
         raise Refused(Reason.BAD_COVARIANCE, f"position_covariance: a sigma of {largest_m:.3g} m is no fix")
+    if covariance_enu is not None and not covariance_enu.diagonal()[:2].all():
+        text = "position_covariance: a variance of zero beside others, but no receiver is exact in one direction"
+        raise Refused(Reason.BAD_COVARIANCE, text)
     covariance_m2 = np.eye(3) * config.fix_sigma_m**2 if covariance_enu is None else horizon_covariance(covariance_enu)
     position = GeodeticPosition(np.deg2rad(message.latitude), np.deg2rad(message.longitude), height_m)
     return ReadMessage(PositionFix(time_ns, position, covariance_m2), covariance_enu is not None)

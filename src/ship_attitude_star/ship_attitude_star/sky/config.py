@@ -52,6 +52,13 @@ class SkyConfig:
     fix_sigma_m: float = parameter(
         5.0, doc="error of a fix, each horizontal axis, where the message gives none", unit="m", minimum=0.0
     )
+    max_speed_m_per_s: float = parameter(
+        30.0,
+        doc="a fix that is further from the last one than the ship sails is refused; what the antenna sways counts too",
+        unit="m/s",
+        minimum=1.0,
+        maximum=1000.0,
+    )
     position_time_s: float = parameter(
         600.0, doc="correlation time of the error of the ship's position", unit="s", minimum=1.0, maximum=1e7
     )

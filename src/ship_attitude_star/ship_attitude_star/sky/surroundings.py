@@ -2,20 +2,21 @@
 
 The place lies on the line through the two fixes nearest in time. The line is straight in Earth-fixed coordinates, so
 that neither the date line nor a pole is special. The air is what was measured last; where nothing was measured,
-parameters stand in. Whatever the order of arrival, the answers are the same.
+parameters stand in. A fix or a reading that has jumped is left out: the last good ones go on, with an error that grows
+(:mod:`ship_attitude_star.sky.stamped_values`). Whatever the order of arrival, the answers are the same.
 """
 
 import bisect
 import math
 import struct
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ship_attitude_star.measurements.readings import AirReading, PositionFix, SkyInput
 from ship_attitude_star.sky.config import SkyConfig
-from ship_estimation.refusals import Content, Reason, Refusal, same_stamp
+from ship_attitude_star.sky.stamped_values import Limits, StampedValues
+from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.geodetic import (
     ecef_from_geodetic,
     geodetic_from_ecef,
@@ -27,8 +28,6 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.star_directions import Observer
 from ship_geometry.time_scales import SECOND_NS
 
-Value = TypeVar("Value", bound=Content)
-
 ACCELERATION_SIGMA_M_PER_S2 = 0.1
 """Acceleration with which a ship leaves the straight line, standard deviation of each horizontal axis.
 
@@ -37,6 +36,24 @@ A ship that turns by 0.6°/s at 10 m/s has it.
 
 SPEED_SIGMA_M_PER_S = 10.0
 """Speed of a ship of which only one fix is known, standard deviation of each horizontal axis."""
+
+FIX_AT_ONCE_M = 50.0
+"""What a position may change at once: from one antenna to another, from one solution of a receiver to a better one.
+
+Stars hardly know it: 31 m make 1″.
+"""
+
+PRESSURE_AT_ONCE_HPA = 5.0
+"""What a barometer may change at once: gusts at its inlet (30 m/s: 5 hPa), heave (10 m: 1 hPa), a squall (2 hPa)."""
+
+PRESSURE_PER_H_HPA = 30.0
+"""Ten times what WMO-No. 305 (1993, VI.21) tolerates within an hour: a typhoon may pass."""
+
+TEMPERATURE_AT_ONCE_K = 5.0
+"""What a thermometer may change at once: the plume of the funnel, the sun."""
+
+TEMPERATURE_PER_H_K = 40.0
+"""Ten times what WMO-No. 305 (1993, VI.21) tolerates within an hour: the outflow of a thunderstorm may arrive."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +90,25 @@ class Air:
 
 @dataclass(frozen=True)
 class _Fix:
-    """A position fix in Earth-fixed coordinates: antenna (m), shape (3,), and its covariance (m²), shape (3, 3)."""
+    """A position fix in Earth-fixed coordinates.
+
+    Attributes:
+        ecef_m: the antenna, shape (3,).
+        covariance_ecef_m2: of it, shape (3, 3).
+        below_m: the point of the ellipsoid below it: heights, of which stars know nothing, are not compared.
+        sigma: horizontal, of both axes together, m.
+    """
 
     ecef_m: FloatArray
     covariance_ecef_m2: FloatArray
+    below_m: list[float]
+    sigma: float
 
     def content(self) -> bytes:
         return self.ecef_m.tobytes() + self.covariance_ecef_m2.tobytes()
+
+    def away(self, other: "_Fix") -> float:
+        return math.dist(self.below_m, other.below_m)
 
 
 @dataclass(frozen=True)
@@ -92,52 +121,8 @@ class _Value:
     def content(self) -> bytes:
         return struct.pack("<dd", self.value, self.sigma)
 
-
-class _StampedValues(Generic[Value]):
-    """Values in the order of their stamps; of two with the same stamp the one whose bytes sort first is kept.
-
-    Attributes:
-        times: stamps, increasing.
-        values: of the same length.
-    """
-
-    def __init__(self) -> None:
-        self.times: list[int] = []
-        self.values: list[Value] = []
-
-    def refusal(self, time_ns: int, value: Value) -> Refusal | None:
-        """DUPLICATE or CONFLICT where there is a value of that stamp."""
-        known = self._at(time_ns)
-        return None if known is None else same_stamp(known, value)[1]
-
-    def insert(self, time_ns: int, value: Value) -> int | None:
-        """Put a value in its place; returns its index, None where another one of its stamp is kept."""
-        index = bisect.bisect_left(self.times, time_ns)
-        known = self._at(time_ns)
-        if known is None:
-            self.times.insert(index, time_ns)
-            self.values.insert(index, value)
-            return index
-        if known.content() <= value.content():
-            return None
-        self.values[index] = value
-        return index
-
-    def last_before(self, time_ns: int) -> int:
-        """Index of the last value at or before a moment; -1 where there is none."""
-        return bisect.bisect_right(self.times, time_ns) - 1
-
-    def drop_before(self, time_ns: int, keep: int = 1) -> None:
-        """Forget old values, but keep the last ``keep`` at or before a moment and all after it."""
-        count = bisect.bisect_right(self.times, time_ns) - keep
-        if count > 0:
-            del self.times[:count]
-            del self.values[:count]
-
-    def _at(self, time_ns: int) -> Value | None:
-        index = bisect.bisect_left(self.times, time_ns)
-        found = index < len(self.times) and self.times[index] == time_ns
-        return self.values[index] if found else None
+    def away(self, other: "_Value") -> float:
+        return abs(self.value - other.value)
 
 
 class _Quantity:
@@ -146,14 +131,14 @@ class _Quantity:
     Args:
         default: holds without a reading, and after the last one has grown too old.
         measured_sigma: standard deviation of a reading whose message gives none.
-        max_age_s: age after which a reading does not hold any more.
+        limits: what the air cannot have changed by; a reading holds for as long as these say that a jump must last.
     """
 
-    def __init__(self, default: _Value, measured_sigma: float, max_age_s: float) -> None:
+    def __init__(self, default: _Value, measured_sigma: float, limits: Limits) -> None:
         self._default = default
         self._measured_sigma = measured_sigma
-        self._max_age_ns = max_age_s * SECOND_NS
-        self.readings: _StampedValues[_Value] = _StampedValues()
+        self._max_age_ns = limits.lasts_s * SECOND_NS
+        self.readings: StampedValues[_Value] = StampedValues(limits)
 
     def measured(self, reading: AirReading) -> _Value:
         return _Value(reading.value, self._measured_sigma if reading.sigma is None else reading.sigma)
@@ -186,26 +171,30 @@ class Surroundings:
     def __init__(self, config: SkyConfig) -> None:
         self._fix_max_age_s = config.fix_max_age_s
         self._fix_max_age_ns = round(config.fix_max_age_s * SECOND_NS)
-        self._fixes: _StampedValues[_Fix] = _StampedValues()
+        reach = Limits(FIX_AT_ONCE_M, config.max_speed_m_per_s, config.fix_max_age_s, "m")
+        self._fixes: StampedValues[_Fix] = StampedValues(reach)
         pressure = _Value(config.pressure_hpa, config.pressure_sigma_hpa)
         temperature = _Value(config.temperature_c, config.temperature_sigma_k)
         # The error of humidity is left out: from dry to saturated air, refraction changes as by 0.5 K at 10 °C, and as
-        # by 2.5 K at 35 °C.
+        # by 2.5 K at 35 °C. For the same reason no change of it is a jump.
         humidity = _Value(config.relative_humidity, 0.0)
         max_age_s = config.weather_max_age_s
+        by_weather = Limits(PRESSURE_AT_ONCE_HPA, PRESSURE_PER_H_HPA / 3600.0, max_age_s, "hPa")
+        by_warmth = Limits(TEMPERATURE_AT_ONCE_K, TEMPERATURE_PER_H_K / 3600.0, max_age_s, "K")
         self._air = {
-            "pressure": _Quantity(pressure, config.measured_pressure_sigma_hpa, max_age_s),
-            "temperature": _Quantity(temperature, config.measured_temperature_sigma_k, max_age_s),
-            "humidity": _Quantity(humidity, 0.0, max_age_s),
+            "pressure": _Quantity(pressure, config.measured_pressure_sigma_hpa, by_weather),
+            "temperature": _Quantity(temperature, config.measured_temperature_sigma_k, by_warmth),
+            "humidity": _Quantity(humidity, 0.0, Limits(1.0, 0.0, max_age_s, "")),
         }
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def refusal(self, given: SkyInput) -> Refusal | None:
-        """DUPLICATE or CONFLICT where an input of the same kind and stamp is known; to be asked before :meth:`insert`.
+        """Why an input is not used, or not as it came; to be asked before :meth:`insert`.
 
-        The input of a conflict is inserted all the same: of two with the same stamp the one whose bytes sort first is
-        kept.
+        DUPLICATE or CONFLICT where an input of the same kind and stamp is known, LATE where it comes too long after
+        later ones of its kind, JUMP where it has jumped. All inputs are inserted: of two with the same stamp the one
+        whose bytes sort first is kept, and what has jumped tells something of those after it.
         """
         if isinstance(given, PositionFix):
             return self._fixes.refusal(given.time_ns, _earth_fixed(given))
@@ -221,21 +210,19 @@ class Surroundings:
         if isinstance(given, PositionFix):
             return self._insert_fix(given)
         quantity = self._air[given.quantity]
-        if quantity.readings.insert(given.time_ns, quantity.measured(given)) is None:
-            return None
+        changed_ns = quantity.readings.insert(given.time_ns, quantity.measured(given))
         # A reading holds from its stamp on, so the answer at the stamp itself changes too.
-        return given.time_ns - 1
+        return None if changed_ns is None else changed_ns - 1
 
     def _insert_fix(self, fix: PositionFix) -> int | None:
-        index = self._fixes.insert(fix.time_ns, _earth_fixed(fix))
-        if index is None:
+        changed_ns = self._fixes.insert(fix.time_ns, _earth_fixed(fix))
+        if changed_ns is None:
             return None
-        times = self._fixes.times
+        times, index = self._fixes.times, bisect.bisect_left(self._fixes.times, changed_ns)
         if index < 2:
             return 0  # the first two fixes give the velocity for all times before them
         # Where the fix before is alone, the new fix gives the velocity on the far side of that one too.
-        joined = times[index - 1] - times[index - 2] <= 2 * self._fix_max_age_ns
-        return times[index - 1] if joined else times[index - 2]
+        return times[index - 1] if self._joined(index - 2) else times[index - 2]
 
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed for moments at or after ``time_ns``."""
@@ -304,14 +291,21 @@ class Surroundings:
         left = nearest if times[nearest] <= time_ns else nearest - 1
         for index in (left, left - 1) if left == nearest else (left, left + 1):
             # Wherever a moment lies between fixes so near to one another, one of them is young enough.
-            if 0 <= index < len(times) - 1 and times[index + 1] - times[index] <= 2 * self._fix_max_age_ns:
+            if 0 <= index < len(times) - 1 and self._joined(index):
                 return index
         return None
+
+    def _joined(self, index: int) -> bool:
+        """Whether a line leads from a fix to the next one: not across a long time, nor across a jump."""
+        times = self._fixes.times
+        return times[index + 1] - times[index] <= 2 * self._fix_max_age_ns and not self._fixes.anew[index + 1]
 
 
 def _earth_fixed(fix: PositionFix) -> _Fix:
     rotation = rotation_horizon_from_ecef(fix.position.latitude, fix.position.longitude)
-    return _Fix(ecef_from_geodetic(fix.position), rotation.T @ fix.covariance_m2 @ rotation)
+    below_m = ecef_from_geodetic(replace(fix.position, height_m=0.0)).tolist()
+    sigma_m = math.sqrt(max(fix.covariance_m2[0, 0] + fix.covariance_m2[2, 2], 0.0))
+    return _Fix(ecef_from_geodetic(fix.position), rotation.T @ fix.covariance_m2 @ rotation, below_m, sigma_m)
 
 
 def _place(

@@ -155,9 +155,7 @@ def _tell(
             # Its rates may be wrong in their units: attitudes alone decide here.
             track.insert(replace(ins_sample(message, config.ins, receive_ns).value, rate_d=None))
         elif watch is not None:
-            told = surroundings_reader(topic, config.sky)(message, receive_ns=receive_ns).value
-            if watch.surroundings.refusal(told) is None:
-                watch.surroundings.insert(told)
+            watch.surroundings.insert(surroundings_reader(topic, config.sky)(message, receive_ns=receive_ns).value)
     except (Refused, BadInput):
         return
 

@@ -1,0 +1,238 @@
+"""Values by their stamps, of which those that jump are left out; any order of arrival ends in the same.
+
+What all stars share, the ship's place and the air around her, is told by one receiver and one instrument. No star tells
+that these are wrong: all of them move alike, as if the INS tilted. But a ship sails no faster than she can, and the air
+changes no faster than weather does. A value further from the last one believed than that (:class:`Limits`) has jumped.
+It is refused, and so are those after it that hang together with it, until
+
+- a value is again where the last one believed allows it, and not where the refused ones lead; or
+- they have hung together for as long as a value holds: then nothing older holds any more, and they are believed anew.
+
+Nothing speaks for a first value but itself: where the second contradicts it, the third decides.
+
+Each verdict follows from the values before it alone, by their stamps. A late value is judged at its place, and those
+after it anew.
+"""
+
+import bisect
+import math
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from ship_estimation.refusals import Content, Reason, Refusal, same_stamp
+from ship_geometry.time_scales import SECOND_NS
+
+_SIGMAS = 5.0
+"""So many sigmas of two values taken together are noise."""
+
+_REMEMBERED = 100
+"""So many refused values are kept with their stamps; what comes later than that behind its own stream is late."""
+
+
+class Quantity(Content, Protocol):
+    """Something that was measured."""
+
+    @property
+    def sigma(self) -> float:
+        """Its standard deviation."""
+        ...
+
+    def away(self, other: Any) -> float:
+        """How far it is from another one of its kind, in the unit of sigma."""
+        ...
+
+
+Value = TypeVar("Value", bound=Quantity)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How far a true value may be from an earlier one.
+
+    Attributes:
+        at_once: in no time at all, beside the noise of both.
+        per_s: more for each second between the two.
+        lasts_s: what is further away is believed after it has lasted for so long.
+        unit: of all these, for people.
+    """
+
+    at_once: float
+    per_s: float
+    lasts_s: float
+    unit: str
+
+    def between(self, earlier: Quantity, later: Quantity, seconds: float) -> float:
+        """How far two values may be apart that are both as good as they say."""
+        return self.at_once + self.per_s * seconds + _SIGMAS * math.hypot(earlier.sigma, later.sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class _Stamped(Generic[Value]):
+    """A value with its stamp; equal to itself alone."""
+
+    time_ns: int
+    value: Value
+
+
+@dataclass(frozen=True)
+class _Belief(Generic[Value]):
+    """What is believed after a value.
+
+    Attributes:
+        good: the last value believed.
+        alone: whether it was believed without any before it.
+        refused: the last one of those that hang together and are refused; None where the last value was believed.
+        since_ns: stamp of the first of them.
+        anew: whether the last value was believed although it had jumped.
+    """
+
+    good: _Stamped[Value] | None = None
+    alone: bool = True
+    refused: _Stamped[Value] | None = None
+    since_ns: int = 0
+    anew: bool = False
+
+
+class StampedValues(Generic[Value]):
+    """Values in the order of their stamps; of two with the same stamp the one whose bytes sort first is kept.
+
+    Args:
+        limits: what is further than that from the last value believed has jumped.
+
+    Attributes:
+        times: stamps of the values that are believed, increasing.
+        values: of the same length.
+        anew: whether the value had jumped, so that nothing leads from the one before to it; of the same length.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self.times: list[int] = []
+        self.values: list[Value] = []
+        self.anew: list[bool] = []
+        self._limits = limits
+        self._lasts_ns = limits.lasts_s * SECOND_NS
+        # All values, and what is believed after each of them; before them, what is forgotten has led to a belief too.
+        self._stamps: list[int] = []
+        self._taken: list[_Stamped[Value]] = []
+        self._beliefs: list[_Belief[Value]] = []
+        self._before: _Belief[Value] = _Belief()
+        self._forgotten_ns: int | None = None
+
+    # -- inputs ---------------------------------------------------------------------------------------------
+
+    def refusal(self, time_ns: int, value: Value) -> Refusal | None:
+        """DUPLICATE or CONFLICT where there is a value of that stamp, LATE, or JUMP where the value has jumped."""
+        place = bisect.bisect_left(self._stamps, time_ns)
+        if place < len(self._stamps) and self._stamps[place] == time_ns:
+            return same_stamp(self._taken[place].value, value)[1]
+        if self._is_forgotten(time_ns):
+            return Refusal(Reason.LATE, "its stamp lies before what is remembered of its own source")
+        before = self._belief_before(place)
+        if before.good is None or self._believed(before, _Stamped(time_ns, value)).refused is None:
+            return None
+        limits, seconds = self._limits, (time_ns - before.good.time_ns) / SECOND_NS
+        away, allowed = value.away(before.good.value), limits.between(before.good.value, value, seconds)
+        jumped = f"{away:.4g} {limits.unit} from the last one believed, {seconds:.1f} s before it"
+        if away > allowed:
+            jumped += f": more than {allowed:.3g} {limits.unit} cannot be"
+        else:
+            jumped += ": it hangs together with others that had jumped"
+        return Refusal(Reason.JUMP, f"{jumped}; believed once it has lasted for {limits.lasts_s:g} s")
+
+    def insert(self, time_ns: int, value: Value) -> int | None:
+        """Put a value in its place; returns the stamp from which on what is believed has changed, None for nothing."""
+        if self._is_forgotten(time_ns):
+            return None
+        place = bisect.bisect_left(self._stamps, time_ns)
+        if place < len(self._stamps) and self._stamps[place] == time_ns:
+            if self._taken[place].value.content() <= value.content():
+                return None
+            self._taken[place] = _Stamped(time_ns, value)
+        else:
+            self._stamps.insert(place, time_ns)
+            self._taken.insert(place, _Stamped(time_ns, value))
+            self._beliefs.insert(place, _Belief())
+        return self._judge_from(place)
+
+    def drop_before(self, time_ns: int, keep: int = 1) -> None:
+        """Forget old values, but keep the last ``keep`` believed at or before a moment and all after it."""
+        count = bisect.bisect_right(self.times, time_ns) - keep
+        if count > 0:
+            del self.times[:count], self.values[:count], self.anew[:count]
+        elif len(self._stamps) <= _REMEMBERED:
+            return
+        passed = bisect.bisect_right(self._stamps, time_ns)
+        needed = bisect.bisect_left(self._stamps, self.times[0]) if self.times else 0
+        forgotten = min(passed, max(needed, passed - _REMEMBERED))
+        if forgotten > 0:
+            self._before, self._forgotten_ns = self._beliefs[forgotten - 1], self._stamps[forgotten - 1]
+            del self._stamps[:forgotten], self._taken[:forgotten], self._beliefs[:forgotten]
+
+    # -- answers --------------------------------------------------------------------------------------------
+
+    def last_before(self, time_ns: int) -> int:
+        """Index of the last value believed at or before a moment; -1 where there is none."""
+        return bisect.bisect_right(self.times, time_ns) - 1
+
+    # -- verdicts -------------------------------------------------------------------------------------------
+
+    def _judge_from(self, place: int) -> int | None:
+        """Judge a value, and those after it until they are believed or not as before; returns as :meth:`insert`."""
+        belief, first = self._belief_before(place), place
+        while place < len(self._taken):
+            belief = self._believed(belief, self._taken[place])
+            as_before = place > first and belief == self._beliefs[place]
+            self._beliefs[place] = belief
+            place += 1
+            if as_before:
+                break
+        return self._put(first, place)
+
+    def _put(self, first: int, last: int) -> int | None:
+        """Put what is believed of some values in the place of what was; returns as :meth:`insert`.
+
+        Args:
+            first: index of the first of them, among all values.
+            last: index after the last one.
+        """
+        begin = bisect.bisect_left(self.times, self._stamps[first])
+        end = bisect.bisect_right(self.times, self._stamps[last - 1])
+        judged = zip(self._taken[first:last], self._beliefs[first:last], strict=True)
+        good = [(one, belief.anew) for one, belief in judged if belief.good is one]
+        # Where all before are as they were, what is left differs from its first on.
+        while good and begin < end and good[0][0].value is self.values[begin] and good[0][1] is self.anew[begin]:
+            del good[0]
+            begin += 1
+        changed_ns = min([one.time_ns for one, _ in good[:1]] + self.times[begin:end][:1], default=None)
+        self.times[begin:end] = [one.time_ns for one, _ in good]
+        self.values[begin:end] = [one.value for one, _ in good]
+        self.anew[begin:end] = [anew for _, anew in good]
+        return changed_ns
+
+    def _believed(self, before: _Belief[Value], new: _Stamped[Value]) -> _Belief[Value]:
+        """What is believed after a value."""
+        good, refused = before.good, before.refused
+        if good is None:
+            return _Belief(new)
+        if refused is None or not self._leads(refused, new):
+            if self._leads(good, new):
+                return _Belief(new, alone=False)
+            return _Belief(good, before.alone, new, new.time_ns)
+        # What hangs together with refused values does not profit from the time that has passed since the last good one.
+        step_s = (new.time_ns - refused.time_ns) / SECOND_NS
+        if new.value.away(good.value) <= self._limits.between(good.value, new.value, step_s):
+            return _Belief(new, alone=False)
+        if before.alone or new.time_ns - before.since_ns >= self._lasts_ns:
+            return _Belief(new, alone=False, anew=True)
+        return _Belief(good, before.alone, new, before.since_ns)
+
+    def _leads(self, earlier: _Stamped[Value], later: _Stamped[Value]) -> bool:
+        """Whether a value can follow an earlier one; NaN cannot."""
+        seconds = (later.time_ns - earlier.time_ns) / SECOND_NS
+        return later.value.away(earlier.value) <= self._limits.between(earlier.value, later.value, seconds)
+
+    def _belief_before(self, place: int) -> _Belief[Value]:
+        return self._beliefs[place - 1] if place > 0 else self._before
+
+    def _is_forgotten(self, time_ns: int) -> bool:
+        return self._forgotten_ns is not None and time_ns <= self._forgotten_ns

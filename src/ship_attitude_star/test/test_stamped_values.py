@@ -1,0 +1,191 @@
+"""Values of which those that jump are left out: what is a jump, when it is believed, in any order of arrival."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.sky.stamped_values import Limits, StampedValues
+from ship_estimation.refusals import Reason
+
+SECOND_NS = 1_000_000_000
+LIMITS = Limits(at_once=10.0, per_s=2.0, lasts_s=60.0, unit="m")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A number with its error."""
+
+    value: float
+    sigma: float = 0.0
+
+    def away(self, other: "Reading") -> float:
+        return abs(self.value - other.value)
+
+    def content(self) -> bytes:
+        return np.array([self.value, self.sigma]).tobytes()
+
+
+def ns(since_s: float) -> int:
+    return round(since_s * SECOND_NS)
+
+
+def told(*stamped: tuple[float, float], sigma: float = 0.0) -> tuple[StampedValues[Reading], list[float]]:
+    """The values after all have come, and the times of those refused."""
+    values, refused = StampedValues[Reading](LIMITS), []
+    for since_s, value in stamped:
+        if values.refusal(ns(since_s), Reading(value, sigma)) is not None:
+            refused.append(since_s)
+        values.insert(ns(since_s), Reading(value, sigma))
+    return values, refused
+
+
+def believed(values: StampedValues[Reading]) -> list[tuple[int, float, bool]]:
+    return [(t, v.value, a) for t, v, a in zip(values.times, values.values, values.anew, strict=True)]
+
+
+STEADY = [(float(t), 0.0) for t in range(5)]
+
+
+def test_a_value_within_its_reach_is_taken() -> None:
+    # A second later 10 + 2 and five sigmas of both together: 10 + 2 + 5·sqrt(2) = 19.07.
+    assert told(*STEADY, (5.0, 19.0), sigma=1.0)[1] == []
+    assert told(*STEADY, (5.0, 19.1), sigma=1.0)[1] == [5.0]
+
+
+def test_a_jump_is_refused_in_words_and_what_was_before_holds() -> None:
+    values, refused = told(*STEADY, (5.0, 100.0), (6.0, 101.0))
+    assert refused == [5.0, 6.0]
+    assert believed(values)[-1] == (ns(4), 0.0, False)
+    refusal = values.refusal(ns(7), Reading(102.0))
+    assert refusal.reason is Reason.JUMP
+    assert refusal.text == (
+        "102 m from the last one believed, 3.0 s before it: more than 16 m cannot be; "
+        "believed once it has lasted for 60 s"
+    )
+
+
+def test_what_comes_back_is_taken_at_once_as_far_as_it_may_have_gone_meanwhile() -> None:
+    jumped = [(float(t), 500.0) for t in range(5, 25)]
+    # 21 s after the last good one: 10 + 2·21.
+    assert told(*STEADY, *jumped, (25.0, 52.0))[1] == [t for t, _ in jumped]
+    assert told(*STEADY, *jumped, (25.0, 52.1))[1] == [*(t for t, _ in jumped), 25.0]
+
+
+def test_what_hangs_together_with_a_jump_does_not_profit_from_time() -> None:
+    # 30 is within 10 + 2·t of zero from 10 s on; yet it has come there by a jump.
+    values, refused = told(*STEADY, *((float(t), 30.0) for t in range(5, 60)))
+    assert refused == [float(t) for t in range(5, 60)]
+    refusal = values.refusal(ns(60), Reading(30.0))
+    assert "it hangs together with others that had jumped" in refusal.text
+    # One that has walked back to where one step could lead is taken: 12 within a second.
+    assert told(*STEADY, (5.0, 22.0), (6.0, 12.1), (7.0, 12.0))[1] == [5.0, 6.0]
+
+
+def test_a_jump_is_believed_when_it_has_lasted() -> None:
+    values, refused = told(*STEADY, *((float(t), 500.0) for t in range(5, 68)))
+    assert refused == [float(t) for t in range(5, 65)]
+    assert believed(values)[4:7] == [(ns(4), 0.0, False), (ns(65), 500.0, True), (ns(66), 500.0, False)]
+
+
+def test_what_does_not_agree_with_itself_is_never_believed() -> None:
+    wild = [(float(t), 500.0 + 100.0 * (t % 2)) for t in range(5, 200)]
+    assert told(*STEADY, *wild)[1] == [t for t, _ in wild]
+
+
+def test_of_a_first_value_and_two_that_contradict_it_the_two_are_believed() -> None:
+    values, refused = told((0.0, 500.0), (1.0, 0.0), (2.0, 1.0), (3.0, 2.0))
+    assert refused == [1.0]
+    assert believed(values) == [(0, 500.0, False), (ns(2), 1.0, True), (ns(3), 2.0, False)]
+    # A first one that another confirms is as good as any.
+    assert told((0.0, 500.0), (1.0, 500.0), (2.0, 0.0), (3.0, 1.0))[1] == [2.0, 3.0]
+
+
+def test_no_number_is_near_nothing() -> None:
+    assert told(*STEADY, (5.0, float("nan")), (6.0, float("nan")), (7.0, 0.0))[1] == [5.0, 6.0]
+
+
+def test_a_good_source_is_not_refused() -> None:
+    # Ten hours at 1 Hz, noise as stated, nothing at once and nothing in time: the five sigmas alone carry it. The
+    # difference of two is normal with sqrt(2) sigma: beyond five of them with 5.7e-7, 0.02 in 36 000.
+    rng = np.random.default_rng(20260301)
+    values, refused = StampedValues[Reading](Limits(0.0, 0.0, 60.0, "m")), 0
+    for number, value in enumerate(rng.standard_normal(36_000).tolist()):
+        refused += values.refusal(ns(number), Reading(value, 1.0)) is not None
+        values.insert(ns(number), Reading(value, 1.0))
+        values.drop_before(ns(number - 3))
+    assert refused == 0
+
+
+BRIEF = Limits(at_once=10.0, per_s=2.0, lasts_s=8.0, unit="m")
+
+
+def drawn(rng: np.random.Generator) -> list[tuple[int, Reading]]:
+    """Values with jumps, some of which last, gaps, and different ones of one stamp."""
+    times_ns = np.cumsum(rng.integers(1, 4, 40)) * SECOND_NS
+    places = rng.choice([0.0, 0.0, 0.0, 15.0, 25.0, 400.0], 8)
+    stamped = [
+        (int(time_ns), Reading(places[number // 5] + rng.normal(), float(rng.integers(0, 2))))
+        for number, time_ns in enumerate(times_ns)
+    ]
+    return stamped + [(time_ns, Reading(reading.value + 300.0)) for time_ns, reading in stamped[::9]]
+
+
+def put(stamped: list[tuple[int, Reading]], order: Iterable[int]) -> StampedValues[Reading]:
+    values = StampedValues[Reading](BRIEF)
+    for index in order:
+        values.insert(*stamped[index])
+    return values
+
+
+def test_what_is_drawn_has_jumps_that_are_refused_and_some_that_are_believed() -> None:
+    runs = [put(stamped, range(len(stamped))) for stamped in map(drawn, map(np.random.default_rng, range(40)))]
+    assert sum(len(values.times) < 35 for values in runs) > 20
+    assert sum(any(values.anew) for values in runs) > 10
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_any_order_of_arrival_ends_in_the_same(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    stamped = sorted(drawn(rng), key=lambda one: one[0])
+    expected = believed(put(stamped, range(len(stamped))))
+    assert believed(put(stamped, rng.permutation(len(stamped)))) == expected
+    # Late by up to ten seconds, and what is older than that is forgotten.
+    late, newest_ns, forgotten = StampedValues[Reading](BRIEF), 0, []
+    for index in np.argsort([time_ns + rng.uniform(0.0, ns(10)) for time_ns, _ in stamped]):
+        late.insert(*stamped[index])
+        newest_ns = max(newest_ns, stamped[index][0])
+        before = believed(late)
+        late.drop_before(newest_ns - ns(10), keep=2)
+        forgotten += before[: len(before) - len(late.times)]
+    assert forgotten + believed(late) == expected
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_nothing_that_was_believed_before_the_stamp_it_says_has_changed(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    stamped, values = drawn(rng), StampedValues[Reading](BRIEF)
+    for index in rng.permutation(len(stamped)):
+        before = believed(values)
+        changed_ns = values.insert(*stamped[index])
+        after = believed(values)
+        if changed_ns is None:
+            assert after == before
+        else:
+            differing = min(set(before) ^ set(after), key=lambda one: one[0])
+            assert differing[0] == changed_ns
+
+
+def test_a_jump_that_lasts_for_long_takes_no_memory_and_what_comes_too_late_is_told() -> None:
+    values = StampedValues[Reading](Limits(10.0, 2.0, 1e6, "m"))
+    values.insert(0, Reading(0.0))
+    values.insert(ns(1), Reading(0.0))
+    for number in range(1000):
+        values.insert(ns(2 + number), Reading(500.0))
+        values.drop_before(ns(number - 2), keep=2)
+    assert len(values._stamps) < 110
+    assert values.refusal(ns(500), Reading(500.0)).reason is Reason.LATE
+    assert values.insert(ns(500), Reading(500.0)) is None
+    assert values.refusal(ns(1002), Reading(500.0)).reason is Reason.JUMP
+    assert values.refusal(ns(1002), Reading(0.0)) is None

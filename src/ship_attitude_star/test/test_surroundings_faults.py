@@ -1,0 +1,77 @@
+"""A fix or a barometer that jumps, in both nodes that look at the sky: it is named, and no star sees it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_estimation.outcome import Status
+from ship_estimation.refusals import Reason
+from ship_testing import ship_observations, star_voyage
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, delayed
+from ship_testing.small_voyage import INS
+from ship_testing.star_voyage import FIX, FORE, PRESSURE, STARBOARD, voyage
+
+Change = Callable[[Any], None]
+NODES = {"ship_attitude": ship_observations.sail, "star_attitude": star_voyage.sail}
+
+
+def off(field: str, by: float) -> Change:
+    def change(message: Any) -> None:
+        setattr(message, field, getattr(message, field) + by)
+
+    return change
+
+
+FAULTS = {
+    # 300 m, 1 km and 10 km; the radius of the meridian at 32° is 6353 km.
+    "300 m north": (FIX, off("latitude", np.rad2deg(300.0 / 6_353_000.0))),
+    "1 km south": (FIX, off("latitude", np.rad2deg(-1000.0 / 6_353_000.0))),
+    "10 km east": (FIX, off("longitude", np.rad2deg(10_000.0 / (6_384_100.0 * np.cos(np.deg2rad(31.9)))))),
+    "20 hPa up": (PRESSURE, off("fluid_pressure", 2000.0)),
+    "30 hPa down": (PRESSURE, off("fluid_pressure", -3000.0)),
+}
+
+
+def is_hit(arrival: Arrival, topic: str) -> bool:
+    return arrival.topic == topic and arrival.stamp_ns >= START_NS + SECOND_NS
+
+
+@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_jumps_is_named_and_leaves_no_trace(node: str, fault: str) -> None:
+    topic, change = FAULTS[fault]
+    run = NODES[node](changed_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
+    without = NODES[node]([arrival for arrival in voyage() if not is_hit(arrival, topic)])
+    assert run.results() == without.results()
+    assert run.reasons(topic) == {"jump": 2}
+    told = run.innovations(Reason.JUMP)
+    assert [message.source for message in told] == [topic] * 2
+    assert all("from the last one believed" in message.reason_text for message in told)
+
+
+def test_the_attitude_stays_valid() -> None:
+    topic, change = FAULTS["1 km south"]
+    run = ship_observations.sail(changed_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
+    # The first half second, before both sensors were used, and what is INVALID before the INS comes aside.
+    later = [m.status for ns, t, m in run.published if t == "ship/attitude" and ns > START_NS + SECOND_NS // 2]
+    assert set(later) == {Status.VALID}
+    told = run.diagnostics(f"input {FIX}", START_NS, START_NS + 4 * SECOND_NS)
+    assert any(level > 0 and text.startswith("refused, jump: ") for level, text in told)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_order_within_the_lag_ends_in_the_same_state(seed: int) -> None:
+    wrong = changed_where(
+        voyage(),
+        # A glitch of one fix, and the last one of the voyage: what comes between is judged against the right ones.
+        lambda arrival: arrival.topic == FIX and arrival.stamp_ns in (START_NS, START_NS + 2 * SECOND_NS),
+        FAULTS["1 km south"][1],
+    )
+    late = np.array([arrival.topic in (FIX, PRESSURE, FORE, STARBOARD, INS) for arrival in wrong])
+    delays_s = np.where(late, np.random.default_rng(seed).uniform(0.0, 1.99, late.size), 0.005)
+    run = ship_observations.sail(delayed(wrong, delays_s))
+    in_order = ship_observations.sail(delayed(wrong, np.full(late.size, 0.005)))
+    assert in_order.reasons(FIX) == {"jump": 2}
+    assert run.state() == in_order.state()
