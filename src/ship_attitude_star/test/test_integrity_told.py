@@ -7,7 +7,8 @@ import numpy as np
 
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, stamp_of
-from ship_testing.small_voyage import FORE, Run, drive, new_adapter, voyage
+from ship_testing.small_voyage import FORE, INS, STARBOARD, Run, cut, drive, new_adapter, voyage
+from ship_testing.told_levels import LevelledRun
 
 UNAVAILABLE = 2
 KNOCKED_NS = START_NS + 5 * SECOND_NS
@@ -48,3 +49,21 @@ def test_levels_are_told_before_it_and_once_a_second() -> None:
     before = [m for m in told if not m.excluded and stamp_of(m) > START_NS + SECOND_NS]
     assert 3 <= len(before) <= 6
     assert all(np.all(np.asarray(m.protection_level) < 200.0 * ARCSEC) for m in before)
+
+
+def test_what_is_told_covers_each_output() -> None:
+    """Sensors start, one is knocked and excluded, all fall silent and come back: at no output is a level too small."""
+    knocked = changed_where(voyage(20.0), lambda a: a.topic == FORE and a.stamp_ns >= KNOCKED_NS, knock)
+    silent = cut(voyage(20.0), 5.0, 9.0, FORE, STARBOARD)
+    without_ins = cut(voyage(20.0), 5.0, 6.5, INS)
+    for arrivals in (knocked, silent, without_ins):
+        run = LevelledRun(new_adapter(), arrivals)
+        assert len(run.told_and_own()) > 400
+        assert run.uncovered() == []
+
+
+def test_levels_that_stay_are_told_once_a_second() -> None:
+    run = LevelledRun(new_adapter(), voyage(30.0))
+    told = [m for m in run.messages("ship/integrity") if stamp_of(m) >= START_NS + 15 * SECOND_NS]
+    assert 14 <= len(told) <= 16
+

@@ -13,7 +13,7 @@ DOI 10.1109/TAES.2014.130739).
 
 import enum
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -236,6 +236,8 @@ class IntegrityReport:
         threshold: that it must not exceed, sigmas.
         excluded: the sources that are excluded, and since which stamp.
         dominant: the hypothesis that makes the largest level; empty for that of all sources.
+        widest: largest sigma of a state that makes the components, in any hypothesis, rad: so much of it as the
+            components turn enters them.
     """
 
     time_ns: int
@@ -246,38 +248,65 @@ class IntegrityReport:
     threshold: float
     excluded: tuple[tuple[str, int], ...]
     dominant: str
+    widest: float
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """The estimates without some sources, h in all, beside that by all sources, in the components of an output.
+
+    Attributes:
+        names: what each does without.
+        k: numbers of sigmas.
+        distance: as in :func:`separation`.
+        left_out: the same.
+        all_sources: the same.
+        variance: of the states that make the components, in each estimate, rad², shape (h, n).
+    """
+
+    names: Sequence[str]
+    k: Factors
+    distance: FloatArray
+    left_out: FloatArray
+    all_sources: FloatArray
+    variance: FloatArray
 
 
 def integrity_report(
     time_ns: int,
     config: IntegrityConfig,
-    hypotheses: Sequence[str],
-    found: Separation,
+    hypotheses: Hypotheses,
+    rows: Sequence[int],
+    excluded: Mapping[str, int],
     checked: bool,
-    threshold: float,
-    excluded: Sequence[tuple[str, int]],
 ) -> IntegrityReport:
     """What is to be said of an output.
 
     Args:
         time_ns: its stamp.
         config: with the alert limits.
-        hypotheses: the sources of which each is left out in turn.
-        found: their separations and the levels.
+        hypotheses: the estimates without some sources.
+        rows: which of them are in question; not those without a source that is excluded in any case.
+        excluded: the sources that are excluded → since which stamp.
         checked: whether the sources in use are enough to check one another; else there is no level, nor is there one
             where a separation is beyond the threshold.
-        threshold: of the separations, sigmas.
-        excluded: the sources that are excluded, and since which stamp.
 
     Example:
-        >>> found = Separation(np.array([0.5]), np.deg2rad([0.001, 0.002, 0.001]), dominant=0)
-        >>> limits = IntegrityConfig(alert_limit_arcsec=(12.0, 12.0, 12.0))
-        >>> told = integrity_report(0, limits, ["star.bow"], found, checked=True, threshold=5.1, excluded=[])
+        >>> limits = IntegrityConfig(alert_limit_arcsec=(24.0, 24.0, 24.0))
+        >>> k, one = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), ARCSEC**2 * np.eye(3)
+        >>> beside = Hypotheses(["star.bow"], k, np.full((1, 3), 4.0 * ARCSEC), 9.0 * one[None], 3.24 * one, one[:1])
+        >>> told = integrity_report(0, limits, beside, rows=[0], excluded={}, checked=True)
         >>> print(told.state.name, told.dominant, (told.level / ARCSEC).round(1))
-        MET star.bow [3.6 7.2 3.6]
+        MET star.bow [18. 18. 18.]
     """
+    k, names = hypotheses.k, tuple(hypotheses.names[row] for row in rows)
+    found = Separation(np.empty(0), np.full(_COMPONENTS, np.nan), -1)
+    if rows:
+        in_question = Factors(k.right, k.false_exclusion, k.missed[rows])
+        distance, left_out = hypotheses.distance[rows], hypotheses.left_out[rows]
+        found = separation(distance, left_out, hypotheses.all_sources, in_question)
     # A level counts on separations within the threshold; NaN is not within it.
-    checked = checked and bool(np.all(found.statistic <= threshold))
+    checked = checked and bool(np.all(found.statistic <= k.false_exclusion))
     level = found.level if checked else np.full(_COMPONENTS, np.nan)
     state = IntegrityState.UNAVAILABLE
     if checked and not config.alert_limit_arcsec:
@@ -289,11 +318,12 @@ def integrity_report(
         time_ns=time_ns,
         state=state,
         level=level,
-        hypotheses=tuple(hypotheses),
+        hypotheses=names,
         statistic=found.statistic,
-        threshold=threshold,
-        excluded=tuple(excluded),
-        dominant=hypotheses[found.dominant] if checked and found.dominant >= 0 else "",
+        threshold=k.false_exclusion,
+        excluded=tuple(sorted(excluded.items())),
+        dominant=names[found.dominant] if checked and found.dominant >= 0 else "",
+        widest=math.sqrt(float(hypotheses.variance[rows].max())) if rows else 0.0,
     )
 
 
@@ -301,9 +331,8 @@ def above_limit(report: IntegrityReport, quantities: Sequence[str]) -> str:
     """Why the levels do not meet their limits; empty where they do, or where none are configured.
 
     Example:
-        >>> found = Separation(np.array([0.5]), np.deg2rad([0.001, 0.002, 0.004]), dominant=0)
-        >>> limits = IntegrityConfig(alert_limit_arcsec=(12.0, 12.0, 12.0))
-        >>> told = integrity_report(0, limits, ["star.bow"], found, checked=True, threshold=5.1, excluded=[])
+        >>> level = ARCSEC * np.array([3.6, 7.2, 14.4])
+        >>> told = IntegrityReport(0, IntegrityState.EXCEEDED, level, ("ins",), np.zeros(1), 5.1, (), "ins", 0.0)
         >>> above_limit(told, ["heading", "pitch", "roll"])
         'a protection level is above its alert limit: heading 3.6″, pitch 7.2″, roll 14.4″'
     """

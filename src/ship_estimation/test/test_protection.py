@@ -11,9 +11,9 @@ from ship_estimation.parameters import ParameterError, build
 from ship_estimation.protection import (
     TESTS_PER_H,
     Factors,
+    Hypotheses,
     IntegrityConfig,
     IntegrityState,
-    Separation,
     factors,
     integrity_report,
     prior_of_all,
@@ -131,9 +131,25 @@ def test_a_threat_without_a_prior_is_refused_by_name(prior):
 @pytest.mark.parametrize("statistic", [5.2, math.nan])
 def test_there_is_no_level_where_a_separation_is_beyond_its_threshold(statistic):
     """The level of a source is K_fa sigma_d and more: it bounds nothing where the distance itself is larger."""
-    level = np.full(3, 20.0) * ARCSEC
+    k = Factors(right=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
     for beyond, state in ((5.0, IntegrityState.NO_LIMIT), (statistic, IntegrityState.UNAVAILABLE)):
-        found = Separation(np.array([0.5, beyond]), level, dominant=1)
-        told = integrity_report(0, IntegrityConfig(), ["star.bow", "ins"], found, True, threshold=5.12, excluded=[])
+        # Without a source the sigma is 2 instead of the square root of 3: the distance has a sigma of 1.
+        distance = np.array([[0.5] * 3, [beyond] * 3])
+        left_out, variance = np.stack([4.0 * np.eye(3)] * 2), np.ones((2, 3))
+        beside = Hypotheses(["star.bow", "ins"], k, distance, left_out, 3.0 * np.eye(3), variance)
+        told = integrity_report(0, IntegrityConfig(), beside, [0, 1], {}, checked=True)
         assert told.state is state
+        np.testing.assert_allclose(told.statistic, [0.5, beyond])
         assert np.isfinite(told.level).all() == (state is IntegrityState.NO_LIMIT)
+
+
+def test_a_source_that_is_excluded_has_no_part_in_the_level():
+    """Its row stands apart by a hundred sigmas, and would make the largest level."""
+    k = Factors(right=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
+    distance, left_out = np.array([[100.0] * 3, [0.5] * 3]), np.stack([9.0 * np.eye(3), 4.0 * np.eye(3)])
+    variance = np.array([[9.0] * 3, [4.0] * 3])
+    beside = Hypotheses(["star.bow", "ins"], k, distance, left_out, 3.0 * np.eye(3), variance)
+    told = integrity_report(7, IntegrityConfig(), beside, [1], {"star.bow": 5}, checked=True)
+    assert told.widest == 2.0
+    assert (told.hypotheses, told.excluded, told.dominant) == (("ins",), (("star.bow", 5),), "")
+    np.testing.assert_allclose(told.level, 6.0 * np.sqrt(3.0))

@@ -14,17 +14,18 @@ import numpy as np
 import pytest
 
 from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_replay.trials.fault_judge import UNSEEN_ROWS, Passage, beyond, first_named, is_source, judged
 from ship_replay.trials.fault_results import ResultsFile, kind_rows, pair_rows, totals
-from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, replayed, run_voyage, voyages
+from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, replayed, run_voyage, taken_topics, voyages
 from ship_replay.trials.one_fault import one_fault_lines
 from ship_replay.trials.threats import BY_FORM, DATA_LIKE, OVERLAPPING, SINGLE, draw_faults
 from ship_replay.trials.voyage_told import EXCLUSION, SILENT, Claim, HealthBook, Sign, Told, VoyageSink
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import KINDS, Fault, size_problems
-from ship_simulation.scenario.fault_file import fault_problems
+from ship_simulation.scenario.fault_file import fault_problems, load_faults
 from ship_simulation.scenario.names import simulated_topics
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.places import ROOT
@@ -451,6 +452,26 @@ def test_results_outlive_a_torn_line_and_a_file_of_something_else_is_refused(tmp
     with pytest.raises(BadInput, match=r"single.jsonl:1: no result of a voyage"):
         ResultsFile(path)
     assert ResultsFile(path, fresh=True).all() == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scenario", "words"),
+    [
+        ("theodolite", "topic: ship/attitude, kind: freeze, start_s: 20, end_s: 35"),
+        ("theodolite", "topic: beacon/a/baseline, kind: wrong_fix, start_s: 20, end_s: 35, up_m: 0.4"),
+        ("everything", "topic: ins/imu, kind: bias, start_s: 24.1, end_s: 34, up_arcsec: 212"),
+        ("everything", "topic: theodolite/encoder, kind: slip, start_s: 24.1, end_s: 34, elevation_arcsec: 30"),
+    ],
+)
+def test_the_levels_told_last_hold_at_every_valid_output(scenario, words, tmp_path):
+    bag = make_bag(SCENARIOS / f"{scenario}.yaml", 45.0, 1, tmp_path / "bag.mcap")
+    with read_bag(bag) as opened:
+        faults = load_faults(f"faults: {{one: {{{words}}}}}", taken_topics(opened), "an input of the nodes")
+    shares = [claim.over_level for claim in replayed(Injection(bag, faults, 1)).claims]
+    shares = [share for share in shares if np.isfinite(share)]
+    assert len(shares) > 100
+    assert max(shares) <= 1.0
 
 
 @pytest.mark.slow

@@ -10,7 +10,18 @@ from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC
 from ship_msgs.msg import Integrity
 from ship_testing.adapter_runs import SECOND_NS, START_NS, changed_where, delayed
-from ship_testing.small_session import BASELINE, BEACONS, clean_run, config, drive, new_adapter, session, stamp_of
+from ship_testing.small_session import (
+    BASELINE,
+    BEACONS,
+    SHIP,
+    clean_run,
+    config,
+    drive,
+    new_adapter,
+    session,
+    stamp_of,
+)
+from ship_testing.told_levels import LevelledRun
 
 TOPIC = "theodolite/integrity"
 
@@ -58,6 +69,29 @@ def test_a_source_that_is_excluded_is_told_at_once_and_in_the_diagnostics() -> N
     assert run.pointings[-1].status == Status.VALID
     since_ns = START_NS + 9 * SECOND_NS
     assert any("beacon.alpha" in text for _, text in run.diagnostics("integrity", since_ns, since_ns + 2 * SECOND_NS))
+
+
+def frozen_ship() -> Any:
+    """The ship's attitude stands still for four seconds while she sways."""
+    frozen: list[Any] = []
+
+    def stand(message: Any) -> None:
+        frozen.append(message)
+        for name in ("orientation", "angular_velocity"):
+            setattr(message, name, getattr(frozen[0], name))
+
+    return changed_where(session(12.0), lambda a: a.topic == SHIP and 4.0 <= seconds(a.message) < 8.0, stand)
+
+
+def lost_lights() -> Any:
+    return tuple(a for a in session(12.0) if a.topic != BEACONS or not 4.0 <= seconds(a.message) < 8.0)
+
+
+@pytest.mark.parametrize("arrivals", [frozen_ship(), lost_lights()], ids=["ship frozen", "no lights"])
+def test_what_is_told_covers_each_output(arrivals: Any) -> None:
+    run = LevelledRun(new_adapter(), arrivals)
+    assert len(run.told_and_own()) > 100
+    assert run.uncovered() == []
 
 
 @pytest.mark.parametrize(

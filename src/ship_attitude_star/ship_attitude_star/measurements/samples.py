@@ -2,6 +2,7 @@
 
 import enum
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -106,6 +107,7 @@ class AttitudeEstimate:
         horizon: what "up" means.
         sources: what it rests on, for example ``("ins", "star.fore")``.
         star_age_s: time since the last star measurement used; NaN where there was none.
+        state: of the filter, that it rests on.
         text: why it is DEGRADED, for people; otherwise empty.
     """
 
@@ -118,6 +120,7 @@ class AttitudeEstimate:
     horizon: Horizon
     sources: tuple[str, ...]
     star_age_s: float
+    state: Any = field(repr=False)
     text: str = ""
 
 

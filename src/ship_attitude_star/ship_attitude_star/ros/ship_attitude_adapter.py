@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
@@ -86,6 +87,8 @@ class ShipAttitudeAdapter(ReportingAdapter):
     innovation_topic: ClassVar[str] = "ship/innovation"
     integrity_topic: ClassVar[str] = INTEGRITY_TOPIC
     quantities: ClassVar[tuple[str, ...]] = QUANTITIES
+    checked_by: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "sources")
+    directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("rotation_nd")
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(ATTITUDE_TOPIC, "ship_msgs/msg/ShipAttitude"),
         OutputTopic(IMU_TOPIC, _IMU_TYPE),

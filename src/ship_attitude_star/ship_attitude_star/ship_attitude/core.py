@@ -197,13 +197,8 @@ class ShipAttitudeCore:
         return alignment_of(self.filter, self.config, self.state)
 
     def integrity(self, estimate: AttitudeEstimate) -> IntegrityReport:
-        """How far the last attitude put out may be wrong although nothing says so, and who is excluded."""
-        return integrity_of(self.filter, self.config, self.state, estimate)
-
-    @property
-    def suspected(self) -> tuple[bool, tuple[str, ...]]:
-        """Whether sources contradict one another and nothing tells which is wrong; those that are excluded."""
-        return self.state.doubt is not None, tuple(sorted(self.state.excluded))
+        """How far an attitude may be wrong although nothing says so, and who is excluded."""
+        return integrity_of(self.filter, self.config, estimate)
 
     def alignment_to_save(self) -> AlignmentPrior | None:
         """The part of it that the next voyage can start from; None where nothing was ever measured."""

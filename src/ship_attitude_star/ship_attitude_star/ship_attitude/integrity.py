@@ -4,21 +4,13 @@ The rows of the filter's state (:mod:`ship_attitude_star.ship_attitude.suspects`
 another one without each of its sources; :mod:`ship_estimation.protection` makes levels of that.
 """
 
-import numpy as np
-
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.hypotheses import covariances
 from ship_estimation.outcome import Status
-from ship_estimation.protection import (
-    Factors,
-    IntegrityReport,
-    Separation,
-    integrity_report,
-    separation,
-)
+from ship_estimation.protection import Hypotheses, IntegrityReport, integrity_report
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 
 QUANTITIES = ("heading", "pitch", "roll")
@@ -28,38 +20,31 @@ _LEAST_SOURCES = 2
 """Beside the INS: with fewer nothing checks the one that there is."""
 
 
-def integrity_of(
-    filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState, estimate: AttitudeEstimate
-) -> IntegrityReport:
+def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: AttitudeEstimate) -> IntegrityReport:
     """The integrity of an attitude.
 
     Args:
         filter_: the filter and its model.
         config: its configuration.
-        state: that the attitude rests on.
-        estimate: the attitude.
+        estimate: the attitude, which rests on a state of the filter.
     """
-    table, model = filter_.suspects.table, filter_.model
+    state, table = estimate.state, filter_.suspects.table
     others = [name for name in estimate.sources if name in filter_.devices and name not in state.excluded]
-    rows = [row for row in table.singles if table.names[row - 1] not in state.excluded]
-    rows += table.pairs_in_question(others, state.excluded)
-    names = [table.names[row - 1] for row in rows]
+    rows = [row - 1 for row in table.singles if table.names[row - 1] not in state.excluded]
+    rows += [row - 1 for row in table.pairs_in_question(others, state.excluded)]
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
     to_angles = angle_errors_from_rotation_vector(heading, pitch)
-    columns = model.rows("ins.attitude")
+    columns = filter_.model.rows("ins.attitude")
     covariance = covariances(state.stack[:, columns[:, None], columns], len(state.means))
     # What an attitude adds to the error of the state, as the noise of the INS, is the same in every row.
-    without_n = estimate.covariance_n + covariance[rows] - covariance[0]
-    distance = (state.means[rows][:, columns] - state.means[0, columns]) @ to_angles.T
-    k = Factors(table.k.right, table.k.false_exclusion, table.k.missed[np.array(rows, dtype=int) - 1])
-    found = Separation(np.empty(0), np.full(3, np.nan), -1)
-    if rows:
-        by_angle = to_angles @ without_n @ to_angles.T
-        found = separation(distance, by_angle, to_angles @ estimate.covariance_n @ to_angles.T, k)
-    excluded = [(name, exclusion.since_ns) for name, exclusion in sorted(state.excluded.items())]
-    threshold = table.k.false_exclusion
+    without_n = estimate.covariance_n + covariance[1:] - covariance[0]
+    distance = (state.means[1:, columns] - state.means[0, columns]) @ to_angles.T
+    all_sources = to_angles @ estimate.covariance_n @ to_angles.T
+    estimates = distance, to_angles @ without_n @ to_angles.T, all_sources
+    excluded = {name: exclusion.since_ns for name, exclusion in state.excluded.items()}
     checked = _checked(filter_, state, estimate, others)
-    return integrity_report(estimate.time_ns, config.integrity, names, found, checked, threshold, excluded)
+    hypotheses = Hypotheses(table.names, table.k, *estimates, covariance[1:].diagonal(axis1=-2, axis2=-1))
+    return integrity_report(estimate.time_ns, config.integrity, hypotheses, rows, excluded, checked)
 
 
 def _checked(filter_: ShipFilter, state: FilterState, estimate: AttitudeEstimate, others: list[str]) -> bool:

@@ -116,11 +116,12 @@ class CorrectedIns:
             horizon=horizon,
             sources=("ins", *used),
             star_age_s=star_age_s,
+            state=self.state,
             text=text,
         )
         if status is Status.DEGRADED or not config.integrity.alert_limit_arcsec:
             return estimate
-        text = above_limit(integrity_of(self._filter, config, self.state, estimate), QUANTITIES)
+        text = above_limit(integrity_of(self._filter, config, estimate), QUANTITIES)
         return replace(estimate, status=Status.DEGRADED, text=text) if text else estimate
 
     def _worth(self, star_age_s: float, coasting_after_s: float) -> tuple[Status, str]:
@@ -208,6 +209,7 @@ def estimate_from_star(
         horizon=Horizon.GEODETIC,
         sources=(measurement.source,),
         star_age_s=0.0,
+        state=state,
         text="INS gone, stars alone",
     )
 
@@ -224,6 +226,7 @@ def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int) -> Attitud
         horizon=Horizon.GRAVITY,
         sources=(),
         star_age_s=_age_s(_newest_star_ns(filter_, state), now_ns),
+        state=state,
     )
 
 

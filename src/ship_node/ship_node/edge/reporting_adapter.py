@@ -8,7 +8,10 @@ nodes add the table, what an estimate becomes, and diagnostics of their own.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, ClassVar
+
+import numpy as np
 
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
@@ -16,6 +19,7 @@ from ship_bags.stamps import ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import changed
 from ship_estimation.refusals import Reason, Refusal, failure
+from ship_estimation.told_levels import ToldLevels
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
@@ -95,6 +99,10 @@ class ReportingAdapter(ABC):
     """Where the protection levels go; empty where the node has none."""
     quantities: ClassVar[tuple[str, ...]] = ()
     """What the levels bound."""
+    checked_by: ClassVar["attrgetter[tuple[Any, ...]]"]
+    """Of an output: what decides, beside the state that it rests on, whether its sources check one another."""
+    directions: ClassVar["attrgetter[np.ndarray]"]
+    """Of an output: what turns the errors of that state into those of its angles."""
     integrity_frame: ClassVar[str] = messages_out.DECK_FRAME
     reset_text: ClassVar[str] = "the filter starts anew"
     start_warnings: tuple[str, ...] = ()
@@ -119,9 +127,7 @@ class ReportingAdapter(ABC):
         self.conflicts: dict[str, str] = {}
         self.verdicts = VerdictReport()
         self._slow_due_ns: int | None = None
-        self._suspected_told: Any = None
-        # The levels of an output go by the state that it rests on: the last output is from before the change.
-        self._levels_changed = False
+        self._told = ToldLevels()
 
     # -- what a node adds -----------------------------------------------------------------------------------
 
@@ -248,12 +254,9 @@ class ReportingAdapter(ABC):
         for estimate in outcome.estimates:
             self.latest = estimate
             self.budget_due = None if estimate.status is Status.INVALID else estimate
+            if self.integrity_topic and estimate.status is not Status.INVALID:
+                published += self._levels_before(estimate)
             published += self._estimate_messages(estimate)
-        if judged and self.integrity_topic and self.core.suspected != self._suspected_told:
-            self._suspected_told, self._levels_changed = self.core.suspected, True
-        if outcome.estimates and self._levels_changed:
-            self._levels_changed = False
-            published += self._integrity()
         return published
 
     def refused(self, source: str, time_ns: int, refusal: Refusal) -> Published:
@@ -276,27 +279,37 @@ class ReportingAdapter(ABC):
         self._measured_by = {feed.measured_by or feed.source: feed for feed in self._feeds.values()}
 
     def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
-        published = [*self.own_slow_topics(now_ns), *self._integrity()]
+        published = self.own_slow_topics(now_ns)
         self.budget_due = None  # no estimate has its budget told twice
         published += [(INPUT_HEALTH_TOPIC, m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]
         statuses = [*self.health.statuses(now_ns, waiting_ns), *self.own_statuses(waiting_ns)]
         array = messages_out.diagnostic_array(self.factory, now_ns, self.node_name, statuses)
         return [*published, (DIAGNOSTICS_TOPIC, array)]
 
-    def _integrity(self) -> list[Published]:
-        """The protection levels of the last output, where it claims something."""
-        known = self.latest is not None and self.latest.status is not Status.INVALID
-        if not self.integrity_topic or not known or self._levels_changed:
+    def _levels_before(self, estimate: Any) -> list[Published]:
+        """The protection levels of an output, where those told last do not cover it."""
+        told, checked_by, directions = self._told, self.checked_by(estimate), self.directions(estimate)
+        # Asked for each output, and so no more than this; NaN is within no bound.
+        if (
+            told.state is estimate.state
+            and told.checked_by == checked_by
+            and estimate.time_ns < told.until_ns
+            and estimate.covariance_n.trace() <= told.greatest_variance
+            and np.abs(directions - told.directions).max() <= told.most_turned
+        ):
             return []
-        report, config = self.core.integrity(self.latest), self.config.integrity
+        report, period_ns = self.core.integrity(estimate), round(self.config.slow_topics_period_s * _SECOND_NS)
+        told.state, told.checked_by, told.directions = estimate.state, checked_by, directions
+        if not told.must_tell(estimate, report, period_ns):
+            return []
+        config = self.config.integrity
         message = messages_out.integrity(self.factory, report, self.quantities, self.integrity_frame, config)
         return [(self.integrity_topic, message)]
 
     def integrity_statuses(self) -> list[DiagnosticStatus]:
-        """One status with the protection levels of the last output and the sources excluded."""
+        """One status with the protection levels told last and the sources excluded."""
         known = self.latest is not None and self.latest.status is not Status.INVALID
-        report = self.core.integrity(self.latest) if known else None
-        return [messages_out.integrity_status(report, self.quantities)]
+        return [messages_out.integrity_status(self._told.report if known else None, self.quantities)]
 
     def conflict_statuses(self) -> list[DiagnosticStatus]:
         """One status for each source that keeps disagreeing with the rest."""
@@ -308,7 +321,7 @@ class ReportingAdapter(ABC):
     def _restart(self, clock_jumped: bool) -> None:
         self.core.reset(clock_jumped)
         self.health.restart()
-        self.latest, self.budget_due, self._slow_due_ns, self._suspected_told = None, None, None, None
-        self._levels_changed = False
+        self.latest, self.budget_due, self._slow_due_ns = None, None, None
+        self._told = ToldLevels()
         self.conflicts.clear()
         self.verdicts.clear()

@@ -6,7 +6,7 @@ estimate of all sources that are not excluded, and used or refused. Every estima
 all together tell whether a source is wrong (:mod:`theodolite_calib.filter.trust`).
 """
 
-from collections.abc import Sequence
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -260,7 +260,8 @@ class SightingStep:
         return state, replace(decision, reason=reason, text=text)
 
 
-def hypothesis_factors(config: IntegrityConfig, sources: Sequence[str]) -> Factors:
+@functools.lru_cache(maxsize=16)
+def hypothesis_factors(config: IntegrityConfig, sources: tuple[str, ...]) -> Factors:
     """Numbers of sigmas for the hypotheses without one source each."""
     priors = config.prior_per_h
     by_source = {ENCODER: priors.encoder, SHIP: priors.ship_attitude}

@@ -3,7 +3,7 @@
 import enum
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -159,6 +159,7 @@ class PointingEstimate:
         mode: how it was found.
         status: what it is worth.
         light_count: lights used.
+        state: of the filter, that it rests on.
         text: why it is not VALID.
         by_error_n: rotation vector of the main axis in n per error of the chain, shape (3, k).
     """
@@ -171,6 +172,7 @@ class PointingEstimate:
     mode: Mode
     status: Status
     light_count: int
+    state: Any = field(repr=False)
     text: str = ""
     by_error_n: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
 

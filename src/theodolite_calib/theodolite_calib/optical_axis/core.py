@@ -179,7 +179,7 @@ class OpticalAxisCore:
         self._shell.tick(now_ns, outcome)
         silent = self._encoder_arrival_ns is None or waiting_ns - self._encoder_arrival_ns > SECOND_NS
         missing = "no usable reading of the encoders" if silent else f"no attitude on {self.config.ship.source}"
-        self._shell.say_invalid(outcome, waiting_ns, lambda: no_pointing(self.filter, now_ns, missing))
+        self._shell.say_invalid(outcome, waiting_ns, lambda: no_pointing(self.filter, self.state, now_ns, missing))
         return outcome
 
     def calibration(self) -> Calibration:
@@ -194,13 +194,7 @@ class OpticalAxisCore:
 
     def integrity(self, estimate: PointingEstimate) -> IntegrityReport:
         """How far a pointing may be wrong although nothing says so."""
-        return integrity_of(self.filter, self.config, self.state, estimate)
-
-    @property
-    def suspected(self) -> tuple[bool, tuple[str, ...]]:
-        """Whether sources contradict one another and nothing tells which is wrong; those that are excluded."""
-        trust = self.state.trust
-        return trust.conflict is not None, tuple(sorted(trust.excluded))
+        return integrity_of(self.filter, self.config, estimate)
 
     def sighting(self, exposure: Exposure) -> Sighting | None:
         """An exposure within ``lag_s`` with all that belongs to it; None where that is not there."""

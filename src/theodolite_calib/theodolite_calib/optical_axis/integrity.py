@@ -7,10 +7,10 @@ another one without it; :mod:`ship_estimation.protection` makes levels of that.
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import Factors, IntegrityReport, Separation, integrity_report, separation
+from ship_estimation.protection import Hypotheses, IntegrityReport, integrity_report
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.model import chain_rows
 from theodolite_calib.filter.step import hypothesis_factors
 from theodolite_calib.measured.samples import Mode, PointingEstimate
@@ -20,36 +20,31 @@ QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
 
 
 def integrity_of(
-    filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState, estimate: PointingEstimate
+    filter_: CalibrationFilter, config: OpticalAxisConfig, estimate: PointingEstimate
 ) -> IntegrityReport:
     """The integrity of a pointing.
 
     Args:
         filter_: the filter and its model.
         config: its configuration.
-        state: that the pointing rests on.
-        estimate: the pointing.
+        estimate: the pointing, which rests on a state of the filter.
     """
-    sources, excluded = filter_.rows.sources, state.trust.left_out
-    rows = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=int)
-    names, k = [sources[row] for row in rows], hypothesis_factors(config.integrity, sources)
+    state, sources = estimate.state, filter_.rows.sources
     azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
     to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
     to_angles[0] *= np.cos(elevation)
     turning, by_error = chain_rows(filter_.model), to_angles @ estimate.by_error_n
     beside, first = state.alternatives, state.covariance[turning[:, None], turning]
-    further = beside.parts[rows, 0][:, turning[:, None], turning] - first
+    left_out = beside.parts[:, 0][:, turning[:, None], turning]
     # What a pointing adds to the error of the state, as the noise of the encoders, is the same in every estimate.
     all_sources = to_angles @ estimate.covariance_n @ to_angles.T
-    without = all_sources + by_error @ further @ by_error.T
-    distance = (beside.mean[rows] - state.mean)[:, turning] @ by_error.T
-    found = Separation(np.empty(0), np.full(3, np.nan), -1)
-    if names:
-        found = separation(
-            distance, without, all_sources, Factors(k.right, k.false_exclusion, k.missed[rows])
-        )
-    since = [(name, left_out.exclusion.since_ns) for name, left_out in sorted(excluded.items())]
+    without = all_sources + by_error @ (left_out - first) @ by_error.T
+    distance = (beside.mean - state.mean)[:, turning] @ by_error.T
+    excluded = {name: told.exclusion.since_ns for name, told in state.trust.left_out.items()}
     # Without lights nothing checks the encoders and the ship's attitude.
     in_dispute = state.trust.conflict is not None or state.refusals > 0 or estimate.status is Status.INVALID
     checked = estimate.mode is not Mode.ENCODER and not in_dispute
-    return integrity_report(estimate.time_ns, config.integrity, names, found, checked, k.false_exclusion, since)
+    k, variance = hypothesis_factors(config.integrity, sources), left_out.diagonal(axis1=-2, axis2=-1)
+    rows = [row for row, name in enumerate(sources) if name not in excluded]
+    hypotheses = Hypotheses(sources, k, distance, without, all_sources, variance)
+    return integrity_report(estimate.time_ns, config.integrity, hypotheses, rows, excluded, checked)

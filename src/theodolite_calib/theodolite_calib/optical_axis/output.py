@@ -150,12 +150,13 @@ class PointingOutput:
             mode=mode,
             status=status,
             light_count=state.light_count if recent else 0,
+            state=state,
             text=text,
             by_error_n=axis.by_error_n,
         )
         if status is Status.DEGRADED or not self._config.integrity.alert_limit_arcsec:
             return estimate
-        text = above_limit(integrity_of(self._filter, self._config, state, estimate), QUANTITIES)
+        text = above_limit(integrity_of(self._filter, self._config, estimate), QUANTITIES)
         return replace(estimate, status=Status.DEGRADED, text=text) if text else estimate
 
     def _worth(self, state: CalibrationState, mode: Mode, ship_status: Status, doubt: str) -> tuple[Status, str]:
@@ -178,8 +179,8 @@ class PointingOutput:
         return Status.VALID, ""
 
 
-def no_pointing(filter_: CalibrationFilter, now_ns: int, text: str) -> PointingEstimate:
+def no_pointing(filter_: CalibrationFilter, state: CalibrationState, now_ns: int, text: str) -> PointingEstimate:
     """No pointing is claimed."""
     unknown = np.full((3, 3), np.nan)
     parts_n = np.full((len(filter_.model.sources), 3, 3), np.nan)
-    return PointingEstimate(now_ns, unknown, parts_n, unknown, unknown, Mode.ENCODER, Status.INVALID, 0, text)
+    return PointingEstimate(now_ns, unknown, parts_n, unknown, unknown, Mode.ENCODER, Status.INVALID, 0, state, text)

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Iterator, Sequence
+from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
@@ -78,6 +79,8 @@ class OpticalAxisAdapter(ReportingAdapter):
     integrity_topic: ClassVar[str] = INTEGRITY_TOPIC
     integrity_frame: ClassVar[str] = MAIN_FRAME
     quantities: ClassVar[tuple[str, ...]] = QUANTITIES
+    checked_by: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "mode")
+    directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("by_error_n")
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(POINTING_TOPIC, "ship_msgs/msg/OpticalAxisPointing"),
         OutputTopic("theodolite/calibration", "ship_msgs/msg/TheodoliteCalibration", latched=True),

@@ -1,0 +1,47 @@
+"""Protection levels as they are told, beside those of each output."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from ship_estimation.outcome import Status
+from ship_node.edge.reporting_adapter import ReportingAdapter
+from ship_testing.adapter_runs import AdapterRun, Arrival, hand_over, stamp_of
+
+
+class LevelledRun(AdapterRun):
+    """A run whose adapter's core is asked for the level of each output as it is put out."""
+
+    adapter: ReportingAdapter
+
+    def __init__(self, adapter: ReportingAdapter, arrivals: Iterable[Arrival], until_ns: int = 0) -> None:
+        super().__init__(adapter)
+        self.level_of: dict[int, np.ndarray] = {}
+        to_messages = adapter._estimate_messages
+
+        def noting(estimate: Any) -> Any:
+            if estimate.status is not Status.INVALID:
+                self.level_of[estimate.time_ns] = adapter.core.integrity(estimate).level
+            return to_messages(estimate)
+
+        adapter._estimate_messages = noting
+        hand_over(self, arrivals, until_ns)
+
+    def told_and_own(self) -> list[tuple[Any, np.ndarray, np.ndarray]]:
+        """Of each output that claims something: itself, the levels told last before it, and its own, rad."""
+        told, found = np.full(3, np.nan), []
+        for _, topic, message in self.published:
+            if topic == self.adapter.integrity_topic:
+                told = np.array(message.protection_level)
+            elif topic == self.adapter.main_topic and message.status != Status.INVALID:
+                found.append((message, told, self.level_of[stamp_of(message)]))
+        return found
+
+    def uncovered(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
+        """Of each output whose levels are above those told, by more than a twentieth, or unknown: stamp, told, own."""
+        return [
+            (stamp_of(message), told, own)
+            for message, told, own in self.told_and_own()
+            if np.any(np.isfinite(told) & ~(own <= 1.05 * told)) or (np.isnan(told).any() != np.isnan(own).any())
+        ]
