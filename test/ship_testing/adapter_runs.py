@@ -9,9 +9,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import ns_from_stamp
+from ship_estimation.estimator_shell import MOST_REPEATS_PER_S
+from ship_estimation.refusals import Reason
 from ship_node.edge.adapter import Adapter
 from ship_node.live.node_clock import TickGrid
 
@@ -147,6 +150,44 @@ def without_refused(arrivals: Arrivals, topic: str, told: Iterable[Any]) -> Arri
     """Without the arrivals of a topic, all of different stamps, that innovations tell as refused."""
     refused_ns = {stamp_of(message) for message in told}
     return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in refused_ns)
+
+
+def assert_a_flood_costs_little(
+    monkeypatch: pytest.MonkeyPatch,
+    core: type,
+    drive: Callable[[Arrivals], AdapterRun],
+    arrivals: Arrivals,
+    topic: str,
+    source: str,
+    other_measurements: int = 0,
+) -> None:
+    """Fifty measurements with random stamps for each one cost few steps, and what is refused of them leaves no trace.
+
+    Args:
+        monkeypatch: counts the steps.
+        core: whose ``_step`` is counted.
+        drive: some arrivals through a new adapter.
+        arrivals: those without the flood.
+        topic: that is flooded.
+        source: its name in innovations.
+        other_measurements: that make steps.
+    """
+    steps, step = [0], core._step  # type: ignore[attr-defined]
+
+    def counted(*arguments: Any) -> Any:
+        steps[0] += 1
+        return step(*arguments)
+
+    monkeypatch.setattr(core, "_step", counted)
+    flood = flooded(arrivals, topic, 50, up_to_s=1.9)
+    run = drive(flood)
+    overflow = run.innovations(Reason.OVERFLOW)
+    assert {message.source for message in overflow} == {source}
+    received = run.health(topic).received
+    assert run.reasons(topic)["overflow"] == len(overflow) > 0.4 * received
+    lasts_s = (arrivals[-1].receive_ns - arrivals[0].receive_ns) / SECOND_NS + 3.0
+    assert steps[0] < 2 * (received - len(overflow) + other_measurements) + MOST_REPEATS_PER_S * lasts_s
+    assert drive(without_refused(flood, topic, overflow)).results() == run.results()
 
 
 def hand_over(

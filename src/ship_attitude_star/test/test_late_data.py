@@ -8,20 +8,18 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.estimator_shell import MOST_REPEATS_PER_S
 from ship_estimation.refusals import Reason
 from ship_testing.adapter_runs import (
     SECOND_NS,
     START_NS,
     Arrival,
+    assert_a_flood_costs_little,
     delayed,
     exactly,
-    flooded,
     in_order,
     index_at,
     replaced,
     stamp_of,
-    without_refused,
 )
 from ship_testing.small_voyage import FORE, INS, STARBOARD, clean_run, drive, new_adapter, voyage
 
@@ -125,20 +123,8 @@ def test_without_a_lag_only_what_comes_in_order_is_used() -> None:
 def test_a_flood_with_random_stamps_costs_few_steps_and_what_is_refused_leaves_no_trace(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Fifty for each attitude at 5 Hz; unbounded, each would make some three hundred steps."""
-    steps, step = [0], ShipAttitudeCore._step
-
-    def counted(core: ShipAttitudeCore, *arguments: Any) -> Any:
-        steps[0] += 1
-        return step(core, *arguments)
-
-    monkeypatch.setattr(ShipAttitudeCore, "_step", counted)
-    arrivals = flooded(voyage(), FORE, 50, up_to_s=1.9)
-    run = drive(new_adapter(), arrivals)
-    overflow = run.innovations(Reason.OVERFLOW)
-    assert {message.source for message in overflow} == {"star.fore"}
-    received = run.health(FORE).received
-    assert run.reasons(FORE)["overflow"] == len(overflow) > 0.4 * received
-    others = run.health(STARBOARD).received
-    assert steps[0] < 2 * (received - len(overflow) + others) + MOST_REPEATS_PER_S * 8.0
-    assert drive(new_adapter(), without_refused(arrivals, FORE, overflow)).results() == run.results()
+    """Attitudes at 5 Hz; unbounded, each of the flood would make some three hundred steps."""
+    others = sum(a.topic == STARBOARD for a in voyage())
+    assert_a_flood_costs_little(
+        monkeypatch, ShipAttitudeCore, lambda a: drive(new_adapter(), a), voyage(), FORE, "star.fore", others
+    )

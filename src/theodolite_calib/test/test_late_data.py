@@ -1,23 +1,20 @@
 """Messages late and out of order: within the lag the end is the same to the last bit, and outputs never go back."""
 
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
 
-from ship_estimation.estimator_shell import MOST_REPEATS_PER_S
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_testing.adapter_runs import (
     SECOND_NS,
     Arrival,
+    assert_a_flood_costs_little,
     delayed,
-    flooded,
     index_at,
     replaced,
     stamp_of,
-    without_refused,
 )
 from ship_testing.small_session import (
     ALL_TOPICS,
@@ -120,19 +117,7 @@ def test_the_clock_goes_back_once_and_all_begins_anew() -> None:
 def test_a_flood_with_random_stamps_costs_few_steps_and_what_is_refused_leaves_no_trace(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Fifty for each exposure at 2 Hz; unbounded, each would make some hundred steps."""
-    steps, step = [0], OpticalAxisCore._step
-
-    def counted(core: OpticalAxisCore, *arguments: Any) -> Any:
-        steps[0] += 1
-        return step(core, *arguments)
-
-    monkeypatch.setattr(OpticalAxisCore, "_step", counted)
-    arrivals = flooded(session(), BEACONS, 50, up_to_s=1.9)
-    run = drive(new_adapter(), arrivals)
-    overflow = run.innovations(Reason.OVERFLOW)
-    assert {message.source for message in overflow} == {"lights"}
-    received = run.health(BEACONS).received
-    assert run.reasons(BEACONS)["overflow"] == len(overflow) > 0.4 * received
-    assert steps[0] < 2 * (received - len(overflow)) + MOST_REPEATS_PER_S * 8.0
-    assert drive(new_adapter(), without_refused(arrivals, BEACONS, overflow)).results() == run.results()
+    """Exposures at 2 Hz; unbounded, each of the flood would make some hundred steps."""
+    assert_a_flood_costs_little(
+        monkeypatch, OpticalAxisCore, lambda a: drive(new_adapter(), a), session(3.0), BEACONS, "lights"
+    )
