@@ -454,6 +454,23 @@ def test_results_outlive_a_torn_line_and_a_file_of_something_else_is_refused(tmp
     assert ResultsFile(path, fresh=True).all() == []
 
 
+def test_the_tables_of_results_that_are_there_and_their_exit_code(tmp_path):
+    command = [sys.executable, str(ROOT / "tools" / "faults.py"), "--table", "--out", str(tmp_path)]
+    both = overlapping(1, longest_beyond_s=1.9)
+    both["faults"].append({**both["faults"][0], "threat": "flood", "start_s": 15.0})
+    results = ResultsFile(tmp_path / "both.jsonl")
+    results.add(result(0))
+    results.add(both)
+    done = subprocess.run(command, capture_output=True, check=False, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "flood + ins step" in done.stdout
+    assert done.stdout.count("met      ") == 6
+    results.add(overlapping(2, longest_beyond_s=2.1))
+    done = subprocess.run(command, capture_output=True, check=False, text=True)
+    assert done.returncode == 1, done.stderr
+    assert "NOT MET  overlapping faults, 2 voyages: the longest VALID beyond 5σ 2.10 s; bound 2 s" in done.stdout
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("scenario", "words"),
