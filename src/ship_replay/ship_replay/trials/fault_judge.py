@@ -44,6 +44,10 @@ BEYOND = 5.0
 _PERIOD_S = 0.1
 """From one moment of the truth to the next."""
 
+_SLIP_SEEN_SIGMAS = 11.0
+"""A slip of more sigmas of a reading shows in the readings themselves
+(:mod:`theodolite_calib.measured.encoder_steps`)."""
+
 _ONE_LIGHT_KINDS = ("swap", "false_lights", "hide", "wrong_id")
 
 
@@ -55,7 +59,7 @@ class Passage:
         told: what it put out.
         arrivals_ns: input topic → when its messages arrived, in order.
         lights_ns: when the images arrived that show a light, in order.
-        mount_deg_per_s2: how fast the theodolite's mount may change its rate; NaN without one.
+        encoder_sigma_arcsec: noise of a reading of the theodolite's encoders; NaN without one.
         start_ns: beginning of the bag.
         end_ns: its end.
     """
@@ -63,7 +67,7 @@ class Passage:
     told: Told
     arrivals_ns: dict[str, np.ndarray]
     lights_ns: np.ndarray
-    mount_deg_per_s2: float
+    encoder_sigma_arcsec: float
     start_ns: int
     end_ns: int
 
@@ -86,13 +90,13 @@ class Passage:
         return next((row for row, holds in _UNSEEN.items() if holds(self, fault, first_ns)), "")
 
     def _slips_without_lights(self, fault: Fault, first_ns: int) -> bool:
-        """Encoders that slip by no more than the mount could turn, while no light is in view."""
+        """Encoders that slip by less than their own readings tell, while no light is in view."""
         if fault.kind != "slip":
             return False
-        size_deg = max(abs(fault.azimuth_arcsec), abs(fault.elevation_arcsec)) / 3600.0
+        size_arcsec = max(abs(fault.azimuth_arcsec), abs(fault.elevation_arcsec))
         end_ns = first_ns + round(self.alert_limit_s(fault) * NS_PER_S)
         in_view = (self.lights_ns >= first_ns) & (self.lights_ns < end_ns)
-        return not in_view.any() and size_deg <= self.mount_deg_per_s2 * self._period_s(fault.topic) ** 2
+        return not in_view.any() and size_arcsec < _SLIP_SEEN_SIGMAS * self.encoder_sigma_arcsec
 
     def _period_s(self, topic: str) -> float:
         """From one message of a topic to the next."""

@@ -138,7 +138,7 @@ def clean_voyage(path: Path) -> Passage:
             told=replayed(Injection(path, {}, 0)),
             arrivals_ns={topic: np.array(times) for topic, times in arrivals.items()},
             lights_ns=np.array(lights),
-            mount_deg_per_s2=math.nan if pointing is None else pointing.encoder.max_acceleration_deg_per_s2,
+            encoder_sigma_arcsec=math.nan if pointing is None else pointing.encoder.sigma_arcsec,
             start_ns=bag.start_ns or 0,
             end_ns=bag.end_ns or 0,
         )
