@@ -45,7 +45,8 @@ def believed(values: StampedValues[Reading]) -> list[tuple[int, float, bool]]:
     return [(t, v.value, a) for t, v, a in zip(values.times, values.values, values.anew, strict=True)]
 
 
-STEADY = [(float(t), 0.0) for t in range(5)]
+STEADY = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 1e-9), (4.0, 0.0)]
+"""At rest, as good as; but it does not stand to the last bit."""
 
 
 def test_a_value_within_its_reach_is_taken() -> None:
@@ -100,6 +101,21 @@ def test_of_a_first_value_and_two_that_contradict_it_the_two_are_believed() -> N
     assert believed(values) == [(0, 500.0, False), (ns(2), 1.0, True), (ns(3), 2.0, False)]
     # A first one that another confirms is as good as any.
     assert told((0.0, 500.0), (1.0, 500.0), (2.0, 0.0), (3.0, 1.0))[1] == [2.0, 3.0]
+
+
+def test_after_a_value_has_stood_the_ship_may_be_as_far_as_she_can_have_sailed() -> None:
+    # Frozen from 4 s to 24 s while it went on at 2 a second: 40 further when it moves again.
+    moving = [(float(t), 2.0 * t) for t in range(5)]
+    frozen = [(float(t), 8.0) for t in range(5, 25)]
+    assert told(*moving, *frozen, (25.0, 50.0), (26.0, 52.0))[1] == []
+    # 10 + 2·21 from 8; and no more for having stood longer than a minute.
+    assert told(*moving, *frozen, (25.0, 60.0))[1] == []
+    assert told(*moving, *frozen, (25.0, 60.1))[1] == [25.0]
+    long = [(float(t), 8.0) for t in range(5, 505)]
+    assert told(*moving, *long, (505.0, 8.0 + 10.0 + 2.0 * 61.0))[1] == []
+    assert told(*moving, *long, (505.0, 8.0 + 10.0 + 2.0 * 61.0 + 0.1))[1] == [505.0]
+    # What jumps and stands there does not profit by it.
+    assert told(*moving, *((float(t), 40.0) for t in range(5, 60)))[1] == [float(t) for t in range(5, 60)]
 
 
 def test_no_number_is_near_nothing() -> None:

@@ -8,7 +8,8 @@ It is refused, and so are those after it that hang together with it, until
 - a value is again where the last one believed allows it, and not where the refused ones lead; or
 - they have hung together for as long as a value holds: then nothing older holds any more, and they are believed anew.
 
-Nothing speaks for a first value but itself: where the second contradicts it, the third decides.
+Nothing speaks for a first value but itself: where the second contradicts it, the third decides. A value that stands to
+the last bit tells nothing new, be it that the source is frozen: meanwhile the ship may have sailed.
 
 Each verdict follows from the values before it alone, by their stamps. A late value is judged at its place, and those
 after it anew.
@@ -16,7 +17,7 @@ after it anew.
 
 import bisect
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 from ship_estimation.refusals import Content, Reason, Refusal, same_stamp
@@ -24,6 +25,9 @@ from ship_geometry.time_scales import SECOND_NS
 
 _SIGMAS = 5.0
 """So many sigmas of two values taken together are noise."""
+
+_STANDS_S = 60.0
+"""What a frozen source has not told counts for so long: a ship at anchor may truly stand for days."""
 
 _REMEMBERED = 100
 """So many refused values are kept with their stamps; what comes later than that behind its own stream is late."""
@@ -80,6 +84,7 @@ class _Belief(Generic[Value]):
 
     Attributes:
         good: the last value believed.
+        stood_ns: stamp since when it is the same.
         alone: whether it was believed without any before it.
         refused: the last one of those that hang together and are refused; None where the last value was believed.
         since_ns: stamp of the first of them.
@@ -87,6 +92,7 @@ class _Belief(Generic[Value]):
     """
 
     good: _Stamped[Value] | None = None
+    stood_ns: int = 0
     alone: bool = True
     refused: _Stamped[Value] | None = None
     since_ns: int = 0
@@ -130,8 +136,8 @@ class StampedValues(Generic[Value]):
         before = self._belief_before(place)
         if before.good is None or self._believed(before, _Stamped(time_ns, value)).refused is None:
             return None
-        limits, seconds = self._limits, (time_ns - before.good.time_ns) / SECOND_NS
-        away, allowed = value.away(before.good.value), limits.between(before.good.value, value, seconds)
+        limits, away, allowed = self._limits, value.away(before.good.value), self._reach(before, time_ns, value)
+        seconds = (time_ns - before.good.time_ns) / SECOND_NS
         jumped = f"{away:.4g} {limits.unit} from the last one believed, {seconds:.1f} s before it"
         if away > allowed:
             jumped += f": more than {allowed:.3g} {limits.unit} cannot be"
@@ -211,25 +217,30 @@ class StampedValues(Generic[Value]):
 
     def _believed(self, before: _Belief[Value], new: _Stamped[Value]) -> _Belief[Value]:
         """What is believed after a value."""
-        good, refused = before.good, before.refused
+        good, refused, limits = before.good, before.refused, self._limits
         if good is None:
-            return _Belief(new)
-        if refused is None or not self._leads(refused, new):
-            if self._leads(good, new):
-                return _Belief(new, alone=False)
-            return _Belief(good, before.alone, new, new.time_ns)
+            return _Belief(new, new.time_ns)
+        away, step_s = new.value.away(good.value), 0.0
+        taken = _Belief(new, before.stood_ns if away == 0.0 else new.time_ns, alone=False)
+        if refused is not None:
+            step_s = (new.time_ns - refused.time_ns) / SECOND_NS
+        if refused is None or not new.value.away(refused.value) <= limits.between(refused.value, new.value, step_s):
+            # Written so that NaN is not believed.
+            is_near = away <= self._reach(before, new.time_ns, new.value)
+            return taken if is_near else _Belief(good, before.stood_ns, before.alone, new, new.time_ns)
         # What hangs together with refused values does not profit from the time that has passed since the last good one.
-        step_s = (new.time_ns - refused.time_ns) / SECOND_NS
-        if new.value.away(good.value) <= self._limits.between(good.value, new.value, step_s):
-            return _Belief(new, alone=False)
+        if away <= limits.between(good.value, new.value, step_s):
+            return taken
         if before.alone or new.time_ns - before.since_ns >= self._lasts_ns:
-            return _Belief(new, alone=False, anew=True)
-        return _Belief(good, before.alone, new, before.since_ns)
+            return _Belief(new, new.time_ns, alone=False, anew=True)
+        return replace(before, refused=new, anew=False)
 
-    def _leads(self, earlier: _Stamped[Value], later: _Stamped[Value]) -> bool:
-        """Whether a value can follow an earlier one; NaN cannot."""
-        seconds = (later.time_ns - earlier.time_ns) / SECOND_NS
-        return later.value.away(earlier.value) <= self._limits.between(earlier.value, later.value, seconds)
+    def _reach(self, before: _Belief[Value], time_ns: int, value: Value) -> float:
+        """How far a value may be from the last one believed."""
+        good = before.good
+        assert good is not None
+        stood_s = min((good.time_ns - before.stood_ns) / SECOND_NS, _STANDS_S)
+        return self._limits.between(good.value, value, (time_ns - good.time_ns) / SECOND_NS + stood_s)
 
     def _belief_before(self, place: int) -> _Belief[Value]:
         return self._beliefs[place - 1] if place > 0 else self._before
