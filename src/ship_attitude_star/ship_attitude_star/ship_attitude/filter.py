@@ -176,17 +176,18 @@ class ShipFilter:
         linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.means[0]
         count = len(predicted.means)
         rows = compare_rows(predicted.means, covariances(predicted.stack, count), linear, at_mean, by_turn)
-        # Written so that NaN opens nothing.
-        far = [row for row in self.suspects.table.ins_rows if rows.nis[row] > gate]
-        wrong = [row for row in far if self.suspects.contradicted(predicted, source, row)]
-        if not wrong:
+        turns_n = {}
+        for row in self.suspects.table.ins_rows:
+            # Written so that NaN opens nothing.
+            if rows.nis[row] > gate and self.suspects.contradicted(predicted, source, row):
+                turns_n[row] = compared.predicted_nv @ rows.turn_root[row] @ rows.turn[row]
+        if not turns_n:
             return predicted, rows
-        turns_n = {row: compared.predicted_nv @ rows.turn_root[row] @ rows.turn[row] for row in wrong}
         opened = self.suspects.opened_for(predicted, turns_n)
         wider = compare_rows(predicted.means, covariances(opened, count), linear, at_mean, by_turn)
         # What a row has seen is judged as it was before it was opened.
         turn = wider.turn.copy()
-        turn[wrong] = rows.turn[wrong]
+        turn[list(turns_n)] = rows.turn[list(turns_n)]
         return replace(predicted, stack=opened), replace(wider, turn=turn)
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:

@@ -178,9 +178,8 @@ class Suspects:
             state, text = self._watched(state, source, compared, time_ns)
             if source in state.excluded:
                 return state, text
-        uses = self.uses(state)
+        table, uses, in_use = self.table, self.uses(state), self._in_use(state, time_ns)
         apart_n, statistic = self.separations(state)
-        table, in_use = self.table, self._in_use(state, time_ns)
         candidates = [row for row in table.singles if table.names[row - 1] not in state.excluded]
         pairs = table.pairs_in_question(in_use, state.excluded) if table.pairs else []
         # A step of the INS its rates would have told; that it creeps they do not tell.
