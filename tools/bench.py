@@ -153,6 +153,14 @@ class _WithoutIntegrity(ShipFilter):
         return self._used(after, measurement), decision
 
 
+class _WithPairs(ShipFilter):
+    """The step with the estimates without each pair of sources, too."""
+
+    def __init__(self, config: ShipAttitudeConfig) -> None:
+        pairs = dataclasses.replace(config.integrity, pairs=True, max_hypotheses=64)
+        super().__init__(dataclasses.replace(config, integrity=pairs))
+
+
 class _NoAlternatives:
     """The rows of a theodolite's filter, of which none is carried on."""
 
@@ -190,8 +198,10 @@ class _WithoutAlternatives(SightingStep):
 def integrity_cost() -> list[Row]:
     """The filters' steps, with the estimates without each source beside them and without them, by turns."""
     ship, theodolite = _run_of("three_sensors", 20.0), _run_of("theodolite", 60.0)
+    of_ship = "ship's step by three star sensors"
     return [
-        *_integrity_rows("ship's step by three star sensors", _ship_steps_us, ship, _WithoutIntegrity, ShipFilter),
+        *_integrity_rows(of_ship, _ship_steps_us, ship, _WithoutIntegrity, ShipFilter),
+        *_integrity_rows(f"{of_ship}, integrity.pairs", _ship_steps_us, ship, _WithoutIntegrity, _WithPairs, None),
         *_integrity_rows(
             "theodolite's step by two lights", _theodolite_steps_us, theodolite, _WithoutAlternatives, SightingStep
         ),
@@ -199,7 +209,12 @@ def integrity_cost() -> list[Row]:
 
 
 def _integrity_rows(
-    what: str, steps_us: Callable[[SimulatedRun, Any], list[float]], run: SimulatedRun, without: type, with_: type
+    what: str,
+    steps_us: Callable[[SimulatedRun, Any], list[float]],
+    run: SimulatedRun,
+    without: type,
+    with_: type,
+    most: float | None = MOST_INTEGRITY_RATIO,
 ) -> list[Row]:
     pairs = [(steps_us(run, without), steps_us(run, with_)) for _ in range(INTEGRITY_PAIRS)]
     # Of each step the least of several: what else the machine does only adds.
@@ -207,7 +222,7 @@ def _integrity_rows(
     return [
         Row(f"{what}, one estimate: median", without_us, "us"),
         Row("the same with integrity: median", with_us, "us"),
-        Row("ratio: integrity", with_us / without_us, "x", MOST_INTEGRITY_RATIO),
+        Row("ratio: integrity", with_us / without_us, "x", most),
     ]
 
 

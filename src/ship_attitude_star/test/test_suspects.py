@@ -5,6 +5,7 @@ truth is made of formulas, the errors of seeds, by the sigmas that the filter is
 """
 
 import functools
+import os
 import random
 from dataclasses import dataclass
 from typing import Any
@@ -30,6 +31,9 @@ INS_NS, STAR_NS = SECOND_NS // 20, SECOND_NS // 5
 AZIMUTH_DEG = {"aft": 240.0, "bow": 0.0, "port": 120.0, "stern": 180.0}
 THREE, FOUR = ("aft", "bow", "port"), ("aft", "bow", "port", "stern")
 WITH_PAIRS = {"integrity": {"pairs": True, "max_hypotheses": 16}}
+PAIR_SEEDS = range(int(os.environ.get("FAULT_SEEDS", "1")))
+"""``make campaign`` takes more."""
+
 NOISE = np.array([100.0, 3.0, 3.0]) * ARCSEC
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -333,6 +337,21 @@ def test_two_sensors_knocked_at_once_are_both_excluded_where_pairs_are_left_out(
     without_pairs = sailed_with(*lies, sensors=sensors, seconds=20.0)
     assert without_pairs.excluded == [(0.0, ())]
     assert without_pairs.estimates[-1].status is Status.DEGRADED
+
+
+@pytest.mark.parametrize("sensors", [THREE, FOUR], ids=["three", "four"])
+def test_two_sensors_knocked_by_any_sizes_are_named_and_no_error_is_above_its_level(sensors: tuple[str, ...]) -> None:
+    named = 0
+    for seed in PAIR_SEEDS:
+        rng = np.random.default_rng([9, seed])
+        pair = rng.choice(sensors, 2, replace=False)
+        knocks_rad = ARCSEC * 10.0 ** rng.uniform(1.0, 2.0, 2)
+        ways = [np.array([0.0, np.cos(way), np.sin(way)]) for way in rng.uniform(0.0, 2.0 * np.pi, 2)]
+        lies = [Lie(f"star.{name}", of * way, 20.0) for name, of, way in zip(pair, knocks_rad, ways, strict=True)]
+        sailed = sailed_with(*lies, sensors=sensors, seconds=30.0, seed=100 + seed, **WITH_PAIRS)
+        named += sailed.excluded[-1][1] == tuple(sorted(f"star.{name}" for name in pair))
+        assert_within_levels(sailed)
+    assert named >= 0.9 * len(PAIR_SEEDS)
 
 
 def test_both_of_two_excluded_sensors_return_by_themselves() -> None:
