@@ -3,15 +3,22 @@
 Expected values: models.md §4, "Real case", found by hand with a spline fit, independently of this project.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ship_attitude_star.measurements.readings import AirReading, SkyInput
+from ship_attitude_star.ros.messages_in import position_fix
+from ship_attitude_star.sky.config import SkyConfig
+from ship_attitude_star.sky.surroundings import Surroundings
 from ship_bags.commands.import_nmea import main as import_nmea
 from ship_bags.mcap.bag_reader import read_bag
 from ship_estimation.gates import mean_nees_band, sigma_ratio_band
+from ship_estimation.refusals import Refusal
 from ship_replay.commands.replay import main as replay
 from ship_replay.trials.monte_carlo import final_error
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -53,6 +60,34 @@ def test_two_systems_find_their_clocks_and_installation(tmp_path: Path, time: st
     assert roll <= 0.025
     assert pitch <= 0.054
     assert heading <= 0.039
+
+
+def refused(given: Iterable[SkyInput]) -> list[Refusal | None]:
+    """What is refused of fixes or readings of the air that come one after the other."""
+    surroundings, told = Surroundings(SkyConfig()), []
+    for one in given:
+        told.append(surroundings.refusal(one))
+        surroundings.insert(one)
+    return told
+
+
+def test_a_ship_that_sails_does_not_jump(tmp_path: Path) -> None:
+    with read_bag(imported(tmp_path, "instrument")) as bag:
+        records = list(bag.records(topics=["gnss/fix"]))
+    fixes = [position_fix(record.decode(), SkyConfig(), record.log_time_ns).value for record in records]
+    assert refused(fixes) == [None] * 715
+
+
+def test_the_weather_over_her_does_not_jump() -> None:
+    readings: list[SkyInput] = []
+    for line in (LOGS / "NBP1406_mwx1-2014-08-01").read_text().splitlines():
+        when, _, sentence = line.partition(" ")
+        fields = sentence.split(",")
+        if fields[0] == "MET":
+            time_ns = round(datetime.fromisoformat(when.replace("Z", "+00:00")).timestamp() * 1e9)
+            readings.append(AirReading("temperature", time_ns, float(fields[3])))
+            readings.append(AirReading("pressure", time_ns, float(fields[-1])))
+    assert refused(readings) == [None] * 2 * 1667
 
 
 def test_errors_fit_their_covariance_on_recorded_motion(tmp_path: Path) -> None:
