@@ -36,6 +36,7 @@ PAIR_SEEDS = range(int(os.environ.get("FAULT_SEEDS", "1")))
 
 NOISE = np.array([100.0, 3.0, 3.0]) * ARCSEC
 UP = np.array([0.0, 1.0, 0.0])
+MIRROR = np.diag([1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,9 @@ class Lie:
     """What is wrong, and when.
 
     Attributes:
-        source: ``ins``, a star sensor, or ``sky`` where all stars are wrong alike.
-        turn: rotation vector, rad: of a star sensor in its frame, otherwise in the horizon frame.
+        source: ``ins``, a star sensor, or ``sky`` where all stars are wrong alike; ``ins.clock`` and ``ins.axes`` too.
+        turn: rotation vector, rad: of a star sensor in its frame, otherwise in the horizon frame. Of a clock its first
+            number is the step, s; of axes it says nothing: heading and roll have the other sign.
         start_s: since when.
         end_s: until when.
         per_s: whether ``turn`` is what comes in a second.
@@ -96,7 +98,12 @@ def voyage(
         wrong_n = sum((lie.at(now_s) for lie in told if lie.source == "ins"), np.zeros(3))
         error_n = slow_n + ARCSEC * rng.standard_normal(3)
         rotation = exp_rotation(-error_n) @ exp_rotation(wrong_n) @ truth(now_s)
-        arrivals.append((time_ns, AttitudeSample(time_ns, rotation, rate_d(now_s) if rates else None)))
+        rate = rate_d(now_s)
+        if any(lie.at(now_s).any() for lie in told if lie.source == "ins.axes"):
+            rotation, rate = MIRROR @ rotation @ MIRROR, -MIRROR @ rate
+        clock_s = sum(lie.at(now_s)[0] for lie in told if lie.source == "ins.clock")
+        stamp_ns = time_ns + round(clock_s * SECOND_NS)
+        arrivals.append((time_ns, AttitudeSample(stamp_ns, rotation, rate if rates else None)))
     for index, name in enumerate(sensors):
         phase_ns = 7_000_000 + index * 61_000_000
         for time_ns in range(phase_ns, int((seconds - 0.2) * SECOND_NS), STAR_NS):
@@ -284,6 +291,68 @@ def test_levels_above_their_limit_make_the_attitude_degraded_and_a_single_source
     assert of_two.reports[-1][0].state is IntegrityState.EXCEEDED
     of_one = sailed_with(sensors=("bow",), seconds=20.0, **limits)
     assert of_one.estimates[-1].status is Status.DEGRADED
+
+
+def mountings(sailed: Sailed) -> FloatArray:
+    """How the stars are mounted, across the line of sight, and the offset of the INS's clock: all in their sigmas."""
+    model, state = sailed.core.filter.model, sailed.core.state
+    rows = [row for name in model.slices if "installation" in name for row in model.rows(name)[1:]]
+    rows += list(model.rows("ins.time_offset"))
+    sigma = np.sqrt(np.maximum(np.diagonal(state.covariance), 1e-30))
+    mounted: FloatArray = (state.mean / sigma)[rows]
+    return mounted
+
+
+def assert_nothing_left(sailed: Sailed, **as_sailed: Any) -> None:
+    """After a lie that is over the ship knows what she would know without it, to a few sigmas."""
+    clean = sailed_with(**as_sailed)
+    np.testing.assert_allclose(mountings(sailed), mountings(clean), atol=3.0)
+    assert sailed.estimates[-1].status is Status.VALID
+
+
+def clock_of_the_ins(step_s: float) -> Lie:
+    return Lie("ins.clock", np.array([step_s, 0.0, 0.0]), 30.0, end_s=50.0)
+
+
+@pytest.mark.parametrize("step_s", [0.0295, 0.012, -0.02, -0.035])
+def test_a_small_step_of_the_ins_clock_is_told_at_once_and_found_as_an_offset(step_s: float) -> None:
+    as_sailed: dict[str, Any] = {"ins": {"time_offset_sigma_s": 0.005}, "sensors": ("bow", "port"), "seconds": 65.0}
+    sailed = sailed_with(clock_of_the_ins(step_s), **as_sailed)
+    assert {names for _, names in sailed.excluded} == {()}
+    first = sailed.between(30.0 + step_s, 32.0)[0]
+    assert first.status is Status.DEGRADED
+    assert_honest(sailed)
+    assert {one.status for one in sailed.between(31.5, 49.0)} == {Status.VALID}
+    assert_nothing_left(sailed, **as_sailed)
+
+
+@pytest.mark.parametrize("lie", [clock_of_the_ins(-0.4), clock_of_the_ins(0.3), Lie("ins.axes", UP, 30.0, 50.0)])
+def test_an_ins_that_told_a_fault_is_excluded_and_not_the_stars(lie: Lie) -> None:
+    as_sailed: dict[str, Any] = {"ins": {"time_offset_sigma_s": 0.005}, "sensors": ("bow", "port"), "seconds": 125.0}
+    sailed = sailed_with(lie, **as_sailed)
+    assert [names for _, names in sailed.excluded] == [(), ("ins",), ()]
+    assert 30.0 < sailed.excluded[1][0] < 32.0
+    # Until it has agreed for integrity.return_after_s.
+    assert 110.0 <= sailed.excluded[2][0] < 112.0
+    assert {one.status for one in sailed.between(31.0, 110.0)} == {Status.DEGRADED}
+    assert max(error_sigmas(one) for one in sailed.between(55.0, 110.0)) < 5.0
+    assert_honest(sailed)
+    assert_nothing_left(sailed, **as_sailed)
+
+
+def test_one_sensor_against_an_ins_that_told_a_fault_names_both() -> None:
+    sailed = sailed_with(clock_of_the_ins(-0.4), sensors=("bow",), seconds=50.0, ins={"time_offset_sigma_s": 0.005})
+    assert {one.status for one in sailed.between(31.0, 50.0)} == {Status.DEGRADED}
+    assert "star.bow is refused: the INS and all stars contradict one another" in sailed.estimates[-1].text
+    assert_honest(sailed)
+
+
+def test_with_one_star_sensor_left_the_ins_is_not_excluded() -> None:
+    """What it and one sensor contradict of one another nobody tells."""
+    knock = Lie("star.bow", np.array([0.0, 0.0, 3600.0]) * ARCSEC, 10.0)
+    drift = Lie("ins", UP * 1.0 * ARCSEC, 30.0, per_s=True)
+    sailed = sailed_with(knock, drift, sensors=("bow", "port"), seconds=90.0)
+    assert "ins" not in {name for _, names in sailed.excluded for name in names}
 
 
 @pytest.mark.parametrize(("knocked", "changes"), [(("aft",), {}), (("aft", "port"), WITH_PAIRS)])

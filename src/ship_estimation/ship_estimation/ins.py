@@ -7,9 +7,14 @@ from functools import cached_property
 import numpy as np
 
 from ship_estimation.parameter_fields import arcsec, degrees, parameter
-from ship_estimation.value_guards import JUMP_SAMPLES
+from ship_estimation.value_guards import JUMP_SAMPLES, size
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
+
+_CLOCK_SIGMAS, _CLOCK_SHARE = 3.0, 0.1
+"""What a step of the clock leaves of a jump is at most so many sigmas, and this share of the jump."""
+_CLEAR_SIGMAS = 15.0
+"""A jump of so many sigmas lies along the ship's turn, to a few tenths of it, only where a clock makes it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,6 +106,7 @@ class InsJump:
         time_ns: just before the first sample after the jump.
         jump_n: the jump, rotation vector in the horizon frame, rad, shape (3,).
         sigma_rad: standard deviation of the jump about each axis.
+        clock_s: step of the INS's clock that would explain the jump, s; NaN where none would.
 
     >>> jump = InsJump(time_ns=0, jump_n=np.array([0.0, 0.1, 0.0]), sigma_rad=0.001)
     >>> [round(float(sigma), 3) for sigma in np.sqrt(np.diagonal(jump.covariance_n))]
@@ -110,6 +116,7 @@ class InsJump:
     time_ns: int
     jump_n: FloatArray
     sigma_rad: float
+    clock_s: float = math.nan
 
     @property
     def covariance_n(self) -> FloatArray:
@@ -118,6 +125,56 @@ class InsJump:
         Along the jump it is the square of the jump. About every axis it is the jump's own variance and, because two
         large turns do not commute, the square of half the squared jump.
         """
-        across_rad = math.hypot(self.sigma_rad, 0.5 * float(self.jump_n @ self.jump_n))
-        covariance_n: FloatArray = np.outer(self.jump_n, self.jump_n) + across_rad**2 * np.eye(3)
+        covariance_n: FloatArray = np.outer(self.jump_n, self.jump_n) + self._across_rad**2 * np.eye(3)
         return covariance_n
+
+    @property
+    def shared(self) -> tuple[FloatArray, FloatArray]:
+        """Half of the jump laid to the attitude and half to the clock, and how surely.
+
+        Which of the two has jumped nothing tells as long as the ship turns as she does. It may be the one or the other
+        alone: both are one sigma away from the half, and what the one has more the other has less.
+
+        Returns:
+            By how much the slow error and the offset of the clock have changed, rad and s, shape (4,); its covariance,
+            shape (4, 4).
+        """
+        half, jump_rad = 0.5 * np.append(self.jump_n, self.clock_s), size(self.jump_n)
+        covariance = np.outer(half, half)
+        covariance[:3, :3] += self._across_rad**2 * np.eye(3)
+        covariance[3, 3] += (self.clock_s * math.hypot(_CLOCK_SHARE, self.sigma_rad / jump_rad)) ** 2
+        return half * [-1.0, -1.0, -1.0, 1.0], covariance
+
+    @property
+    def is_of_clock(self) -> bool:
+        """Whether it was the clock that jumped: the jump is large beside its sigma, and a step explains it."""
+        clear = size(self.jump_n) >= _CLEAR_SIGMAS * self.sigma_rad
+        return clear and not math.isnan(self.clock_s)
+
+    @property
+    def _across_rad(self) -> float:
+        return math.hypot(self.sigma_rad, 0.5 * float(self.jump_n @ self.jump_n))
+
+
+def clock_step_s(jump_n: FloatArray, sigma_rad: float, rate_n: FloatArray) -> float:
+    """Step of a clock that explains a jump: the ship has turned no further than she does in that time; NaN where none.
+
+    Args:
+        jump_n: rotation vector, rad, shape (3,).
+        sigma_rad: its standard deviation about each axis.
+        rate_n: angular velocity at the jump in the same frame, rad/s, shape (3,).
+
+    Example:
+        A ship that rolls at 0.1 rad/s jumps by 2 mrad in roll, and in heading:
+
+        >>> roll_n, heading_n = np.array([0.1, 0.0, 0.0]), np.array([0.0, 0.1, 0.0])
+        >>> [round(clock_step_s(0.02 * turned_n, 1e-5, roll_n), 4) for turned_n in (roll_n, heading_n)]
+        [0.02, nan]
+    """
+    square = float(rate_n @ rate_n)
+    if not square > 0.0:
+        return math.nan
+    step_s = float(jump_n @ rate_n) / square
+    # The rate changes in that time.
+    explained = size(jump_n - step_s * rate_n) <= _CLOCK_SIGMAS * sigma_rad + _CLOCK_SHARE * size(jump_n)
+    return step_s if explained else math.nan

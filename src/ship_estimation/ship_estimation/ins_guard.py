@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from ship_estimation.ins import GuardedInsConfig, InsJump
+from ship_estimation.ins import GuardedInsConfig, InsJump, clock_step_s
 from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, moved_back, one_run, seconds_between
 from ship_estimation.integrated_rates import RateIntegrator, StepWatch
 from ship_estimation.rate_guard import RateGuard, Rates
@@ -67,6 +67,8 @@ class InsGuard:
         self._integrator, self._steps, self._leads = RateIntegrator(), StepWatch(ARCSEC, 0.0), Leads(self._stuck)
         self._previous: SeenSample | None = None
         self._taken: SeenSample | None = None
+        # The first of the samples that are refused for a jump.
+        self._jumps_with: AttitudeSample | None = None
         # Whether each sample since the last one taken goes on with the motion before it.
         self._smooth_since_taken = True
         # By so much attitudes contradicted the rates, and from which stamp on, when the rates lost their trust by it.
@@ -147,7 +149,7 @@ class InsGuard:
                 jumps = self._kept(seen)
                 self._take(seen, None if jumps else taken)
                 due = sample.time_ns >= self._rates.due_ns
-                return JudgedIns(sample, None, jumps, self._judge_rates(previous, seen) if due else None)
+                return JudgedIns(sample, _stepped(jumps), jumps, self._judge_rates(previous, seen) if due else None)
         match = self._leads.match(taken, seen, measured) if on_line is None else self._steps.match()
         step = match if previous is taken else self._leads.match(previous, seen, measured)
         fits = match.fits
@@ -162,6 +164,7 @@ class InsGuard:
         verdict = self._jumps.judge(sample.time_ns, fits, step.fits)
         if verdict is JumpVerdict.REFUSED:
             if self._jumps.refused == 1:
+                self._jumps_with = sample
                 self._previous = seen._replace(before=moved_back(sample, taken))
             wrong_after_ns = self._judge_rates(previous, seen)
             if wrong_after_ns is not None and measured:
@@ -174,13 +177,15 @@ class InsGuard:
     ) -> JudgedIns:
         """Take a sample that the line of those before does not tell of: there is none yet, or it has jumped."""
         jumps: tuple[InsJump, ...] = ()
+        refusal = None
         if self._disputed is not None:
             # The rates are not believed any more; whether the attitudes were right, only others can tell.
             jumps, self._disputed = (self._disputed,), None
         elif jumped:
-            jumps = (InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad),)
+            jumps = (self._believed(match),)
         if not jumps and match.fits:
             jumps = self._kept(seen)
+            refusal = _stepped(jumps)
         else:
             self._steps.restart()
         self._take(seen, None if jumps else taken)
@@ -192,8 +197,16 @@ class InsGuard:
                 self._learn_unproven(taken, seen, match, one)
             elif one:
                 self._leads.by_rates.learn(match.difference)
-        refusal = self._units_refusal() if self._rates.rates is Rates.WRONG_UNITS else None
+        if self._rates.rates is Rates.WRONG_UNITS:
+            refusal = self._units_refusal()
         return JudgedIns(seen.sample, refusal, jumps, wrong_after_ns)
+
+    def _believed(self, match: Match) -> InsJump:
+        """The jump that is believed after samples that were refused for it."""
+        first, clock_s = self._jumps_with, math.nan
+        if first is not None and first.rate_d is not None and self._rates.rates is Rates.MEASURED:
+            clock_s = clock_step_s(match.difference, match.sigma_rad, first.rotation_nd @ first.rate_d)
+        return InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad, clock_s)
 
     def _kept(self, seen: SeenSample) -> tuple[InsJump, ...]:
         """Take a sample into the line by which the next ones are judged; the jump that it makes known."""
@@ -269,3 +282,14 @@ def _gate_refusal(match: Match) -> Refusal:
     off, bound = math.degrees(size(match.difference)), math.degrees(match.bound_rad)
     text = f"orientation is {off:.3g}° from where the samples before lead: more than {bound:.3g}°"
     return Refusal(Reason.GATE, text)
+
+
+def _stepped(jumps: tuple[InsJump, ...]) -> Refusal | None:
+    """The refusal that tells of a step found by means; None where there is none.
+
+    The samples since were taken: only the one that makes the step known can tell of it.
+    """
+    if not jumps:
+        return None
+    off_arcsec = size(jumps[-1].jump_n) / ARCSEC
+    return Refusal(Reason.GATE, f"orientation has stepped by {off_arcsec:.3g} arcsec against its own rates")

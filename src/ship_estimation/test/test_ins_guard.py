@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.ins import GuardedInsConfig
+from ship_estimation.ins import GuardedInsConfig, InsJump
 from ship_estimation.ins_guard import InsGuard
 from ship_estimation.rate_guard import Rates
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
@@ -171,3 +171,34 @@ def test_mend_07_another_noise_holds_at_once() -> None:
         later = [guard.judge(sample, NOTHING_LATE, {}).refusal for sample in samples[500:]]
         assert {"" if refusal is None else refusal.reason.name for refusal in later} == refused
         assert Counter(refusal is None for refusal in later)[False] <= 1
+
+
+def test_a_jump_that_a_clock_explains_is_shared_as_if_each_were_as_probable() -> None:
+    """Against the moments of a draw that lays each jump to the one or to the other."""
+    rng, jump = np.random.default_rng(5), InsJump(0, np.array([2e-3, -1e-3, 5e-4]), 1e-12, -0.03)
+    of_clock = rng.random(40_000) < 0.5
+    changed = np.column_stack([-jump.jump_n * ~of_clock[:, None], jump.clock_s * of_clock])
+    mean, covariance = jump.shared
+    scale = np.append(np.abs(jump.jump_n), 0.03)
+    np.testing.assert_allclose(changed.mean(axis=0) / scale, mean / scale, atol=0.01)
+    scale = np.outer(scale, scale)
+    # A step of the clock is known to a tenth of it besides, and two large turns do not commute.
+    np.testing.assert_allclose(np.cov(changed.T) / scale, covariance / scale, atol=0.02)
+
+
+@pytest.mark.parametrize("step_s", [0.02, -0.05, 0.3])
+@pytest.mark.parametrize("rate_hz", [20, 100])
+def test_a_step_of_the_clock_of_an_ins_is_told_as_one(step_s: float, rate_hz: int) -> None:
+    """A ship that rolls by 6 degrees in 8 s; her INS's stamps step, and her attitude does not."""
+
+    def sample(time_s: float, stamp_s: float) -> AttitudeSample:
+        roll, rate = 0.1 * np.sin(0.8 * time_s), 0.08 * np.cos(0.8 * time_s)
+        noise = np.random.default_rng(round(1e4 * time_s)).normal(0.0, 5e-6, 3)
+        rotation = exp_rotation(noise) @ exp_rotation(np.array([roll, 0.0, 0.0]))
+        return AttitudeSample(round(stamp_s * 1e9), rotation, np.array([rate, 0.0, 0.0]))
+
+    guard, times_s = InsGuard(GuardedInsConfig()), np.arange(0.0, 25.0, 1.0 / rate_hz)
+    results = [guard.judge(sample(t, t + step_s * (t >= 23.0)), NOTHING_LATE, {}) for t in times_s]
+    (jumps,) = [one.jumps for one in results if one.jumps]
+    assert jumps[0].is_of_clock
+    assert jumps[0].clock_s == pytest.approx(-step_s, rel=0.1)

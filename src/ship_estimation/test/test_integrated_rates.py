@@ -95,6 +95,9 @@ def test_smaller_steps_are_seen_within_a_fifth_of_a_second(rate_hz: float, least
         assert len(found.jumps) == 1, seed
         # Where some were refused on the way, those that agree are counted anew.
         assert first <= min([*found.refused, *found.jumps]) <= first + round(0.2 * rate_hz), seed
+        # Means tell of samples taken before: then the one that makes the step known is refused, and tells of it.
+        (known,) = found.jumps
+        assert known in found.refused or known - 1 in found.refused, seed
         assert_opened(found, changed, first, arcsec_n)
 
 

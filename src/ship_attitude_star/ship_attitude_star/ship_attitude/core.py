@@ -125,12 +125,12 @@ class ShipAttitudeCore:
             if changed_after_ns is not None:
                 self._shell.data_changed(changed_after_ns)
                 self._shell.apply(outcome)
+        for jump in judged.jumps:
+            self._shell.add_jump(self.filter.opens_ns(jump), INS, jump, self._track.cut(jump.time_ns))
         if judged.refusal is not None:
             outcome.refusal = judged.refusal
             self._shell.add_refused(INS, self._track, judged.sample)
             return outcome
-        for jump in judged.jumps:
-            self._shell.add_jump(self.filter.opens_ns(jump), INS, jump, self._track.cut(jump.time_ns))
         if not self._shell.add_sample(INS, self._track, judged.sample, outcome):
             return outcome
         # An attitude that is moved by a clock offset needs its rate. Without a rate no attitude is put out for the

@@ -25,6 +25,9 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
+_CLOCK_SIGMAS = 8.0
+"""A clock that has stepped by up to so many sigmas of its configured offset is estimated anew."""
+
 _CONFIRMED_BY = 2
 """Moments of star measurements after a jump of the INS: the first one finds the attitude, the next agrees with it."""
 
@@ -42,7 +45,6 @@ class ShipFilter:
         self.linearisation = Linearisation(self.model, self.devices)
         self.suspects = Suspects(config, self.model, self.devices)
         self._gate: GateConfig = config.gate
-        self._believed_after_ns = round(config.integrity.return_after_s * SECOND_NS)
         self._ins_index = self.model.sources.index(SOURCE_INS)
         self._common_index = self.model.sources.index(SOURCE_STAR_COMMON) if config.star_sensors else -1
 
@@ -66,7 +68,7 @@ class ShipFilter:
         means, slow = decay * state.means, self.model.slices["ins.attitude"]
         sigma = self.model.blocks["ins.attitude"].sigma
         means[:, slow] = slow_error_later(state.means[:, slow], decay[slow], sigma)
-        self.suspects.carried(state, stack, dt_s)
+        self.suspects.ins.carried(state, stack, dt_s)
         return replace(state, time_ns=max(time_ns, state.time_ns), means=means, stack=stack)
 
     def opened(self, state: FilterState, jump: InsJump) -> FilterState:
@@ -75,10 +77,23 @@ class ShipFilter:
         The stamps of the INS and of a device may differ for the same moment. The state is opened so much earlier that
         no measurement with the attitude of after the jump comes before; one with the attitude of before is refused.
         """
-        state = self.predicted(state, self.opens_ns(jump))
-        stack, slow = state.stack.copy(), self.model.slices["ins.attitude"]
-        add_error(stack, len(state.means), self._ins_index, slow, jump.covariance_n)
-        return replace(self.suspects.acquitted(state), stack=stack, unconfirmed=_CONFIRMED_BY, jumped_ns=jump.time_ns)
+        opens_ns = self.opens_ns(jump)
+        state = self.suspects.acquitted(self.predicted(state, opens_ns), opens_ns)
+        stack, means, rows = state.stack.copy(), state.means, len(state.means)
+        slow, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
+        # A larger step of the clock is no offset that can be estimated: with it the INS turns as the ship does not.
+        if abs(jump.clock_s) <= _CLOCK_SIGMAS * clock.sigma[0]:
+            both = np.r_[self.model.rows("ins.attitude"), self.model.rows(clock.name)]
+            changed, shared = jump.shared
+            means, covariance = means.copy(), np.zeros((self.model.size, self.model.size))
+            means[:, both] += changed
+            covariance[both[:, None], both] = shared
+            add_error(stack, rows, self._ins_index, slice(None), covariance)
+        else:
+            add_error(stack, rows, self._ins_index, slow, jump.covariance_n)
+            if jump.is_of_clock:
+                state = self.suspects.ins.clock_has_stepped(state, opens_ns)
+        return replace(state, means=means, stack=stack, unconfirmed=_CONFIRMED_BY, jumped_ns=jump.time_ns)
 
     def opens_ns(self, jump: InsJump) -> int:
         """The time of measurements from which on the state is open for a jump of the INS."""
@@ -167,7 +182,7 @@ class ShipFilter:
         """Whether the INS's rates would have told a step of it: they are known, and it has not jumped not long ago."""
         if found.ins.sample is None or found.ins.sample.rate_d is None:
             return False
-        return state.jumped_ns is None or found.ins_time_ns - state.jumped_ns > self._believed_after_ns
+        return not self.suspects.ins.told(state, found.ins_time_ns)
 
     def _beside(
         self, predicted: FilterState, source: str, compared: Compared, gate: float
@@ -176,19 +191,14 @@ class ShipFilter:
         linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.means[0]
         count = len(predicted.means)
         rows = compare_rows(predicted.means, covariances(predicted.stack, count), linear, at_mean, by_turn)
-        turns_n = {}
-        for row in self.suspects.table.ins_rows:
-            # Written so that NaN opens nothing.
-            if rows.nis[row] > gate and self.suspects.contradicted(predicted, source, row):
-                turns_n[row] = compared.predicted_nv @ rows.turn_root[row] @ rows.turn[row]
-        if not turns_n:
+        opened, wrong = self.suspects.ins.opened_against(predicted, source, rows, compared.predicted_nv, gate)
+        if not wrong:
             return predicted, rows
-        opened = self.suspects.opened_for(predicted, turns_n)
         wider = compare_rows(predicted.means, covariances(opened, count), linear, at_mean, by_turn)
         # What a row has seen is judged as it was before it was opened.
-        turn = wider.turn.copy()
-        turn[list(turns_n)] = rows.turn[list(turns_n)]
-        return replace(predicted, stack=opened), replace(wider, turn=turn)
+        turn, turn_root = wider.turn.copy(), wider.turn_root.copy()
+        turn[wrong], turn_root[wrong] = rows.turn[wrong], rows.turn_root[wrong]
+        return replace(predicted, stack=opened), replace(wider, turn=turn, turn_root=turn_root)
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """The decision with what the verdict says; a source excluded by its own measurement is told at once."""
@@ -205,6 +215,7 @@ class ShipFilter:
         refusal, text = why.refusal, why.refusal.text
         if why.contradicts:
             state, opened = self._reopened(self._counted(state, measurement.source), measurement.source)
+            state = self.suspects.ins.not_compared(state, measurement.time_ns)
             text += opened
         return state, AttitudeDecision(measurement, refusal.reason, text=text, ins_time_ns=why.ins_time_ns)
 

@@ -3,12 +3,13 @@
 A :class:`FilterState` is never changed in place, so that the time-ordered log can keep and return to any of them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TypeVar
 
 from ship_attitude_star.guards.hints import Departure
-from ship_estimation.exclusion import Exclusion, Means
+from ship_estimation.exclusion import HEARD_NS, Exclusion, Means
 from ship_geometry.rotations import FloatArray
 
 Value = TypeVar("Value")
@@ -95,6 +96,11 @@ class FilterState:
         """Their covariance by error source, shape (n_sources, n, n)."""
         parts: FloatArray = self.stack[: len(self.stack) - len(self.means) + 1]
         return parts
+
+    def in_use(self, sources: Sequence[str], time_ns: int) -> list[str]:
+        """Those of the sources, in the order of their index, heard of not long ago that are not excluded."""
+        heard = self.seen.heard_ns >= time_ns - HEARD_NS
+        return [name for index, name in enumerate(sources) if heard[index] and name not in self.excluded]
 
     @property
     def covariance(self) -> FloatArray:

@@ -4,7 +4,8 @@ What each row leaves out is told by the table of rows (:mod:`ship_attitude_star.
 excluded where the row without it explains what the others cannot; so is an INS that creeps away from all others. A step
 is another matter: a wrong position moves all stars alike, just as a step of the INS would. Where all stars suddenly
 contradict the INS this is told as a doubt, and they are not used until they agree with it again. Whether it was the INS
-that jumped, its own rates tell (:mod:`ship_estimation.ins_guard`).
+that jumped, its own rates tell (:mod:`ship_estimation.ins_guard`); where they told so not long ago, it is the INS that
+is excluded (:mod:`ship_attitude_star.ship_attitude.ins_at_fault`).
 """
 
 from collections.abc import Mapping
@@ -16,11 +17,11 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.comparison import Compared
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.model import SOURCE_INS, Device, ShipStateModel
+from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
+from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
 from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, with_entry, without
 from ship_estimation.exclusion import (
-    HEARD_NS,
     Exclusion,
     Finding,
     find_fault,
@@ -35,10 +36,6 @@ from ship_estimation.outcome import Measurement
 from ship_estimation.protection import separation_sigma
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
-
-_UNKNOWN_RAD = 600.0 * ARCSEC
-UNKNOWN_INS_RAD_PER_SQRT_S = 3.0 * ARCSEC
-"""Where the INS is the one that is wrong, its slow error starts with the first sigma and walks by the second."""
 
 _KNOCKED_SIGMA = 2.0
 """After a knock the mounting may be off by so many times what is seen of the knock."""
@@ -57,6 +54,7 @@ class Suspects:
 
     Attributes:
         table: the rows.
+        ins: what is done where the INS is the one that is wrong.
 
     Raises:
         ParameterError: there are more rows than ``integrity.max_hypotheses``.
@@ -67,22 +65,12 @@ class Suspects:
         self._degraded_after = config.gate.degraded_after
         self.table = RowTable(config, model, devices)
         self._sources = self.table.sources
-        self._ins = model.slices["ins.attitude"]
-        self._ins_index = model.sources.index(SOURCE_INS)
+        self.ins = InsAtFault(config, model, self.table)
+        self._slow = model.slices["ins.attitude"]
 
     def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
         """All rows at one state, before any measurement; shapes (n,) and (n_sources, n, n)."""
-        rows = self.table.rows
-        stack = np.concatenate([parts, np.tile(parts.sum(axis=0), (rows - 1, 1, 1))])
-        for row in self.table.ins_rows:
-            self._open_ins(stack, rows, _UNKNOWN_RAD**2 * np.eye(3), row)
-        return FilterState(None, np.tile(mean, (rows, 1)), stack, no_means(rows, len(self._sources)))
-
-    def carried(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
-        """Let the INS wander, in place, where it is the one that is wrong."""
-        walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * np.eye(3)
-        for row in (None,) if INS in state.excluded else self.table.ins_rows:
-            self._open_ins(stack, len(state.means), walked, row)
+        return FilterState(None, *self.ins.all_rows_at(mean, parts), no_means(self.table.rows, len(self._sources)))
 
     def uses(self, state: FilterState) -> NDArray[np.bool_]:
         """Which source each row uses, shape (h, s)."""
@@ -125,37 +113,17 @@ class Suspects:
         learnt = bool((used & accepted).any()) if exclusion is None else exclusion.apart is None
         if not learnt:
             return replace(state, seen=seen, apart=apart)
-        learns = (used[:, None] | self.table.own[source]) & accepted[:, None]
+        learns = self.ins.learns(state, (used[:, None] | self.table.own[source]) & accepted[:, None])
         corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
         return replace(predicted, means=predicted.means + corrections, stack=stack, seen=seen, apart=apart)
-
-    def contradicted(self, state: FilterState, source: str, row: int) -> bool:
-        """Whether a source that a row uses has contradicted it for so long that one refusal more makes it a fault."""
-        index = self._sources.index(source)
-        if source in state.excluded or not self.table.uses[row, index]:
-            return False
-        return bool(state.seen.refused[row, index] >= self._degraded_after - 1)
-
-    def opened_for(self, state: FilterState, turns_n: Mapping[int, FloatArray]) -> FloatArray:
-        """Covariances where the INS, being the one that is wrong, has turned.
-
-        Args:
-            state: before.
-            turns_n: by row, rotation vector, rad, shape (3,).
-        """
-        stack: FloatArray = state.stack.copy()
-        for row, turn_n in turns_n.items():
-            covariance_n = np.outer(turn_n, turn_n) + 0.01 * (turn_n @ turn_n) * np.eye(3)
-            self._open_ins(stack, len(state.means), covariance_n, row)
-        return stack
 
     def separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
         """Distances of the rows from the first one, about North, Up and East, and these in sigmas at most.
 
         Shapes (h, 3), rad, and (h,).
         """
-        apart_n = state.means[:, self._ins] - state.means[0, self._ins]
-        by_stack = state.stack[:, self._ins, self._ins].diagonal(axis1=-2, axis2=-1)
+        apart_n = state.means[:, self._slow] - state.means[0, self._slow]
+        by_stack = state.stack[:, self._slow, self._slow].diagonal(axis1=-2, axis2=-1)
         first = by_stack[: len(self._model.sources)].sum(axis=0)
         # Of the first row, which is apart by nothing, any variance serves.
         sigma = separation_sigma(by_stack[-len(apart_n) :], first)
@@ -173,12 +141,15 @@ class Suspects:
             ins_vouched: whether the INS's rates would have told a step of it.
             time_ns: stamp of the measurement.
         """
-        state = self._ins_believed_again(state, time_ns)
+        state = self.ins.believed_again(state, time_ns)
         if source in state.excluded:
             state, text = self._watched(state, source, compared, time_ns)
             if source in state.excluded:
                 return state, text
-        table, uses, in_use = self.table, self.uses(state), self._in_use(state, time_ns)
+        if distrusted(state):
+            agrees = not self._contradicts(state, self._sources.index(source))
+            return self.ins.watched(state, compared, agrees, time_ns), ""
+        table, uses, in_use = self.table, self.uses(state), state.in_use(self._sources, time_ns)
         apart_n, statistic = self.separations(state)
         candidates = [row for row in table.singles if table.names[row - 1] not in state.excluded]
         pairs = table.pairs_in_question(in_use, state.excluded) if table.pairs else []
@@ -193,19 +164,31 @@ class Suspects:
         if not finding.fault:
             return (state if state.doubt is None else replace(state, doubt=None)), ""
         wrong = self._named(state, finding)
-        if INS in wrong and stepped:
+        contradicting = self._stars_contradicting(state, wrong, in_use)
+        against_ins = len(contradicting) > 1 or (INS in wrong and stepped)
+        if against_ins and self.ins.told(state, time_ns) and self.ins.may_be_excluded(in_use):
+            state, text = self._without(state, (INS,), time_ns)
+            return self.ins.contradicted_now(state, time_ns), text
+        if INS in wrong and (stepped or not self.ins.may_be_excluded(in_use)):
             wrong = ()  # A wrong position moves all stars alike, as a step of the INS without rates does.
         if wrong and not set(in_use).issubset(wrong):
             return self._without(state, wrong, time_ns)
-        contradicting = self._stars_contradicting(state, wrong, in_use)
         if contradicting:
             # Nothing tells that they were knocked: how they are mounted is not learnt anew.
             excluded = {name: Exclusion(time_ns, apart=state.apart[name].turn_v) for name in contradicting}
             state = replace(state, excluded=MappingProxyType({**state.excluded, **excluded}))
         return self._in_doubt(state, apart_n, statistic, contradicting), ""
 
-    def acquitted(self, state: FilterState) -> FilterState:
-        """The state after the INS has told itself that it jumped: those that contradicted it were right."""
+    def acquitted(self, state: FilterState, time_ns: int) -> FilterState:
+        """The state after the INS has told itself that it jumped: those that contradicted it were right.
+
+        What the rows differ by was the contradiction: with it all of them begin anew from the first one.
+        """
+        if state.doubt is not None:
+            means, stack = self.ins.all_rows_at(state.mean, state.parts)
+            state = replace(state, means=means, stack=stack)
+        if distrusted(state):
+            return self.ins.contradicted_now(state, time_ns)
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.apart is None}
         seen = forgotten(state.seen, slice(None), slice(None))
         return replace(state, excluded=MappingProxyType(knocked), seen=seen, doubt=None)
@@ -278,16 +261,6 @@ class Suspects:
         seen = state.seen
         return not (seen.excess[0, index] <= 1.0 and seen.refused[0, index] < self._degraded_after)
 
-    def _ins_believed_again(self, state: FilterState, time_ns: int) -> FilterState:
-        """The state in which an INS that crept is used again: no measurement tells, so it is tried after a while."""
-        exclusion = state.excluded.get(INS)
-        if exclusion is None or state.doubt is not None:
-            return state
-        waited_s = (time_ns - exclusion.since_ns) / SECOND_NS
-        if waited_s < must_agree_s(exclusion, self._integrity.return_after_s):
-            return state
-        return replace(state, excluded=without(state.excluded, INS))
-
     def _in_doubt(
         self, state: FilterState, apart_n: FloatArray, statistic: FloatArray, contradicting: tuple[str, ...]
     ) -> FilterState:
@@ -311,11 +284,6 @@ class Suspects:
         against = [name for name in heard if name in wrong or long_refused[self._sources.index(name)]]
         return tuple(heard) if heard and len(against) == len(heard) else ()
 
-    def _in_use(self, state: FilterState, time_ns: int) -> list[str]:
-        """The sources heard of not long ago that are not excluded."""
-        heard = state.seen.heard_ns >= time_ns - HEARD_NS
-        return [name for index, name in enumerate(self._sources) if heard[index] and name not in state.excluded]
-
     def _knock(self, state: FilterState, source: str) -> FloatArray | None:
         """Sigma, as a rotation vector of the device, of a knock that explains a source's last measurement.
 
@@ -332,6 +300,3 @@ class Suspects:
             covariance = np.outer(knock_v, knock_v) + _LEAST_KNOCK_RAD**2 * np.eye(3)
             part = self._model.sources.index(block.source)
             add_error(stack, len(state.means), part, self._model.slices[block.name], covariance)
-
-    def _open_ins(self, stack: FloatArray, rows: int, covariance_n: FloatArray, row: int | None) -> None:
-        add_error(stack, rows, self._ins_index, self._ins, covariance_n, row)

@@ -89,11 +89,11 @@ class InsMotion:
         judged = self._guards.ins.judge(sample, self.track, self._guards.witnesses)
         if judged.rates_wrong_after_ns is not None:
             self.track.forget_rates(judged.rates_wrong_after_ns)
-        if judged.refusal is not None:
-            return judged.refusal
         for jump in judged.jumps:
             self.track.cut(jump.time_ns)
             self._jumps.append(jump)
+        if judged.refusal is not None:
+            return judged.refusal
         sample = judged.sample
         known = self.track.get(sample.time_ns)
         taken, refusal = (True, None) if known is None else same_stamp(known, sample)
