@@ -32,7 +32,7 @@ SEEDS = range(1, 1 + int(os.environ.get("FAULT_SEEDS", "1")))
         ((0.0, 100.0, 0.0), 1e9),  # 20.7, then DEGRADED at 19 to the end
         ((0.0, 300.0, 0.0), 1e9),  # 61.3
         ((100.0, 0.0, 0.0), 1e9),  # 27.6
-        ((0.0, 100.0, 0.0), 70.0),  # 20.7
+        ((0.0, 100.0, 0.0), 60.0),  # 20.7
     ],
 )
 def test_mend_11_a_ship_attitude_that_steps_is_seen_by_its_own_rates(seed, arcsec_n, until_s):
@@ -60,7 +60,7 @@ def test_nothing_is_refused_where_nothing_lies(seed):
     [
         ((0.3, 0.0, 0.0), 1e9),  # 4.9, then DEGRADED for as long as it lasts
         ((0.0, 0.3, 0.0), 1e9),  # 6.0
-        ((0.0, 0.3, 0.0), 70.0),  # 3.8
+        ((0.0, 0.3, 0.0), 60.0),  # 3.8
         ((0.0, -1.0, 0.0), 1e9),  # 1.7, then COASTING
     ],
 )
@@ -68,7 +68,7 @@ def test_mend_11_one_wrong_fixed_baseline_is_left_out_and_the_other_light_is_use
     found = claims(baseline_moved(clean_session(seed), "a", moved_n, until_s), integrity__return_after_s=20.0)
     assert found.worst(Status.VALID) < 5.0
     assert found.seconds(Status.DEGRADED) < 1.0
-    during = [e.light_count for e in found.estimates if FAULT_S + 1.0 < (e.time_ns - found.start_ns) * 1e-9 < 69.0]
+    during = [e.light_count for e in found.estimates if FAULT_S + 1.0 < (e.time_ns - found.start_ns) * 1e-9 < 59.0]
     assert set(during) == {1}
     lasts = until_s > 1e6
     assert set(found.core.state.trust.excluded) == ({"beacon.a"} if lasts else set())
@@ -79,7 +79,7 @@ def test_mend_11_one_wrong_fixed_baseline_is_left_out_and_the_other_light_is_use
 @pytest.mark.parametrize("moved_b", [(0.0, 0.3, 0.0), (-0.3, 0.0, 0.0)])
 def test_mend_09_two_wrong_fixed_baselines_are_not_let_in_again(seed, moved_b):
     """Before: VALID beyond 5 sigma for 33 s of 60, up to 10.3, when the covariance had grown enough to accept them."""
-    run = baseline_moved(clean_session(seed), "a", (0.0, 0.3, 0.0))
+    run = baseline_moved(clean_session(seed, duration_s=100.0), "a", (0.0, 0.3, 0.0))
     found = claims(baseline_moved(run, "b", moved_b), integrity__return_after_s=10.0)
     assert found.worst(Status.VALID) < 4.0
     assert found.worst(Status.DEGRADED) < 4.0

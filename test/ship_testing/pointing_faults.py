@@ -22,7 +22,7 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import PointingEstimate
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
-FAULT_S, DURATION_S = 40.0, 100.0
+FAULT_S, DURATION_S = 40.0, 85.0
 
 
 @functools.cache
@@ -117,16 +117,17 @@ def claims(run: SimulatedRun, **changes: object) -> Claims:
         values = {**flatten(config), **{name.replace("__", "."): value for name, value in changes.items()}}
         config = build(OpticalAxisConfig, nest(values))
     core = OpticalAxisCore(config)
+    truth = run.theodolite.truth
+    rows = {int(stamp): row for row, stamp in enumerate(run.theodolite.encoder.time_ns[truth.encoder_index])}
     outcomes, levels = [], {}
     for _, source, index in run.pointing_arrivals():
         outcome = give_pointing(core, run, source, index)
         outcomes.append(outcome)
-        levels |= {estimate.time_ns: core.integrity(estimate).level for estimate in outcome.estimates}
+        known = [estimate for estimate in outcome.estimates if estimate.time_ns in rows]
+        levels |= {estimate.time_ns: core.integrity(estimate).level for estimate in known}
     decisions = [decision for outcome in outcomes for decision in outcome.decisions]
     refused = sum(outcome.refusal is not None for outcome in outcomes)
     refused += sum(not decision.accepted for decision in decisions)
-    truth = run.theodolite.truth
-    rows = {int(stamp): row for row, stamp in enumerate(run.theodolite.encoder.time_ns[truth.encoder_index])}
     estimates = [found for outcome in outcomes for found in outcome.estimates]
     kept = [found for found in estimates if found.time_ns in rows and found.status is not Status.INVALID]
     compared = [_errors(found, truth.mount.rotation_nm[rows[found.time_ns]]) for found in kept]

@@ -110,7 +110,7 @@ def test_the_optimum_is_that_of_a_batch_least_squares() -> None:
         ship_antenna__sigma_m=0.01,
     )
     filter_ = CalibrationFilter(settings)
-    sightings = sightings_of(settings, 8)
+    sightings = sightings_of(settings, 5)
     state = filtered(filter_, sightings)
 
     model, steps = filter_.model, len(sightings)
