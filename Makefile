@@ -11,9 +11,10 @@ RUN := source tools/env.sh &&
 PYTEST_ARGS ?=
 
 VOYAGES ?= 1000
+HOURS ?= 100
 FAULT_ARGS ?=
 
-.PHONY: help setup test lint demo bags bench campaign faults kills stanford clean
+.PHONY: help setup test lint demo bags bench campaign faults hours kills stanford clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -46,6 +47,9 @@ campaign: setup ## many seeds, consistency of the estimates
 
 faults: setup ## voyages with faults: told, attributed, within the protection level; VOYAGES=40 for few
 	@$(RUN) python tools/faults.py --voyages $(VOYAGES) $(FAULT_ARGS)
+
+hours: setup ## a hundred hours without faults: false exclusions, availability, levels; HOURS=5 for few
+	@$(RUN) python tools/clean_hours.py --hours $(HOURS)
 
 stanford: setup ## a million epochs: error against protection level, docs/figures/stanford.png
 	@$(RUN) python tools/stanford.py

@@ -18,15 +18,15 @@ from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser,
 from ship_replay.trials.fault_results import (
     KIND_HEAD,
     PAIR_HEAD,
-    Result,
-    ResultsFile,
     Row,
     kind_rows,
     pair_rows,
+    results_file,
     totals,
 )
 from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, run_voyage, voyages
 from ship_replay.trials.one_fault import one_fault_lines
+from ship_replay.trials.results_file import Result, ResultsFile
 from ship_replay.trials.threats import OVERLAPPING, SINGLE
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -66,12 +66,12 @@ def _run(options: argparse.Namespace) -> int:
         print("\n".join(one_fault_lines(path, options.one)))
         return EXIT_DONE
     modes = (SINGLE, OVERLAPPING) if options.mode == "both" else (options.mode,)
-    results = ResultsFile(options.out / f"{options.mode}.jsonl", options.fresh)
+    results = results_file(options.out / f"{options.mode}.jsonl", options.fresh)
     if not options.table:
         for (name, seed), path in paths.items():
             _bag(name, seed, path)
         wanted = voyages(list(paths.values()), options.voyages, modes)
-        _make([voyage for voyage in wanted if not results.holds(voyage)], results, options.processes)
+        _make([voyage for voyage in wanted if not results.holds(voyage.key)], results, options.processes)
     return _report(results.all())
 
 

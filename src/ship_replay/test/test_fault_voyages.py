@@ -17,7 +17,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_replay.trials.fault_judge import UNSEEN_ROWS, Passage, beyond, first_named, is_source, judged
-from ship_replay.trials.fault_results import ResultsFile, kind_rows, pair_rows, totals
+from ship_replay.trials.fault_results import kind_rows, pair_rows, results_file, totals
 from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, replayed, run_voyage, taken_topics, voyages
 from ship_replay.trials.one_fault import one_fault_lines
 from ship_replay.trials.threats import BY_FORM, DATA_LIKE, OVERLAPPING, SINGLE, draw_faults
@@ -431,33 +431,33 @@ def test_pairs_are_those_that_overlap_the_longest_wrong_claim_first():
 
 def test_results_outlive_a_torn_line_and_a_file_of_something_else_is_refused(tmp_path):
     path = tmp_path / "single.jsonl"
-    results = ResultsFile(path)
+    results = results_file(path)
     results.add(result(1))
     results.add(result(0))
     with open(path, "a", encoding="utf-8") as file:
         file.write('{"voyage": 7, "ba')
-    again = ResultsFile(path)
+    again = results_file(path)
     assert [one["voyage"] for one in again.all()] == [0, 1]
-    assert again.holds(Voyage(1, Path("x/demo_1.mcap"), SINGLE))
-    assert not again.holds(Voyage(1, Path("x/demo_2.mcap"), SINGLE))
+    assert again.holds(Voyage(1, Path("x/demo_1.mcap"), SINGLE).key)
+    assert not again.holds(Voyage(1, Path("x/demo_2.mcap"), SINGLE).key)
     again.add(result(2))
     assert len(path.read_text().splitlines()) == 3
     older = result(3)
     del older["faults"][0]["changed"]
     path.write_text(json.dumps(older) + "\n")
     with pytest.raises(BadInput, match=r"single.jsonl:1: no result of a voyage"):
-        ResultsFile(path)
+        results_file(path)
     path.write_text("hello\n" + path.read_text())
     with pytest.raises(BadInput, match=r"single.jsonl:1: no result of a voyage"):
-        ResultsFile(path)
-    assert ResultsFile(path, fresh=True).all() == []
+        results_file(path)
+    assert results_file(path, fresh=True).all() == []
 
 
 def test_the_tables_of_results_that_are_there_and_their_exit_code(tmp_path):
     command = [sys.executable, str(ROOT / "tools" / "faults.py"), "--table", "--out", str(tmp_path)]
     both = overlapping(1, longest_beyond_s=1.9)
     both["faults"].append({**both["faults"][0], "threat": "flood", "start_s": 15.0})
-    results = ResultsFile(tmp_path / "both.jsonl")
+    results = results_file(tmp_path / "both.jsonl")
     results.add(result(0))
     results.add(both)
     done = subprocess.run(command, capture_output=True, check=False, text=True)
@@ -517,6 +517,6 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_results(tmp_path, 
     done = subprocess.run(command, capture_output=True, check=False)
     assert done.returncode in (0, 1)
     assert path.read_bytes().startswith(kept)
-    results = ResultsFile(path).all()
+    results = results_file(path).all()
     assert [one["voyage"] for one in results] == [0, 1, 2, 3]
     assert b"4 voyages" in done.stdout

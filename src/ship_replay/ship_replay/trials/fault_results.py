@@ -1,23 +1,18 @@
-"""Results of voyages with faults: a line of JSON a voyage, in a file that outlives a kill, and the tables of them."""
+"""The tables of voyages with faults, and the bounds that they are held to."""
 
-import json
 import math
-import os
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ship_bags.errors import BadInput
 from ship_replay.trials.fault_judge import BEYOND, MEASUREMENTS, UNSEEN_ROWS
-from ship_replay.trials.fault_voyage import Voyage
+from ship_replay.trials.results_file import Result, ResultsFile
 from ship_replay.trials.threats import DATA_LIKE, OVERLAPPING, SINGLE
 
-Result = dict[str, Any]
 Row = tuple[str, ...]
 
 _LARGE_STEP = 8.0
@@ -39,56 +34,13 @@ _PAIR_VALUES = ("longest_beyond_s", "worst_sigmas", _LEVEL)
 _DATA_LIKE = {threat.label for threat in DATA_LIKE} | set(UNSEEN_ROWS)
 
 
-class ResultsFile:
-    """A file of results, to which each voyage is added as soon as it is made.
-
-    Args:
-        path: of the file; what a killed run left of its last line is cut off.
-        fresh: forget what is there.
+def results_file(path: Path, fresh: bool = False) -> ResultsFile:
+    """The results of voyages with faults in a file.
 
     Raises:
         BadInput: a line before the last is no result, or one of another judge.
     """
-
-    def __init__(self, path: Path, fresh: bool = False) -> None:
-        self.path = path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if fresh:
-            path.unlink(missing_ok=True)
-        self._results = self._read() if path.exists() else []
-        self._known = {_key(result) for result in self._results}
-
-    def holds(self, voyage: Voyage) -> bool:
-        """Whether a voyage was made."""
-        return (voyage.number, voyage.bag.stem, voyage.mode) in self._known
-
-    def all(self) -> list[Result]:
-        """The results, by the numbers of their voyages."""
-        return sorted(self._results, key=lambda result: int(result["voyage"]))
-
-    def add(self, result: Result) -> None:
-        """Write a result; it is on the disk when this returns."""
-        with open(self.path, "a", encoding="utf-8") as file:
-            file.write(json.dumps(result) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        self._results.append(result)
-        self._known.add(_key(result))
-
-    def _read(self) -> list[Result]:
-        data = self.path.read_bytes()
-        whole = data[: data.rfind(b"\n") + 1]
-        if len(whole) < len(data):
-            os.truncate(self.path, len(whole))
-        results = []
-        for number, line in enumerate(whole.splitlines(), 1):
-            try:
-                result = json.loads(line)
-                _key(result)
-            except (ValueError, KeyError, TypeError) as problem:
-                raise BadInput("no result of a voyage", file=self.path, line=number) from problem
-            results.append(result)
-        return results
+    return ResultsFile(path, _key, fresh)
 
 
 def _key(result: Result) -> tuple[int, str, str]:

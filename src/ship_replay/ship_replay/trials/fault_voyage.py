@@ -50,6 +50,11 @@ class Voyage:
     bag: Path
     mode: str
 
+    @property
+    def key(self) -> tuple[int, str, str]:
+        """What tells it from others among results."""
+        return self.number, self.bag.stem, self.mode
+
 
 def voyages(bags: Sequence[Path], count: int, modes: Sequence[str] = (SINGLE, OVERLAPPING)) -> list[Voyage]:
     """Voyages over some bags in turn, and with each bag the modes in turn."""

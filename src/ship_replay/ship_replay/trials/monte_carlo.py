@@ -4,12 +4,13 @@ Of ``ship_attitude`` the error at the end of each run counts, of ``optical_axis`
 within one run are correlated, those of different seeds are not.
 """
 
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ship_attitude_star.measurements.readings import AirReading, InertialAttitude, PositionFix, SkyInput
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, AttitudeOutcome
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.sky_watch import installed_sky
@@ -81,24 +82,29 @@ def core_for(scenario: Scenario) -> ShipAttitudeCore:
 
 def feed_attitude(core: ShipAttitudeCore, run: SimulatedRun) -> tuple[AttitudeEstimate, int]:
     """Feed a whole run into a core, in order of arrival; returns the last estimate and the number of refusals."""
-    last_ins = len(run.ins.time_ns) - 1
     estimate, refused = None, 0
-    for _, source, index in run.arrivals():
-        if source == "ins":
-            sample = AttitudeSample(
-                int(run.ins.time_ns[index]), run.ins.rotation_nd[index], run.ins.rate_d[index]
-            )
-            outcome = core.add_ins(sample, estimate=index == last_ins)
-        elif source in SKY_SOURCES:
-            outcome = core.add_sky_input(sky_input(run, source, index))
-        else:
-            outcome = core.add_measurement(_measurement(run, source, index))
+    for outcome in attitude_outcomes(core, run, {int(run.ins.time_ns[-1])}):
         refused += (outcome.refusal is not None) + sum(not decision.accepted for decision in outcome.decisions)
         if outcome.estimates:
             estimate = outcome.estimates[-1]
     if estimate is None:
         raise ValueError("the run holds no INS sample that the core used")
     return estimate, refused
+
+
+def attitude_outcomes(
+    core: ShipAttitudeCore, run: SimulatedRun, wanted_ns: Container[int]
+) -> Iterator[AttitudeOutcome]:
+    """What a core makes of each arrival of a run; attitudes are asked for at the wanted stamps of INS samples alone."""
+    for _, source, index in run.arrivals():
+        if source == "ins":
+            time_ns = int(run.ins.time_ns[index])
+            sample = AttitudeSample(time_ns, run.ins.rotation_nd[index], run.ins.rate_d[index])
+            yield core.add_ins(sample, estimate=time_ns in wanted_ns)
+        elif source in SKY_SOURCES:
+            yield core.add_sky_input(sky_input(run, source, index))
+        else:
+            yield core.add_measurement(_measurement(run, source, index))
 
 
 def sky_input(run: SimulatedRun, source: str, index: int) -> SkyInput:
@@ -213,13 +219,18 @@ def feed_pointing(core: OpticalAxisCore, run: SimulatedRun) -> tuple[list[Pointi
     """Feed a whole run into a core, in order of arrival; returns pointings, exposures used, and number of refusals."""
     estimates: list[PointingEstimate] = []
     sightings = refused = 0
-    for _, source, index in run.pointing_arrivals():
-        outcome = give_pointing(core, run, source, index)
+    for outcome in pointing_outcomes(core, run):
         accepted = sum(decision.accepted for decision in outcome.decisions)
         sightings += accepted
         refused += (outcome.refusal is not None) + len(outcome.decisions) - accepted
         estimates += outcome.estimates
     return estimates, sightings, refused
+
+
+def pointing_outcomes(core: OpticalAxisCore, run: SimulatedRun) -> Iterator[PointingOutcome]:
+    """What a core makes of each arrival of a run."""
+    for _, source, index in run.pointing_arrivals():
+        yield give_pointing(core, run, source, index)
 
 
 def give_pointing(core: OpticalAxisCore, run: SimulatedRun, source: str, index: int) -> PointingOutcome:

@@ -1,0 +1,241 @@
+"""Hours without faults: is anybody excluded, is the attitude there, do the levels hold, are the covariances honest?
+
+A voyage is simulated and given to the core of its node in this process, without messages and files, which is what lets
+a hundred hours pass in one. Outputs are asked for once a second; exclusions and doubts are looked for after every
+measurement.
+"""
+
+import dataclasses
+import time
+import traceback
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ship_attitude_star.measurements.samples import AttitudeEstimate
+from ship_estimation.gates import normalized_error_squared
+from ship_estimation.outcome import Status
+from ship_estimation.parameters import build
+from ship_estimation.protection import IntegrityReport
+from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
+from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_geometry.time_scales import SECOND_NS
+from ship_replay.trials.monte_carlo import attitude_outcomes, core_for, pointing_outcomes
+from ship_replay.trials.results_file import Result
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.suite import optical_axis_configuration
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.measured.samples import PointingEstimate
+from theodolite_calib.optical_axis.core import OpticalAxisCore
+
+TWO, THREE, THEODOLITE = "two sensors", "three sensors", "theodolite"
+ALERT_LIMIT_ARCSEC = {TWO: 30.0, THREE: 12.0}
+"""Kind of voyage → the limit at which its attitude must be available."""
+SETTLED_S = 600.0
+"""From here on availability, doubts and RMS count: the INS's slow error has been found."""
+BEYOND_SIGMAS = 5.0
+
+_SLOW_INS_HZ = 20.0
+_AZIMUTHS_DEG = {"fore": 0.0, "starboard": 120.0, "port": 240.0}
+_TURN = 10
+"""Voyages until the kinds begin again: eight of the ship by turns, one with the INS's full rate, one theodolite."""
+
+
+@dataclass(frozen=True)
+class CleanVoyage:
+    """A voyage without faults.
+
+    Attributes:
+        number: of the voyage, and seed of what it draws.
+        kind: TWO, THREE or THEODOLITE.
+        full_rate: whether the INS has the rate of the scenario; otherwise 20 Hz.
+    """
+
+    number: int
+    kind: str
+    full_rate: bool
+
+
+def clean_voyages(count: int) -> list[CleanVoyage]:
+    """Voyages of all kinds in turn."""
+    found = []
+    for number in range(count):
+        turn, place = divmod(number, _TURN)
+        kind = THEODOLITE if place == _TURN - 1 else (TWO, THREE)[(place + turn) % 2]
+        found.append(CleanVoyage(number, kind, full_rate=place == _TURN - 2))
+    return found
+
+
+def scenario_of(voyage: CleanVoyage, folder: Path, length_s: float) -> Scenario:
+    """What sails: the reference case with two sensors or three at 120 degrees, or the theodolite's scenario.
+
+    Args:
+        voyage: its kind.
+        folder: of the scenarios.
+        length_s: of the voyage.
+    """
+    name = "theodolite" if voyage.kind == THEODOLITE else "paper"
+    scenario = dataclasses.replace(load_scenario(folder / f"{name}.yaml"), duration_s=length_s)
+    if not voyage.full_rate and voyage.kind != THEODOLITE:
+        scenario = dataclasses.replace(scenario, ins=dataclasses.replace(scenario.ins, rate_hz=_SLOW_INS_HZ))
+    if voyage.kind == THREE:
+        one = scenario.star_sensors["fore"]
+        stars = {id_: dataclasses.replace(one, azimuth_deg=deg) for id_, deg in _AZIMUTHS_DEG.items()}
+        scenario = dataclasses.replace(scenario, star_sensors=stars)
+    return scenario
+
+
+@dataclass
+class Watched:
+    """What a voyage has said so far.
+
+    Attributes:
+        limit: alert limit of its levels, rad; infinite where it has none.
+        exclusions: (s, source) of each exclusion.
+        doubts: (s, why) of each time that an output was DEGRADED although the voyage had settled, at its beginning.
+        seconds: outputs looked at, one a second.
+        settled: of these, after the settling.
+        available: of these, VALID with every level within the limit.
+        beyond_sigmas: VALID outputs with an error beyond five sigmas.
+        beyond_level: VALID outputs with an error beyond their level.
+        worst_over_level: largest error over its level.
+        worst_level: largest level of a settled output that has one, rad.
+        squares: sum of the squared errors of the settled outputs, rad², shape (3,).
+        nees: of the last output.
+    """
+
+    limit: float
+    exclusions: list[tuple[float, str]] = field(default_factory=list)
+    doubts: list[tuple[float, str]] = field(default_factory=list)
+    seconds: int = 0
+    settled: int = 0
+    available: int = 0
+    beyond_sigmas: int = 0
+    beyond_level: int = 0
+    worst_over_level: float = 0.0
+    worst_level: float = 0.0
+    squares: FloatArray = field(default_factory=lambda: np.zeros(3))
+    nees: float = float("nan")
+    _excluded: frozenset[str] = frozenset()
+    _in_doubt: bool = False
+
+    def look_at_sources(self, since_s: float, excluded: frozenset[str]) -> None:
+        """Note who is excluded after a measurement."""
+        self.exclusions += [(since_s, name) for name in sorted(excluded - self._excluded)]
+        self._excluded = excluded
+
+    def look_at_status(self, since_s: float, status: Status, text: str) -> None:
+        """Note an output that begins to be DEGRADED."""
+        if status is Status.DEGRADED and not self._in_doubt and since_s >= SETTLED_S:
+            self.doubts.append((since_s, text))
+        self._in_doubt = status is Status.DEGRADED
+
+    def look_at_output(
+        self, since_s: float, status: Status, report: IntegrityReport, error: FloatArray, covariance: FloatArray
+    ) -> None:
+        """Compare an output with the truth: error and covariance of its angles, rad, shapes (3,) and (3, 3)."""
+        self.seconds += 1
+        self.nees = float(normalized_error_squared(error, covariance))
+        valid, level = status is Status.VALID, report.level
+        if since_s >= SETTLED_S:
+            self.settled += 1
+            self.available += valid and bool(np.all(level <= self.limit))
+            self.squares += error**2
+            self.worst_level = max(self.worst_level, *np.nan_to_num(level).tolist())
+        if valid:
+            sigma = np.sqrt(np.diagonal(covariance))
+            # An error that is no number is beyond everything.
+            self.beyond_sigmas += not np.all(np.abs(error) <= BEYOND_SIGMAS * sigma)
+            if np.all(np.isfinite(level)):
+                over = float(np.max(np.abs(error) / level))
+                self.beyond_level += not over <= 1.0
+                self.worst_over_level = max(self.worst_over_level, over)
+
+
+def make_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Result:
+    """Make a voyage; what became of it, as plain data."""
+    begun_s, result = time.process_time(), dataclasses.asdict(voyage)
+    result["voyage"] = result.pop("number")
+    result |= {"length_s": length_s, "exception": ""}
+    try:
+        run = simulate(scenario_of(voyage, folder, length_s), voyage.number)
+        watched = Watched(ALERT_LIMIT_ARCSEC.get(voyage.kind, np.inf) * ARCSEC)
+        (_sail_theodolite if voyage.kind == THEODOLITE else _sail_ship)(run, watched)
+        told = {name: value for name, value in vars(watched).items() if name[0] != "_" and name != "limit"}
+        result |= told | {
+            "squares": (watched.squares / ARCSEC**2).tolist(),
+            "worst_level": watched.worst_level / ARCSEC,
+        }
+    except Exception:
+        # A defect of the software is told, and the other voyages go on.
+        result["exception"] = traceback.format_exc(limit=-4)
+    return result | {"cpu_s": round(time.process_time() - begun_s, 2)}
+
+
+def _sail_ship(run: SimulatedRun, watched: Watched) -> None:
+    core = core_for(run.scenario)
+    rows = {int(run.ins.time_ns[index]): row for row, index in enumerate(run.truth.ins_index)}
+    for outcome in attitude_outcomes(core, run, _once_a_second(run, rows)):
+        if outcome.decisions:
+            since_s = (outcome.decisions[-1].measurement.time_ns - run.start_ns) / SECOND_NS
+            watched.look_at_sources(since_s, frozenset(core.state.excluded))
+            if core.state.doubt is not None:
+                watched.look_at_status(since_s, Status.DEGRADED, core.state.doubt.text)
+        for estimate in outcome.estimates:
+            truth_nd = run.truth.rotation_nd[rows[estimate.time_ns]]
+            _look(watched, run, estimate, core.integrity(estimate), estimate.rotation_nd, truth_nd, cos_elevation=False)
+
+
+def _once_a_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
+    """Stamps of the INS samples that an attitude is asked for: the first of each second whose truth is known."""
+    first: dict[int, int] = {}
+    for time_ns in sorted(rows):
+        first.setdefault((time_ns - run.start_ns) // SECOND_NS, time_ns)
+    return set(first.values())
+
+
+def _sail_theodolite(run: SimulatedRun, watched: Watched) -> None:
+    core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(run.scenario)))
+    truth, encoder_ns = run.theodolite.truth, run.theodolite.encoder.time_ns
+    rows = {int(encoder_ns[index]): row for row, index in enumerate(truth.encoder_index)}
+    wanted = _once_a_second(run, rows)
+    for outcome in pointing_outcomes(core, run):
+        if outcome.decisions:
+            since_s = (outcome.decisions[-1].measurement.time_ns - run.start_ns) / SECOND_NS
+            watched.look_at_sources(since_s, frozenset(core.state.trust.left_out))
+        for estimate in outcome.estimates:
+            if estimate.time_ns in wanted and estimate.status is not Status.INVALID:
+                truth_nm = truth.mount.rotation_nm[rows[estimate.time_ns]]
+                report = core.integrity(estimate)
+                _look(watched, run, estimate, report, estimate.rotation_nm, truth_nm, cos_elevation=True)
+
+
+def _look(
+    watched: Watched,
+    run: SimulatedRun,
+    estimate: AttitudeEstimate | PointingEstimate,
+    report: IntegrityReport,
+    rotation: FloatArray,
+    truth: FloatArray,
+    cos_elevation: bool,
+) -> None:
+    """Compare an output with the truth, in the angles that its levels bound."""
+    since_s = (estimate.time_ns - run.start_ns) / SECOND_NS
+    first, second, _ = angles_from_rotation(rotation)
+    to_angles = angle_errors_from_rotation_vector(first, second)
+    if cos_elevation:
+        to_angles[0] *= np.cos(second)
+    error = to_angles @ log_rotation(truth @ rotation.T)
+    watched.look_at_status(since_s, estimate.status, estimate.text)
+    watched.look_at_output(since_s, estimate.status, report, error, to_angles @ estimate.covariance_n @ to_angles.T)
+
+
+def by_kind(results: list[Result]) -> Iterator[tuple[str, list[Result]]]:
+    """The results of each kind that is there."""
+    for kind in (TWO, THREE, THEODOLITE):
+        if found := [result for result in results if result["kind"] == kind]:
+            yield kind, found

@@ -1,0 +1,78 @@
+"""Hours without faults: the voyages, what is noted of them, and that a false exclusion would be counted."""
+
+import numpy as np
+import pytest
+
+from ship_estimation.outcome import Status
+from ship_estimation.protection import IntegrityReport, IntegrityState
+from ship_geometry.rotations import ARCSEC
+from ship_replay.trials.clean_hours import (
+    THEODOLITE,
+    THREE,
+    TWO,
+    CleanVoyage,
+    Watched,
+    clean_voyages,
+    make_clean_voyage,
+    scenario_of,
+)
+from ship_testing.places import ROOT
+
+SCENARIOS = ROOT / "bags" / "scenarios"
+
+
+def test_kinds_take_turns_and_one_in_ten_has_the_full_rate():
+    found = clean_voyages(200)
+    assert [one.number for one in found] == list(range(200))
+    assert [sum(one.kind == kind for one in found) for kind in (TWO, THREE, THEODOLITE)] == [90, 90, 20]
+    assert sum(one.full_rate for one in found) == 20
+    assert {one.kind for one in found if one.full_rate} == {TWO, THREE}
+
+
+def test_three_sensors_stand_at_120_degrees():
+    scenario = scenario_of(CleanVoyage(1, THREE, False), SCENARIOS, 60.0)
+    assert sorted(star.azimuth_deg for star in scenario.star_sensors.values()) == [0.0, 120.0, 240.0]
+    assert (scenario.ins.rate_hz, scenario.duration_s) == (20.0, 60.0)
+    assert scenario_of(CleanVoyage(8, TWO, True), SCENARIOS, 60.0).ins.rate_hz == 100.0
+
+
+@pytest.mark.parametrize("kind", [TWO, THREE, THEODOLITE])
+def test_a_voyage_is_made_and_repeats(kind):
+    first, again = (make_clean_voyage(CleanVoyage(3, kind, False), SCENARIOS, 25.0) for _ in range(2))
+    assert first.pop("cpu_s") > 0.0
+    again.pop("cpu_s")
+    assert first == again
+    assert first["exception"] == ""
+    assert first["seconds"] in (25, 26)
+    assert (first["exclusions"], first["beyond_level"], first["beyond_sigmas"]) == ([], 0, 0)
+    assert 0.0 < first["nees"] < 16.3  # of three degrees of freedom, probability 1e-3
+
+
+def look(watched, since_s, level_arcsec, error_arcsec, status=Status.VALID):
+    level = np.full(3, level_arcsec) * ARCSEC
+    report = IntegrityReport(0, IntegrityState.NO_LIMIT, level, (), np.zeros(0), 5.0, (), "", 0.0)
+    watched.look_at_output(since_s, status, report, np.full(3, error_arcsec) * ARCSEC, ARCSEC**2 * np.eye(3))
+
+
+def test_what_is_beyond_and_what_is_available_is_counted():
+    watched = Watched(limit=12.0 * ARCSEC)
+    look(watched, 100.0, 50.0, 1.0)
+    look(watched, 700.0, 11.0, 1.0)
+    look(watched, 701.0, 13.0, 6.0)
+    look(watched, 702.0, 4.0, -4.5)
+    look(watched, 703.0, np.nan, 1.0)
+    look(watched, 704.0, 4.0, 100.0, Status.DEGRADED)
+    assert (watched.seconds, watched.settled, watched.available) == (6, 5, 2)
+    assert (watched.beyond_sigmas, watched.beyond_level) == (1, 1)
+    assert watched.worst_over_level == pytest.approx(4.5 / 4.0)
+    assert watched.worst_level == pytest.approx(13.0 * ARCSEC)
+
+
+def test_an_exclusion_and_a_doubt_count_once_each_time():
+    watched = Watched(limit=np.inf)
+    for since_s, excluded in ((1.0, {"star.fore"}), (2.0, {"star.fore"}), (3.0, set()), (4.0, {"star.fore", "ins"})):
+        watched.look_at_sources(since_s, frozenset(excluded))
+    assert watched.exclusions == [(1.0, "star.fore"), (4.0, "ins"), (4.0, "star.fore")]
+    for since_s, status in ((5.0, 2), (605.0, 0), (606.0, 2), (607.0, 2), (608.0, 0), (609.0, 2)):
+        watched.look_at_status(since_s, Status(status), "why")
+    assert watched.doubts == [(606.0, "why"), (609.0, "why")]
