@@ -16,7 +16,9 @@ from ship_testing.pointing_faults import (
     claims,
     clean_session,
     encoders_slipped,
+    lights_stamped_late,
     ship_turned,
+    telescope_knocked,
 )
 
 SEEDS = range(1, 1 + int(os.environ.get("FAULT_SEEDS", "1")))
@@ -134,6 +136,26 @@ def test_mend_11_encoders_that_step_in_the_dark_are_in_doubt_to_the_end(seed):
     found = claims(encoders_slipped(clean_session(seed, lights_leave_s=30.0), 0.0, 40.0))
     assert set(found.status[found.time_s >= FAULT_S]) == {Status.DEGRADED}
     assert found.worst(Status.DEGRADED) < 4.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("knock_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
+def test_a_telescope_that_is_knocked_is_named_where_neither_encoders_nor_ship_have_stepped(seed, knock_arcsec):
+    """Before: the encoders were excluded, or the ship's attitude; to the lights the three are much alike."""
+    found = claims(telescope_knocked(clean_session(seed), *knock_arcsec), integrity__return_after_s=20.0)
+    assert found.named == {"telescope"}
+    assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
+    # Its new place on the axis is learnt meanwhile.
+    assert 20.0 < found.seconds(Status.DEGRADED) < 22.0
+    assert found.status[-1] == Status.VALID
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_lights_whose_stamps_are_late_are_not_taken_for_a_wrong_ship(seed):
+    """A tenth of a second: the image turns with the roll of the ship, which neither encoders nor ship explain."""
+    found = claims(lights_stamped_late(clean_session(seed), 0.1))
+    assert found.named == {"telescope"}
+    assert found.worst(Status.VALID) < 5.0
 
 
 @pytest.mark.parametrize("seed", SEEDS)

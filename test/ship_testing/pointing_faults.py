@@ -60,6 +60,25 @@ def encoders_slipped(
     return replace(run, theodolite=replace(run.theodolite, encoder=slipped))
 
 
+def telescope_knocked(
+    run: SimulatedRun, right_arcsec: float, up_arcsec: float, until_s: float = np.inf
+) -> SimulatedRun:
+    """The lights stand elsewhere on the detector from FAULT_S on."""
+    images, focal_length_m = run.theodolite.images, run.scenario.theodolite.telescope.focal_length_m
+    lying = np.repeat(_lying(run, images.time_ns, until_s), np.diff(images.first))
+    moved_m = focal_length_m * ARCSEC * np.array([right_arcsec, up_arcsec])
+    knocked = replace(images, point_m=images.point_m + lying[:, None] * moved_m)
+    return replace(run, theodolite=replace(run.theodolite, images=knocked))
+
+
+def lights_stamped_late(run: SimulatedRun, delay_s: float) -> SimulatedRun:
+    """The images bear stamps later than the moments that they show from FAULT_S on."""
+    images = run.theodolite.images
+    late_ns = round(delay_s * 1e9) * _lying(run, images.time_ns, np.inf)
+    late = replace(images, time_ns=images.time_ns + late_ns, log_time_ns=images.log_time_ns + late_ns)
+    return replace(run, theodolite=replace(run.theodolite, images=late))
+
+
 def _lying(run: SimulatedRun, time_ns: np.ndarray, until_s: float) -> np.ndarray:
     since_s = (time_ns - run.start_ns) * 1e-9
     lying: np.ndarray = (since_s >= FAULT_S) & (since_s < until_s)

@@ -82,6 +82,10 @@ class SampleTrack(Generic[Sample]):
         index = bisect.bisect_right(self._times, time_ns) - 1
         return self._samples[index] if index >= 0 else None
 
+    def between(self, first_ns: int, last_ns: int) -> list[Sample]:
+        """The samples stamped at or between two moments, in the order of their stamps, as far as they are kept."""
+        return self._samples[bisect.bisect_left(self._times, first_ns) : bisect.bisect_right(self._times, last_ns)]
+
     def insert(self, sample: Sample) -> int | None:
         """Put a sample in its place; one with the same stamp is replaced.
 

@@ -1,6 +1,7 @@
 """The estimates that do without one source each, beside the estimate by all of them.
 
-One row for each source. A row without a drone gives its light no weight. A row without the encoders, or without the
+One row for each source but the telescope: to the lights its knock is what a slip of the encoders is, and the estimate
+before it goes on. A row without a drone gives its light no weight. A row without the encoders, or without the
 ship's attitude, takes their error for unknown at every sighting: what they say of the turn from one sighting to the
 next is used, or there would be no pointing between them. A source that is excluded is left out of every row.
 
@@ -25,10 +26,13 @@ from theodolite_calib.filter.model import ShipErrorProcess
 BEACON = "beacon."
 ENCODER = "encoder"
 SHIP = "ship_attitude"
+TELESCOPE = "telescope"
+CHAIN = frozenset({ENCODER, SHIP, TELESCOPE})
+"""What leads from the horizon to the telescope."""
 
-_UNKNOWN = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC}
+_UNKNOWN = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC, TELESCOPE: 3600.0 * ARCSEC}
 """Sigma of an error of which nothing is known: of encoders that stood still while the axis turned; of a ship's
-attitude that crept away, for its rates tell a larger step."""
+attitude that crept away, for its rates tell a larger step; of a telescope that was knocked on the main axis."""
 _ONLY_SOURCE = 0
 
 
@@ -104,7 +108,11 @@ class SourceRows:
         first_axis = model.slices["axes"].start
         zero_points = first_axis + np.array([NAMES.index("g"), NAMES.index("h")])
         self._patterns: dict[tuple[tuple[str, ...], frozenset[str], float], _Pattern] = {}
-        self._states = {ENCODER: zero_points, SHIP: model.rows("ship.attitude")}
+        self._states = {
+            ENCODER: zero_points,
+            SHIP: model.rows("ship.attitude"),
+            TELESCOPE: model.rows("parallelism"),
+        }
 
     def states_of(self, excluded: Set[str]) -> NDArray[np.intp]:
         """The states of which nothing is known while some sources are excluded."""

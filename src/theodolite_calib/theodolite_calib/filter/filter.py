@@ -156,7 +156,13 @@ class CalibrationFilter:
         return replace(state, parts=parts, alternatives=self.rows.opened(state.alternatives, states, covariance))
 
     def without(self, state: CalibrationState, source: str) -> CalibrationState:
-        """The state by all sources but one: the estimate that has done without it takes the first place."""
+        """The state by all sources but one: the estimate that has done without it takes the first place.
+
+        Of the telescope there is none: the state is that before the lights contradicted.
+        """
+        if source not in self.rows.sources:
+            rows = self.rows.restarted(state.alternatives, state.mean, state.covariance)
+            return replace(state, alternatives=rows)
         rows, row = state.alternatives, self.rows.sources.index(source)
         mean, covariance = rows.mean[row], rows.parts[row, 0]
         return replace(

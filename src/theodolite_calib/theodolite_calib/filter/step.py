@@ -7,6 +7,7 @@ all together tell whether a source is wrong (:mod:`theodolite_calib.filter.trust
 """
 
 import functools
+from collections.abc import Callable, Set
 from dataclasses import replace
 
 import numpy as np
@@ -17,12 +18,13 @@ from ship_estimation.protection import Factors, IntegrityConfig, factors, separa
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, light_compared
+from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, light_compared
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.judgement import SightingJudge, focal_length_m
 from theodolite_calib.filter.model import chain_rows
-from theodolite_calib.filter.trust import LeftOut, Referee, Trust
+from theodolite_calib.filter.trust import LeftOut, Referee, Trust, blamed
 from theodolite_calib.measured.baseline_track import BaselineJump
+from theodolite_calib.measured.contradiction import Streams
 from theodolite_calib.measured.samples import Exposure, ExposureDecision
 from theodolite_calib.measured.sighting import Sighting
 
@@ -33,9 +35,17 @@ class SightingStep:
     Args:
         config: the node's parameters.
         filter_: the filter of that configuration.
+        streams_since: what encoders and ship say by themselves of the time between two moments, ns; None where they are
+            not asked, or it is too long ago.
     """
 
-    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
+    def __init__(
+        self,
+        config: OpticalAxisConfig,
+        filter_: CalibrationFilter,
+        streams_since: Callable[[int, int], Streams | None] = lambda since_ns, until_ns: None,
+    ) -> None:
+        self._streams_since = streams_since
         self._filter, self._gate, self._config = filter_, config.gate, config.integrity
         self._judge = SightingJudge(filter_, config.gate)
         self._factors = hypothesis_factors(config.integrity, filter_.rows.sources)
@@ -82,9 +92,12 @@ class SightingStep:
         left_out = LeftOut(exclusion, why, 0.0, jump.jump_n, jump.sigma_m, jump.time_ns)
         return self._excluded(predicted, source, left_out)
 
-    def _excluded(self, state: CalibrationState, source: str, left_out: LeftOut) -> CalibrationState:
+    def _excluded(
+        self, state: CalibrationState, source: str, left_out: LeftOut, seen_by: str | None = None
+    ) -> CalibrationState:
         """The state without a source: the estimate without it takes the first place."""
-        return replace(self._filter.without(state, source), trust=self._referee.without(state.trust, source, left_out))
+        trust = self._referee.without(state.trust, source, left_out, seen_by)
+        return replace(self._filter.without(state, source), trust=trust)
 
     def _judged(
         self, state: CalibrationState, predicted: CalibrationState, sighting: Sighting, exposure: Exposure
@@ -96,7 +109,7 @@ class SightingStep:
         used_rows = [row for row in rows if BEACON + sighting.names[row] not in excluded]
         left_out = tuple(self._left_out(predicted, name) for name in sighting.names if BEACON + name in excluded)
         unknown = self._filter.unknown(predicted)
-        for source in sorted(excluded & {ENCODER, SHIP}):
+        for source in sorted(excluded & CHAIN):
             predicted = self._watched_turn(predicted, sighting, source)
         trust = self._watched_lights(predicted.trust, unknown, sighting, bool(used_rows))
         if not used_rows:
@@ -105,7 +118,7 @@ class SightingStep:
             return held, ExposureDecision(exposure, reason, text=text, left_out=left_out)
         unknown = replace(unknown, trust=trust)
         chosen = sighting if len(used_rows) == len(rows) else sighting.chosen(used_rows)
-        if excluded & {ENCODER, SHIP}:
+        if excluded & CHAIN:
             unknown = self._filter.aligned(unknown, chosen)
         judgement = self._judge.judge(unknown, chosen, exposure)
         decision = replace(judgement.decision, left_out=left_out + judgement.decision.left_out)
@@ -140,7 +153,7 @@ class SightingStep:
         time_ns = decision.measurement.time_ns
         trust = self._referee.observed(before.trust, names, seen, True, time_ns)
         after = replace(after, alternatives=alternatives, trust=self._referee.agreed(trust, time_ns))
-        fault, source = self._referee.fault(after.trust, self._statistic(after, compared), time_ns)
+        fault, source, _ = self._referee.fault(after.trust, self._statistic(after, compared), time_ns)
         if source is not None:
             return self._attributed(after, source, decision)
         if fault:
@@ -168,22 +181,36 @@ class SightingStep:
         )
         time_ns = sighting.time_ns
         trust = self._referee.observed(held.trust, sighting.names, seen, False, time_ns)
-        fault, source = self._referee.fault(trust, np.zeros(len(self._filter.rows.sources)), time_ns)
+        fault, found, explaining = self._referee.fault(trust, np.zeros(len(self._filter.rows.sources)), time_ns)
         after = replace(predicted, alternatives=alternatives, trust=trust)
+        source = found
+        if found in (ENCODER, SHIP) and not held.trust.excluded:
+            source = self._blamed(held, found, explaining, decision)
         if source is not None:
-            return self._attributed(replace(after, refusals=held.refusals + 1), source, decision)
+            return self._attributed(replace(after, refusals=held.refusals + 1), source, decision, found)
         trust = self._referee.disagreed(trust, _spread_n(comparison), lasting=fault)
         return self._held(replace(held, alternatives=alternatives, trust=trust), decision)
 
+    def _blamed(
+        self, held: CalibrationState, source: str, explaining: Set[str], decision: ExposureDecision
+    ) -> str | None:
+        """Who is wrong where the rows name the encoders or the ship: their own streams are asked."""
+        time_ns = decision.measurement.time_ns
+        told = None if held.used_ns is None else self._streams_since(held.used_ns, time_ns)
+        if told is None:
+            return source
+        return blamed(source, explaining, told, float(np.max(np.abs(decision.residual))))
+
     def _attributed(
-        self, state: CalibrationState, source: str, decision: ExposureDecision
+        self, state: CalibrationState, source: str, decision: ExposureDecision, seen_by: str | None = None
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """A source is found wrong."""
+        """A source is found wrong; ``seen_by`` names the row that explains it, where it has none of its own."""
         why = f"{source} contradicts the others, and without it the rest agrees"
         refused_m = float(np.max(np.abs(decision.residual), initial=0.0)) * self._filter.sightings.focal_length_m(
             state.mean
         )
-        state = self._excluded(state, source, LeftOut(Exclusion(decision.measurement.time_ns), why, refused_m))
+        left_out = LeftOut(Exclusion(decision.measurement.time_ns), why, refused_m)
+        state = self._excluded(state, source, left_out, source if source in self._filter.rows.sources else seen_by)
         text = f"{decision.text}; excluded: {why}" if decision.text else f"excluded: {why}"
         return replace(state, refusals=0), replace(decision, text=text)
 

@@ -29,8 +29,9 @@ from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.protection import IntegrityConfig
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, RowsSeen, SourceRows
+from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, TELESCOPE, RowsSeen, SourceRows
 from theodolite_calib.measured.baseline_track import BaselineJump
+from theodolite_calib.measured.contradiction import Streams
 
 _SAME_JUMP_NS = SECOND_NS
 """Jumps of one baseline that are found so close to one another are one."""
@@ -98,6 +99,26 @@ class Trust:
         return self.left_out.keys()
 
 
+def blamed(source: str, explaining: Set[str], told: Streams, off_rad: float) -> str | None:
+    """Who is wrong where lights suddenly contradict the encoders or the ship's attitude; None where nobody knows.
+
+    Args:
+        source: the encoders or the ship's attitude, as the rows have it.
+        explaining: all sources without which the rest agrees.
+        told: what the streams of both say of the time in which the contradiction began.
+        off_rad: by so much the lights are off on the sky.
+    """
+    if told.ship_in_doubt:
+        return SHIP if SHIP in explaining else None
+    steps = {ENCODER: told.encoder, SHIP: told.ship}
+    stepped = [name for name, step in steps.items() if step is not None and step.is_there(off_rad)]
+    if stepped:
+        return stepped[0] if len(stepped) == 1 and stepped[0] in explaining else source
+    suspects = [steps[name] for name in {source, *explaining} & steps.keys()]
+    right = all(step is not None and step.is_not(off_rad) for step in suspects)
+    return TELESCOPE if right else source
+
+
 def no_doubt(rows: SourceRows) -> Trust:
     """At the start every source is trusted."""
     return Trust(no_means(1 + len(rows.sources), len(rows.beacons)))
@@ -128,8 +149,8 @@ class Referee:
         means = observed(trust.means, beacons, seen.light_turn, accepted, time_ns, self._limit)
         return replace(trust, means=means)
 
-    def fault(self, trust: Trust, statistic: FloatArray, time_ns: int) -> tuple[bool, str | None]:
-        """Whether a source is wrong, and which one, where one explains it better than all others.
+    def fault(self, trust: Trust, statistic: FloatArray, time_ns: int) -> tuple[bool, str | None, Set[str]]:
+        """Whether a source is wrong, which one, where one explains it better than all others, and all that explain it.
 
         Args:
             trust: after the sighting.
@@ -148,19 +169,20 @@ class Referee:
         candidates = [name for name in sources if name not in excluded]
         finding = found(candidates)
         if not finding.fault:
-            return False, None
+            return False, None, set()
+        explaining = {sources[row - 1] for row in finding.explaining}
         if finding.row is not None:
-            return True, sources[finding.row - 1]
+            return True, sources[finding.row - 1], explaining
         # What the encoders and what the ship's attitude do to the lights is much alike: either may explain it.
         for name, other in ((ENCODER, SHIP), (SHIP, ENCODER)):
             alone = found([candidate for candidate in candidates if candidate != other])
             if alone.row is not None and sources[alone.row - 1] == name:
-                return True, name
-        return True, None
+                return True, name, explaining
+        return True, None, explaining
 
-    def without(self, trust: Trust, source: str, left_out: LeftOut) -> Trust:
-        """A source is excluded: every row now sees what the row without it has seen."""
-        row, means = 1 + self._rows.sources.index(source), trust.means
+    def without(self, trust: Trust, source: str, left_out: LeftOut, seen_by: str | None = None) -> Trust:
+        """A source is excluded: every row now sees what the row without it, or without ``seen_by``, has seen."""
+        row, means = 1 + self._rows.sources.index(seen_by or source), trust.means
         same = {
             name: np.repeat(getattr(means, name)[row : row + 1], 1 + len(self._rows.sources), axis=0)
             for name in SEEN_BY_ROWS
@@ -216,7 +238,7 @@ class Referee:
         left_out, jumped_ns, means = dict(trust.left_out), dict(trust.jumped_ns), trust.means
         if returns:
             jumped_ns[source] = left_out.pop(source).jump_ns + _SAME_JUMP_NS
-            row = self._rows.sources.index(source)
+            row = len(self._rows.beacons) if source in CHAIN else self._rows.sources.index(source)
             if row < len(self._rows.beacons):
                 # The rows that use it again see it otherwise than as one that they do without.
                 others = [other for other in range(1 + len(self._rows.sources)) if other != 1 + row]

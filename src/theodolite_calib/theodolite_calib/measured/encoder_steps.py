@@ -1,8 +1,8 @@
 """Steps of the encoders in place: from one reading to the next they are elsewhere, and move on as before.
 
-A reading is predicted from a parabola through those before it, so that a mount that turns, or is accelerated evenly, is
-no step. What is far outside the noise of such predictions, which is learnt, is a step at first sight. The next reading
-tells what it was. Where it is as far from the parabola as the one before, the encoders have slipped, or the mount has
+A reading is predicted from a cubic through those before it: a mount that turns, or takes out the ship's roll, makes no
+step. What is far outside the noise of such predictions, which is learnt, is a step at first sight. The next reading
+tells what it was. Where it is as far from the cubic as the one before, the encoders have slipped, or the mount has
 moved and stopped between two readings. Where it is farther off, a motion has begun or ended. Where it is back, one
 reading was wrong.
 """
@@ -18,9 +18,9 @@ from ship_estimation.value_guards import ACROSS
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
-_FITTED = 8
-"""A parabola is laid through so many readings."""
-_LEAST = 5
+_FITTED = 12
+"""A cubic is laid through so many readings."""
+_LEAST = 7
 """Through fewer none is laid."""
 _SIGMAS = 6.5
 """At fifty readings a second, good ones must not be suspected more than once in some hours."""
@@ -55,7 +55,7 @@ class EncoderStep(NamedTuple):
 
 
 class _Off(NamedTuple):
-    """How far a reading is from the parabola.
+    """How far a reading is from the cubic.
 
     Attributes:
         time_ns: stamp of the reading.
@@ -126,7 +126,7 @@ class StepWatch:
         return None
 
     def _off(self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float) -> _Off | None:
-        """How far a reading is from the parabola; None where there is none."""
+        """How far a reading is from the cubic; None where there is none."""
         if len(self._before) < _LEAST:
             return None
         since_ns = tuple(before_ns - time_ns for before_ns, _ in self._before)
@@ -163,9 +163,9 @@ class StepWatch:
 
 @lru_cache(maxsize=64)
 def _weights(since_ns: tuple[int, ...]) -> FloatArray:
-    """Weights of values at some moments in the value at zero of the parabola through them, least squares."""
+    """Weights of values at some moments in the value at zero of the cubic through them, least squares."""
     seconds = np.array(since_ns) / SECOND_NS
-    powers = np.vander(seconds / np.max(np.abs(seconds)), 3, increasing=True)
+    powers = np.vander(seconds / np.max(np.abs(seconds)), 4, increasing=True)
     weights: FloatArray = np.linalg.pinv(powers)[0]
     return weights
 

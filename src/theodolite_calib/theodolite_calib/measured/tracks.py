@@ -4,7 +4,7 @@ The encoders, the ship, the baseline to each drone and the attitude of each dron
 is interpolated at the moment asked for, and says how much noise it has there.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,15 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.baseline_track import BaselineJump, BaselineTrack
+from theodolite_calib.measured.contradiction import Streams, streams_since
 from theodolite_calib.measured.samples import EncoderSample, Exposure, ShipSample
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _FULL_TURN = 2.0 * np.pi
+_LOOKED_BACK_NS = 3 * SECOND_NS
+"""So long back the encoders and the ship's attitude are looked at where lights contradict them."""
+_BEFORE_NS = SECOND_NS
+"""And so much longer, for what they did before."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,7 @@ class MeasuredTracks:
         self.drones = {
             id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
         }
+        self.encoder.keeps_ns = self.ship.keeps_ns = _LOOKED_BACK_NS + _BEFORE_NS
         self._all: list[SampleTrack[Any]] = [self.encoder, self.ship, *self.baselines.values(), *self.drones.values()]
         widest_gap_ns = max(track.max_gap_ns for track in self._all)
         self.reach_ns = widest_gap_ns + abs(self.ship_shift_ns) + _LONGEST_REACH_NS
@@ -165,6 +171,20 @@ class MeasuredTracks:
         gain = angles.noise_gain if over is None else self.encoder.noise_gain_of_mean(over.moments(time_ns))
         noise = gain * sample.sigma**2 + float(np.trace(angles.error_covariance))
         return EncoderAt(azimuth, elevation, noise)
+
+    def streams_since(self, since_ns: int, until_ns: int) -> Streams | None:
+        """What encoders and ship say by themselves of the time between two moments; None of a time too long ago."""
+        if until_ns - since_ns > _LOOKED_BACK_NS:
+            return None
+        first_ns, shift_ns = since_ns - _BEFORE_NS, self.ship_shift_ns
+        ship = self.ship.between(first_ns - shift_ns, until_ns - shift_ns)
+        return streams_since(
+            since_ns,
+            self.encoder.between(first_ns, until_ns),
+            [replace(sample, time_ns=sample.time_ns + shift_ns) for sample in ship if isinstance(sample, ShipSample)],
+            (self.encoder.max_gap_ns, self.ship.max_gap_ns),
+            float(np.sqrt(self._ship_noise)),
+        )
 
     def light_at(self, beacon_id: str, time_ns: int) -> LightAt | Refusal:
         """Where a light is said to be at a moment, or why that is not known."""

@@ -21,9 +21,10 @@ from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import ENCODER, SHIP
+from theodolite_calib.filter.alternatives import ENCODER, SHIP, TELESCOPE
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.filter.step import SightingStep
+from theodolite_calib.measured.contradiction import Streams
 from theodolite_calib.measured.encoder_watch import EncoderWatch
 from theodolite_calib.measured.samples import (
     BaselineSample,
@@ -210,7 +211,7 @@ class OpticalAxisCore:
     def _take_models(self, config: OpticalAxisConfig) -> None:
         self.config = config
         self.filter = CalibrationFilter(config)
-        self._step_to = SightingStep(config, self.filter)
+        self._step_to = SightingStep(config, self.filter, self._streams_since)
         self._pointing = PointingOutput(config, self.filter)
 
     def _add(self, source: str, track: SampleTrack[Any], sample: Any) -> PointingOutcome:
@@ -257,6 +258,10 @@ class OpticalAxisCore:
     def _opened(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         return self.filter.opened(state, jump)
 
+    def _streams_since(self, since_ns: int, until_ns: int) -> Streams | None:
+        """What encoders and ship say by themselves of a time."""
+        return self._tracks.streams_since(since_ns, until_ns)
+
     def _forget_before(self, time_ns: int) -> None:
         """Forget what no exposure at or after a stamp is compared with."""
         self._tracks.drop_before(time_ns)
@@ -266,11 +271,14 @@ class OpticalAxisCore:
         time_ns = decision.measurement.time_ns
         if decision.telescope_dt is not None:
             self._watch.see_lights(time_ns, *decision.telescope_dt)
-        if decision.accepted and ENCODER not in decision.excluded:
-            self._watch.confirm(time_ns)
-        elif decision.accepted:
+        # Lights of a telescope that was knocked tell nothing.
+        if not decision.accepted or TELESCOPE in decision.excluded:
+            return
+        if ENCODER in decision.excluded:
             self._watch.believe_lights(time_ns)
-        if decision.accepted and SHIP not in decision.excluded:
+        else:
+            self._watch.confirm(time_ns)
+        if SHIP not in decision.excluded:
             self._ship_watch.confirm(time_ns)
 
     # -- outputs --------------------------------------------------------------------------------------------

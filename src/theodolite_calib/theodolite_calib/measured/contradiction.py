@@ -1,0 +1,155 @@
+"""What the encoders and the ship's attitude say by themselves of the time in which the lights began to contradict them.
+
+To the lights a slip of the encoders, a step of the ship's attitude and a knock on the telescope are much alike. The
+first two are seen in the streams themselves: a polynomial through the readings, or a line through what the rates leave
+of the attitudes, is laid over some samples before and after each moment, with a step between them. Where neither stream
+has stepped by what the lights say, the telescope has.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ship_estimation.outcome import Status
+from ship_geometry.rotations import FloatArray, log_rotation
+from ship_geometry.sample_track import Stamped
+from ship_geometry.time_scales import SECOND_NS
+from theodolite_calib.measured.encoder_steps import short_way
+from theodolite_calib.measured.samples import EncoderSample, ShipSample
+
+_BESIDE = 8
+"""So many samples at most on either side of a step are looked at."""
+_LEAST = 6
+"""So many at least on either side."""
+_BY_MOTION: tuple[int, ...] = (2, 4)
+"""Degrees of the polynomials through a motion; the one that tells a step best is taken."""
+_BY_RATES: tuple[int, ...] = (1,)
+"""And through what rates leave of it."""
+_SURE_SIGMAS = 5.5
+"""A step of so many sigmas is one."""
+_MISSED_SIGMAS = 3.0
+"""A step that is there is found smaller than it is by less than so many sigmas."""
+
+
+class LargestStep(NamedTuple):
+    """The largest step that a stream may have made.
+
+    Attributes:
+        size_rad: of its largest component.
+        sigma_rad: standard deviation of that.
+    """
+
+    size_rad: float
+    sigma_rad: float
+
+    def is_there(self, least_rad: float) -> bool:
+        """Whether the stream has stepped, and by half of a step or more."""
+        return self.size_rad > _SURE_SIGMAS * self.sigma_rad and self.size_rad > 0.5 * least_rad
+
+    def is_not(self, step_rad: float) -> bool:
+        """Whether the stream has surely not stepped by so much; NaN is not sure."""
+        would_be_seen = step_rad > 1.5 * _SURE_SIGMAS * self.sigma_rad
+        return would_be_seen and self.size_rad < min(step_rad - _MISSED_SIGMAS * self.sigma_rad, 0.5 * step_rad)
+
+
+@dataclass(frozen=True)
+class Streams:
+    """What the two streams say of a time.
+
+    Attributes:
+        encoder: largest step of the encoders; None where the readings do not tell.
+        ship: of the ship's attitude; None where the attitudes do not tell.
+        ship_in_doubt: whether the ship's attitude was DEGRADED, or missing for a while.
+    """
+
+    encoder: LargestStep | None
+    ship: LargestStep | None
+    ship_in_doubt: bool
+
+
+def streams_since(
+    since_ns: int,
+    encoder: list[EncoderSample],
+    ship: list[ShipSample],
+    gaps_ns: tuple[int, int],
+    ship_sigma_rad: float,
+) -> Streams:
+    """What the streams say of the time since a moment, by samples of this time and of a second before.
+
+    Args:
+        since_ns: the moment.
+        encoder: readings, in the order of their stamps.
+        ship: attitudes, in the order of their stamps, in the time of the readings.
+        gaps_ns: readings, and attitudes, further apart are a gap.
+        ship_sigma_rad: noise of an attitude about each axis.
+    """
+    doubt = _gap(ship, gaps_ns[1]) or any(sample.status is Status.DEGRADED for sample in ship)
+    by_encoder = None
+    if encoder and not _gap(encoder, gaps_ns[0]):
+        angles = np.array([sample.vector for sample in encoder])
+        turned = np.vstack([np.zeros(2), np.cumsum(short_way(np.diff(angles, axis=0)), axis=0)])
+        by_encoder = _largest_step(_seconds(encoder, since_ns), turned, encoder[-1].sigma, _BY_MOTION)
+    by_ship = None
+    if ship and not _gap(ship, gaps_ns[1]):
+        by_ship = _ships_step(ship, since_ns, ship_sigma_rad)
+    return Streams(by_encoder, by_ship, doubt)
+
+
+def _ships_step(ship: list[ShipSample], since_ns: int, sigma_rad: float) -> LargestStep | None:
+    """The largest step of the ship's attitude, by its own rates where all samples have them."""
+    seconds, rotation_nd = _seconds(ship, since_ns), np.array([sample.rotation_nd for sample in ship])
+    turns_n = log_rotation(rotation_nd[1:] @ rotation_nd[:-1].swapaxes(-1, -2))
+    rates_d = [sample.rate_d for sample in ship]
+    degrees = _BY_MOTION
+    if all(rate_d is not None for rate_d in rates_d):
+        rate_n = (rotation_nd @ np.array(rates_d)[..., None])[..., 0]
+        turns_n, degrees = turns_n - 0.5 * (rate_n[1:] + rate_n[:-1]) * np.diff(seconds)[:, None], _BY_RATES
+    left_n = np.vstack([np.zeros(3), np.cumsum(turns_n, axis=0)])
+    return _largest_step(seconds, left_n, sigma_rad, degrees)
+
+
+def _largest_step(
+    seconds: FloatArray, values: FloatArray, sigma_rad: float, degrees: Sequence[int]
+) -> LargestStep | None:
+    """The largest step between two neighbouring values, beside a polynomial; None where there are too few values.
+
+    Args:
+        seconds: times after the moment since when a step is looked for, shape (k,).
+        values: shape (k, c).
+        sigma_rad: noise of each value; where what is left shows more, that counts.
+        degrees: of the polynomials; that which tells the step best is taken.
+    """
+    largest: LargestStep | None = None
+    for first_after in range(_LEAST, len(seconds) - _LEAST + 1):
+        if seconds[first_after] <= 0.0:
+            continue
+        window = slice(max(first_after - _BESIDE, 0), first_after + _BESIDE)
+        since_s = seconds[window] - seconds[first_after]
+        steps = [_step(since_s, values[window], sigma_rad, degree) for degree in degrees]
+        step = min(steps, key=lambda one: one.sigma_rad)
+        if largest is None or step.size_rad > largest.size_rad:
+            largest = step
+    return largest
+
+
+def _step(since_s: FloatArray, values: FloatArray, sigma_rad: float, degree: int) -> LargestStep:
+    """The step of some values at time zero, beside a polynomial."""
+    design = np.column_stack([(since_s >= 0.0).astype(float), np.vander(since_s / np.ptp(since_s), degree + 1)])
+    found = np.linalg.lstsq(design, values, rcond=None)[0]
+    left = values - design @ found
+    noise_rad = max(sigma_rad, float(np.sqrt(np.max(np.sum(left**2, axis=0)) / (len(since_s) - design.shape[1]))))
+    gain = float(np.sqrt(np.linalg.inv(design.T @ design)[0, 0]))
+    return LargestStep(float(np.max(np.abs(found[0]))), gain * noise_rad)
+
+
+def _seconds(samples: Sequence[Stamped], since_ns: int) -> FloatArray:
+    """Stamps after a moment, s."""
+    return np.array([sample.time_ns - since_ns for sample in samples]) / SECOND_NS
+
+
+def _gap(samples: Sequence[Stamped], longest_ns: int) -> bool:
+    """Whether two neighbours are too far apart."""
+    return any(later.time_ns - one.time_ns > longest_ns for one, later in itertools.pairwise(samples))
