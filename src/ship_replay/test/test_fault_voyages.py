@@ -30,6 +30,8 @@ from ship_simulation.scenario.names import simulated_topics
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.places import ROOT
 
+pytestmark = pytest.mark.xdist_group("fault_voyages")  # one worker makes the bag for all
+
 SCENARIOS = ROOT / "bags" / "scenarios"
 KNOCK = "topic: star/fore/horizon_attitude, kind: knock, start_s: 20, end_s: 30, up_arcsec: 300"
 
@@ -497,7 +499,7 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_results(tmp_path, 
     (out / "bags").mkdir(parents=True)
     (out / "bags" / "demo_1.mcap").write_bytes(bag.read_bytes())
     command = [
-        sys.executable, str(ROOT / "tools" / "faults.py"), "--bags", "demo", "--bag-seeds", "1", "--voyages", "4",
+        sys.executable, str(ROOT / "tools" / "faults.py"), "--bags", "demo", "--bag-seeds", "1", "--voyages", "3",
         "--mode", SINGLE, "--processes", "1", "--out", str(out),
     ]  # fmt: skip
     path = out / "single.jsonl"
@@ -513,10 +515,10 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_results(tmp_path, 
     run.wait()
     made = path.read_bytes().count(b"\n")
     kept = path.read_bytes()[: path.read_bytes().rfind(b"\n") + 1]
-    assert 1 <= made < 4
+    assert 1 <= made < 3
     done = subprocess.run(command, capture_output=True, check=False)
     assert done.returncode in (0, 1)
     assert path.read_bytes().startswith(kept)
     results = results_file(path).all()
-    assert [one["voyage"] for one in results] == [0, 1, 2, 3]
-    assert b"4 voyages" in done.stdout
+    assert [one["voyage"] for one in results] == [0, 1, 2]
+    assert b"3 voyages" in done.stdout
