@@ -136,16 +136,16 @@ def slip(arcsec):
     return Fault(topic="theodolite/encoder", kind="slip", start_s=10.0, end_s=20.0, elevation_arcsec=arcsec)
 
 
-def test_only_a_slip_below_eleven_sigmas_that_no_light_sees_cannot_be_told():
+def test_only_a_slip_below_thirteen_sigmas_that_no_light_sees_cannot_be_told():
     arrivals_ns = {"theodolite/encoder": np.arange(0, 60 * NS_PER_S, NS_PER_S // 50)}
     begin_ns = 10 * NS_PER_S
     dark = passage(arrivals_ns=arrivals_ns, lights_s=[9.9, 11.1], encoder_sigma_arcsec=2.0)
-    assert dark.unseen(slip(-21.9), begin_ns) == "encoder slip, no lights"
-    assert dark.unseen(slip(22.1), begin_ns) == ""
+    assert dark.unseen(slip(-25.9), begin_ns) == "encoder slip, no lights"
+    assert dark.unseen(slip(26.1), begin_ns) == ""
     assert dark.unseen(Fault(topic="theodolite/encoder", kind="freeze", start_s=10.0), begin_ns) == ""
     assert dark.unseen(FAULT, begin_ns) == ""
     lit = passage(arrivals_ns=arrivals_ns, lights_s=[9.9, 10.9], encoder_sigma_arcsec=2.0)
-    assert lit.unseen(slip(-21.9), begin_ns) == ""
+    assert lit.unseen(slip(-25.9), begin_ns) == ""
     unknown = passage(arrivals_ns=arrivals_ns, lights_s=[])
     assert unknown.unseen(slip(1.0), begin_ns) == ""
 

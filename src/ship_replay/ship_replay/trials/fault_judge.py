@@ -44,7 +44,7 @@ BEYOND = 5.0
 _PERIOD_S = 0.1
 """From one moment of the truth to the next."""
 
-_SLIP_SEEN_SIGMAS = 11.0
+_SLIP_SEEN_SIGMAS = 13.0
 """A slip of more sigmas of a reading shows in the readings themselves
 (:mod:`theodolite_calib.measured.encoder_steps`)."""
 
