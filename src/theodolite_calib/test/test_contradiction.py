@@ -91,6 +91,15 @@ def test_a_ship_that_was_in_doubt_itself_is_blamed_or_nobody():
         assert blamed(ENCODER, {ENCODER}, streams, 25.0 * ARCSEC) is None
 
 
+def test_encoders_that_stopped_dead_are_not_believed_against_the_telescope():
+    """Frozen encoders make no step either; the lights move on without them."""
+    encoder, ship = samples(1)
+    frozen = [*encoder[:22], *(replace(one, vector=encoder[22].vector) for one in encoder[22:])]
+    assert blamed(ENCODER, BOTH, told(frozen, ship), 100.0 * ARCSEC) == ENCODER
+    at_rest = [replace(one, vector=encoder[0].vector) for one in encoder]
+    assert blamed(ENCODER, BOTH, told(at_rest, ship), 100.0 * ARCSEC) == TELESCOPE
+
+
 def test_streams_that_tell_nothing_leave_what_the_rows_say():
     streams = streams_since(SINCE_NS, [], [], (PERIOD_NS, PERIOD_NS), ARCSEC)
     assert blamed(ENCODER, BOTH, streams, 100.0 * ARCSEC) == ENCODER

@@ -89,9 +89,12 @@ def streams_since(
     doubt = _gap(ship, gaps_ns[1]) or any(sample.status is Status.DEGRADED for sample in ship)
     by_encoder = None
     if encoder and not _gap(encoder, gaps_ns[0]):
-        angles = np.array([sample.vector for sample in encoder])
-        turned = np.vstack([np.zeros(2), np.cumsum(short_way(np.diff(angles, axis=0)), axis=0)])
-        by_encoder = _largest_step(_seconds(encoder, since_ns), turned, encoder[-1].sigma, _BY_MOTION)
+        turns = short_way(np.diff(np.array([sample.vector for sample in encoder]), axis=0))
+        turned = np.vstack([np.zeros(2), np.cumsum(turns, axis=0)])
+        # Readings that stood still to the bit beside others that moved may be stuck: then they tell nothing.
+        stood = np.all(turns == 0.0, axis=1)
+        if np.all(stood) or not np.any(stood):
+            by_encoder = _largest_step(_seconds(encoder, since_ns), turned, encoder[-1].sigma, _BY_MOTION)
     by_ship = None
     if ship and not _gap(ship, gaps_ns[1]):
         by_ship = _ships_step(ship, since_ns, ship_sigma_rad)
