@@ -150,7 +150,7 @@ def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
     missed = [_sigmas(min(share / prior, _MOST_PROBABLE_MISS)) for prior in priors_per_h]
     return Factors(
         right=_sigmas(0.5 * share / tests),
-        # On both sides; the other half of the false exclusions is that of the means (ship_estimation.exclusion).
+        # On both sides; the other half of the false exclusions is that of ship_estimation.running_means.
         false_exclusion=_sigmas(0.25 * config.false_exclusions_per_h / (tests * max(len(priors_per_h), 1))),
         missed=np.array(missed),
     )

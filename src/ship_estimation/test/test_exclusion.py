@@ -5,18 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_estimation.exclusion import (
-    Exclusion,
-    excess_limit,
-    find_fault,
-    forgotten,
-    no_means,
-    observed,
-    watched,
-)
+from ship_estimation.exclusion import Exclusion, find_fault, watched
 from ship_estimation.hypotheses import RowsCompared, compare_rows, update_rows
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.protection import IntegrityConfig
+from ship_estimation.running_means import excess_limit, forgotten, no_means, observed
 from ship_geometry.time_scales import SECOND_NS
 
 NOISE, WALK, MOUNTING = 3.0, 0.3, 20.0

@@ -14,13 +14,13 @@ from ship_attitude_star.ship_attitude.model import SOURCE_INS, SOURCE_STAR_COMMO
 from ship_attitude_star.ship_attitude.state import FilterState, with_entry, without
 from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_estimation.exclusion import no_means
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows, covariances
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import predict, slow_error_later
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
+from ship_estimation.running_means import no_means
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import log_rotation
 from ship_geometry.time_scales import SECOND_NS

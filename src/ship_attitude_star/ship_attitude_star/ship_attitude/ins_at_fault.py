@@ -18,9 +18,10 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, RowTable
 from ship_attitude_star.ship_attitude.state import Doubt, FilterState, with_entry, without
-from ship_estimation.exclusion import Exclusion, forgotten, must_agree_s
+from ship_estimation.exclusion import Exclusion, must_agree_s
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.hypotheses import RowsCompared, add_error
+from ship_estimation.running_means import forgotten
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
-from ship_estimation.exclusion import excess_limit
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import Factors, factors, prior_of_all
+from ship_estimation.running_means import excess_limit
 
 INS = "ins"
 

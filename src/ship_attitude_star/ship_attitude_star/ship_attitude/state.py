@@ -9,7 +9,8 @@ from types import MappingProxyType
 from typing import TypeVar
 
 from ship_attitude_star.guards.hints import Departure
-from ship_estimation.exclusion import HEARD_NS, Exclusion, Means
+from ship_estimation.exclusion import HEARD_NS, Exclusion
+from ship_estimation.running_means import Means
 from ship_geometry.rotations import FloatArray
 
 Value = TypeVar("Value")

@@ -21,19 +21,11 @@ from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
 from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, with_entry, without
-from ship_estimation.exclusion import (
-    Exclusion,
-    Finding,
-    find_fault,
-    forgotten,
-    must_agree_s,
-    no_means,
-    observed,
-    watched,
-)
+from ship_estimation.exclusion import Exclusion, Finding, find_fault, must_agree_s, watched
 from ship_estimation.hypotheses import RowsCompared, add_error, promoted, update_rows
 from ship_estimation.outcome import Measurement
 from ship_estimation.protection import separation_sigma
+from ship_estimation.running_means import forgotten, no_means, observed
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 

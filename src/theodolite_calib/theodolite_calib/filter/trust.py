@@ -12,21 +12,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ship_estimation.exclusion import (
-    SEEN_BY_ROWS,
-    Exclusion,
-    Finding,
-    Means,
-    excess_limit,
-    find_fault,
-    forgotten,
-    no_means,
-    observed,
-    watched,
-)
+from ship_estimation.exclusion import Exclusion, Finding, find_fault, watched
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.protection import IntegrityConfig
+from ship_estimation.running_means import SEEN_BY_ROWS, Means, excess_limit, forgotten, no_means, observed
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, TELESCOPE, RowsSeen, SourceRows
