@@ -46,12 +46,14 @@ class Exclusion:
         agrees_since_ns: since when it has agreed with the others; None where it does not.
         apart: how far the source was from the others at that time, rotation vector of the device, rad, shape (3,): it
             must come back from there; None where its mounting is learnt anew.
+        on_suspicion: whether it told a fault of its own and nobody has contradicted it yet.
     """
 
     since_ns: int
     times: int = 1
     agrees_since_ns: int | None = None
     apart: FloatArray | None = None
+    on_suspicion: bool = False
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from ship_estimation.ins import InsJump
 from ship_estimation.kalman import predict, slow_error_later
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
-from ship_estimation.running_means import no_means
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import log_rotation
 from ship_geometry.time_scales import SECOND_NS
@@ -227,9 +226,8 @@ class ShipFilter:
         """The state opened where a source's run of refusals is as long as configured for that, and what is said."""
         if not self._gate.reopen_after or state.refusals[source] % self._gate.reopen_after:
             return state, ""
-        opened = state.stack * self._gate.reopen_factor
-        seen = no_means(len(state.means), len(self.devices))
-        state = replace(state, stack=opened, seen=seen, excluded=without(state.excluded, source))
+        state = replace(state, stack=state.stack * self._gate.reopen_factor)
+        state = self.suspects.begun_anew(replace(state, excluded=without(state.excluded, source)))
         return state, f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
 
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:

@@ -36,6 +36,10 @@ sigma of the row ahead of it. A larger walk would follow faster, and raise every
 _LEAST_AGAINST = 2
 """Sources that check each other: with fewer nobody tells whether the INS is wrong or the one that there is."""
 
+_UNCONTRADICTED_S = 10.0
+"""An INS whose clock has stepped, and that nobody has contradicted for so long, is believed again: the ship has rolled
+one way and the other, and the clocks of all devices stepped alike, as with a leap second."""
+
 
 class InsAtFault:
     """What is done with the rows where the INS is wrong.
@@ -115,9 +119,9 @@ class InsAtFault:
         if distrusted(state) or not self.may_be_excluded(state.in_use(self._table.sources, time_ns)):
             return state
         times = state.record.get(INS, 0) + 1
-        excluded = with_entry(state.excluded, INS, Exclusion(time_ns, times))
+        excluded = with_entry(state.excluded, INS, Exclusion(time_ns, times, on_suspicion=True))
         state = replace(state, excluded=excluded, record=with_entry(state.record, INS, times))
-        return self.contradicted_now(state, time_ns)
+        return self._doubted(state, time_ns, "the INS is excluded: its clock has stepped")
 
     def contradicted_now(self, state: FilterState, time_ns: int) -> FilterState:
         """The state in which an INS that is excluded is distrusted, and was contradicted just now.
@@ -125,12 +129,9 @@ class InsAtFault:
         Its turn from one measurement to the next may be as wrong as it was of late: the attitude is in doubt by that.
         """
         names = state.in_use(self._table.sources, time_ns)
-        disputed = [state.apart[name].turn_n for name in names if name in state.apart]
-        covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in disputed), start=np.zeros((3, 3)))
+        excluded = with_entry(state.excluded, INS, replace(state.excluded[INS], on_suspicion=False))
         text = f"the INS is excluded: it told a fault of its own, and {', '.join(names) or 'all'} contradicted it"
-        excluded = with_entry(state.excluded, INS, replace(state.excluded[INS], agrees_since_ns=time_ns))
-        seen = forgotten(state.seen, slice(None), slice(None))
-        return replace(state, excluded=excluded, seen=seen, doubt=Doubt(text, covariance_n))
+        return self._doubted(replace(state, excluded=excluded), time_ns, text)
 
     def not_compared(self, state: FilterState, time_ns: int) -> FilterState:
         """The state after a measurement that contradicts it so much that the two cannot be compared."""
@@ -163,7 +164,8 @@ class InsAtFault:
         if exclusion is None or (state.doubt is not None and not distrust):
             return state
         since_ns = exclusion.since_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
-        if (time_ns - since_ns) / SECOND_NS < must_agree_s(exclusion, self._return_after_s):
+        after_s = _UNCONTRADICTED_S if exclusion.on_suspicion else must_agree_s(exclusion, self._return_after_s)
+        if (time_ns - since_ns) / SECOND_NS < after_s:
             return state
         if distrust:
             # The rows learnt nothing that tells them apart.
@@ -172,6 +174,15 @@ class InsAtFault:
         return replace(state, excluded=without(state.excluded, INS), doubt=None)
 
     # ---------------------------------------------------------------------------------------------------------
+
+    def _doubted(self, state: FilterState, time_ns: int, text: str) -> FilterState:
+        """The state in which an INS that is excluded is distrusted from now on: the attitude is in doubt."""
+        names = state.in_use(self._table.sources, time_ns)
+        disputed = [state.apart[name].turn_n for name in names if name in state.apart]
+        covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in disputed), start=np.zeros((3, 3)))
+        excluded = with_entry(state.excluded, INS, replace(state.excluded[INS], agrees_since_ns=time_ns))
+        seen = forgotten(state.seen, slice(None), slice(None))
+        return replace(state, excluded=excluded, seen=seen, doubt=Doubt(text, covariance_n))
 
     def _contradicted(self, state: FilterState, source: str, row: int) -> bool:
         """Whether a source that a row uses has contradicted it for so long that one refusal more makes it a fault."""

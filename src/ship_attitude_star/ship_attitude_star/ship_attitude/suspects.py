@@ -181,9 +181,19 @@ class Suspects:
             state = replace(state, means=means, stack=stack)
         if distrusted(state):
             return self.ins.contradicted_now(state, time_ns)
+        return self._forgiven(state)
+
+    def begun_anew(self, state: FilterState) -> FilterState:
+        """The state after a gate was re-opened: what the sources contradicted of one another is forgotten."""
+        means, stack = self.ins.all_rows_at(state.mean, state.parts)
+        return self._forgiven(replace(state, means=means, stack=stack))
+
+    def _forgiven(self, state: FilterState) -> FilterState:
+        """The state in which only those stay excluded that were knocked, and the INS."""
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.apart is None}
         seen = forgotten(state.seen, slice(None), slice(None))
-        return replace(state, excluded=MappingProxyType(knocked), seen=seen, doubt=None)
+        doubt = state.doubt if distrusted(state) else None
+        return replace(state, excluded=MappingProxyType(knocked), seen=seen, doubt=doubt)
 
     # -- verdicts -------------------------------------------------------------------------------------------
 
