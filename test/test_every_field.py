@@ -15,15 +15,19 @@ import pytest
 from rclpy.serialization import serialize_message
 
 from ship_estimation.outcome import Status
+from ship_geometry.attitude_track import AttitudeSample
+from ship_node.edge.adapter import Adapter
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, changed_copy, hand_over
 from ship_testing.every_input import topics, voyage, worst_claim
 from ship_testing.garbage import Path, inside, paths
-from theodolite_calib.measured.samples import Mode
+from theodolite_calib.filter.filter import CalibrationState
+from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Mode, ShipSample
 
 NODE = "optical_axis"
 BEFORE_S, AFTER_S = 3.0, 0.6
 TEXTS = ["", "a", "b", "\x00", "deck" * 1000, "θ—", "theodolite_main", "0"]
 DEGREES = 57.29577951308232
+FROZEN = (EncoderSample, ShipSample, BaselineSample, AttitudeSample, CalibrationState)
 
 
 def bad_values(value: Any) -> list[Any]:
@@ -42,11 +46,17 @@ def bad_values(value: Any) -> list[Any]:
 
 
 @functools.cache
-def start(one_light: bool) -> AdapterRun:
-    """The node three seconds after the start, and with one of the lights hidden where asked for."""
+def start(one_light: bool) -> tuple[Adapter, dict[int, Any]]:
+    """The node three seconds after the start, and with one of the lights hidden where asked for.
+
+    And, by their id, what nothing changes, so that all copies of the node share it: samples, states, the factory.
+    """
     run = AdapterRun(voyage(NODE).new_adapter())
     hand_over(run, [a for a in arrivals(one_light) if since_start_s(a) < BEFORE_S])
-    return run
+    copied: dict[int, Any] = {}
+    copy.deepcopy(run.adapter, copied)
+    shared = [FACTORY, *(one for one in copied[id(copied)] if isinstance(one, FROZEN))]
+    return run.adapter, {id(one): one for one in shared}
 
 
 def arrivals(one_light: bool) -> tuple[Arrival, ...]:
@@ -94,7 +104,8 @@ def test_no_value_of_any_field_raises_or_makes_a_claim_dishonest(topic: str, one
     concerned = [index for index, arrival in enumerate(rest) if arrival.topic == topic]
     wrong = []
     for path, value in cases(topic, one_light):
-        run = AdapterRun(copy.deepcopy(start(one_light).adapter, {id(FACTORY): FACTORY}))
+        adapter, shared = start(one_light)
+        run = AdapterRun(copy.deepcopy(adapter, dict(shared)))
         spoilt = concerned[:1] if one_light else concerned
         heard = list(rest)
         for index in spoilt:

@@ -4,8 +4,10 @@ The session is that of ``bags/theodolite.mcap`` with both lights all the time. T
 say, array by array, before the core is given it.
 """
 
+import copy
 import dataclasses
 import functools
+from collections.abc import Container
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +21,7 @@ from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.suite.suite import optical_axis_configuration
 from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import PointingEstimate
+from theodolite_calib.measured.samples import PointingEstimate, PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
 FAULT_S, DURATION_S = 40.0, 85.0
@@ -129,21 +131,55 @@ class Claims:
         return float(np.count_nonzero(chosen) * np.median(np.diff(self.time_s)))
 
 
+class Told:
+    """A core, and what it told of the arrivals that it was given.
+
+    Attributes:
+        core: the core.
+        outcomes: of each arrival.
+        levels: by stamp of the truth.
+    """
+
+    def __init__(self, config: OpticalAxisConfig) -> None:
+        self.core = OpticalAxisCore(config)
+        self.outcomes: list[PointingOutcome] = []
+        self.levels: dict[int, FloatArray] = {}
+
+    def give(self, run: SimulatedRun, arrivals: list[tuple[int, str, int]], stamps: Container[int]) -> None:
+        for _, source, index in arrivals:
+            outcome = give_pointing(self.core, run, source, index)
+            self.outcomes.append(outcome)
+            known = [estimate for estimate in outcome.estimates if estimate.time_ns in stamps]
+            self.levels |= {estimate.time_ns: self.core.integrity(estimate).level for estimate in known}
+
+    def copied(self) -> "Told":
+        """Another one that goes on from here."""
+        other = copy.copy(self)
+        other.core, other.outcomes, other.levels = copy.deepcopy(self.core), self.outcomes[:], self.levels.copy()
+        return other
+
+
+_BEFORE_FAULTS: dict[tuple[int, str], Told] = {}
+"""What was told before FAULT_S, by the truth, which all lies about a clean session share, and by configuration."""
+
+
 def claims(run: SimulatedRun, **changes: object) -> Claims:
     """Feed a session into a core, with dotted parameters changed (``__`` for the dot), and compare with the truth."""
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     if changes:
         values = {**flatten(config), **{name.replace("__", "."): value for name, value in changes.items()}}
         config = build(OpticalAxisConfig, nest(values))
-    core = OpticalAxisCore(config)
     truth = run.theodolite.truth
     rows = {int(stamp): row for row, stamp in enumerate(run.theodolite.encoder.time_ns[truth.encoder_index])}
-    outcomes, levels = [], {}
-    for _, source, index in run.pointing_arrivals():
-        outcome = give_pointing(core, run, source, index)
-        outcomes.append(outcome)
-        known = [estimate for estimate in outcome.estimates if estimate.time_ns in rows]
-        levels |= {estimate.time_ns: core.integrity(estimate).level for estimate in known}
+    arrivals, fault_ns = run.pointing_arrivals(), run.start_ns + round(FAULT_S * 1e9)
+    before = sum(log_ns < fault_ns for log_ns, _, _ in arrivals)
+    key = id(truth), repr(config)
+    if key not in _BEFORE_FAULTS:
+        _BEFORE_FAULTS[key] = Told(config)
+        _BEFORE_FAULTS[key].give(run, arrivals[:before], rows)
+    told = _BEFORE_FAULTS[key].copied()
+    told.give(run, arrivals[before:], rows)
+    core, outcomes, levels = told.core, told.outcomes, told.levels
     decisions = [decision for outcome in outcomes for decision in outcome.decisions]
     refused = sum(outcome.refusal is not None for outcome in outcomes)
     refused += sum(not decision.accepted for decision in decisions)

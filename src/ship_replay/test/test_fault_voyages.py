@@ -38,8 +38,11 @@ KNOCK = "topic: star/fore/horizon_attitude, kind: knock, start_s: 20, end_s: 30,
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """Forty seconds of the demonstration."""
-    return make_bag(SCENARIOS / "demo.yaml", 40.0, 1, tmp_path_factory.mktemp("bags") / "demo_1.mcap")
+    """Forty seconds of the demonstration, its INS at a quarter of its rate."""
+    folder, text = tmp_path_factory.mktemp("bags"), (SCENARIOS / "demo.yaml").read_text(encoding="utf-8")
+    assert "  rate_hz: 100.0\n" in text
+    (folder / "demo.yaml").write_text(text.replace("  rate_hz: 100.0\n", "  rate_hz: 25.0\n"), encoding="utf-8")
+    return make_bag(folder / "demo.yaml", 40.0, 1, folder / "demo_1.mcap")
 
 
 @pytest.fixture(scope="module")
@@ -333,7 +336,7 @@ def test_a_replay_without_faults_is_that_of_the_bag(bag):
     told, clean = replayed(Injection(bag, {}, 1)), clean_voyage(bag)
     assert [claim[:4] for claim in told.claims] == [claim[:4] for claim in clean.told.claims]
     assert round(clean.length_s) == 40
-    assert len(clean.arrivals_ns["ins/imu"]) == 4001
+    assert len(clean.arrivals_ns["ins/imu"]) == 1001
     assert clean.lights_ns.size == 0
     assert math.isnan(clean.encoder_sigma_arcsec)
     assert len(told.claims) == pytest.approx(401, abs=3)
@@ -482,8 +485,9 @@ def test_the_tables_of_results_that_are_there_and_their_exit_code(tmp_path):
         ("everything", "topic: theodolite/encoder, kind: slip, start_s: 24.1, end_s: 34, elevation_arcsec: 30"),
     ],
 )
-def test_the_levels_told_last_hold_at_every_valid_output(scenario, words, tmp_path):
-    bag = make_bag(SCENARIOS / f"{scenario}.yaml", 45.0, 1, tmp_path / "bag.mcap")
+def test_the_levels_told_last_hold_at_every_valid_output(scenario, words, tmp_path_factory):
+    bag = tmp_path_factory.getbasetemp() / f"{scenario}_1.mcap"
+    make_bag(SCENARIOS / f"{scenario}.yaml", 45.0, 1, bag)
     with read_bag(bag) as opened:
         faults = load_faults(f"faults: {{one: {{{words}}}}}", taken_topics(opened), "an input of the nodes")
     shares = [claim.over_level for claim in replayed(Injection(bag, faults, 1)).claims]
