@@ -271,9 +271,11 @@ class Model(Generic[State, Measured, Judged, Jump]):
 
 @dataclass(frozen=True)
 class _Opening(Generic[Jump]):
-    """A jump of a source at its place among the measurements."""
+    """A jump of a source at its place among the measurements, and why the state was not opened for it, if so."""
 
+    time_ns: int
     jump: Jump
+    failed: Refusal | None = None
 
 
 class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
@@ -360,7 +362,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
             jump: how far.
             changed_after_ns: stamp after which samples that were taken belong together otherwise; None where none do.
         """
-        self._log.insert((time_ns, source), _Opening(jump))
+        self._log.insert((time_ns, source), _Opening(time_ns, jump))
         self._jumped = True
         if changed_after_ns is not None:
             self.data_changed(changed_after_ns)
@@ -398,6 +400,9 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self.state = self._log.state
         for decision, previous in decisions:
             if isinstance(decision, _Opening):
+                known = isinstance(previous, _Opening) and previous.failed is not None
+                if decision.failed is not None and not known:
+                    outcome.failures.append((decision.time_ns, decision.failed))
                 continue
             if self._model.decided is not None:
                 self._model.decided(decision)
@@ -434,7 +439,8 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         return self._model.step(state, item, item.time_ns >= self.window.oldest_ns)
 
     def _failed(self, item: Measured | _Opening[Jump], error: Exception) -> Judged | _Opening[Jump]:
-        return item if isinstance(item, _Opening) else self._model.failed(item, failure(error))
+        why = failure(error)
+        return replace(item, failed=why) if isinstance(item, _Opening) else self._model.failed(item, why)
 
     # -- outputs --------------------------------------------------------------------------------------------
 

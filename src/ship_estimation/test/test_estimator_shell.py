@@ -58,13 +58,18 @@ class Estimator:
         self.claimed: list[int] = []
         model: Model[float, Toy, Decision[Toy], float] = Model(
             step=self.step,
-            opened=lambda state, jump: math.cos(state) + jump,
+            opened=self.opened,
             failed=lambda toy, refusal: Decision(toy, refusal.reason, text=refusal.text),
             until_ns=lambda decision: decision.measurement.time_ns,
             forget_before=self.track.drop_before,
             decided=self.decided.append,
         )
         self.shell: Shell = EstimatorShell(model, START, LAG_S, SECOND_NS)
+
+    def opened(self, state: float, jump: float) -> float:
+        if math.isnan(jump):
+            raise ArithmeticError("no size")
+        return math.cos(state) + jump
 
     def step(self, state: float, toy: Toy, may_wait: bool) -> tuple[float, Decision[Toy]] | None:
         if math.isnan(toy.value):
@@ -213,6 +218,23 @@ def test_a_step_that_raises_is_told_leaves_the_state_and_holds_up_nothing() -> N
     assert estimator.shell.state == without.shell.state
     assert "singular" in estimator.decided[1].text
     assert "test_estimator_shell.py" in estimator.decided[1].text
+
+
+def test_a_jump_that_the_state_cannot_be_opened_for_is_told_once_as_failed() -> None:
+    estimator, outcome = Estimator(), ToyOutcome()
+    estimator.shell.add(toy(100), outcome)
+    before = estimator.shell.state
+    estimator.shell.add_jump(120 * MS, "toy", math.nan)
+    estimator.shell.apply(outcome)
+    ((time_ns, refusal),) = outcome.failures
+    assert (time_ns, refusal.reason) == (120 * MS, Reason.FAILED)
+    assert "no size" in refusal.text
+    assert estimator.shell.state == before
+    # What is applied again tells it no second time, and goes on after it.
+    estimator.shell.add(toy(110), outcome)
+    estimator.shell.add(toy(130), outcome)
+    assert len(outcome.failures) == 1
+    assert len(outcome.decisions) == 3
 
 
 def test_a_jump_counts_for_outputs_at_once_and_for_the_state_at_its_place() -> None:
