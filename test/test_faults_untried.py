@@ -1,6 +1,6 @@
 """Another attitude system, a star tracker, and the theodolite with one light, under faults: what is claimed is honest.
 
-Faults come from the simulation, last from 6 s to 9 s of a voyage of 14 s, and hit every message of one topic.
+Faults come from the simulation, last from 6 s to 9 s of a voyage of 12 s, and hit every message of one topic.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from ship_testing.adapter_runs import SECOND_NS, stamp_of
 from ship_testing.every_input import scenario, sigmas, voyage_of, worst_claim
 from theodolite_calib.measured.samples import Mode
 
-DURATION_S, BEGIN_S, END_S = 14.0, 6.0, 9.0
+DURATION_S, BEGIN_S, END_S = 12.0, 6.0, 9.0
 SIGMAS, ALERT_S = 5.0, 1.0
 
 OF_FORM: dict[str, dict[str, Any]] = {

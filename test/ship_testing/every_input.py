@@ -127,10 +127,10 @@ def clean_run(node: str) -> AdapterRun:
 def _ship() -> Scenario:
     scenario = load_scenario(SCENARIOS / "three_sensors.yaml")
     ins = replaced(scenario.ins, rate_hz=25.0)
-    return replace(scenario, duration_s=5.0, ins=ins, references={"gyro": Reference(rate_hz=5.0)})
+    return replace(scenario, duration_s=4.0, ins=ins, references={"gyro": Reference(rate_hz=5.0)})
 
 
 def _theodolite(node: str) -> Scenario:
-    scenario = bag_scenario(duration_s=6.0)
+    scenario = bag_scenario(duration_s=5.0)
     fused = replaced(scenario.fused_attitude, written=not node.endswith("by ins"))
     return replace(scenario, ins=replaced(scenario.ins, rate_hz=20.0), star_sensors={}, fused_attitude=fused)
