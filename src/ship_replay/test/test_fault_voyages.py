@@ -135,6 +135,19 @@ def test_a_fault_counts_from_the_first_message_that_it_changed():
     assert (round(found.alert_s, 2), found.changed) == (0.5, 60)
 
 
+def test_what_an_earlier_fault_has_left_behind_tells_nothing_of_this_one():
+    """But nothing more is claimed either: in this the fault is told at once."""
+    left = [round(8.0 + 0.1 * n, 1) for n in range(60)]
+    found = verdict(told_of(not_valid=left))
+    assert (found.detected, round(found.alert_s, 2)) == (False, 0.08)
+    assert verdict(told_of(not_valid=[*left, 15.0])).detected
+
+
+def test_a_wrong_source_that_is_excluded_is_a_fault_told_and_named_wrongly():
+    found = verdict(told_of(signs=[("star.bow", 10.5, EXCLUSION)]))
+    assert (found.detected, found.attributed) == (True, False)
+
+
 def slip(arcsec):
     return Fault(topic="theodolite/encoder", kind="slip", start_s=10.0, end_s=20.0, elevation_arcsec=arcsec)
 

@@ -118,9 +118,11 @@ class FaultVerdict:
 
     Attributes:
         changed: how many messages it changed.
-        detected: a status left VALID, or the faulty source was named.
+        detected: a status left VALID, the faulty source was named, or a source, right or wrong, was excluded; a status
+            that an earlier fault has left behind tells nothing of this one.
         attributed: the source named is the faulty one.
-        alert_s: from the first message that the fault changed to the first sign; NaN without one.
+        alert_s: from the first message that the fault changed to the first sign, or output that is not VALID for
+            whatever reason; NaN without one.
         named: source → signs of it.
         worst_sigmas: largest error of an output that was VALID, in sigmas, until the next fault.
         worst_over_level: the same over its protection level; NaN where there was none.
@@ -158,7 +160,7 @@ def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, unt
         for sign in told.signs
         if first_ns <= sign.log_ns < end_ns and (sign.source, sign.stamp_ns) not in known
     ]  # fmt: skip
-    left_ns = _first_left(told, clean.told, first_ns, end_ns)
+    left_ns, left_anew = _first_left(told, clean.told, first_ns, end_ns)
     own = [sign.log_ns for sign in signs if is_source(sign.source, fault)]
     alerts_ns = [*own[:1], *([] if left_ns is None else [left_ns])]
     after = [claim for claim in told.claims if begin_ns <= claim.stamp_ns < until_ns]
@@ -167,7 +169,7 @@ def judged(fault: Fault, changed_ns: np.ndarray, told: Told, clean: Passage, unt
     names = first_named(signs)
     return FaultVerdict(
         changed=len(changed_ns),
-        detected=bool(alerts_ns),
+        detected=bool(own) or left_anew or any(sign.reason == EXCLUSION for sign in signs),
         attributed=bool(names) and all(is_source(name, fault) for name in names),
         alert_s=(min(alerts_ns) - first_ns) / NS_PER_S if alerts_ns else float("nan"),
         named=dict(Counter(sign.source for sign in signs)),
@@ -223,20 +225,29 @@ def _drone_names(id_: str) -> tuple[str, ...]:
     return tuple(f"{kind}.{id_}" for kind in ("beacon", "baseline", "drone", "light"))
 
 
-def _first_left(told: Told, clean: Told, begin_ns: int, end_ns: int) -> int | None:
-    """Log time of the first output that is worse than VALID, and worse than in the voyage without faults."""
+def _first_left(told: Told, clean: Told, begin_ns: int, end_ns: int) -> tuple[int | None, bool]:
+    """Log time of the first output that is worse than VALID, and worse than in the voyage without faults.
+
+    And whether it is new, rather than the rest of what an earlier fault has left behind.
+    """
     usual: dict[tuple[str, int], np.ndarray] = {}
+    last_worse_ns: dict[str, int] = {}
+    first_ns, is_new = None, False
     for name, stamp_ns, log_ns, status in told.not_valid:
-        if name not in INTEGRITY or not begin_ns <= log_ns < end_ns:
+        if name not in INTEGRITY or log_ns >= end_ns:
             continue
         if (name, status) not in usual:
             alike = sorted(stamp for other, stamp, _, bad in clean.not_valid if other == name and bad >= status)
             usual[name, status] = np.array(alike)
         stamps_ns = usual[name, status]
         place = int(np.searchsorted(stamps_ns, stamp_ns - _BESIDE_NS))
-        if place == len(stamps_ns) or stamps_ns[place] > stamp_ns + _BESIDE_NS:
-            return log_ns
-    return None
+        if place < len(stamps_ns) and stamps_ns[place] <= stamp_ns + _BESIDE_NS:
+            continue
+        if log_ns >= begin_ns:
+            first_ns = log_ns if first_ns is None else first_ns
+            is_new = is_new or log_ns - last_worse_ns.get(name, 0) > _BESIDE_NS
+        last_worse_ns[name] = log_ns
+    return first_ns, is_new
 
 
 def beyond(claims: Sequence[Claim]) -> tuple[float, float]:

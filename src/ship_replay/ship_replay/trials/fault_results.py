@@ -196,7 +196,7 @@ def _share(faults: Sequence[Result], holds: Callable[[Result], bool]) -> str:
 
 
 def _told(fault: Result) -> bool:
-    return bool(fault["detected"])
+    return fault["alert_s"] is not None
 
 
 def _attributed(fault: Result) -> bool:
