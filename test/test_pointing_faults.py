@@ -15,8 +15,10 @@ from ship_testing.pointing_faults import (
     baseline_moved,
     claims,
     clean_session,
+    encoders_crept,
     encoders_slipped,
     lights_stamped_late,
+    ship_crept,
     ship_turned,
     telescope_knocked,
 )
@@ -156,6 +158,26 @@ def test_lights_whose_stamps_are_late_are_not_taken_for_a_wrong_ship(seed):
     found = claims(lights_stamped_late(clean_session(seed), 0.1))
     assert found.named == {"telescope"}
     assert found.worst(Status.VALID) < 5.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("arcsec_per_s", [3.3, -2.5])
+def test_encoders_that_creep_are_named_and_no_drone_is(seed, arcsec_per_s):
+    """Before, in theodolite_1 at 3.3"/s: both drones were excluded one after the other; VALID at 1.42 of the level."""
+    found = claims(encoders_crept(clean_session(seed), arcsec_per_s))
+    assert found.named == {"encoder"}
+    assert found.worst_of_level() < 0.8
+    assert found.worst(Status.DEGRADED) < 5.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("arcsec_n_per_s", [(0.0, 3.0, 0.0), (0.0, -2.5, 0.0)])
+def test_a_ship_attitude_that_creeps_is_named_by_its_own_rates(seed, arcsec_n_per_s):
+    """Before: the encoders were excluded."""
+    found = claims(ship_crept(clean_session(seed), arcsec_n_per_s))
+    assert found.named == {"ship_attitude"}
+    assert found.worst_of_level() < 0.8
+    assert found.worst(Status.DEGRADED) < 5.0
 
 
 @pytest.mark.parametrize("seed", SEEDS)

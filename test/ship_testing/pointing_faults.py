@@ -62,6 +62,20 @@ def encoders_slipped(
     return replace(run, theodolite=replace(run.theodolite, encoder=slipped))
 
 
+def encoders_crept(run: SimulatedRun, azimuth_arcsec_per_s: float, until_s: float = np.inf) -> SimulatedRun:
+    """The encoders' azimuth creeps from FAULT_S on."""
+    readings = run.theodolite.encoder
+    crept = azimuth_arcsec_per_s * ARCSEC * _lying_for_s(run, readings.time_ns, until_s)
+    return replace(run, theodolite=replace(run.theodolite, encoder=replace(readings, azimuth=readings.azimuth + crept)))
+
+
+def ship_crept(run: SimulatedRun, arcsec_n_per_s: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
+    """``ship/attitude`` creeps about North, Up and East from FAULT_S on; its rates do not tell."""
+    fused, turning_n = run.fused, ARCSEC * np.array(arcsec_n_per_s)
+    rotation_nd = exp_rotation(_lying_for_s(run, fused.time_ns, until_s)[:, None] * turning_n) @ fused.rotation_nd
+    return replace(run, fused=replace(fused, rotation_nd=rotation_nd))
+
+
 def telescope_knocked(
     run: SimulatedRun, right_arcsec: float, up_arcsec: float, until_s: float = np.inf
 ) -> SimulatedRun:
@@ -85,6 +99,12 @@ def _lying(run: SimulatedRun, time_ns: np.ndarray, until_s: float) -> np.ndarray
     since_s = (time_ns - run.start_ns) * 1e-9
     lying: np.ndarray = (since_s >= FAULT_S) & (since_s < until_s)
     return lying
+
+
+def _lying_for_s(run: SimulatedRun, time_ns: np.ndarray, until_s: float) -> np.ndarray:
+    """For how long a device has lied, s; 0 where it does not."""
+    since_s: np.ndarray = (time_ns - run.start_ns) * 1e-9 - FAULT_S
+    return since_s * _lying(run, time_ns, until_s)
 
 
 @dataclass(frozen=True)

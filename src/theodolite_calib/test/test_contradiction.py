@@ -8,8 +8,8 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from theodolite_calib.filter.alternatives import ENCODER, SHIP, TELESCOPE
-from theodolite_calib.filter.trust import blamed
-from theodolite_calib.measured.contradiction import streams_since
+from theodolite_calib.filter.trust import blamed, crept
+from theodolite_calib.measured.contradiction import ship_crept, streams_since
 from theodolite_calib.measured.samples import EncoderSample, ShipSample
 
 PERIOD_NS = 50_000_000
@@ -103,3 +103,59 @@ def test_encoders_that_stopped_dead_are_not_believed_against_the_telescope():
 def test_streams_that_tell_nothing_leave_what_the_rows_say():
     streams = streams_since(SINCE_NS, [], [], (PERIOD_NS, PERIOD_NS), ARCSEC)
     assert blamed(ENCODER, BOTH, streams, 100.0 * ARCSEC) == ENCODER
+
+
+def ships(seed, creep_arcsec_per_s, rates=True, creep_s=20.0):
+    """A minute of attitudes at 20 Hz that creep about Up from 10 s on, then are back."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for time_ns in range(0, 60 * 10**9, PERIOD_NS):
+        rotation_nd, rate_d = ship_at(time_ns * 1e-9, rng)
+        since_s = time_ns * 1e-9 - 10.0
+        crept_s = since_s if 0.0 < since_s < creep_s else 0.0
+        turned = exp_rotation(crept_s * creep_arcsec_per_s * ARCSEC * np.array([0.0, 1.0, 0.0])) @ rotation_nd
+        found.append(ShipSample(time_ns, turned, rate_d if rates else None))
+    return found
+
+
+def test_a_ship_attitude_that_creeps_leaves_its_own_rates():
+    """Of 1" a sample and 1"/s of a rate, a minute of integrated rates is off by 1.7"."""
+    for seed in range(10):
+        assert ship_crept(ships(seed, 1.0), 2 * PERIOD_NS, ARCSEC) is True
+        assert ship_crept(ships(seed, -3.0), 2 * PERIOD_NS, ARCSEC) is True
+        assert ship_crept(ships(seed, 0.0), 2 * PERIOD_NS, ARCSEC) is not True
+    assert ship_crept(ships(0, 0.0), 2 * PERIOD_NS, ARCSEC) is False
+
+
+def test_without_rates_or_with_a_gap_nothing_tells_whether_a_ship_has_crept():
+    assert ship_crept(ships(0, 3.0, rates=False), 2 * PERIOD_NS, ARCSEC) is None
+    assert ship_crept(ships(0, 3.0)[:100] + ships(0, 3.0)[110:], 2 * PERIOD_NS, ARCSEC) is None
+    assert ship_crept([], 2 * PERIOD_NS, ARCSEC) is None
+
+
+def test_a_ship_attitude_that_was_put_right_as_its_covariance_says_has_not_crept():
+    sharper = [
+        replace(sample, slow_covariance_n=np.eye(3) * ((30.0 if sample.time_ns < 30 * 10**9 else 1.0) * ARCSEC) ** 2)
+        for sample in ships(0, 3.0)
+    ]
+    assert ship_crept(sharper, 2 * PERIOD_NS, ARCSEC) is None
+
+
+@pytest.mark.parametrize(
+    ("source", "explaining", "alike", "ship", "named"),
+    [
+        ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, False, ENCODER),
+        ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, True, SHIP),
+        ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, None, None),
+        ("beacon.a", {"beacon.a", ENCODER, SHIP}, False, False, None),
+        ("beacon.a", {"beacon.a", SHIP}, False, False, "beacon.a"),  # the ship has not crept, and encoders are no way
+        ("beacon.a", {"beacon.a"}, True, True, "beacon.a"),
+        (ENCODER, {ENCODER, SHIP}, False, True, SHIP),
+        (SHIP, {ENCODER, SHIP}, False, False, ENCODER),
+        (SHIP, {ENCODER, SHIP}, False, None, SHIP),
+        (SHIP, {SHIP}, True, False, SHIP),
+        (None, {ENCODER, SHIP}, False, False, None),
+    ],
+)
+def test_who_creeps(source, explaining, alike, ship, named):
+    assert crept(source, explaining, alike, ship) == named

@@ -22,7 +22,7 @@ from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, l
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.judgement import SightingJudge, focal_length_m
 from theodolite_calib.filter.model import chain_rows
-from theodolite_calib.filter.trust import LeftOut, Referee, Trust, blamed
+from theodolite_calib.filter.trust import LeftOut, Referee, Trust, blamed, crept
 from theodolite_calib.measured.baseline_track import BaselineJump
 from theodolite_calib.measured.contradiction import Streams
 from theodolite_calib.measured.samples import Exposure, ExposureDecision
@@ -37,6 +37,8 @@ class SightingStep:
         filter_: the filter of that configuration.
         streams_since: what encoders and ship say by themselves of the time between two moments, ns; None where they are
             not asked, or it is too long ago.
+        ship_crept: whether the ship's attitude has left its own rates in the time before a moment, ns; None where
+            nothing tells.
     """
 
     def __init__(
@@ -44,8 +46,9 @@ class SightingStep:
         config: OpticalAxisConfig,
         filter_: CalibrationFilter,
         streams_since: Callable[[int, int], Streams | None] = lambda since_ns, until_ns: None,
+        ship_crept: Callable[[int], bool | None] = lambda time_ns: None,
     ) -> None:
-        self._streams_since = streams_since
+        self._streams_since, self._ship_crept = streams_since, ship_crept
         self._filter, self._gate, self._config = filter_, config.gate, config.integrity
         self._judge = SightingJudge(filter_, config.gate)
         self._factors = hypothesis_factors(config.integrity, filter_.rows.sources)
@@ -153,7 +156,10 @@ class SightingStep:
         time_ns = decision.measurement.time_ns
         trust = self._referee.observed(before.trust, names, seen, True, time_ns)
         after = replace(after, alternatives=alternatives, trust=self._referee.agreed(trust, time_ns))
-        fault, source, _ = self._referee.fault(after.trust, self._statistic(after, compared), time_ns)
+        fault, source, explaining = self._referee.fault(after.trust, self._statistic(after, compared), time_ns)
+        if fault and not trust.excluded:
+            alike = self._referee.creep_alike(trust, time_ns)
+            source = crept(source, explaining, alike, self._ship_crept(time_ns))
         if source is not None:
             return self._attributed(after, source, decision)
         if fault:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ship_estimation.exclusion import Exclusion, Finding, find_fault, watched
+from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, watched
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.protection import IntegrityConfig
@@ -27,6 +27,8 @@ _SAME_JUMP_NS = SECOND_NS
 """Jumps of one baseline that are found so close to one another are one."""
 _UNDONE_SIGMAS = 4.0
 """A baseline has jumped back where so many sigmas of its jumps are left."""
+_ALIKE_SIGMAS, _ALIKE_COSINE = 2.0, 0.7
+"""Lights creep alike where the mean of each is off by more than so many sigmas, in directions so close."""
 _POWER_SIGMAS = 5.0
 """What was refused would be refused again where it is so many times the sigma of the place of the light."""
 
@@ -109,6 +111,28 @@ def blamed(source: str, explaining: Set[str], told: Streams, off_rad: float) -> 
     return TELESCOPE if right else source
 
 
+def crept(source: str | None, explaining: Set[str], alike: bool, ship_crept: bool | None) -> str | None:
+    """Who is wrong where lights that were used creep away from the estimate; None where nobody knows.
+
+    Lights that creep alike do so by the encoders or the ship's attitude: two drones do not. The ship's own rates tell
+    which. Where they creep in other ways, and encoders or ship explain that as well as a drone does, nobody is named.
+
+    Args:
+        source: as the rows have it; None where they do not know.
+        explaining: all sources without which the rest agrees.
+        alike: whether all lights creep alike.
+        ship_crept: whether the ship's attitude has left its own rates; None where nothing tells.
+    """
+    chain = explaining & {ENCODER, SHIP}
+    if ship_crept is not None:
+        chain = chain & {SHIP if ship_crept else ENCODER}
+    if not chain:
+        return source
+    if len(chain) == 1 and (alike or ship_crept or source in CHAIN):
+        return next(iter(chain))
+    return source if source in CHAIN else None
+
+
 def no_doubt(rows: SourceRows) -> Trust:
     """At the start every source is trusted."""
     return Trust(no_means(1 + len(rows.sources), len(rows.beacons)))
@@ -169,6 +193,23 @@ class Referee:
             if alone.row is not None and sources[alone.row - 1] == name:
                 return True, name, explaining
         return True, None, explaining
+
+    def creep_alike(self, trust: Trust, time_ns: int) -> bool:
+        """Whether two lights or more, and all that are used, creep alike in the image."""
+        used = [
+            row
+            for row, id_ in enumerate(self._rows.beacons)
+            if BEACON + id_ not in trust.excluded and trust.means.heard_ns[row] >= time_ns - HEARD_NS
+        ]
+        if len(used) < 2:
+            return False
+        # Of the longer means, in sigmas: shape (w, l, 2).
+        running = trust.means.running[0, used, 1:].swapaxes(0, 1)
+        off = running[..., :2] / np.sqrt(running[..., 4:])
+        size = np.linalg.norm(off, axis=-1)
+        cosines = np.einsum("wlk,wmk->wlm", off, off) / (size[:, :, None] * size[:, None, :])
+        alike = (size.min(axis=1) > _ALIKE_SIGMAS) & (cosines.min(axis=(1, 2)) > _ALIKE_COSINE)  # NaN is not
+        return bool(np.any(alike))
 
     def without(self, trust: Trust, source: str, left_out: LeftOut, seen_by: str | None = None) -> Trust:
         """A source is excluded: every row now sees what the row without it, or without ``seen_by``, has seen."""

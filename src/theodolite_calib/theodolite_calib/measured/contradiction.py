@@ -4,6 +4,8 @@ To the lights a slip of the encoders, a step of the ship's attitude and a knock 
 first two are seen in the streams themselves: a polynomial through the readings, or a line through what the rates leave
 of the attitudes, is laid over some samples before and after each moment, with a step between them. Where neither stream
 has stepped by what the lights say, the telescope has.
+
+What creeps makes no step. A ship that creeps leaves what its own rates lead to; encoders have no such witness.
 """
 
 import itertools
@@ -32,6 +34,15 @@ _SURE_SIGMAS = 5.5
 """A step of so many sigmas is one."""
 _MISSED_SIGMAS = 3.0
 """A step that is there is found smaller than it is by less than so many sigmas."""
+
+_MEAN_OVER_S = 0.5
+"""A creeping ship's attitude is looked at in means over so long."""
+_CREPT_SIGMAS = 8.0
+"""It has crept where a mean is so many sigmas of an attitude from another. Trapezoids are off by 2."""
+_STEADY_SIGMAS = 5.0
+"""It has not where none is more than so many from another."""
+_TOLD_SIGMAS = 5.0
+"""By so many sigmas of what its stated covariance has changed it may have moved, as when stars put it right."""
 
 
 class LargestStep(NamedTuple):
@@ -101,17 +112,48 @@ def streams_since(
     return Streams(by_encoder, by_ship, doubt)
 
 
+def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) -> bool | None:
+    """Whether a ship's attitude has left what its own rates lead to; None where nothing tells.
+
+    Args:
+        ship: attitudes, in the order of their stamps.
+        longest_gap_ns: attitudes further apart are a gap.
+        sigma_rad: noise of an attitude about each axis.
+    """
+    told = [sample for sample in ship if sample.status is not Status.DEGRADED]
+    if len(told) < 2 or _gap(told, longest_gap_ns) or any(sample.rate_d is None for sample in told):
+        return None
+    seconds = _seconds(told, told[0].time_ns)
+    places = (seconds / _MEAN_OVER_S).astype(int)
+    count = np.bincount(places)
+    left_n = _left_by_rates(told, seconds)
+    means_n = np.stack([np.bincount(places, axis_n) for axis_n in left_n.T], axis=1) / count[:, None]
+    apart_rad = float(np.max(np.ptp(means_n, axis=0)))
+    stated = [float(np.trace(one.slow_covariance_n)) for one in told if one.slow_covariance_n is not None]
+    may_rad = _TOLD_SIGMAS * float(np.sqrt(np.ptp(stated))) if stated else 0.0
+    if apart_rad > _CREPT_SIGMAS * sigma_rad + may_rad:
+        return True
+    return False if apart_rad < _STEADY_SIGMAS * sigma_rad else None  # NaN is neither
+
+
+def _left_by_rates(ship: list[ShipSample], seconds: FloatArray) -> FloatArray:
+    """What the rates of attitudes, which all have them, leave of these: rotation vectors in n, rad, shape (k, 3)."""
+    rotation_nd = np.array([sample.rotation_nd for sample in ship])
+    rate_n = (rotation_nd @ np.array([sample.rate_d for sample in ship])[..., None])[..., 0]
+    turns_n = log_rotation(rotation_nd[1:] @ rotation_nd[:-1].swapaxes(-1, -2))
+    turns_n = turns_n - 0.5 * (rate_n[1:] + rate_n[:-1]) * np.diff(seconds)[:, None]
+    return np.vstack([np.zeros(3), np.cumsum(turns_n, axis=0)])
+
+
 def _ships_step(ship: list[ShipSample], since_ns: int, sigma_rad: float) -> LargestStep | None:
     """The largest step of the ship's attitude, by its own rates where all samples have them."""
-    seconds, rotation_nd = _seconds(ship, since_ns), np.array([sample.rotation_nd for sample in ship])
+    seconds = _seconds(ship, since_ns)
+    if all(sample.rate_d is not None for sample in ship):
+        return _largest_step(seconds, _left_by_rates(ship, seconds), sigma_rad, _BY_RATES)
+    rotation_nd = np.array([sample.rotation_nd for sample in ship])
     turns_n = log_rotation(rotation_nd[1:] @ rotation_nd[:-1].swapaxes(-1, -2))
-    rates_d = [sample.rate_d for sample in ship]
-    degrees = _BY_MOTION
-    if all(rate_d is not None for rate_d in rates_d):
-        rate_n = (rotation_nd @ np.array(rates_d)[..., None])[..., 0]
-        turns_n, degrees = turns_n - 0.5 * (rate_n[1:] + rate_n[:-1]) * np.diff(seconds)[:, None], _BY_RATES
-    left_n = np.vstack([np.zeros(3), np.cumsum(turns_n, axis=0)])
-    return _largest_step(seconds, left_n, sigma_rad, degrees)
+    turned_n = np.vstack([np.zeros(3), np.cumsum(turns_n, axis=0)])
+    return _largest_step(seconds, turned_n, sigma_rad, _BY_MOTION)
 
 
 def _largest_step(

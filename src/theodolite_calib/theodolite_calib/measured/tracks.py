@@ -19,7 +19,7 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.baseline_track import BaselineJump, BaselineTrack
-from theodolite_calib.measured.contradiction import Streams, streams_since
+from theodolite_calib.measured.contradiction import Streams, ship_crept, streams_since
 from theodolite_calib.measured.samples import EncoderSample, Exposure, ShipSample
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
@@ -28,6 +28,9 @@ _LOOKED_BACK_NS = 3 * SECOND_NS
 """So long back the encoders and the ship's attitude are looked at where lights contradict them."""
 _BEFORE_NS = SECOND_NS
 """And so much longer, for what they did before."""
+
+_CREPT_WITHIN_NS = 60 * SECOND_NS
+"""So long back the ship's attitude is compared with its own rates where lights creep away from it."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,7 @@ class MeasuredTracks:
         self.drones = {
             id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
         }
-        self.encoder.keeps_ns = self.ship.keeps_ns = _LOOKED_BACK_NS + _BEFORE_NS
+        self.encoder.keeps_ns, self.ship.keeps_ns = _LOOKED_BACK_NS + _BEFORE_NS, _CREPT_WITHIN_NS
         self._all: list[SampleTrack[Any]] = [self.encoder, self.ship, *self.baselines.values(), *self.drones.values()]
         widest_gap_ns = max(track.max_gap_ns for track in self._all)
         self.reach_ns = widest_gap_ns + abs(self.ship_shift_ns) + _LONGEST_REACH_NS
@@ -185,6 +188,13 @@ class MeasuredTracks:
             (self.encoder.max_gap_ns, self.ship.max_gap_ns),
             float(np.sqrt(self._ship_noise)),
         )
+
+    def ship_crept(self, time_ns: int) -> bool | None:
+        """Whether the ship's attitude has left its own rates within a minute; None where nothing tells."""
+        until_ns = time_ns - self.ship_shift_ns
+        ship = self.ship.between(until_ns - _CREPT_WITHIN_NS, until_ns)
+        samples = [sample for sample in ship if isinstance(sample, ShipSample)]
+        return ship_crept(samples, self.ship.max_gap_ns, float(np.sqrt(self._ship_noise)))
 
     def light_at(self, beacon_id: str, time_ns: int) -> LightAt | Refusal:
         """Where a light is said to be at a moment, or why that is not known."""

@@ -211,7 +211,7 @@ class OpticalAxisCore:
     def _take_models(self, config: OpticalAxisConfig) -> None:
         self.config = config
         self.filter = CalibrationFilter(config)
-        self._step_to = SightingStep(config, self.filter, self._streams_since)
+        self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept)
         self._pointing = PointingOutput(config, self.filter)
 
     def _add(self, source: str, track: SampleTrack[Any], sample: Any) -> PointingOutcome:
@@ -261,6 +261,10 @@ class OpticalAxisCore:
     def _streams_since(self, since_ns: int, until_ns: int) -> Streams | None:
         """What encoders and ship say by themselves of a time."""
         return self._tracks.streams_since(since_ns, until_ns)
+
+    def _ship_crept(self, time_ns: int) -> bool | None:
+        """Whether the ship's attitude has left its own rates in the time before a moment."""
+        return self._tracks.ship_crept(time_ns)
 
     def _forget_before(self, time_ns: int) -> None:
         """Forget what no exposure at or after a stamp is compared with."""
