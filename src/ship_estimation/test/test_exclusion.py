@@ -1,5 +1,7 @@
 """Which source is wrong: two to four sensors on a shaken base, one of them knocked, or two."""
 
+import copy
+import functools
 import itertools
 
 import numpy as np
@@ -53,30 +55,53 @@ class Bank:
         return find_fault(self.seen, self.uses, np.concatenate([[0.0], statistic]), 5.1, one, time_ns, larger=two)
 
 
-def _voyage(seed, sensors, knocks=(), epochs=400, at=200, pairs=False):
+AT = 200
+"""Epoch since when sensors are knocked."""
+
+
+class Base:
+    """A shaken base with sensors, from the first epoch on."""
+
+    def __init__(self, seed, sensors, pairs):
+        self.rng, self.bank, self.epoch = np.random.default_rng(seed), Bank(sensors, pairs), 0
+        self.mounting = MOUNTING * self.rng.standard_normal((sensors, 3))
+        self.angle = 10.0 * self.rng.standard_normal(3)
+
+    def until(self, epoch, knocks):
+        """What is found in each measurement before that epoch, and in which epoch it is."""
+        while self.epoch < epoch:
+            for sensor, mounting in enumerate(self.mounting):
+                self.angle = self.angle + WALK * self.rng.standard_normal(3)
+                wrong = knocks.get(sensor, 0.0) * np.array([0.0, 1.0, 0.0])
+                measured = self.angle + mounting + wrong + NOISE * self.rng.standard_normal(3)
+                self.bank.take(sensor, measured, self.epoch * SECOND_NS // 5)
+                yield self.epoch, self.bank.finding(self.epoch * SECOND_NS // 5)
+            self.epoch += 1
+
+
+@functools.cache
+def _before_knocks(seed, sensors, pairs):
+    """The base at AT, where nothing was called wrong; it is the same whatever is knocked then."""
+    base = Base(seed, sensors, pairs)
+    assert not any(found.fault for _, found in base.until(AT, {}))
+    return base
+
+
+def _voyage(seed, sensors, knocks=None, epochs=2 * AT, pairs=False):
     """Epochs after the knocks until a fault is told, and the sensors first named; None where none is told.
 
     Args:
         seed: of the noise.
         sensors: how many.
-        knocks: by sensor, about the second axis.
+        knocks: by sensor, about the second axis, from AT on.
         epochs: measurements of each sensor.
-        at: since when the sensors are knocked.
         pairs: whether rows leave out two.
     """
-    rng, bank = np.random.default_rng(seed), Bank(sensors, pairs)
-    told = None
-    mounting, angle = MOUNTING * rng.standard_normal((sensors, 3)), 10.0 * rng.standard_normal(3)
-    for epoch in range(epochs):
-        for sensor in range(sensors):
-            angle = angle + WALK * rng.standard_normal(3)
-            wrong = dict(knocks).get(sensor, 0.0) * np.array([0.0, 1.0, 0.0]) * (epoch >= at)
-            measured = angle + mounting[sensor] + wrong + NOISE * rng.standard_normal(3)
-            bank.take(sensor, measured, epoch * SECOND_NS // 5)
-            found = bank.finding(epoch * SECOND_NS // 5)
-            told = epoch - at if found.fault and told is None else told
-            if found.row is not None:
-                return told, bank.left_out[found.row]
+    base, told = copy.deepcopy(_before_knocks(seed, sensors, pairs)), None
+    for epoch, found in base.until(epochs, knocks or {}):
+        told = epoch - AT if found.fault and told is None else told
+        if found.row is not None:
+            return told, base.bank.left_out[found.row]
     return None if told is None else (told, None)
 
 
