@@ -26,7 +26,7 @@ from ship_simulation.ship.attitude_device import DeviceSamples, InsSamples
 from ship_simulation.suite.suite import suite_configuration
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
-SEEDS = 24
+SEEDS = 16
 
 
 def scenario(name: str, duration_s: float, ins_rate_hz: float = 20.0, star_rate_hz: float | None = None) -> Scenario:

@@ -1,5 +1,6 @@
 """Are calibrated installation angles as good as their covariance says, and does a voyage gain by them?"""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,8 @@ from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.suite.suite import suite_configuration
 from ship_testing.calibration_sessions import HEELING, STILL, TURN, session
 
-SEEDS = 30
+SEEDS = int(os.environ.get("SEEDS", "16"))
+"""``make campaign`` takes more."""
 VOYAGES = 16
 SENSORS = "fore", "starboard"
 
