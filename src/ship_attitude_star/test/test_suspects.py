@@ -18,6 +18,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_estimation.hypotheses import covariances
+from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError, build
 from ship_estimation.protection import IntegrityReport, IntegrityState
@@ -352,6 +353,21 @@ def test_one_sensor_against_an_ins_that_told_a_fault_names_both() -> None:
     assert {one.status for one in sailed.between(31.0, 50.0)} == {Status.DEGRADED}
     assert "star.bow is refused: the INS and all stars contradict one another" in sailed.estimates[-1].text
     assert_honest(sailed)
+
+
+@pytest.mark.parametrize(("sensors", "excluded"), [(("bow", "port"), {"ins": 1}), (("bow",), {})])
+def test_an_ins_that_tells_that_it_creeps_is_excluded_where_others_check_each_other(
+    sensors: tuple[str, ...], excluded: dict[str, int]
+) -> None:
+    core = sailed_with(sensors=sensors, seconds=20.0).core
+    state = core.state
+    assert state.time_ns is not None
+    jump = InsJump(state.time_ns + SECOND_NS, 7.0 * UP * ARCSEC, 0.3 * ARCSEC, creeps=True)
+    after = core.filter.opened(state, jump)
+    assert dict(after.record) == excluded
+    # With one sensor nothing but its measurements can confirm the attitude.
+    assert after.jumped == (not excluded)
+    assert dict(core.filter.opened(after, jump).record) == excluded
 
 
 def test_with_one_star_sensor_left_the_ins_is_not_excluded() -> None:

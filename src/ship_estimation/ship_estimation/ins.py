@@ -107,6 +107,7 @@ class InsJump:
         jump_n: the jump, rotation vector in the horizon frame, rad, shape (3,).
         sigma_rad: standard deviation of the jump about each axis.
         clock_s: step of the INS's clock that would explain the jump, s; NaN where none would.
+        creeps: whether the attitude did not jump but crept so far, and may creep on.
 
     >>> jump = InsJump(time_ns=0, jump_n=np.array([0.0, 0.1, 0.0]), sigma_rad=0.001)
     >>> [round(float(sigma), 3) for sigma in np.sqrt(np.diagonal(jump.covariance_n))]
@@ -117,6 +118,7 @@ class InsJump:
     jump_n: FloatArray
     sigma_rad: float
     clock_s: float = math.nan
+    creeps: bool = False
 
     @property
     def covariance_n(self) -> FloatArray:

@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 from ship_estimation.ins import GuardedInsConfig, InsJump, clock_step_s
 from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, moved_back, one_run, seconds_between
-from ship_estimation.integrated_rates import RateIntegrator, StepWatch
+from ship_estimation.integrated_rates import Learnt, RateIntegrator, StepWatch
 from ship_estimation.rate_guard import RateGuard, Rates
+from ship_estimation.rate_slopes import SlopeWatch
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.value_guards import JumpGuard, JumpVerdict, Match, StuckGuard, size
 from ship_estimation.witnesses import Witness
@@ -65,6 +66,7 @@ class InsGuard:
     def __init__(self, config: GuardedInsConfig) -> None:
         self._stuck, self._rates, self._jumps = StuckGuard(), RateGuard(), JumpGuard()
         self._integrator, self._steps, self._leads = RateIntegrator(), StepWatch(ARCSEC, 0.0), Leads(self._stuck)
+        self._slopes = SlopeWatch()
         self._previous: SeenSample | None = None
         self._taken: SeenSample | None = None
         # The first of the samples that are refused for a jump.
@@ -213,13 +215,17 @@ class InsGuard:
         found = self._steps.keep()
         if found is None:
             learnt, self._steps.learnt = self._steps.learnt, None
-            if learnt is not None:
-                self._integrator.take_out(self._leads.drift.learnt(learnt.drift_n, seen.sample.rotation_nd))
-                self._leads.by_rates.know(learnt.typical_rad)
-            return ()
+            return () if learnt is None else self._crept(learnt, seen.sample)
         self._rates.restart()
         moments_ns = sorted({found.first_ns, found.last_ns})
         return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
+
+    def _crept(self, learnt: Learnt, sample: AttitudeSample) -> tuple[InsJump, ...]:
+        """Learn from what samples on a line tell; the jump as large as what has crept where it does not fit."""
+        self._integrator.take_out(self._leads.drift.learnt(learnt.drift_n, sample.rotation_nd))
+        self._leads.by_rates.know(learnt.typical_rad)
+        crept = self._slopes.crept(learnt.drift_n, learnt.seconds, learnt.turning)
+        return () if crept is None else (InsJump(sample.time_ns - 1, crept.turn_n, crept.sigma_rad, creeps=True),)
 
     def _late_refusal(self, sample: AttitudeSample, before: AttitudeSample | None) -> Refusal | None:
         """Why a sample that comes after later ones is not used, by the one used before it in time."""
@@ -251,6 +257,7 @@ class InsGuard:
         if wrong_after_ns is not None:
             self._leads.by_rates.forget()
             self._steps.forget()
+            self._slopes.forget()
         # The rates may have lost their trust with this sample, or have got it back.
         if not self._rates.usable:
             self.by_rates = None
@@ -285,11 +292,11 @@ def _gate_refusal(match: Match) -> Refusal:
 
 
 def _stepped(jumps: tuple[InsJump, ...]) -> Refusal | None:
-    """The refusal that tells of a step found by means; None where there is none.
+    """The refusal that tells of a step found by means, or of a creep; None where there is none.
 
     The samples since were taken: only the one that makes the step known can tell of it.
     """
     if not jumps:
         return None
-    off_arcsec = size(jumps[-1].jump_n) / ARCSEC
-    return Refusal(Reason.GATE, f"orientation has stepped by {off_arcsec:.3g} arcsec against its own rates")
+    off_arcsec, how = size(jumps[-1].jump_n) / ARCSEC, "crept" if jumps[-1].creeps else "stepped"
+    return Refusal(Reason.GATE, f"orientation has {how} by {off_arcsec:.3g} arcsec against its own rates")

@@ -154,10 +154,14 @@ class Learnt(NamedTuple):
 
     Attributes:
         drift_n: how fast the attitude runs away from the rates, horizon frame, rad/s, shape (3,).
+        seconds: over how long.
+        turning: how fast the deck turned in that time, all in all, rad/s.
         typical_rad: how far a sample is from the place where the one before leads, root mean square.
     """
 
     drift_n: FloatArray
+    seconds: float
+    turning: float
     typical_rad: float
 
 
@@ -364,7 +368,8 @@ class StepWatch:
         keep, rows = self._full.length, self._rows
         seconds = float(self._times[-1] - self._times[0]) * 1e-9 * (1.0 - 1.0 / _ROOM)
         drift_n = (rows[-keep:].mean(axis=0) - rows[:keep].mean(axis=0)) / seconds
-        self.learnt = Learnt(drift_n, math.sqrt(float(np.mean(np.sum(np.diff(rows, axis=0) ** 2, axis=1)))))
+        typical_rad = math.sqrt(float(np.mean(np.sum(np.diff(rows, axis=0) ** 2, axis=1))))
+        self.learnt = Learnt(drift_n, seconds, size(self._rates.mean(axis=0)), typical_rad)
         for values in (rows, self._rates, self._times):
             values[:keep] = values[-keep:].copy()
         self._end = keep

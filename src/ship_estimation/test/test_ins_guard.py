@@ -202,3 +202,22 @@ def test_a_step_of_the_clock_of_an_ins_is_told_as_one(step_s: float, rate_hz: in
     (jumps,) = [one.jumps for one in results if one.jumps]
     assert jumps[0].is_of_clock
     assert jumps[0].clock_s == pytest.approx(-step_s, rel=0.1)
+
+
+@pytest.mark.parametrize("per_min_arcsec", [0.0, 100.0, 200.0])
+def test_an_attitude_that_creeps_away_from_its_rates_is_told_within_seconds(per_min_arcsec: float) -> None:
+    """Its slow error walks by 0.3″ in a second, as that of a tilt; a hundred seconds in, it creeps besides."""
+    samples, rng = stream(140.0, 50.0), np.random.default_rng(4)
+    walk = np.cumsum(rng.normal(0.0, 0.3 / np.sqrt(50.0), len(samples)))
+    creeps_s = [max(one.time_ns - samples[5000].time_ns, 0) * 1e-9 for one in samples]
+    off = walk + per_min_arcsec / 60.0 * np.array(creeps_s)
+    guard, told = InsGuard(GuardedInsConfig()), []
+    for one, east, creeping_s in zip(samples, off, creeps_s, strict=True):
+        judged_one = guard.judge(replace(one, rotation_nd=_turned_east(east) @ one.rotation_nd), NOTHING_LATE, {})
+        if judged_one.jumps:
+            told.append(creeping_s)
+            assert judged_one.jumps[0].creeps
+            assert judged_one.refusal is not None
+            assert "crept" in judged_one.refusal.text
+    assert bool(told) == (per_min_arcsec > 0.0)
+    assert not told or 0.0 < told[0] < 7.0

@@ -11,6 +11,7 @@ from ship_attitude_star.ship_attitude.comparison import Compared
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.linearised import Linearisation, Linearised, NotCompared
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, SOURCE_STAR_COMMON, Device, ShipStateModel, devices
+from ship_attitude_star.ship_attitude.row_table import INS
 from ship_attitude_star.ship_attitude.state import FilterState, with_entry, without
 from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
@@ -77,7 +78,12 @@ class ShipFilter:
         no measurement with the attitude of after the jump comes before; one with the attitude of before is refused.
         """
         opens_ns = self.opens_ns(jump)
-        state = self.suspects.acquitted(self.predicted(state, opens_ns), opens_ns)
+        state = self.predicted(state, opens_ns)
+        if jump.creeps:
+            state = self.suspects.without_ins(state, opens_ns)
+            if INS in state.excluded:
+                return state
+        state = self.suspects.acquitted(state, opens_ns)
         stack, means, rows = state.stack.copy(), state.means, len(state.means)
         slow, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
         # A larger step of the clock is no offset that can be estimated: with it the INS turns as the ship does not.

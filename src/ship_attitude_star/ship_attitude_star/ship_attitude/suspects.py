@@ -183,6 +183,15 @@ class Suspects:
             return self.ins.contradicted_now(state, time_ns)
         return self._forgiven(state)
 
+    def without_ins(self, state: FilterState, time_ns: int) -> FilterState:
+        """The state after the INS has told that it creeps: it is excluded where enough others check each other.
+
+        The row in which it is wrong has followed all the time.
+        """
+        if INS in state.excluded or not self.ins.may_be_excluded(state.in_use(self._sources, time_ns)):
+            return state
+        return self._without(state, (INS,), time_ns)[0]
+
     def begun_anew(self, state: FilterState) -> FilterState:
         """The state after a gate was re-opened: what the sources contradicted of one another is forgotten."""
         means, stack = self.ins.all_rows_at(state.mean, state.parts)
