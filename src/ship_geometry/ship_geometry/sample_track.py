@@ -86,6 +86,10 @@ class SampleTrack(Generic[Sample]):
         """The samples stamped at or between two moments, in the order of their stamps, as far as they are kept."""
         return self._samples[bisect.bisect_left(self._times, first_ns) : bisect.bisect_right(self._times, last_ns)]
 
+    def last_cut_ns(self, until_ns: int) -> int | None:
+        """The last moment up to ``until_ns`` across which is not interpolated; None for none that is kept."""
+        return max((cut_ns for cut_ns in self._cuts_ns if cut_ns <= until_ns), default=None)
+
     def insert(self, sample: Sample) -> int | None:
         """Put a sample in its place; one with the same stamp is replaced.
 

@@ -160,6 +160,8 @@ class SightingStep:
         if fault and not trust.excluded:
             alike = self._referee.creep_alike(trust, time_ns)
             source = crept(source, explaining, alike, self._ship_crept(time_ns))
+        elif not fault and self._referee.suspects_ship(trust, time_ns) and self._ship_crept(time_ns):
+            source = SHIP
         if source is not None:
             return self._attributed(after, source, decision)
         if fault:

@@ -16,7 +16,7 @@ from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, 
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.protection import IntegrityConfig
-from ship_estimation.running_means import SEEN_BY_ROWS, Means, excess_limit, forgotten, no_means, observed
+from ship_estimation.running_means import SEEN_BY_ROWS, WELL, Means, excess_limit, forgotten, no_means, observed
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, TELESCOPE, RowsSeen, SourceRows
@@ -29,6 +29,8 @@ _UNDONE_SIGMAS = 4.0
 """A baseline has jumped back where so many sigmas of its jumps are left."""
 _ALIKE_SIGMAS, _ALIKE_COSINE = 2.0, 0.7
 """Lights creep alike where the mean of each is off by more than so many sigmas, in directions so close."""
+_SUSPECTED = 0.3
+"""A ship that has left its own rates is wrong where the means reach this share of their limit; either alone may be."""
 _POWER_SIGMAS = 5.0
 """What was refused would be refused again where it is so many times the sigma of the place of the light."""
 
@@ -210,6 +212,14 @@ class Referee:
         cosines = np.einsum("wlk,wmk->wlm", off, off) / (size[:, :, None] * size[:, None, :])
         alike = (size.min(axis=1) > _ALIKE_SIGMAS) & (cosines.min(axis=(1, 2)) > _ALIKE_COSINE)  # NaN is not
         return bool(np.any(alike))
+
+    def suspects_ship(self, trust: Trust, time_ns: int) -> bool:
+        """Whether lights creep away from the estimate, within the limit, and agree where it does without the ship."""
+        heard = trust.means.heard_ns >= time_ns - HEARD_NS
+        if trust.excluded or trust.conflict is not None or not np.any(trust.means.excess[0, heard] > _SUSPECTED):
+            return False
+        row = 1 + self._rows.sources.index(SHIP)
+        return bool(np.all(trust.means.excess[row, heard] <= WELL) and np.all(trust.means.refused[row, heard] == 0))
 
     def without(self, trust: Trust, source: str, left_out: LeftOut, seen_by: str | None = None) -> Trust:
         """A source is excluded: every row now sees what the row without it, or without ``seen_by``, has seen."""

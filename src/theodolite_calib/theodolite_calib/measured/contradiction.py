@@ -37,6 +37,8 @@ _MISSED_SIGMAS = 3.0
 
 _MEAN_OVER_S = 0.5
 """A creeping ship's attitude is looked at in means over so long."""
+_LEAST_CREEP_S = 3.0
+"""In less time nothing is told."""
 _CREPT_SIGMAS = 8.0
 """It has crept where a mean is so many sigmas of an attitude from another. Trapezoids are off by 2."""
 _STEADY_SIGMAS = 5.0
@@ -124,6 +126,8 @@ def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) ->
     if len(told) < 2 or _gap(told, longest_gap_ns) or any(sample.rate_d is None for sample in told):
         return None
     seconds = _seconds(told, told[0].time_ns)
+    if seconds[-1] < _LEAST_CREEP_S:
+        return None
     places = (seconds / _MEAN_OVER_S).astype(int)
     count = np.bincount(places)
     left_n = _left_by_rates(told, seconds)

@@ -190,9 +190,13 @@ class MeasuredTracks:
         )
 
     def ship_crept(self, time_ns: int) -> bool | None:
-        """Whether the ship's attitude has left its own rates within a minute; None where nothing tells."""
+        """Whether the ship's attitude has left its own rates within a minute, and since it last jumped.
+
+        None where nothing tells.
+        """
         until_ns = time_ns - self.ship_shift_ns
-        ship = self.ship.between(until_ns - _CREPT_WITHIN_NS, until_ns)
+        first_ns, jumped_ns = until_ns - _CREPT_WITHIN_NS, self.ship.last_cut_ns(until_ns)
+        ship = self.ship.between(first_ns if jumped_ns is None else max(first_ns, jumped_ns + 1), until_ns)
         samples = [sample for sample in ship if isinstance(sample, ShipSample)]
         return ship_crept(samples, self.ship.max_gap_ns, float(np.sqrt(self._ship_noise)))
 
