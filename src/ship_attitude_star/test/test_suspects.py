@@ -4,10 +4,14 @@ A ship rolls, pitches and turns; her INS tells its rates or does not; two or thr
 truth is made of formulas, the errors of seeds, by the sigmas that the filter is given.
 """
 
+import bisect
+import copy
+import copyreg
 import functools
 import os
 import random
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -130,6 +134,11 @@ class Sailed:
     reports: list[tuple[IntegrityReport, AttitudeEstimate]]
     reasons: list[tuple[str, Reason]]
 
+    def copied(self) -> "Sailed":
+        """One that goes on from here."""
+        told = self.estimates[:], self.excluded[:], self.reports[:], self.reasons[:]
+        return Sailed(copy.deepcopy(self.core), *told)
+
     def excluded_first(self) -> tuple[float, tuple[str, ...]]:
         return next(entry for entry in self.excluded if entry[1])
 
@@ -138,7 +147,11 @@ class Sailed:
 
 
 def sail(core: ShipAttitudeCore, arrivals: list[tuple[int, Any]]) -> Sailed:
-    sailed = Sailed(core, [], [(0.0, ())], [], [])
+    return sail_on(Sailed(core, [], [(0.0, ())], [], []), arrivals)
+
+
+def sail_on(sailed: Sailed, arrivals: list[tuple[int, Any]]) -> Sailed:
+    core = sailed.core
     for time_ns, input_ in arrivals:
         add = core.add_ins if isinstance(input_, AttitudeSample) else core.add_measurement
         outcome = add(input_)
@@ -153,6 +166,9 @@ def sail(core: ShipAttitudeCore, arrivals: list[tuple[int, Any]]) -> Sailed:
 
 
 LIES: list[Lie] = []
+BEFORE_LIES: dict[str, Sailed] = {}
+"""Voyages until the first lie, which are the same whatever the lie."""
+copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))  # of states, to copy a core
 
 
 def sailed_with(
@@ -165,8 +181,13 @@ def sailed_with(
 ) -> Sailed:
     numbers = tuple(range(len(LIES), len(LIES) + len(lies)))
     LIES.extend(lies)
-    core = ShipAttitudeCore(configuration(sensors, **changes))
-    return sail(core, voyage(sensors, numbers, seconds, seed, rates))
+    arrivals = voyage(sensors, numbers, seconds, seed, rates)
+    start_s = min((lie.start_s for lie in lies), default=0.0)
+    before = bisect.bisect_left(arrivals, start_s * SECOND_NS, key=lambda arrival: arrival[0])
+    key = repr((start_s, sensors, seconds, seed, rates, changes))
+    if key not in BEFORE_LIES:
+        BEFORE_LIES[key] = sail(ShipAttitudeCore(configuration(sensors, **changes)), arrivals[:before])
+    return sail_on(BEFORE_LIES[key].copied(), arrivals[before:])
 
 
 def error_sigmas(estimate: AttitudeEstimate) -> float:
