@@ -180,7 +180,11 @@ class Told:
 
 
 _BEFORE_FAULTS: dict[tuple[int, str], Told] = {}
-"""What was told before FAULT_S, by the truth, which all lies about a clean session share, and by configuration."""
+"""What was told before FAULT_S, by the truth, which all lies about a clean session share, and by configuration.
+
+The newest few: each is tens of megabytes.
+"""
+_MOST_KEPT = 3
 
 
 def claims(run: SimulatedRun, **changes: object) -> Claims:
@@ -195,6 +199,8 @@ def claims(run: SimulatedRun, **changes: object) -> Claims:
     before = sum(log_ns < fault_ns for log_ns, _, _ in arrivals)
     key = id(truth), repr(config)
     if key not in _BEFORE_FAULTS:
+        if len(_BEFORE_FAULTS) >= _MOST_KEPT:
+            del _BEFORE_FAULTS[next(iter(_BEFORE_FAULTS))]
         _BEFORE_FAULTS[key] = Told(config)
         _BEFORE_FAULTS[key].give(run, arrivals[:before], rows)
     told = _BEFORE_FAULTS[key].copied()

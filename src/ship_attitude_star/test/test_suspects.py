@@ -167,7 +167,7 @@ def sail_on(sailed: Sailed, arrivals: list[tuple[int, Any]]) -> Sailed:
 
 LIES: list[Lie] = []
 BEFORE_LIES: dict[str, Sailed] = {}
-"""Voyages until the first lie, which are the same whatever the lie."""
+"""Voyages until the first lie, which are the same whatever the lie; the newest few, for they are large."""
 copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))  # of states, to copy a core
 
 
@@ -186,6 +186,8 @@ def sailed_with(
     before = bisect.bisect_left(arrivals, start_s * SECOND_NS, key=lambda arrival: arrival[0])
     key = repr((start_s, sensors, seconds, seed, rates, changes))
     if key not in BEFORE_LIES:
+        if len(BEFORE_LIES) >= 3:
+            del BEFORE_LIES[next(iter(BEFORE_LIES))]
         BEFORE_LIES[key] = sail(ShipAttitudeCore(configuration(sensors, **changes)), arrivals[:before])
     return sail_on(BEFORE_LIES[key].copied(), arrivals[before:])
 
