@@ -77,7 +77,7 @@ class _Off(NamedTuple):
         return not float(np.max(np.abs(self.by))) <= self.bound_rad
 
 
-class StepWatch:
+class EncoderSteps:
     """Watches the readings of one run in the order of their stamps."""
 
     def __init__(self) -> None:

@@ -30,8 +30,9 @@ from ship_estimation.value_guards import (
 from ship_estimation.witnesses import Witness
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.vector_track import VectorTrack
-from theodolite_calib.measured.encoder_steps import EncoderStep, StepWatch, short_way
+from theodolite_calib.measured.encoder_steps import EncoderStep, EncoderSteps, short_way
 from theodolite_calib.measured.samples import EncoderSample
+from theodolite_calib.measured.unconfirmed import Unconfirmed
 
 _LIGHTS = "lights"
 """Name of the lights as a witness."""
@@ -91,8 +92,8 @@ class EncoderWatch:
         self._beyond_a_turn = 0
         self._still_since_ns: int | None = None
         self._in_doubt_since_ns: int | None = None
-        self._unconfirmed: tuple[int, str] | None = None
-        self._steps = StepWatch()
+        self._unconfirmed: Unconfirmed | None = None
+        self._steps = EncoderSteps()
         self._stepped: tuple[int, float] | None = None
         self._witnesses: dict[str, Witness] = {}
         self.reconfigure(sigma_rad, max_acceleration)
@@ -106,7 +107,7 @@ class EncoderWatch:
     def doubt(self) -> str:
         """Why the readings are in doubt until a light has confirmed them; empty where they are not."""
         if self._unconfirmed is not None:
-            return f"{self._unconfirmed[1]}, and no light has confirmed them since"
+            return self._unconfirmed.text
         if self._in_doubt_since_ns is not None:
             return "the encoders stopped dead in a motion: at rest, or stuck"
         if self._stepped is not None:
@@ -141,7 +142,7 @@ class EncoderWatch:
         if judged.refusal is not None:
             return judged
         if judged.jump is not None:
-            self._unconfirmed = judged.jump.time_ns, "the encoders have jumped"
+            self._unconfirmed = Unconfirmed(judged.jump.time_ns, "the encoders have jumped")
             self._steps.restart()
         step = self._steps.observe(sample.time_ns, sample.vector, self._sigma_rad, self._stuck.coarseness_rad)
         if step is not None:
@@ -151,7 +152,7 @@ class EncoderWatch:
             # After a freeze the reading cannot be extrapolated.
             self._taken = self._all = ()
             self._steps.restart()
-            self._unconfirmed = sample.time_ns, "the encoders were stuck"
+            self._unconfirmed = Unconfirmed(sample.time_ns, "the encoders were stuck")
             text = "both encoders stand still while the lights say that the telescope turns in the deck"
             return JudgedReading(Refusal(Reason.STUCK, text))
         return judged
@@ -166,8 +167,8 @@ class EncoderWatch:
         """Lights at a moment agreed with the readings of that moment."""
         if self._in_doubt_since_ns is not None and time_ns > self._in_doubt_since_ns:
             self._in_doubt_since_ns = None
-        if self._unconfirmed is not None and time_ns > self._unconfirmed[0]:
-            self._unconfirmed = None
+        if self._unconfirmed is not None:
+            self._unconfirmed = self._unconfirmed.after_lights(time_ns)
         self.believe_lights(time_ns)
 
     def believe_lights(self, time_ns: int) -> None:
@@ -219,7 +220,7 @@ class EncoderWatch:
             before_rad = 0.0 if self._stepped is None else self._stepped[1]
             self._stepped = step.time_ns, math.hypot(before_rad, step_rad)
             return JudgedReading()
-        self._unconfirmed = step.time_ns, "the encoders have jumped"
+        self._unconfirmed = Unconfirmed(step.time_ns, "the encoders have jumped")
         text = f"{step_rad / ARCSEC:.0f}″ off in one step: more than {reached_rad / ARCSEC:.0f}″, as the mount can"
         return JudgedReading(Refusal(Reason.GATE, text), EncoderJump(step.time_ns, step.step, step.sigma_rad))
 

@@ -17,6 +17,7 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import ShipSample
+from theodolite_calib.measured.unconfirmed import Unconfirmed
 
 _SIGMAS = 5.0
 """So many sigmas of what it states of its covariance the source may step."""
@@ -40,7 +41,7 @@ class ShipWatch:
         # The samples used, with their rates: a sample that comes after later ones is judged by these.
         self._used = AttitudeTrack(round(watched.max_gap_s * SECOND_NS))
         self._stated: FloatArray | None = None
-        self._unconfirmed_ns: int | None = None
+        self._unconfirmed: Unconfirmed | None = None
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Go on with another noise."""
@@ -58,7 +59,8 @@ class ShipWatch:
         if judged.rates_wrong_after_ns is not None:
             self._used.forget_rates(judged.rates_wrong_after_ns)
         if judged.jumps:
-            self._unconfirmed_ns = judged.jumps[-1].time_ns + self._shift_ns
+            since_ns = judged.jumps[-1].time_ns + self._shift_ns
+            self._unconfirmed = Unconfirmed(since_ns, f"{self._source} has jumped")
         if judged.refusal is None:
             if self._used.newest is None or sample.time_ns > self._used.newest.time_ns:
                 self._stated = sample.slow_covariance_n
@@ -69,13 +71,13 @@ class ShipWatch:
 
     def confirm(self, time_ns: int) -> None:
         """Lights at a moment agreed with the attitude of that moment."""
-        if self._unconfirmed_ns is not None and time_ns > self._unconfirmed_ns:
-            self._unconfirmed_ns = None
+        if self._unconfirmed is not None:
+            self._unconfirmed = self._unconfirmed.after_lights(time_ns)
 
     def doubt(self, time_ns: int) -> str:
         """Why the attitude of a moment is in doubt; empty where it is not."""
-        jumped = self._unconfirmed_ns is not None and time_ns > self._unconfirmed_ns
-        return f"{self._source} has jumped, and no light has confirmed it since" if jumped else ""
+        jumped = self._unconfirmed
+        return jumped.text if jumped is not None and time_ns > jumped.since_ns else ""
 
     def _told_rad(self, sample: ShipSample) -> float:
         """How far the source may have stepped with a sample by what it states of its covariance."""
