@@ -44,6 +44,9 @@ BEYOND = 5.0
 _PERIOD_S = 0.1
 """From one moment of the truth to the next."""
 
+_KNOCK_SEEN_ARCSEC = 13.0
+"""A knock on the telescope by more is told by the next lights: three times what one sighting of them scatters."""
+
 _SLIP_SEEN_SIGMAS = 13.0
 """A slip of more sigmas of a reading shows in the readings themselves
 (:mod:`theodolite_calib.measured.encoder_steps`)."""
@@ -98,6 +101,15 @@ class Passage:
         in_view = (self.lights_ns >= first_ns) & (self.lights_ns < end_ns)
         return not in_view.any() and size_arcsec < _SLIP_SEEN_SIGMAS * self.encoder_sigma_arcsec
 
+    def _creeps(self, fault: Fault, first_ns: int) -> bool:
+        """Encoders that creep: lights and axis errors take it up until the rows tell."""
+        return fault.kind == "drift" and fault.topic == ENCODER_TOPIC
+
+    def _knocks_within_scatter(self, fault: Fault, first_ns: int) -> bool:
+        """A telescope turned by no more than its lights scatter."""
+        size_arcsec = max(abs(fault.forward_arcsec), abs(fault.up_arcsec), abs(fault.right_arcsec))
+        return fault.kind == "knock" and fault.topic == IMAGE_TOPIC and size_arcsec < _KNOCK_SEEN_ARCSEC
+
     def _period_s(self, topic: str) -> float:
         """From one message of a topic to the next."""
         periods_ns = np.diff(self.arrivals_ns.get(topic, np.zeros(0)))
@@ -106,6 +118,8 @@ class Passage:
 
 _UNSEEN: dict[str, Callable[[Passage, Fault, int], bool]] = {
     "encoder slip, no lights": Passage._slips_without_lights,
+    "encoder drift, told late": Passage._creeps,
+    "telescope knock, small": Passage._knocks_within_scatter,
 }
 
 UNSEEN_ROWS = tuple(_UNSEEN)
