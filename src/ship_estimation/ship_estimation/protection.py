@@ -30,6 +30,8 @@ found anew."""
 _COMPONENTS = 3
 _TINY_RAD2 = 1e-24
 """Of a source that is taken for exact nothing is apart by more than rounding."""
+_UNDISPUTED_SIGMAS = 3.0
+"""Estimates without one source that are no further from that by all are as near as they are when all is right."""
 _MOST_PROBABLE_MISS = 0.5
 """A level never lies below the threshold itself, however improbable the fault is."""
 
@@ -212,6 +214,40 @@ def separation_sigma(left_out: FloatArray, all_sources: FloatArray) -> FloatArra
     # Rounding may leave nothing of a small difference; a thousandth of the sigma is nothing to a level.
     sigma: FloatArray = np.sqrt(np.maximum(left_out - all_sources, np.maximum(1e-6 * all_sources, _TINY_RAD2)))
     return sigma
+
+
+def disputed(distance: FloatArray, statistic: FloatArray) -> FloatArray:
+    """What an output adds to its covariance where estimates without one source stand apart from that by all.
+
+    A source that creeps moves the estimate by all away from the one without it long before the separation is beyond
+    the threshold at which it is excluded. Until then nobody knows which of the two is right, so that the covariance
+    holds both: of each row d dᵀ (1 - 9 / s²) where its separation s is above three sigmas. It begins from nothing
+    there, so that nothing jumps. The rows are added up.
+
+    It is for what is put out alone. The estimates, their separations and the levels rest on the covariance without it.
+
+    Args:
+        distance: components of the estimate without each source minus those by all, shape (h, 3).
+        statistic: the separation of each, sigmas, shape (h,); a row of which this or the distance is no number adds
+            nothing.
+
+    Returns:
+        Covariance of the components, shape (3, 3).
+
+    Example:
+        One estimate is 10″ away in the second component, at six sigmas; another one is as near as it should be:
+
+        >>> print(disputed(np.array([[0.0, 10.0, 0.0], [4.0, 4.0, 4.0]]), np.array([6.0, 2.0])))
+        [[ 0.  0.  0.]
+         [ 0. 75.  0.]
+         [ 0.  0.  0.]]
+    """
+    known = np.all(np.isfinite(distance), axis=-1, keepdims=True)
+    # fmax takes the limit where there is no number.
+    weight = 1.0 - (_UNDISPUTED_SIGMAS / np.fmax(statistic, _UNDISPUTED_SIGMAS)) ** 2
+    apart = np.where(known, distance, 0.0)
+    added: FloatArray = (weight * apart.T) @ apart
+    return added
 
 
 class IntegrityState(enum.IntEnum):

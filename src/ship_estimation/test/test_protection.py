@@ -14,6 +14,7 @@ from ship_estimation.protection import (
     Hypotheses,
     IntegrityConfig,
     IntegrityState,
+    disputed,
     factors,
     integrity_report,
     prior_of_all,
@@ -153,3 +154,15 @@ def test_a_source_that_is_excluded_has_no_part_in_the_level():
     assert told.widest == 2.0
     assert (told.hypotheses, told.excluded, told.dominant) == (("ins",), (("star.bow", 5),), "")
     np.testing.assert_allclose(told.level, 6.0 * np.sqrt(3.0))
+
+
+def test_what_rows_dispute_begins_at_three_sigmas_and_no_row_without_a_number_hides_another():
+    distance = ARCSEC * np.array([[10.0, 0.0, 5.0], [np.nan, 1.0, 1.0], [1.0, 1.0, 1.0], [0.0, 8.0, 0.0]])
+    at_the_limit = disputed(distance, np.array([3.0, 9.0, np.nan, 2.0]))
+    np.testing.assert_array_equal(at_the_limit, np.zeros((3, 3)))
+    np.testing.assert_allclose(
+        disputed(distance, np.array([3.001, 9.0, np.nan, 2.0])), np.zeros((3, 3)), atol=1e-3 * (10.0 * ARCSEC) ** 2
+    )
+    both = disputed(distance, np.array([6.0, 9.0, np.nan, np.inf]))
+    of_each = 0.75 * np.outer(distance[0], distance[0]) + np.outer(distance[3], distance[3])
+    np.testing.assert_allclose(both, of_each, rtol=1e-12)
