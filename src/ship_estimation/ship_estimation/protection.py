@@ -227,12 +227,13 @@ def disputed(distance: FloatArray, statistic: FloatArray) -> FloatArray:
     It is for what is put out alone. The estimates, their separations and the levels rest on the covariance without it.
 
     Args:
-        distance: components of the estimate without each source minus those by all, shape (h, 3).
+        distance: components of the estimate without each source minus those by all, or the states that make them,
+            shape (h, n).
         statistic: the separation of each, sigmas, shape (h,); a row of which this or the distance is no number adds
             nothing.
 
     Returns:
-        Covariance of the components, shape (3, 3).
+        Covariance of the components, shape (n, n).
 
     Example:
         One estimate is 10″ away in the second component, at six sigmas; another one is as near as it should be:

@@ -40,6 +40,8 @@ class CalibrationState:
         unaided: the covariance by the sightings alone (:mod:`theodolite_calib.filter.observability`).
         alternatives: the estimates without one source each.
         trust: which sources are excluded, and what disagrees.
+        separation: distance of each of the alternatives from the estimate by all sources in the pointing of the last
+            sighting used, in its sigmas, shape (h,).
         ship_steady_n: stated covariance that the ship's error follows, rad²; None where none is stated.
         refusals: sightings in a row that disagreed with the encoders and the ship.
         used_ns: moment of the last sighting used; None before it.
@@ -55,6 +57,7 @@ class CalibrationState:
     unaided: Unaided
     alternatives: Alternatives
     trust: Trust
+    separation: FloatArray
     ship_steady_n: FloatArray | None = None
     refusals: int = 0
     used_ns: int | None = None
@@ -113,7 +116,10 @@ class CalibrationFilter:
     def started(self, mean: FloatArray, parts: FloatArray) -> CalibrationState:
         """The state before any sighting, with errors that are known so far; shapes (n,), (n_sources, n, n)."""
         alternatives = self.rows.start(mean, parts.sum(axis=0))
-        return CalibrationState(None, mean, parts, self.observability.start(), alternatives, no_doubt(self.rows))
+        apart = np.zeros(len(self.rows.sources))
+        return CalibrationState(
+            None, mean, parts, self.observability.start(), alternatives, no_doubt(self.rows), apart
+        )
 
     def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:
         """The state carried to a later moment.
@@ -170,6 +176,7 @@ class CalibrationFilter:
             mean=mean,
             parts=_reshaped(state.parts, covariance),
             alternatives=self.rows.restarted(rows, mean, covariance),
+            separation=np.zeros_like(state.separation),
         )
 
     def unknown(self, state: CalibrationState) -> CalibrationState:

@@ -156,7 +156,8 @@ class SightingStep:
         time_ns = decision.measurement.time_ns
         trust = self._referee.observed(before.trust, names, seen, True, time_ns)
         after = replace(after, alternatives=alternatives, trust=self._referee.agreed(trust, time_ns))
-        fault, source, explaining = self._referee.fault(after.trust, self._statistic(after, compared), time_ns)
+        after = replace(after, separation=self._separation(after, compared))
+        fault, source, explaining = self._referee.fault(after.trust, after.separation, time_ns)
         if fault and not trust.excluded:
             alike = self._referee.creep_alike(trust, time_ns)
             source = crept(source, explaining, alike, self._ship_crept(time_ns))
@@ -222,7 +223,7 @@ class SightingStep:
         text = f"{decision.text}; excluded: {why}" if decision.text else f"excluded: {why}"
         return replace(state, refusals=0), replace(decision, text=text)
 
-    def _statistic(self, state: CalibrationState, compared: Comparison) -> FloatArray:
+    def _separation(self, state: CalibrationState, compared: Comparison) -> FloatArray:
         """Distance of each row from the estimate by all sources in the pointing, in sigmas, shape (h,)."""
         rows, turning = state.alternatives, self._turning
         to_axes = compared.prediction.rotation_nt.T @ compared.prediction.turn_n[:, turning]

@@ -162,6 +162,8 @@ class PointingEstimate:
         state: of the filter, that it rests on.
         text: why it is not VALID.
         by_error_n: rotation vector of the main axis in n per error of the chain, shape (3, k).
+        disputed_n: what the covariance has in it because the estimates without one source stand apart from that by
+            all, shape (3, 3).
     """
 
     time_ns: int
@@ -175,6 +177,7 @@ class PointingEstimate:
     state: Any = field(repr=False)
     text: str = ""
     by_error_n: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
+    disputed_n: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 PointingOutcome = Outcome[ExposureDecision, PointingEstimate]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import above_limit
+from ship_estimation.protection import above_limit, disputed
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -61,6 +61,7 @@ class CorrectedAxis:
         self._rows = chain_rows(model)
         self._mean = state.mean[self._rows]
         self._parts = state.parts[:, self._rows[:, None], self._rows]
+        self._disputed = disputed((state.alternatives.mean - state.mean)[:, self._rows], state.separation)
         self._known = filter_.sightings.chain_errors(state.mean)
         self._rotation_mt = rotation_from_angles(*filter_.sightings.parallelism(state.mean)).T
         self._ship, self._deformation, self._encoder, self._ship_noise = (
@@ -90,6 +91,11 @@ class CorrectedAxis:
         parts_n[..., self._encoder, :, :] += np.asarray(encoder.noise)[..., None, None] * by_encoder
         parts_n[..., self._ship_noise, :, :] += np.asarray(ship.noise)[..., None, None] * np.eye(3)
         return AxisAt(chain.rotation_nm, parts_n, chain.rotation_nm @ self._rotation_mt, by_error[..., 0, :, :])
+
+    def disputed_n(self, axis: AxisAt) -> FloatArray:
+        """What the estimates without one source dispute of one axis: covariance in n, rad², shape (3, 3)."""
+        disputed_n: FloatArray = axis.by_error_n @ self._disputed @ axis.by_error_n.T
+        return disputed_n
 
     def _carried(self, since_s: float | FloatArray, ship: ShipAt) -> tuple[FloatArray, FloatArray]:
         """Errors of the chain and their covariance by source, shapes (..., k), (..., n_sources, k, k)."""
@@ -141,6 +147,9 @@ class PointingOutput:
         axis = self._corrected.at(since_s, ship, EncoderAt(azimuth, elevation, sample.sigma**2 + doubt_rad**2))
         if state.trust.conflict is not None:
             axis.parts_n[self._disagreement] += state.trust.conflict.spread_n
+        # Of where the axis points without lights the separations say nothing.
+        disputed_n = self._corrected.disputed_n(axis) if recent else np.zeros((3, 3))
+        axis.parts_n[self._disagreement] += disputed_n
         estimate = PointingEstimate(
             time_ns=sample.time_ns,
             rotation_nm=axis.rotation_nm,
@@ -153,6 +162,7 @@ class PointingOutput:
             state=state,
             text=text,
             by_error_n=axis.by_error_n,
+            disputed_n=disputed_n,
         )
         if status is Status.DEGRADED or not self._config.integrity.alert_limit_arcsec:
             return estimate

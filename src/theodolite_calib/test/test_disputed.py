@@ -1,0 +1,86 @@
+"""Encoders that creep under lights: what the estimates without one source dispute is in the covariance put out."""
+
+import functools
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from ship_estimation.outcome import Status
+from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
+from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_testing.simulated_session import config, session, sweep
+from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.filter.step import SightingStep
+from theodolite_calib.measured.samples import EncoderSample, Exposure, PointingEstimate
+from theodolite_calib.optical_axis.integrity import integrity_of
+from theodolite_calib.optical_axis.output import PointingOutput
+
+SEEDS = 8
+START_S = 30.0
+CREEP_PER_S = 200.0 / 60.0 * ARCSEC
+SETTINGS = config()
+FILTER = CalibrationFilter(SETTINGS)
+
+
+@dataclass(frozen=True)
+class Pointed:
+    """A pointing that was VALID, the time since the encoders began to creep, and the truth."""
+
+    since_s: float
+    estimate: PointingEstimate
+    rotation_nm: FloatArray
+
+    def sigmas(self, covariance_n: FloatArray) -> float:
+        """Largest error of azimuth, elevation and image rotation in the sigmas of a covariance."""
+        azimuth, elevation, _ = angles_from_rotation(self.estimate.rotation_nm)
+        to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
+        error = to_angles @ log_rotation(self.rotation_nm @ self.estimate.rotation_nm.T)
+        return float(np.max(np.abs(error) / np.sqrt(np.diagonal(to_angles @ covariance_n @ to_angles.T))))
+
+
+@functools.cache
+def pointed() -> tuple[Pointed, ...]:
+    """Sightings at 5 Hz, and an azimuth that creeps after 30 s; of each session what was VALID before an exclusion."""
+    times_s, out, found = np.arange(0.0, START_S + 60.0, 0.2), PointingOutput(SETTINGS, FILTER), []
+    for seed in range(SEEDS):
+        given = session(SETTINGS, seed, times_s, sweep(times_s))
+        state, step = FILTER.initial_state(), SightingStep(SETTINGS, FILTER)
+        for time_s, sighting, rotation_nm in zip(times_s, given.sightings, given.rotation_nm, strict=True):
+            azimuth = sighting.encoder.azimuth + CREEP_PER_S * max(time_s - START_S, 0.0)
+            crept = replace(sighting, encoder=replace(sighting.encoder, azimuth=azimuth))
+            state, _ = step(state, crept, Exposure(crept.time_ns, ()))
+            sigma = float(np.sqrt(crept.encoder.noise))
+            sample = EncoderSample(crept.time_ns, np.array([azimuth, crept.encoder.elevation]), sigma)
+            estimate = out.estimate(sample, crept.ship, "", 0.0, state)
+            if state.trust.left_out:
+                break
+            if estimate.status is Status.VALID:
+                found.append(Pointed(time_s - START_S, estimate, rotation_nm))
+    return tuple(found)
+
+
+def test_what_is_disputed_is_in_the_covariance_long_before_anybody_is_excluded() -> None:
+    creeping = [one for one in pointed() if one.since_s > 0.0]
+    with_it = [one.sigmas(one.estimate.covariance_n) > 5.0 for one in creeping]
+    without = [one.sigmas(one.estimate.covariance_n - one.estimate.disputed_n) > 5.0 for one in creeping]
+    # Not all of it: the errors begin before the estimates stand apart by three sigmas.
+    assert sum(without) > 60
+    assert sum(with_it) < sum(without) / 3
+
+
+def test_while_all_is_right_little_is_disputed() -> None:
+    right = [np.any(one.estimate.disputed_n) for one in pointed() if -25.0 < one.since_s <= 0.0]
+    assert len(right) > 500
+    assert np.mean(right) < 0.05
+
+
+def test_levels_and_separations_rest_on_the_covariance_without_it() -> None:
+    one = max((one.estimate for one in pointed()), key=lambda estimate: float(np.trace(estimate.disputed_n)))
+    assert np.trace(one.disputed_n) > np.trace(one.covariance_n - one.disputed_n)
+    assert one.parts_n.sum(axis=0) == pytest.approx(one.covariance_n, rel=1e-12)
+    plain = replace(one, covariance_n=one.covariance_n - one.disputed_n, disputed_n=np.zeros((3, 3)))
+    told, expected = (integrity_of(FILTER, SETTINGS, estimate) for estimate in (one, plain))
+    np.testing.assert_array_equal(told.statistic, expected.statistic)
+    np.testing.assert_array_equal(told.level, expected.level)
+    assert np.all(np.isfinite(told.level))
