@@ -30,7 +30,7 @@ found anew."""
 _COMPONENTS = 3
 _TINY_RAD2 = 1e-24
 """Of a source that is taken for exact nothing is apart by more than rounding."""
-_UNDISPUTED_SIGMAS = 3.0
+UNDISPUTED_SIGMAS = 3.0
 """Estimates without one source that are no further from that by all are as near as they are when all is right."""
 _MOST_PROBABLE_MISS = 0.5
 """A level never lies below the threshold itself, however improbable the fault is."""
@@ -245,7 +245,7 @@ def disputed(distance: FloatArray, statistic: FloatArray) -> FloatArray:
     """
     known = np.all(np.isfinite(distance), axis=-1, keepdims=True)
     # fmax takes the limit where there is no number.
-    weight = 1.0 - (_UNDISPUTED_SIGMAS / np.fmax(statistic, _UNDISPUTED_SIGMAS)) ** 2
+    weight = 1.0 - (UNDISPUTED_SIGMAS / np.fmax(statistic, UNDISPUTED_SIGMAS)) ** 2
     apart = np.where(known, distance, 0.0)
     added: FloatArray = (weight * apart.T) @ apart
     return added

@@ -160,8 +160,9 @@ def test_only_a_slip_below_thirteen_sigmas_that_no_light_sees_cannot_be_told():
     assert dark.unseen(slip(26.1), begin_ns) == ""
     assert dark.unseen(Fault(topic="theodolite/encoder", kind="freeze", start_s=10.0), begin_ns) == ""
     assert dark.unseen(FAULT, begin_ns) == ""
-    drifts = [Fault(topic=topic, kind="drift", start_s=10.0) for topic in ("theodolite/encoder", "ins/imu")]
-    assert [dark.unseen(drift, begin_ns) for drift in drifts] == ["encoder drift, told late", ""]
+    drifts = [Fault(topic=topic, kind="drift", start_s=10.0) for topic in ("theodolite/encoder", "ins/imu", "star/a")]
+    rows = [dark.unseen(drift, begin_ns) for drift in drifts]
+    assert rows == ["encoder drift, told late", "ins drift, told late", ""]
     knocks = [Fault(topic="theodolite/beacons", kind="knock", start_s=10.0, up_arcsec=size) for size in (-12.9, 13.1)]
     assert [dark.unseen(knock, begin_ns) for knock in knocks] == ["telescope knock, small", ""]
     lit = passage(arrivals_ns=arrivals_ns, lights_s=[9.9, 10.9], encoder_sigma_arcsec=2.0)

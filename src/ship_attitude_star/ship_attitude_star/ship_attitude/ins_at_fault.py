@@ -29,8 +29,9 @@ _UNKNOWN_RAD = 600.0 * ARCSEC
 UNKNOWN_INS_RAD_PER_SQRT_S = 2.0 * ARCSEC
 """Where the INS is the one that is wrong, its slow error starts with the first sigma and walks by the second.
 
-With two or three sensors at 5 Hz such a row remembers for half a second: an INS that creeps by 200″ a minute is one
-sigma of the row ahead of it. A larger walk would follow faster, and raise every protection level.
+With two or three sensors at 5 Hz such a row remembers for half a second, in heading by two sensors for a little more
+than one: an INS that creeps by 200″ a minute is one to two sigmas of the row ahead of it. A larger walk would follow
+faster, and raise every protection level.
 """
 
 _LEAST_AGAINST = 2

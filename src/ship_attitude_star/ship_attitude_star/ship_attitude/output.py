@@ -104,6 +104,8 @@ class CorrectedIns:
         rotation_nd, parts = self.attitude(since_ns * 1e-9, ins)
         if self.state.doubt is not None:
             parts[self._drift_index] += self.state.doubt.covariance_n
+        if self.state.disputed_n is not None:
+            parts[self._drift_index] += self.state.disputed_n
         if INS in self.state.excluded:
             parts[self._drift_index] += UNKNOWN_INS_RAD_PER_SQRT_S**2 * since_ns * 1e-9 * np.eye(3)
         estimate = AttitudeEstimate(

@@ -55,7 +55,9 @@ class FilterState:
         seen: what each row has seen of each source.
         excluded: by source, its exclusion.
         record: by source, how often it was excluded.
-        doubt: what is in dispute; None where nothing is.
+        doubt: why the attitude is not to be believed, and by how much; None where it is.
+        disputed_n: covariance of the attitude by what the rows are apart, which it would be wrong not to tell, rad², in
+            the horizon frame, shape (3, 3); no part of the filter's own; None for nothing.
         apart: by source, how far its last measurement was from the first row.
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
@@ -80,6 +82,7 @@ class FilterState:
     unconfirmed: int = 0
     departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
     jumped_ns: int | None = None
+    disputed_n: FloatArray | None = None
 
     @property
     def mean(self) -> FloatArray:

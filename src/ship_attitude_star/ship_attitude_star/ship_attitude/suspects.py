@@ -24,7 +24,7 @@ from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, wi
 from ship_estimation.exclusion import Exclusion, Finding, find_fault, must_agree_s, watched
 from ship_estimation.hypotheses import RowsCompared, add_error, promoted, update_rows
 from ship_estimation.outcome import Measurement
-from ship_estimation.protection import separation_sigma
+from ship_estimation.protection import UNDISPUTED_SIGMAS, disputed, separation_sigma
 from ship_estimation.running_means import forgotten, no_means, observed
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -154,7 +154,7 @@ class Suspects:
         threshold, after = table.k.false_exclusion, self._degraded_after
         finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after, pairs)
         if not finding.fault:
-            return (state if state.doubt is None else replace(state, doubt=None)), ""
+            return self._agreed(state, apart_n, statistic), ""
         wrong = self._named(state, finding)
         contradicting = self._stars_contradicting(state, wrong, in_use)
         against_ins = len(contradicting) > 1 or (INS in wrong and stepped)
@@ -163,6 +163,8 @@ class Suspects:
             return self.ins.contradicted_now(state, time_ns), text
         if INS in wrong and (stepped or not self.ins.may_be_excluded(in_use)):
             wrong = ()  # A wrong position moves all stars alike, as a step of the INS without rates does.
+        if INS in state.excluded and len(in_use) < LEAST_FOR_PAIRS:
+            wrong = ()  # Either of two sources explains what the other contradicts.
         if wrong and not set(in_use).issubset(wrong):
             return self._without(state, wrong, time_ns)
         if contradicting:
@@ -170,6 +172,17 @@ class Suspects:
             excluded = {name: Exclusion(time_ns, apart=state.apart[name].turn_v) for name in contradicting}
             state = replace(state, excluded=MappingProxyType({**state.excluded, **excluded}))
         return self._in_doubt(state, apart_n, statistic, contradicting), ""
+
+    def _agreed(self, state: FilterState, apart_n: FloatArray, statistic: FloatArray) -> FilterState:
+        """The state in which nobody is wrong as far as anything tells.
+
+        A source that creeps pulls the attitude away from the row without it long before it may be excluded.
+        """
+        # Written so that a distance that is no number is looked at.
+        within = statistic.max() <= UNDISPUTED_SIGMAS
+        if within and state.doubt is None and state.disputed_n is None:
+            return state
+        return replace(state, doubt=None, disputed_n=None if within else disputed(apart_n, statistic))
 
     def acquitted(self, state: FilterState, time_ns: int) -> FilterState:
         """The state after the INS has told itself that it jumped: those that contradicted it were right.
@@ -202,7 +215,7 @@ class Suspects:
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.apart is None}
         seen = forgotten(state.seen, slice(None), slice(None))
         doubt = state.doubt if distrusted(state) else None
-        return replace(state, excluded=MappingProxyType(knocked), seen=seen, doubt=doubt)
+        return replace(state, excluded=MappingProxyType(knocked), seen=seen, doubt=doubt, disputed_n=None)
 
     # -- verdicts -------------------------------------------------------------------------------------------
 
@@ -236,6 +249,7 @@ class Suspects:
             excluded=MappingProxyType(excluded),
             record=MappingProxyType(record),
             doubt=None,
+            disputed_n=None,
             used_ns=MappingProxyType(used_ns),
         )
         are, them = ("is", "it") if len(wrong) == 1 else ("are", "them")
@@ -276,15 +290,15 @@ class Suspects:
         self, state: FilterState, apart_n: FloatArray, statistic: FloatArray, contradicting: tuple[str, ...]
     ) -> FilterState:
         """The state in which nothing tells who is wrong: the attitude may be off by all that is in dispute."""
-        disputed = [apart.turn_n for name, apart in state.apart.items() if state.refusals.get(name, 0)]
-        disputed += [vector for vector, size in zip(apart_n, statistic, strict=True) if size > 1.0]
-        covariance_n = sum((np.outer(vector, vector) for vector in disputed), start=np.zeros((3, 3)))
+        vectors = [apart.turn_n for name, apart in state.apart.items() if state.refusals.get(name, 0)]
+        vectors += [vector for vector, size in zip(apart_n, statistic, strict=True) if size > 1.0]
+        covariance_n = sum((np.outer(vector, vector) for vector in vectors), start=np.zeros((3, 3)))
         if contradicting:
             text = f"{', '.join(contradicting)} {'are' if len(contradicting) > 1 else 'is'} refused: the INS and all "
             text += "stars contradict one another"
         else:
             text = "the sources contradict one another, and which of them is wrong nothing tells"
-        return replace(state, doubt=Doubt(text, covariance_n))
+        return replace(state, doubt=Doubt(text, covariance_n), disputed_n=None)
 
     def _stars_contradicting(
         self, state: FilterState, wrong: tuple[str, ...], in_use: list[str]

@@ -101,9 +101,13 @@ class Passage:
         in_view = (self.lights_ns >= first_ns) & (self.lights_ns < end_ns)
         return not in_view.any() and size_arcsec < _SLIP_SEEN_SIGMAS * self.encoder_sigma_arcsec
 
-    def _creeps(self, fault: Fault, first_ns: int) -> bool:
+    def _encoders_creep(self, fault: Fault, first_ns: int) -> bool:
         """Encoders that creep: lights and axis errors take it up until the rows tell."""
         return fault.kind == "drift" and fault.topic == ENCODER_TOPIC
+
+    def _ins_creeps(self, fault: Fault, first_ns: int) -> bool:
+        """An INS that creeps: its slow error takes it up until its own rates, or the rows, tell."""
+        return fault.kind == "drift" and fault.topic == "ins/imu"
 
     def _knocks_within_scatter(self, fault: Fault, first_ns: int) -> bool:
         """A telescope turned by no more than its lights scatter."""
@@ -118,7 +122,8 @@ class Passage:
 
 _UNSEEN: dict[str, Callable[[Passage, Fault, int], bool]] = {
     "encoder slip, no lights": Passage._slips_without_lights,
-    "encoder drift, told late": Passage._creeps,
+    "encoder drift, told late": Passage._encoders_creep,
+    "ins drift, told late": Passage._ins_creeps,
     "telescope knock, small": Passage._knocks_within_scatter,
 }
 
