@@ -127,6 +127,13 @@ def test_a_ship_attitude_that_creeps_leaves_its_own_rates():
     assert ship_crept(ships(0, 0.0), 2 * PERIOD_NS, ARCSEC) is False
 
 
+@pytest.mark.parametrize("every", [4, 10])
+def test_attitudes_that_come_rarely_leave_their_rates_by_the_coarseness_of_the_sum(every):
+    """At 5 Hz and 2 Hz the trapezoids alone are off by more than eight arcseconds: that is no creep."""
+    for seed in range(10):
+        assert ship_crept(ships(seed, 0.0)[::every], 2 * every * PERIOD_NS, ARCSEC) is not True
+
+
 def test_without_rates_or_with_a_gap_nothing_tells_whether_a_ship_has_crept():
     assert ship_crept(ships(0, 3.0, rates=False), 2 * PERIOD_NS, ARCSEC) is None
     assert ship_crept(ships(0, 3.0)[:100] + ships(0, 3.0)[110:], 2 * PERIOD_NS, ARCSEC) is None

@@ -40,7 +40,10 @@ _MEAN_OVER_S = 0.5
 _LEAST_CREEP_S = 3.0
 """In less time nothing is told."""
 _CREPT_SIGMAS = 8.0
-"""It has crept where a mean is so many sigmas of an attitude from another. Trapezoids are off by 2."""
+"""It has crept where a mean is so many sigmas of an attitude from another."""
+_BY_TRAPEZOIDS = 2.0 / 3.0
+"""The error of trapezoids, twice: steps of double length make it four times as large, so that the difference is three
+times the error."""
 _STEADY_SIGMAS = 5.0
 """It has not where none is more than so many from another."""
 _TOLD_SIGMAS = 5.0
@@ -135,6 +138,8 @@ def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) ->
     apart_rad = float(np.max(np.ptp(means_n, axis=0)))
     stated = [float(np.trace(one.slow_covariance_n)) for one in told if one.slow_covariance_n is not None]
     may_rad = _TOLD_SIGMAS * float(np.sqrt(np.ptp(stated))) if stated else 0.0
+    coarse_n = _left_by_rates(told[::2], seconds[::2])
+    may_rad += _BY_TRAPEZOIDS * float(np.max(np.ptp(left_n[::2] - coarse_n, axis=0)))
     if apart_rad > _CREPT_SIGMAS * sigma_rad + may_rad:
         return True
     return False if apart_rad < _STEADY_SIGMAS * sigma_rad else None  # NaN is neither
