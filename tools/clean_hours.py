@@ -7,12 +7,11 @@ where a voyage raised an exception or a bound is not met. The INS has 20 Hz, in 
 import argparse
 import math
 import sys
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
@@ -26,7 +25,7 @@ from ship_replay.trials.clean_hours import (
     clean_voyages,
     make_clean_voyage,
 )
-from ship_replay.trials.results_file import Result, ResultsFile
+from ship_replay.trials.results_file import Result, ResultsFile, add_as_made
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS = ROOT / "bags" / "scenarios"
@@ -63,19 +62,11 @@ def _run(options: argparse.Namespace) -> int:
 def _make(options: argparse.Namespace, results: ResultsFile) -> None:
     wanted = clean_voyages(math.ceil(options.hours * 3600.0 / options.length_s))
     wanted = [voyage for voyage in wanted if not results.holds((voyage.number, options.length_s))]
-    with (
-        ProcessPoolExecutor(options.processes) as pool,
-        Progress(console=Console(stderr=True), transient=True) as progress,
-    ):
-        task = progress.add_task("voyages", total=len(wanted))
-        try:
-            made = [pool.submit(make_clean_voyage, voyage, SCENARIOS, options.length_s) for voyage in wanted]
-            for done in as_completed(made):
-                results.add(done.result())
-                progress.advance(task)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+
+    def submit(pool: Executor) -> list[Future[Result]]:
+        return [pool.submit(make_clean_voyage, voyage, SCENARIOS, options.length_s) for voyage in wanted]
+
+    add_as_made(results, options.processes, submit)
 
 
 def _report(results: list[Result]) -> int:

@@ -7,11 +7,10 @@ each bound that the voyages are held to, and exits 1 where one is not met.
 import argparse
 import sys
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
@@ -26,7 +25,7 @@ from ship_replay.trials.fault_results import (
 )
 from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, run_voyage, voyages
 from ship_replay.trials.one_fault import one_fault_lines
-from ship_replay.trials.results_file import Result, ResultsFile
+from ship_replay.trials.results_file import Result, ResultsFile, add_as_made
 from ship_replay.trials.threats import OVERLAPPING, SINGLE
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,7 +55,7 @@ def main() -> int:
 
 def _run(options: argparse.Namespace) -> int:
     paths = {
-        (name, seed): options.out / "bags" / f"{name}_{seed}.mcap"
+        (name, seed): options.out / "bags" / f"{name}_{LENGTHS_S[name]:.0f}s_{seed}.mcap"
         for seed in range(1, options.bag_seeds + 1)
         for name in options.bags
     }
@@ -80,18 +79,14 @@ def _bag(name: str, seed: int, path: Path) -> None:
 
 
 def _make(wanted: list[Voyage], results: ResultsFile, processes: int) -> None:
-    """Make voyages, each result written when it is there."""
-    with ProcessPoolExecutor(processes) as pool, Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("voyages", total=len(wanted))
-        try:
-            bags = sorted({voyage.bag for voyage in wanted})
-            clean = dict(zip(bags, pool.map(clean_voyage, bags), strict=True))
-            for done in as_completed([pool.submit(run_voyage, voyage, clean[voyage.bag]) for voyage in wanted]):
-                results.add(done.result())
-                progress.advance(task)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    """Make voyages, those without faults first, which each of them is compared with."""
+
+    def submit(pool: Executor) -> list[Future[Result]]:
+        bags = sorted({voyage.bag for voyage in wanted})
+        clean = dict(zip(bags, pool.map(clean_voyage, bags), strict=True))
+        return [pool.submit(run_voyage, voyage, clean[voyage.bag]) for voyage in wanted]
+
+    add_as_made(results, processes, submit)
 
 
 def _report(results: list[Result]) -> int:

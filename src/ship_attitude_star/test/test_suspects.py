@@ -10,7 +10,7 @@ import copyreg
 import functools
 import os
 import random
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -411,6 +411,18 @@ def test_with_the_ins_excluded_neither_of_two_star_sensors_is_named() -> None:
     assert not {"star.bow", "star.port"} & set(names[-1])
     assert {one.status for one in sailed.between(52.0, 70.0)} == {Status.DEGRADED}
     assert_honest(sailed)
+
+
+def test_what_rows_dispute_is_in_the_covariance_and_not_in_the_levels() -> None:
+    sailed = sailed_with(Lie("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True), seconds=240.0)
+    told = [one for one in sailed.estimates if one.status is Status.VALID and one.state.disputed_n is not None]
+    assert told
+    for one in told[:: max(len(told) // 20, 1)]:
+        disputed_n = one.state.disputed_n
+        assert disputed_n is not None
+        alone = replace(one, state=replace(one.state, disputed_n=None), covariance_n=one.covariance_n - disputed_n)
+        assert np.linalg.eigvalsh(alone.covariance_n)[0] > 0.0
+        assert sailed.core.integrity(one).level == pytest.approx(sailed.core.integrity(alone).level, rel=1e-9)
 
 
 @pytest.mark.parametrize(("knocked", "changes"), [(("aft",), {}), (("aft", "port"), WITH_PAIRS)])

@@ -62,6 +62,21 @@ def test_readings_that_stop_dead_are_in_doubt_until_lights_confirm_them() -> Non
     assert not watch.doubt
 
 
+def test_a_jump_of_the_encoders_is_confirmed_by_lights_of_two_moments() -> None:
+    """The first lights find whatever the estimate was opened for, also an axis that stands still while it turns."""
+    watch = EncoderWatch(ARCSEC, max_acceleration=1.0)
+    for number in range(10):
+        check(watch, reading(number, 1.0 + 2e-4 * number))
+    jumped = next(n for n in range(10, 40) if check(watch, reading(n, 1.3 + 2e-4 * n)) is None)
+    assert watch.doubt
+    watch.confirm((jumped - 20) * PERIOD_NS)  # of before the jump
+    for _ in range(2):  # the same lights twice are one moment
+        watch.confirm((jumped + 1) * PERIOD_NS)
+        assert watch.doubt
+    watch.confirm((jumped + 2) * PERIOD_NS)
+    assert not watch.doubt
+
+
 def test_readings_that_come_to_rest_slowly_are_not_in_doubt() -> None:
     watch, _ = stopped(rate=4.0 * ARCSEC / 0.01)  # less than five sigmas a reading
     assert not watch.doubt

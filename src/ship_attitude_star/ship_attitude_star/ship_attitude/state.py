@@ -56,8 +56,8 @@ class FilterState:
         excluded: by source, its exclusion.
         record: by source, how often it was excluded.
         doubt: why the attitude is not to be believed, and by how much; None where it is.
-        disputed_n: covariance of the attitude by what the rows are apart, which it would be wrong not to tell, rad², in
-            the horizon frame, shape (3, 3); no part of the filter's own; None for nothing.
+        disputed_n: what an output adds to its covariance while rows stand apart, rad², horizon frame, shape (3, 3); the
+            filter's own covariance does not hold it; None for nothing.
         apart: by source, how far its last measurement was from the first row.
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.

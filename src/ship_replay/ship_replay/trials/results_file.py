@@ -3,8 +3,12 @@
 import json
 import os
 from collections.abc import Callable, Hashable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress
 
 from ship_bags.errors import BadInput
 
@@ -63,3 +67,23 @@ class ResultsFile:
                 raise BadInput("no result of a voyage", file=self.path, line=number) from problem
             results.append(result)
         return results
+
+
+def add_as_made(results: ResultsFile, processes: int, submit: Callable[[Executor], list[Future[Result]]]) -> None:
+    """Make voyages in worker processes, each result written when it is there, with a bar of progress.
+
+    Args:
+        results: to which they are added.
+        processes: how many workers.
+        submit: gives the workers what is to be made; an interruption takes back what has not begun.
+    """
+    with ProcessPoolExecutor(processes) as pool, Progress(console=Console(stderr=True), transient=True) as progress:
+        try:
+            made = submit(pool)
+            task = progress.add_task("voyages", total=len(made))
+            for done in as_completed(made):
+                results.add(done.result())
+                progress.advance(task)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
