@@ -41,6 +41,9 @@ _GAINED = np.hstack([np.repeat(_WEIGHTS, 4, axis=1), _WEIGHTS**2])
 _KEPT = np.hstack([np.repeat(1.0 - _WEIGHTS, 4, axis=1), (1.0 - _WEIGHTS) ** 2])
 """What a measurement adds to the columns of :class:`Means`, and what it leaves of them, shape (w, 5)."""
 
+NO_MEANS = np.zeros(_GAINED.shape)
+"""These columns before any measurement."""
+
 
 @dataclass(frozen=True)
 class Means:
@@ -131,10 +134,8 @@ def observed(
         return replace(means, refused=refused)
     refused[:, source] = np.where(accepted, 0, refused[:, source] + 1)
     largest = _LARGEST_TURN * math.sqrt(limit)
-    seen = np.ones((*size.shape, 1, 5))
-    seen[..., 0, :3] = turn * (largest / np.maximum(size, largest))[..., None]
     running, excess, heard_ns = means.running.copy(), means.excess.copy(), means.heard_ns.copy()
-    running[:, source] = now = _KEPT * running[:, source] + _GAINED * seen
+    running[:, source] = now = averaged(running[:, source], turn * (largest / np.maximum(size, largest))[..., None])
     # What a row uses it has whitened to independent turns.
     chi2 = np.einsum("...k,...k->...", now[..., :3], now[..., :3]) / now[..., 4]
     if turn_noise is not None:
@@ -146,6 +147,36 @@ def observed(
     since_ns = np.where(contradicts_ns[source] == LONG_AGO_NS, time_ns, contradicts_ns[source])
     contradicts_ns[source] = np.where(well, LONG_AGO_NS, since_ns)
     return Means(running, excess, refused, heard_ns, contradicts_ns)
+
+
+def averaged(running: FloatArray, turn: FloatArray) -> FloatArray:
+    """The columns of :attr:`Means.running` after one turn more.
+
+    Args:
+        running: before, shape (..., w, 5).
+        turn: whitened, shape (..., 3).
+
+    Example:
+        >>> print(averaged(NO_MEANS, np.array([0.0, 4.0, 1.0]))[0])
+        [0.   2.   0.5  0.5  0.25]
+    """
+    seen = np.ones((*turn.shape[:-1], 1, 5))
+    seen[..., 0, :3] = turn
+    after: FloatArray = _KEPT * running + _GAINED * seen
+    return after
+
+
+def farthest_mean(running: FloatArray) -> float:
+    """Of how many of its sigmas a mean is off at most: the largest component of the means over all lengths.
+
+    Args:
+        running: of one row and source, with a measurement at least, shape (w, 5).
+
+    Example:
+        >>> print(round(farthest_mean(averaged(NO_MEANS, np.array([0.0, 4.0, 1.0]))), 6))
+        4.0
+    """
+    return float((np.abs(running[:, :3]).max(axis=-1) / np.sqrt(running[:, 4])).max())
 
 
 def _chi2_beside(running: FloatArray, turn_noise: FloatArray) -> FloatArray:

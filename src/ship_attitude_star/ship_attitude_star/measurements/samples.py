@@ -102,6 +102,7 @@ class AttitudeEstimate:
         covariance_parts_n: error covariance by source, rotation vector in the horizon frame, rad²,
             shape (n_sources, 3, 3).
         covariance_n: error covariance: the sum of the parts, shape (3, 3).
+        undisputed_n: the same without what the sources dispute: the protection levels rest on it.
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         status: how far it can be relied on.
         horizon: what "up" means.
@@ -115,6 +116,7 @@ class AttitudeEstimate:
     rotation_nd: FloatArray
     covariance_parts_n: FloatArray
     covariance_n: FloatArray
+    undisputed_n: FloatArray
     rate_d: FloatArray
     status: Status
     horizon: Horizon

@@ -36,12 +36,11 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     to_angles = angle_errors_from_rotation_vector(heading, pitch)
     columns = filter_.model.rows("ins.attitude")
     covariance = covariances(state.stack[:, columns[:, None], columns], len(state.means))
-    # What the rows dispute is covered by the levels already.
-    covariance_n = estimate.covariance_n if state.disputed_n is None else estimate.covariance_n - state.disputed_n
-    # What an attitude adds to the error of the state, as the noise of the INS, is the same in every row.
-    without_n = covariance_n + covariance[1:] - covariance[0]
+    # What the rows dispute is covered by the levels already. What an attitude adds to the error of the state, as the
+    # noise of the INS, is the same in every row.
+    without_n = estimate.undisputed_n + covariance[1:] - covariance[0]
     distance = (state.means[1:, columns] - state.means[0, columns]) @ to_angles.T
-    all_sources = to_angles @ covariance_n @ to_angles.T
+    all_sources = to_angles @ estimate.undisputed_n @ to_angles.T
     estimates = distance, to_angles @ without_n @ to_angles.T, all_sources
     excluded = {name: exclusion.since_ns for name, exclusion in state.excluded.items()}
     checked = _checked(filter_, state, estimate, others)

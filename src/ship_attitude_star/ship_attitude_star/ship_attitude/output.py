@@ -104,15 +104,18 @@ class CorrectedIns:
         rotation_nd, parts = self.attitude(since_ns * 1e-9, ins)
         if self.state.doubt is not None:
             parts[self._drift_index] += self.state.doubt.covariance_n
-        if self.state.disputed_n is not None:
-            parts[self._drift_index] += self.state.disputed_n
         if INS in self.state.excluded:
             parts[self._drift_index] += UNKNOWN_INS_RAD_PER_SQRT_S**2 * since_ns * 1e-9 * np.eye(3)
+        covariance_n = undisputed_n = parts.sum(axis=0)
+        if self.state.disputed_n is not None:
+            parts[self._drift_index] += self.state.disputed_n
+            covariance_n = parts.sum(axis=0)
         estimate = AttitudeEstimate(
             time_ns=time_ns,
             rotation_nd=rotation_nd,
             covariance_parts_n=parts,
-            covariance_n=parts.sum(axis=0),
+            covariance_n=covariance_n,
+            undisputed_n=undisputed_n,
             rate_d=ins.rate_d,
             status=status,
             horizon=horizon,
@@ -133,7 +136,7 @@ class CorrectedIns:
         if math.isnan(star_age_s):
             return Status.DEGRADED, "INS alone, no star yet"
         if self.state.unconfirmed:
-            return Status.DEGRADED, "the INS has jumped, or may have, and no star has confirmed its attitude since"
+            return Status.DEGRADED, "the INS has jumped, or may have; stars of two moments have not confirmed it since"
         if star_age_s <= coasting_after_s:
             return Status.VALID, ""
         if INS in self.state.excluded:
@@ -201,11 +204,13 @@ def estimate_from_star(
     parts[model.sources.index(device.noise_source)] += to_horizon @ measurement.noise_v @ to_horizon.T
     common = model.blocks[f"{device.name}.common"].source
     parts[model.sources.index(common)] += measurement.common_n
+    covariance_n = parts.sum(axis=0)
     return AttitudeEstimate(
         time_ns=measurement.time_ns,
         rotation_nd=rotation_nd,
         covariance_parts_n=parts,
-        covariance_n=parts.sum(axis=0),
+        covariance_n=covariance_n,
+        undisputed_n=covariance_n,
         rate_d=np.full(3, np.nan),
         status=Status.DEGRADED,
         horizon=Horizon.GEODETIC,
@@ -223,6 +228,7 @@ def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int) -> Attitud
         rotation_nd=np.full((3, 3), np.nan),
         covariance_parts_n=np.full((len(filter_.model.sources), 3, 3), np.nan),
         covariance_n=np.full((3, 3), np.nan),
+        undisputed_n=np.full((3, 3), np.nan),
         rate_d=np.full(3, np.nan),
         status=Status.INVALID,
         horizon=Horizon.GRAVITY,

@@ -59,6 +59,8 @@ class FilterState:
         disputed_n: what an output adds to its covariance while rows stand apart, rad², horizon frame, shape (3, 3); the
             filter's own covariance does not hold it; None for nothing.
         apart: by source, how far its last measurement was from the first row.
+        lately: by source, running means of how far its measurements that were used have been from the first row
+            (:attr:`ship_estimation.running_means.Means.running`), shape (w, 5), since that row was last begun anew.
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
         used_ns: by source, the stamp of its last measurement used.
@@ -76,6 +78,7 @@ class FilterState:
     record: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     doubt: Doubt | None = None
     apart: MappingProxyType[str, Apart] = field(default_factory=lambda: MappingProxyType({}))
+    lately: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))

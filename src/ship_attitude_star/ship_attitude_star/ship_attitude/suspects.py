@@ -25,7 +25,7 @@ from ship_estimation.exclusion import Exclusion, Finding, find_fault, must_agree
 from ship_estimation.hypotheses import RowsCompared, add_error, promoted, update_rows
 from ship_estimation.outcome import Measurement
 from ship_estimation.protection import UNDISPUTED_SIGMAS, disputed, separation_sigma
-from ship_estimation.running_means import forgotten, no_means, observed
+from ship_estimation.running_means import NO_MEANS, averaged, farthest_mean, forgotten, no_means, observed
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -98,7 +98,7 @@ class Suspects:
             state.seen, index, compared.turn, accepted, measurement.time_ns, self.table.limit, noise
         )
         turn_v = compared.turn_root[0] @ compared.turn[0]
-        apart = MappingProxyType({**state.apart, source: Apart(turn_v, measured.predicted_nv @ turn_v)})
+        apart = with_entry(state.apart, source, Apart(turn_v, measured.predicted_nv @ turn_v))
         exclusion = state.excluded.get(source)
         # A measurement that no row uses leaves all of them, to the last bit, as they are without it. Of an excluded
         # source nothing is used, but how it is mounted may be learnt anew.
@@ -107,7 +107,11 @@ class Suspects:
             return replace(state, seen=seen, apart=apart)
         learns = self.ins.learns(state, (used[:, None] | self.table.own[source]) & accepted[:, None])
         corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
-        return replace(predicted, means=predicted.means + corrections, stack=stack, seen=seen, apart=apart)
+        after = replace(predicted, means=predicted.means + corrections, stack=stack, seen=seen, apart=apart)
+        if used[0] and accepted[0]:
+            running = averaged(state.lately.get(source, NO_MEANS), compared.turn[0])
+            after = replace(after, lately=with_entry(state.lately, source, running))
+        return after
 
     def separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
         """Distances of the rows from the first one, about North, Up and East, and these in sigmas at most.
@@ -154,7 +158,7 @@ class Suspects:
         threshold, after = table.k.false_exclusion, self._degraded_after
         finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after, pairs)
         if not finding.fault:
-            return self._agreed(state, apart_n, statistic), ""
+            return self._agreed(state, in_use, apart_n, statistic), ""
         wrong = self._named(state, finding)
         contradicting = self._stars_contradicting(state, wrong, in_use)
         against_ins = len(contradicting) > 1 or (INS in wrong and stepped)
@@ -173,11 +177,20 @@ class Suspects:
             state = replace(state, excluded=MappingProxyType({**state.excluded, **excluded}))
         return self._in_doubt(state, apart_n, statistic, contradicting), ""
 
-    def _agreed(self, state: FilterState, apart_n: FloatArray, statistic: FloatArray) -> FilterState:
+    def _agreed(
+        self, state: FilterState, in_use: list[str], apart_n: FloatArray, statistic: FloatArray
+    ) -> FilterState:
         """The state in which nobody is wrong as far as anything tells.
 
-        A source that creeps pulls the attitude away from the row without it long before it may be excluded.
+        A source that creeps pulls the attitude away from the row without it long before it may be excluded. One that
+        was knocked by a few sigmas pulls it within a second: what it said lately contradicts the first row before the
+        two rows stand apart.
         """
+        if INS not in state.excluded and self.ins.may_be_excluded(in_use):
+            statistic = statistic.copy()
+            for row, source in enumerate(self._sources, start=1):
+                if source in in_use and source in state.lately:
+                    statistic[row] = np.maximum(statistic[row], farthest_mean(state.lately[source]))
         # Written so that a distance that is no number is looked at.
         within = statistic.max() <= UNDISPUTED_SIGMAS
         if within and state.doubt is None and state.disputed_n is None:
@@ -215,7 +228,9 @@ class Suspects:
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.apart is None}
         seen = forgotten(state.seen, slice(None), slice(None))
         doubt = state.doubt if distrusted(state) else None
-        return replace(state, excluded=MappingProxyType(knocked), seen=seen, doubt=doubt, disputed_n=None)
+        nothing: MappingProxyType[str, FloatArray] = MappingProxyType({})
+        excluded = MappingProxyType(knocked)
+        return replace(state, excluded=excluded, seen=seen, lately=nothing, doubt=doubt, disputed_n=None)
 
     # -- verdicts -------------------------------------------------------------------------------------------
 
@@ -246,6 +261,7 @@ class Suspects:
             means=means,
             stack=stack,
             seen=forgotten(state.seen, slice(None), slice(None)),
+            lately=MappingProxyType({}),
             excluded=MappingProxyType(excluded),
             record=MappingProxyType(record),
             doubt=None,
@@ -325,3 +341,4 @@ class Suspects:
             covariance = np.outer(knock_v, knock_v) + _LEAST_KNOCK_RAD**2 * np.eye(3)
             part = self._model.sources.index(block.source)
             add_error(stack, len(state.means), part, self._model.slices[block.name], covariance)
+
