@@ -250,5 +250,3 @@ def stamp(record: BagRecord) -> int:
 def attitude(record: BagRecord) -> np.ndarray:
     message = record.decode()
     return np.array([message.azimuth, message.elevation, message.roll])
-
-

@@ -1,7 +1,6 @@
 """A scenario of four seconds."""
 
 
-
 SHORT = """\
 start_utc: "2014-07-09T11:50:07.8Z"
 duration_s: 4.0

@@ -124,4 +124,3 @@ def _moved(direction: FloatArray, angle: float, position_angle: float) -> FloatA
 
 def _unit(vectors: FloatArray) -> FloatArray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-

@@ -66,4 +66,3 @@ def test_levels_that_stay_are_told_once_a_second() -> None:
     run = LevelledRun(new_adapter(), voyage(30.0))
     told = [m for m in run.messages("ship/integrity") if stamp_of(m) >= START_NS + 15 * SECOND_NS]
     assert 14 <= len(told) <= 16
-

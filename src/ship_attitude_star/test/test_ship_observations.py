@@ -49,12 +49,6 @@ MOMENT_S = 1.5
 SHIP_TOPICS = ("ship/attitude", "ship/imu", "ship/alignment", "ship/error_budget", "ship/error_arcsec")
 
 
-
-
-
-
-
-
 @functools.cache
 def clean_run() -> Run:
     return sail(voyage())

@@ -64,17 +64,6 @@ MOMENT_S = 1.5
 DAY_NS = 86_400 * SECOND_NS
 
 
-
-
-
-
-
-
-
-
-
-
-
 @functools.cache
 def run_without(topic: str) -> Run:
     return sail(without(voyage(), index_at(voyage(), topic, MOMENT_S)))
@@ -112,12 +101,6 @@ def innovations(run: Run, reason: Reason) -> list[Any]:
 
 
 # -- single stars ---------------------------------------------------------------------------------------------
-
-
-
-
-
-
 
 
 @pytest.mark.parametrize(

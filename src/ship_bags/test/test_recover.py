@@ -44,8 +44,6 @@ def unfinished(tmp_path_factory):
     return data
 
 
-
-
 def by_mcap(path):
     with open(path, "rb") as stream:
         return sorted(

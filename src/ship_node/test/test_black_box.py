@@ -62,8 +62,6 @@ def new_box(path: Path | str, failures: list[str] | None = None) -> BlackBox:
     return BlackBox(str(path), adapter, CONFIG, adapter.outputs, "/ship", told.append)
 
 
-
-
 @pytest.mark.parametrize("event", EVENTS, ids=lambda event: type(event).__name__)
 def test_events_come_back_as_they_were(event: Event) -> None:
     assert event_from_text(event_text(event)) == event

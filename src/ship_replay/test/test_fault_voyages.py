@@ -519,7 +519,7 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_results(tmp_path, 
     """kill -9 of parent and workers after the first results; the second run makes only what is missing."""
     out = tmp_path / "faults"
     (out / "bags").mkdir(parents=True)
-    (out / "bags" / "demo_1.mcap").write_bytes(bag.read_bytes())
+    (out / "bags" / "demo_120s_1.mcap").write_bytes(bag.read_bytes())  # as the tool would name its own
     command = [
         sys.executable, str(ROOT / "tools" / "faults.py"), "--bags", "demo", "--bag-seeds", "1", "--voyages", "3",
         "--mode", SINGLE, "--processes", "1", "--out", str(out),

@@ -185,7 +185,6 @@ def _by_stars(exposure: StarExposure, watch: SkyWatch, untold_acceleration: floa
     )
 
 
-
 def estimate_from_star(
     filter_: ShipFilter, state: FilterState, measurement: AttitudeMeasurement
 ) -> AttitudeEstimate:

@@ -341,4 +341,3 @@ class Suspects:
             covariance = np.outer(knock_v, knock_v) + _LEAST_KNOCK_RAD**2 * np.eye(3)
             part = self._model.sources.index(block.source)
             add_error(stack, len(state.means), part, self._model.slices[block.name], covariance)
-

@@ -316,5 +316,3 @@ def _spread_n(comparison: Comparison) -> FloatArray:
     by_attitude = comparison.prediction.by_attitude_n
     turned_n = np.linalg.pinv(by_attitude, rcond=1e-6) @ comparison.measurement.residual
     return np.outer(turned_n, turned_n)
-
-
