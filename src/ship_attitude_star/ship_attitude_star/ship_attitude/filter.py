@@ -21,15 +21,13 @@ from ship_estimation.ins import InsJump
 from ship_estimation.kalman import predict, slow_error_later
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
+from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _CLOCK_SIGMAS = 8.0
 """A clock that has stepped by up to so many sigmas of its configured offset is estimated anew."""
-
-_CONFIRMED_BY = 2
-"""Moments of star measurements after a jump of the INS: the first one finds the attitude, the next agrees with it."""
 
 
 class ShipFilter:
@@ -98,7 +96,7 @@ class ShipFilter:
             add_error(stack, rows, self._ins_index, slow, jump.covariance_n)
             if jump.is_of_clock:
                 state = self.suspects.ins.clock_has_stepped(state, opens_ns)
-        return replace(state, means=means, stack=stack, unconfirmed=_CONFIRMED_BY, jumped_ns=jump.time_ns)
+        return replace(state, means=means, stack=stack, unconfirmed=_jumped(opens_ns), jumped_ns=jump.time_ns)
 
     def opens_ns(self, jump: InsJump) -> int:
         """The time of measurements from which on the state is open for a jump of the INS."""
@@ -179,7 +177,7 @@ class ShipFilter:
         vouched = self._ins_vouched(state, found)
         if self.devices[source].is_star and not (accepted[0] or vouched):
             # Nothing else tells that the INS has jumped.
-            after = replace(after, unconfirmed=_CONFIRMED_BY)
+            after = replace(after, unconfirmed=_jumped(measurement.time_ns))
         after, text = self.suspects.judged(after, source, compared, vouched, measurement.time_ns)
         return after, self._told(decision, after, text)
 
@@ -239,13 +237,14 @@ class ShipFilter:
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
         """The state, with a measurement that passed the gate, told of it."""
         source = measurement.source
-        by_stars = [used_ns for name, used_ns in state.used_ns.items() if self.devices[name].is_star]
-        confirms = self.devices[source].is_star and measurement.time_ns > max(by_stars, default=0)
+        unconfirmed = state.unconfirmed
+        if unconfirmed is not None and self.devices[source].is_star:
+            unconfirmed = unconfirmed.after_agreement(measurement.time_ns)
         return replace(
             state,
             refusals=MappingProxyType({**state.refusals, source: 0}),
             used_ns=MappingProxyType({**state.used_ns, source: measurement.time_ns}),
-            unconfirmed=max(state.unconfirmed - confirms, 0),
+            unconfirmed=unconfirmed,
         )
 
     def _with_common(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
@@ -275,3 +274,7 @@ class ShipFilter:
             text = f"{run} refusals in a row: {source} and the INS disagree{who}"
         state, opened = self._reopened(state, source)
         return state, replace(decision, reason=reason, accepted=False, text=text + opened)
+
+
+def _jumped(since_ns: int) -> Unconfirmed:
+    return Unconfirmed(since_ns, "the INS has jumped, or may have", "stars")

@@ -135,8 +135,8 @@ class CorrectedIns:
             return Status.DEGRADED, self.state.doubt.text
         if math.isnan(star_age_s):
             return Status.DEGRADED, "INS alone, no star yet"
-        if self.state.unconfirmed:
-            return Status.DEGRADED, "the INS has jumped, or may have; stars of two moments have not confirmed it since"
+        if self.state.unconfirmed is not None:
+            return Status.DEGRADED, self.state.unconfirmed.text
         if star_age_s <= coasting_after_s:
             return Status.VALID, ""
         if INS in self.state.excluded:

@@ -11,6 +11,7 @@ from typing import TypeVar
 from ship_attitude_star.guards.hints import Departure
 from ship_estimation.exclusion import HEARD_NS, Exclusion
 from ship_estimation.running_means import Means
+from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import FloatArray
 
 Value = TypeVar("Value")
@@ -64,8 +65,7 @@ class FilterState:
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
         used_ns: by source, the stamp of its last measurement used.
-        unconfirmed: moments at which star measurements must be used, one after the other, before an INS that has
-            jumped, or may have, is believed.
+        unconfirmed: a jump of the INS, or what may be one, that stars have not confirmed yet; None for none.
         departures: by source, its last measurement refused.
         jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
     """
@@ -82,7 +82,7 @@ class FilterState:
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    unconfirmed: int = 0
+    unconfirmed: Unconfirmed | None = None
     departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
     jumped_ns: int | None = None
     disputed_n: FloatArray | None = None
@@ -96,7 +96,7 @@ class FilterState:
     @property
     def jumped(self) -> bool:
         """Whether the INS has jumped, or may have, and the stars have not confirmed its attitude since."""
-        return self.unconfirmed > 0
+        return self.unconfirmed is not None
 
     @property
     def parts(self) -> FloatArray:

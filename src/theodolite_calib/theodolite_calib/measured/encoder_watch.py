@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.unconfirmed import Unconfirmed
 from ship_estimation.value_guards import (
     Continuation,
     JumpGuard,
@@ -32,7 +33,6 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.measured.encoder_steps import EncoderStep, EncoderSteps, short_way
 from theodolite_calib.measured.samples import EncoderSample
-from theodolite_calib.measured.unconfirmed import Unconfirmed
 
 _LIGHTS = "lights"
 """Name of the lights as a witness."""
@@ -142,7 +142,7 @@ class EncoderWatch:
         if judged.refusal is not None:
             return judged
         if judged.jump is not None:
-            self._unconfirmed = Unconfirmed(judged.jump.time_ns, "the encoders have jumped")
+            self._unconfirmed = Unconfirmed(judged.jump.time_ns, "the encoders have jumped", "lights")
             self._steps.restart()
         step = self._steps.observe(sample.time_ns, sample.vector, self._sigma_rad, self._stuck.coarseness_rad)
         if step is not None:
@@ -152,7 +152,7 @@ class EncoderWatch:
             # After a freeze the reading cannot be extrapolated.
             self._taken = self._all = ()
             self._steps.restart()
-            self._unconfirmed = Unconfirmed(sample.time_ns, "the encoders were stuck")
+            self._unconfirmed = Unconfirmed(sample.time_ns, "the encoders were stuck", "lights")
             text = "both encoders stand still while the lights say that the telescope turns in the deck"
             return JudgedReading(Refusal(Reason.STUCK, text))
         return judged
@@ -168,7 +168,7 @@ class EncoderWatch:
         if self._in_doubt_since_ns is not None and time_ns > self._in_doubt_since_ns:
             self._in_doubt_since_ns = None
         if self._unconfirmed is not None:
-            self._unconfirmed = self._unconfirmed.after_lights(time_ns)
+            self._unconfirmed = self._unconfirmed.after_agreement(time_ns)
         self.believe_lights(time_ns)
 
     def believe_lights(self, time_ns: int) -> None:
@@ -220,7 +220,7 @@ class EncoderWatch:
             before_rad = 0.0 if self._stepped is None else self._stepped[1]
             self._stepped = step.time_ns, math.hypot(before_rad, step_rad)
             return JudgedReading()
-        self._unconfirmed = Unconfirmed(step.time_ns, "the encoders have jumped")
+        self._unconfirmed = Unconfirmed(step.time_ns, "the encoders have jumped", "lights")
         text = f"{step_rad / ARCSEC:.0f}″ off in one step: more than {reached_rad / ARCSEC:.0f}″, as the mount can"
         return JudgedReading(Refusal(Reason.GATE, text), EncoderJump(step.time_ns, step.step, step.sigma_rad))
 

@@ -12,12 +12,12 @@ from ship_estimation.ins import GuardedInsConfig
 from ship_estimation.ins_guard import InsGuard, JudgedIns
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import same_stamp
+from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import ShipSample
-from theodolite_calib.measured.unconfirmed import Unconfirmed
 
 _SIGMAS = 5.0
 """So many sigmas of what it states of its covariance the source may step."""
@@ -60,7 +60,7 @@ class ShipWatch:
             self._used.forget_rates(judged.rates_wrong_after_ns)
         if judged.jumps:
             since_ns = judged.jumps[-1].time_ns + self._shift_ns
-            self._unconfirmed = Unconfirmed(since_ns, f"{self._source} has jumped")
+            self._unconfirmed = Unconfirmed(since_ns, f"{self._source} has jumped", "lights")
         if judged.refusal is None:
             if self._used.newest is None or sample.time_ns > self._used.newest.time_ns:
                 self._stated = sample.slow_covariance_n
@@ -72,7 +72,7 @@ class ShipWatch:
     def confirm(self, time_ns: int) -> None:
         """Lights at a moment agreed with the attitude of that moment."""
         if self._unconfirmed is not None:
-            self._unconfirmed = self._unconfirmed.after_lights(time_ns)
+            self._unconfirmed = self._unconfirmed.after_agreement(time_ns)
 
     def doubt(self, time_ns: int) -> str:
         """Why the attitude of a moment is in doubt; empty where it is not."""

@@ -1,0 +1,42 @@
+"""What a source says after a jump is in doubt until others have agreed with it at two moments.
+
+The estimate is opened for a jump, so that the first measurement after it finds where the source is now, whatever it
+does. Only one of another moment tells whether it goes on from there: a source that stands still while the ship or the
+telescope turns, or whose axis does not follow, agrees with none but the first.
+"""
+
+from typing import NamedTuple
+
+
+class Unconfirmed(NamedTuple):
+    """A jump that others have not confirmed yet.
+
+    Attributes:
+        since_ns: what they measure after this stamp counts.
+        why: what is in doubt, in words.
+        by: who may confirm it, in words: stars, lights.
+        agreed_ns: stamp of the first measurement that agreed; None before.
+    """
+
+    since_ns: int
+    why: str
+    by: str
+    agreed_ns: int | None = None
+
+    def after_agreement(self, time_ns: int) -> "Unconfirmed | None":
+        """What is left of the doubt after a measurement at a moment has agreed; None for nothing.
+
+        >>> doubt = Unconfirmed(10, "the encoders have jumped", "lights")
+        >>> doubt.after_agreement(10) is doubt, doubt.after_agreement(20).agreed_ns
+        (True, 20)
+        >>> doubt.after_agreement(20).after_agreement(30) is None
+        True
+        """
+        if time_ns <= self.since_ns or time_ns == self.agreed_ns:
+            return self
+        return self._replace(agreed_ns=time_ns) if self.agreed_ns is None else None
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"{self.why}, and {self.by} of two moments have not confirmed it since"
