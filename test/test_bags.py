@@ -20,6 +20,13 @@ BAGS = sorted((ROOT / "bags").glob("*.mcap"))
 MAKE_BAGS = ROOT / "tools" / "make_bags.py"
 SIZE_LIMIT_BYTES = 3_000_000
 
+VERDICTS = {
+    "demo": ["clocks", "verdict star.fore", "verdict star.starboard"],
+    "theodolite": ["clocks", "verdict lights"],
+}
+"""Bag → what verdicts there are on."""
+
+one_replay_of_each = pytest.mark.xdist_group("replayed_bags")
 every_bag = pytest.mark.parametrize("path", BAGS, ids=lambda path: path.stem)
 
 
@@ -50,14 +57,38 @@ def test_a_bag_is_small_and_what_its_sum_and_scenario_say(path):
         assert bag.problems == []
 
 
-@every_bag
-def test_an_offline_replay_meets_the_bounds(path, tmp_path):
-    summary = replay(path, tmp_path / "out.mcap", ADAPTERS)
-    assert summary.problems == []
+@pytest.fixture(scope="module", params=BAGS, ids=lambda path: path.stem)
+def replayed(request, tmp_path_factory) -> tuple[Path, Path, list[str]]:
+    """A bag, what became of it offline, and the problems that its replay told."""
+    out = tmp_path_factory.mktemp("replayed") / "out.mcap"
+    return request.param, out, replay(request.param, out, ADAPTERS).problems
+
+
+@one_replay_of_each
+def test_an_offline_replay_meets_the_bounds(replayed):
+    path, out, problems = replayed
+    assert problems == []
     bounds = read_bounds(path.with_suffix(".expected.yaml"))
-    judged = judge(evaluate(tmp_path / "out.mcap", path, bounds.skip_s).flat(), bounds, path.name)
+    judged = judge(evaluate(out, path, bounds.skip_s).flat(), bounds, path.name)
     assert judged
     assert [bound.line for bound in judged if not bound.met] == []
+
+
+@one_replay_of_each
+def test_clean_data_raise_no_verdict(replayed):
+    path, out, _ = replayed
+    told: dict[str, list[tuple[int, str]]] = {}
+    with read_bag(out) as bag:
+        for record in bag.records(["/diagnostics"]):
+            for status in record.decode().status:
+                thing = status.name.partition(": ")[2]
+                if thing.startswith("verdict ") or thing == "clocks":
+                    told.setdefault(thing, []).append((int(status.level), status.message))
+    assert sorted(told) == VERDICTS[path.stem]
+    for name, course in told.items():
+        assert {level for level, _ in course} == {0}
+        assert course[-1][1].startswith("within what" if name == "clocks" else "as stated")
+        assert len(course) > 100
 
 
 def test_the_bags_can_be_made_again(tmp_path):
