@@ -67,6 +67,7 @@ class InterpolatedAttitude:
         error_covariance_d: covariance of the interpolation's own error, estimated from the samples around: rotation
             vector in the deck frame, rad², shape (3, 3).
         sample: the last one of the track at or before the moment; None where the attitude is not from between samples.
+        next_sample: the one after the moment, where the attitude is from between the two.
         errors_d: the estimates of the interpolation's own error, rotation vectors in the deck frame, rad, shape (3,)
             each; they tell how the errors of two moments between the same samples go together
             (:func:`ship_geometry.interpolation_error.joint_covariance`). None at a sample.
@@ -77,6 +78,7 @@ class InterpolatedAttitude:
     noise_gain: float
     error_covariance_d: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     sample: AttitudeSample | None = None
+    next_sample: AttitudeSample | None = None
     errors_d: tuple[FloatArray, ...] = ()
 
     @property
@@ -275,7 +277,8 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             around = self._around(left)
             values = np.array([self._turn(left, index) for index in around])
             errors = by_polynomial(self._fractions(around, left), values, fraction, vector)
-        return InterpolatedAttitude(rotation_nd, rate, gain, as_covariance(errors, _LARGEST_VARIANCE), first, errors)
+        covariance_d = as_covariance(errors, _LARGEST_VARIANCE)
+        return InterpolatedAttitude(rotation_nd, rate, gain, covariance_d, first, second, errors)
 
     def _turn(self, first: int, second: int) -> FloatArray:
         """Rotation vector from one sample to another, rad."""

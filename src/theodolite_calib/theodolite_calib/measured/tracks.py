@@ -42,7 +42,7 @@ class ShipAt:
         rate_d: angular velocity in the deck frame, rad/s, shape (..., 3).
         slow_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
         noise: variance of each component of what is new with each sample, and of interpolation, rad², shape (...).
-        status: what the source says that it is worth.
+        status: what the source says that it is worth, the less of both attitudes about the moment.
     """
 
     rotation_nd: FloatArray
@@ -162,7 +162,11 @@ class MeasuredTracks:
         if over is not None:
             gain = self.ship.noise_gain_of_mean(over.moments(time_ns - self.ship_shift_ns))
         noise = gain * self._ship_noise + float(np.trace(attitude.error_covariance_d))
-        return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.slow_covariance_n, noise, sample.status)
+        # An attitude between two is worth no more than either of them: the source may have jumped there.
+        after = attitude.next_sample
+        degraded = isinstance(after, ShipSample) and after.status is Status.DEGRADED
+        status = Status.DEGRADED if degraded else sample.status
+        return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.slow_covariance_n, noise, status)
 
     def encoder_at(self, time_ns: int, over: Nodes | None = None) -> EncoderAt | None:
         """The encoders at a moment; None in a gap. For ``over`` see :meth:`ship_at`."""
