@@ -433,6 +433,34 @@ def test_a_knock_of_four_sigmas_is_in_the_covariance_before_anybody_is_excluded(
     assert max(error_sigmas(one) for one in valid) < 5.0
 
 
+def without_stars(lie: Lie, start_s: float, end_s: float, seconds: float, seed: int, names: str = "star.") -> Sailed:
+    """A voyage with two sensors, some of which see nothing for a while."""
+    LIES.append(lie)
+    arrivals = [
+        (time_ns, input_)
+        for time_ns, input_ in voyage(("bow", "port"), (len(LIES) - 1,), seconds, seed, True)
+        if isinstance(input_, AttitudeSample)
+        or not (input_.source.startswith(names) and start_s <= time_ns / SECOND_NS < end_s)
+    ]
+    return sail(ShipAttitudeCore(configuration(("bow", "port"))), arrivals)
+
+
+def test_silence_is_no_agreement() -> None:
+    """Knocked and excluded at 10 s; it would be used again after 60 s, most of which it was not heard."""
+    sailed = without_stars(Lie("star.port", UP * 60.0 * ARCSEC, 10.0), 20.0, 65.0, 135.0, 1, "star.port")
+    by_time = dict(sailed.excluded)
+    told = [(time_s, "star.port" in names) for time_s, names in by_time.items()]
+    assert told[1][1]
+    assert 65.0 + 59.0 < next(time_s for time_s, excluded in told[2:] if not excluded) < 65.0 + 63.0
+
+
+@pytest.mark.parametrize(("seed", "size_arcsec"), [(1, -20.0), (2, -20.0), (5, -15.0)])
+def test_what_was_knocked_while_no_star_was_seen_is_not_laid_to_the_ins(seed: int, size_arcsec: float) -> None:
+    sailed = without_stars(Lie("star.port", size_arcsec * UP * ARCSEC, 50.0), 42.0, 60.0, 75.0, seed)
+    assert "ins" not in {name for _, names in sailed.excluded for name in names}
+    assert_honest(sailed)
+
+
 def test_while_all_is_right_sources_seldom_dispute() -> None:
     """A component of a mean is beyond 3 sigmas once in 370, of two sources, three lengths and three components."""
     right = sailed_with(sensors=("bow", "port"), seconds=240.0).between(60.0, 240.0)

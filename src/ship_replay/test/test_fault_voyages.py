@@ -171,6 +171,18 @@ def test_only_a_slip_below_thirteen_sigmas_that_no_light_sees_cannot_be_told():
     assert unknown.unseen(slip(1.0), begin_ns) == ""
 
 
+def test_a_star_sensor_knocked_while_no_star_is_seen_cannot_be_told():
+    """Stars from 0 to 8 s and from 20 s on: the first message that is changed comes after 12 s of silence."""
+    seen_ns = np.r_[0:9, 20:40] * NS_PER_S
+    clouded = passage(arrivals_ns={"star/bow/observations": seen_ns[:9], "star/port/observations": seen_ns})
+    knock = Fault(topic="star/port/observations", kind="knock", start_s=10.0, up_arcsec=15.0)
+    assert clouded.unseen(knock, 20 * NS_PER_S) == "star knock, no stars"
+    assert clouded.unseen(knock, 21 * NS_PER_S) == ""
+    assert clouded.unseen(FAULT, 20 * NS_PER_S) == ""
+    other = passage(arrivals_ns={"star/bow/observations": np.r_[0:40] * NS_PER_S, "star/port/observations": seen_ns})
+    assert other.unseen(knock, 20 * NS_PER_S) == ""
+
+
 def test_what_no_data_can_tell_is_what_the_page_lists():
     page = (ROOT / "docs" / "explanation" / "integrity.md").read_text(encoding="utf-8")
     section = page.split("## What no data can tell")[1].split("\n## ")[0]

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ship_estimation.outcome import Status
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, log_rotation
@@ -12,6 +13,9 @@ from theodolite_calib.measured.tracks import MeasuredTracks
 STEP_NS, SECOND_NS = 400_000_000, 1_000_000_000
 ENCODER_SIGMA = 1.0 * ARCSEC
 BASELINE_VARIANCE = 0.01**2
+VALID, DEGRADED = Status.VALID, Status.DEGRADED
+ABOUT = {"long before": -STEP_NS - 1, "before": -1, "at it": 0, "after": 1, "long after": STEP_NS}
+"""Moments about one sample, ns."""
 
 
 def encoder_angles(time_s: float) -> np.ndarray:
@@ -40,6 +44,16 @@ def inputs() -> MeasuredTracks:
         if "alpha" in slow.drones:
             slow.drones["alpha"].insert(AttitudeSample(time_ns, ship_attitude(time_s)))
     return slow
+
+
+def test_an_attitude_between_two_is_worth_no_more_than_either() -> None:
+    """The source may have jumped between them: what is interpolated is then half of the jump."""
+    slow = inputs()
+    jumped_ns = 20 * STEP_NS
+    slow.ship.insert(ShipSample(jumped_ns, ship_attitude(8.0) @ rotation_from_angles(0.001, 0.0, 0.0), status=DEGRADED))
+    worth = {name: slow.ship_at(jumped_ns + offset) for name, offset in ABOUT.items()}
+    told = {name: ship.status for name, ship in worth.items() if ship is not None}
+    assert told == {"long before": VALID, "before": DEGRADED, "at it": DEGRADED, "after": DEGRADED, "long after": VALID}
 
 
 def test_mend_27_what_is_put_together_at_an_exposure_counts_its_interpolation() -> None:

@@ -62,6 +62,7 @@ class FilterState:
         apart: by source, how far its last measurement was from the first row.
         lately: by source, running means of how far its measurements that were used have been from the first row
             (:attr:`ship_estimation.running_means.Means.running`), shape (w, 5), since that row was last begun anew.
+        heard_since_ns: by source, the stamp since which it has been heard without a long break.
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
         used_ns: by source, the stamp of its last measurement used.
@@ -79,6 +80,7 @@ class FilterState:
     doubt: Doubt | None = None
     apart: MappingProxyType[str, Apart] = field(default_factory=lambda: MappingProxyType({}))
     lately: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
+    heard_since_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))

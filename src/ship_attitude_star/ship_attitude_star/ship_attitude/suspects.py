@@ -21,7 +21,7 @@ from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
 from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, with_entry, without
-from ship_estimation.exclusion import Exclusion, Finding, find_fault, must_agree_s, watched
+from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, must_agree_s, watched
 from ship_estimation.hypotheses import RowsCompared, add_error, promoted, update_rows
 from ship_estimation.outcome import Measurement
 from ship_estimation.protection import UNDISPUTED_SIGMAS, disputed, separation_sigma
@@ -34,6 +34,9 @@ _KNOCKED_SIGMA = 2.0
 
 _LEAST_KNOCK_RAD, _LARGEST_KNOCK_RAD = 10.0 * ARCSEC, 3600.0 * ARCSEC
 """As its sigma."""
+
+_WATCHED_NS = 3 * SECOND_NS
+"""So long all sources in use must have been heard before the INS is said to creep away from them."""
 
 
 class Suspects:
@@ -97,6 +100,8 @@ class Suspects:
         seen = observed(
             state.seen, index, compared.turn, accepted, measurement.time_ns, self.table.limit, noise
         )
+        if measurement.time_ns - state.seen.heard_ns[index] > HEARD_NS:
+            state, predicted = (self._heard_again(one, source, measurement.time_ns) for one in (state, predicted))
         turn_v = compared.turn_root[0] @ compared.turn[0]
         apart = with_entry(state.apart, source, Apart(turn_v, measured.predicted_nv @ turn_v))
         exclusion = state.excluded.get(source)
@@ -112,6 +117,16 @@ class Suspects:
             running = averaged(state.lately.get(source, NO_MEANS), compared.turn[0])
             after = replace(after, lately=with_entry(state.lately, source, running))
         return after
+
+    def _heard_again(self, state: FilterState, source: str, time_ns: int) -> FilterState:
+        """The state before the first measurement after a silence: in that time nobody has agreed with anything."""
+        excluded = dict(state.excluded)
+        if source in excluded:
+            excluded[source] = replace(excluded[source], agrees_since_ns=None)
+        if distrusted(state) and time_ns - state.seen.heard_ns.max() > HEARD_NS:
+            excluded[INS] = replace(excluded[INS], agrees_since_ns=time_ns)
+        heard_since_ns = with_entry(state.heard_since_ns, source, time_ns)
+        return replace(state, excluded=MappingProxyType(excluded), heard_since_ns=heard_since_ns)
 
     def separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
         """Distances of the rows from the first one, about North, Up and East, and these in sigmas at most.
@@ -167,6 +182,8 @@ class Suspects:
             return self.ins.contradicted_now(state, time_ns), text
         if INS in wrong and (stepped or not self.ins.may_be_excluded(in_use)):
             wrong = ()  # A wrong position moves all stars alike, as a step of the INS without rates does.
+        if INS in wrong and any(time_ns - state.heard_since_ns[name] < _WATCHED_NS for name in in_use):
+            wrong = ()  # What has moved while nobody was heard, the INS or a sensor, a few measurements do not tell.
         if INS in state.excluded and len(in_use) < LEAST_FOR_PAIRS:
             wrong = ()  # Either of two sources explains what the other contradicts.
         if wrong and not set(in_use).issubset(wrong):

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S
+from ship_estimation.exclusion import HEARD_NS
 from ship_replay.trials.voyage_told import EXCLUSION, INTEGRITY, Claim, Sign, Told
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
@@ -51,6 +52,7 @@ _SLIP_SEEN_SIGMAS = 13.0
 """A slip of more sigmas of a reading shows in the readings themselves
 (:mod:`theodolite_calib.measured.encoder_steps`)."""
 
+_STARS = "star/"
 _ONE_LIGHT_KINDS = ("swap", "false_lights", "hide", "wrong_id")
 
 
@@ -114,6 +116,14 @@ class Passage:
         size_arcsec = max(abs(fault.forward_arcsec), abs(fault.up_arcsec), abs(fault.right_arcsec))
         return fault.kind == "knock" and fault.topic == IMAGE_TOPIC and size_arcsec < _KNOCK_SEEN_ARCSEC
 
+    def _knocked_unseen(self, fault: Fault, first_ns: int) -> bool:
+        """A star sensor knocked while no star was seen: what the INS has done meanwhile is as unknown."""
+        if fault.kind != "knock" or not fault.topic.startswith(_STARS):
+            return False
+        by_stars = [arrivals_ns for topic, arrivals_ns in self.arrivals_ns.items() if topic.startswith(_STARS)]
+        before = [first_ns - HEARD_NS, first_ns]
+        return not any(np.diff(np.searchsorted(arrivals_ns, before))[0] for arrivals_ns in by_stars)
+
     def _period_s(self, topic: str) -> float:
         """From one message of a topic to the next."""
         periods_ns = np.diff(self.arrivals_ns.get(topic, np.zeros(0)))
@@ -125,6 +135,7 @@ _UNSEEN: dict[str, Callable[[Passage, Fault, int], bool]] = {
     "encoder drift, told late": Passage._encoders_creep,
     "ins drift, told late": Passage._ins_creeps,
     "telescope knock, small": Passage._knocks_within_scatter,
+    "star knock, no stars": Passage._knocked_unseen,
 }
 
 UNSEEN_ROWS = tuple(_UNSEEN)

@@ -262,7 +262,10 @@ class Referee:
         turn = np.repeat(compared.turn, rows, axis=0)
         accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
         means = observed(trust.means, index, turn, accepted, time_ns, self._limit, compared.turn_noise)
-        exclusion, returns = watched(left_out.exclusion, means, index, compared, time_ns, self._config.return_after_s)
+        exclusion = left_out.exclusion
+        if time_ns - trust.means.heard_ns[index] > HEARD_NS:
+            exclusion = replace(exclusion, agrees_since_ns=None)  # Silence is no agreement.
+        exclusion, returns = watched(exclusion, means, index, compared, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
         if 0.0 < refused_m <= _POWER_SIGMAS * sigma_m:
             exclusion, returns = replace(exclusion, agrees_since_ns=None), False
@@ -271,7 +274,8 @@ class Referee:
     def watched_turn(self, trust: Trust, source: str, agrees: bool, time_ns: int) -> Trust:
         """The encoders, or the ship's attitude, while they are excluded: do they lead from sighting to sighting?"""
         exclusion = trust.left_out[source].exclusion
-        since_ns = (exclusion.agrees_since_ns or time_ns) if agrees else None
+        since_ns = exclusion.agrees_since_ns if time_ns - trust.means.heard_ns.max() <= HEARD_NS else None
+        since_ns = (since_ns or time_ns) if agrees else None
         returns = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
         return self._watched(trust, source, replace(exclusion, agrees_since_ns=since_ns), returns)
 
