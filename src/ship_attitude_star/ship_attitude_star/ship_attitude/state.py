@@ -6,7 +6,7 @@ A :class:`FilterState` is never changed in place, so that the time-ordered log c
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from ship_attitude_star.guards.hints import Departure
 from ship_estimation.exclusion import HEARD_NS, Exclusion
@@ -44,6 +44,18 @@ class Apart:
     turn_n: FloatArray
 
 
+class Lately(NamedTuple):
+    """How far the measurements of a source have been from the first row.
+
+    Attributes:
+        running: means of them (:attr:`ship_estimation.running_means.Means.running`), shape (w, 5).
+        sigmas: of how many of its sigmas one of the means is off at most.
+    """
+
+    running: FloatArray
+    sigmas: float
+
+
 @dataclass(frozen=True)
 class FilterState:
     """The estimate by all sources, in the first of h rows, and beside it those without each of them.
@@ -60,8 +72,7 @@ class FilterState:
         disputed_n: what an output adds to its covariance while rows stand apart, rad², horizon frame, shape (3, 3); the
             filter's own covariance does not hold it; None for nothing.
         apart: by source, how far its last measurement was from the first row.
-        lately: by source, running means of how far its measurements that were used have been from the first row
-            (:attr:`ship_estimation.running_means.Means.running`), shape (w, 5), since that row was last begun anew.
+        lately: by source, what its measurements that were used have said since the first row was last begun anew.
         heard_since_ns: by source, the stamp since which it has been heard without a long break.
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
@@ -79,7 +90,7 @@ class FilterState:
     record: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     doubt: Doubt | None = None
     apart: MappingProxyType[str, Apart] = field(default_factory=lambda: MappingProxyType({}))
-    lately: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
+    lately: MappingProxyType[str, Lately] = field(default_factory=lambda: MappingProxyType({}))
     heard_since_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))

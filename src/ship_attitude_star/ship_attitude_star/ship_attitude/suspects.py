@@ -20,7 +20,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
-from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, with_entry, without
+from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, with_entry, without
 from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, must_agree_s, watched
 from ship_estimation.hypotheses import RowsCompared, add_error, promoted, update_rows
 from ship_estimation.outcome import Measurement
@@ -112,11 +112,12 @@ class Suspects:
             return replace(state, seen=seen, apart=apart)
         learns = self.ins.learns(state, (used[:, None] | self.table.own[source]) & accepted[:, None])
         corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
-        after = replace(predicted, means=predicted.means + corrections, stack=stack, seen=seen, apart=apart)
+        lately = state.lately
         if used[0] and accepted[0]:
-            running = averaged(state.lately.get(source, NO_MEANS), compared.turn[0])
-            after = replace(after, lately=with_entry(state.lately, source, running))
-        return after
+            running = averaged(lately[source].running if source in lately else NO_MEANS, compared.turn[0])
+            lately = with_entry(lately, source, Lately(running, farthest_mean(running)))
+        means = predicted.means + corrections
+        return replace(predicted, means=means, stack=stack, seen=seen, apart=apart, lately=lately)
 
     def _heard_again(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """The state before the first measurement after a silence: in that time nobody has agreed with anything."""
@@ -204,10 +205,11 @@ class Suspects:
         two rows stand apart.
         """
         if INS not in state.excluded and self.ins.may_be_excluded(in_use):
-            statistic = statistic.copy()
-            for row, source in enumerate(self._sources, start=1):
-                if source in in_use and source in state.lately:
-                    statistic[row] = np.maximum(statistic[row], farthest_mean(state.lately[source]))
+            said = [(row, state.lately.get(source)) for row, source in enumerate(self._sources, 1) if source in in_use]
+            far = {row: lately.sigmas for row, lately in said if lately and not lately.sigmas <= UNDISPUTED_SIGMAS}
+            if far:
+                statistic = statistic.copy()
+                statistic[[*far]] = np.maximum(statistic[[*far]], [*far.values()])
         # Written so that a distance that is no number is looked at.
         within = statistic.max() <= UNDISPUTED_SIGMAS
         if within and state.doubt is None and state.disputed_n is None:
@@ -245,7 +247,7 @@ class Suspects:
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.apart is None}
         seen = forgotten(state.seen, slice(None), slice(None))
         doubt = state.doubt if distrusted(state) else None
-        nothing: MappingProxyType[str, FloatArray] = MappingProxyType({})
+        nothing: MappingProxyType[str, Lately] = MappingProxyType({})
         excluded = MappingProxyType(knocked)
         return replace(state, excluded=excluded, seen=seen, lately=nothing, doubt=doubt, disputed_n=None)
 
