@@ -167,7 +167,7 @@ def averaged(running: FloatArray, turn: FloatArray) -> FloatArray:
 
 
 def farthest_mean(running: FloatArray) -> float:
-    """Of how many of its sigmas a mean is off at most: the largest component of the means over all lengths.
+    """How far the component of a mean that is farthest from zero is off, of the means over all lengths, in its sigmas.
 
     Args:
         running: of one row and source, with a measurement at least, shape (w, 5).

@@ -49,7 +49,7 @@ class Lately(NamedTuple):
 
     Attributes:
         running: means of them (:attr:`ship_estimation.running_means.Means.running`), shape (w, 5).
-        sigmas: of how many of its sigmas one of the means is off at most.
+        sigmas: how far the mean that is farthest from zero is off, in its own sigmas.
     """
 
     running: FloatArray

@@ -100,7 +100,7 @@ class Suspects:
         seen = observed(
             state.seen, index, compared.turn, accepted, measurement.time_ns, self.table.limit, noise
         )
-        if measurement.time_ns - state.seen.heard_ns[index] > HEARD_NS:
+        if state.seen.heard_ns[index] < measurement.time_ns - HEARD_NS:
             state, predicted = (self._heard_again(one, source, measurement.time_ns) for one in (state, predicted))
         turn_v = compared.turn_root[0] @ compared.turn[0]
         apart = with_entry(state.apart, source, Apart(turn_v, measured.predicted_nv @ turn_v))
@@ -124,7 +124,7 @@ class Suspects:
         excluded = dict(state.excluded)
         if source in excluded:
             excluded[source] = replace(excluded[source], agrees_since_ns=None)
-        if distrusted(state) and time_ns - state.seen.heard_ns.max() > HEARD_NS:
+        if distrusted(state) and state.seen.heard_ns.max() < time_ns - HEARD_NS:
             excluded[INS] = replace(excluded[INS], agrees_since_ns=time_ns)
         heard_since_ns = with_entry(state.heard_since_ns, source, time_ns)
         return replace(state, excluded=MappingProxyType(excluded), heard_since_ns=heard_since_ns)
@@ -205,11 +205,10 @@ class Suspects:
         two rows stand apart.
         """
         if INS not in state.excluded and self.ins.may_be_excluded(in_use):
-            said = [(row, state.lately.get(source)) for row, source in enumerate(self._sources, 1) if source in in_use]
-            far = {row: lately.sigmas for row, lately in said if lately and not lately.sigmas <= UNDISPUTED_SIGMAS}
-            if far:
-                statistic = statistic.copy()
-                statistic[[*far]] = np.maximum(statistic[[*far]], [*far.values()])
+            statistic = statistic.copy()
+            for row, source in enumerate(self._sources, start=1):
+                if source in in_use and source in state.lately:
+                    statistic[row] = np.maximum(statistic[row], state.lately[source].sigmas)
         # Written so that a distance that is no number is looked at.
         within = statistic.max() <= UNDISPUTED_SIGMAS
         if within and state.doubt is None and state.disputed_n is None:
@@ -247,9 +246,14 @@ class Suspects:
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.apart is None}
         seen = forgotten(state.seen, slice(None), slice(None))
         doubt = state.doubt if distrusted(state) else None
-        nothing: MappingProxyType[str, Lately] = MappingProxyType({})
-        excluded = MappingProxyType(knocked)
-        return replace(state, excluded=excluded, seen=seen, lately=nothing, doubt=doubt, disputed_n=None)
+        return replace(
+            state,
+            excluded=MappingProxyType(knocked),
+            seen=seen,
+            lately=MappingProxyType({}),
+            doubt=doubt,
+            disputed_n=None,
+        )
 
     # -- verdicts -------------------------------------------------------------------------------------------
 

@@ -121,8 +121,8 @@ class Passage:
         if fault.kind != "knock" or not fault.topic.startswith(_STARS):
             return False
         by_stars = [arrivals_ns for topic, arrivals_ns in self.arrivals_ns.items() if topic.startswith(_STARS)]
-        before = [first_ns - HEARD_NS, first_ns]
-        return not any(np.diff(np.searchsorted(arrivals_ns, before))[0] for arrivals_ns in by_stars)
+        stars_ns = np.concatenate(by_stars)
+        return not ((stars_ns >= first_ns - HEARD_NS) & (stars_ns < first_ns)).any()
 
     def _period_s(self, topic: str) -> float:
         """From one message of a topic to the next."""

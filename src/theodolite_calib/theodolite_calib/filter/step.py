@@ -72,6 +72,8 @@ class SightingStep:
             jumps: of the baselines of its lights.
         """
         predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
+        trust = self._referee.heard_again(predicted.trust, sighting.names, sighting.time_ns)
+        predicted = replace(predicted, trust=trust)
         for name, jump in jumps:
             predicted = self._jumped(predicted, sighting, name, jump)
         try:

@@ -157,6 +157,28 @@ class Referee:
         own = np.array([[BEACON + id_ == source for id_ in rows.beacons] for source in rows.sources], dtype=bool)
         self._leaves_out = np.vstack([np.zeros((1, len(rows.beacons)), dtype=bool), own])
 
+    def heard_again(self, trust: Trust, names: tuple[str, ...], time_ns: int) -> Trust:
+        """What is known before a sighting: in a silence before it nobody has agreed with anything.
+
+        Args:
+            trust: after the sighting before.
+            names: of the lights that are seen now.
+            time_ns: of the sighting.
+        """
+        heard_ns, silent_ns = trust.means.heard_ns, time_ns - HEARD_NS
+        quiet: Set[str] = {BEACON + name for name in names if heard_ns[self._rows.beacons.index(name)] < silent_ns}
+        if not quiet or not (trust.left_out or trust.conflict):
+            return trust
+        conflict = trust.conflict
+        if heard_ns.max() < silent_ns:
+            quiet = quiet | CHAIN
+            conflict = None if conflict is None else replace(conflict, agrees_since_ns=None)
+        left_out = dict(trust.left_out)
+        for name in quiet & left_out.keys():
+            exclusion = replace(left_out[name].exclusion, agrees_since_ns=None)
+            left_out[name] = replace(left_out[name], exclusion=exclusion)
+        return replace(trust, left_out=left_out, conflict=conflict)
+
     def observed(self, trust: Trust, names: tuple[str, ...], seen: RowsSeen, used: bool, time_ns: int) -> Trust:
         """What is known after the rows have seen a sighting, used or not, with lights that are not excluded."""
         beacons = [self._rows.beacons.index(name) for name in names]
@@ -262,10 +284,7 @@ class Referee:
         turn = np.repeat(compared.turn, rows, axis=0)
         accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
         means = observed(trust.means, index, turn, accepted, time_ns, self._limit, compared.turn_noise)
-        exclusion = left_out.exclusion
-        if time_ns - trust.means.heard_ns[index] > HEARD_NS:
-            exclusion = replace(exclusion, agrees_since_ns=None)  # Silence is no agreement.
-        exclusion, returns = watched(exclusion, means, index, compared, time_ns, self._config.return_after_s)
+        exclusion, returns = watched(left_out.exclusion, means, index, compared, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
         if 0.0 < refused_m <= _POWER_SIGMAS * sigma_m:
             exclusion, returns = replace(exclusion, agrees_since_ns=None), False
@@ -274,8 +293,7 @@ class Referee:
     def watched_turn(self, trust: Trust, source: str, agrees: bool, time_ns: int) -> Trust:
         """The encoders, or the ship's attitude, while they are excluded: do they lead from sighting to sighting?"""
         exclusion = trust.left_out[source].exclusion
-        since_ns = exclusion.agrees_since_ns if time_ns - trust.means.heard_ns.max() <= HEARD_NS else None
-        since_ns = (since_ns or time_ns) if agrees else None
+        since_ns = (exclusion.agrees_since_ns or time_ns) if agrees else None
         returns = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
         return self._watched(trust, source, replace(exclusion, agrees_since_ns=since_ns), returns)
 

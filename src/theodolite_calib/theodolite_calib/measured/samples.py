@@ -155,6 +155,7 @@ class PointingEstimate:
         rotation_nm: horizon from main frame, shape (3, 3).
         parts_n: error covariance by source, rotation vector in n, rad², shape (n_sources, 3, 3).
         covariance_n: the sum of these, shape (3, 3).
+        undisputed_n: the same without what the sources dispute: the protection levels rest on it.
         rotation_nt: horizon from telescope, shape (3, 3); NaN in mode ENCODER.
         mode: how it was found.
         status: what it is worth.
@@ -162,14 +163,13 @@ class PointingEstimate:
         state: of the filter, that it rests on.
         text: why it is not VALID.
         by_error_n: rotation vector of the main axis in n per error of the chain, shape (3, k).
-        disputed_n: what the covariance has in it because the estimates without one source stand apart from that by
-            all, shape (3, 3).
     """
 
     time_ns: int
     rotation_nm: FloatArray
     parts_n: FloatArray
     covariance_n: FloatArray
+    undisputed_n: FloatArray
     rotation_nt: FloatArray
     mode: Mode
     status: Status
@@ -177,7 +177,6 @@ class PointingEstimate:
     state: Any = field(repr=False)
     text: str = ""
     by_error_n: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
-    disputed_n: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 PointingOutcome = Outcome[ExposureDecision, PointingEstimate]

@@ -42,7 +42,7 @@ class ShipAt:
         rate_d: angular velocity in the deck frame, rad/s, shape (..., 3).
         slow_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
         noise: variance of each component of what is new with each sample, and of interpolation, rad², shape (...).
-        status: what the source says that it is worth, the less of both attitudes about the moment.
+        status: what the source says that it is worth; between two attitudes, of the lesser one.
     """
 
     rotation_nd: FloatArray

@@ -36,9 +36,9 @@ def integrity_of(
     turning, by_error = chain_rows(filter_.model), to_angles @ estimate.by_error_n
     beside, first = state.alternatives, state.covariance[turning[:, None], turning]
     left_out = beside.parts[:, 0][:, turning[:, None], turning]
-    # What a pointing adds to the error of the state, as the noise of the encoders, is the same in every estimate.
-    # The levels and the separations rest on what the filter claims, without what they themselves add to the output.
-    all_sources = to_angles @ (estimate.covariance_n - estimate.disputed_n) @ to_angles.T
+    # What the estimates dispute is covered by the levels already. What a pointing adds to the error of the state, as
+    # the noise of the encoders, is the same in every estimate.
+    all_sources = to_angles @ estimate.undisputed_n @ to_angles.T
     without = all_sources + by_error @ (left_out - first) @ by_error.T
     distance = (beside.mean - state.mean)[:, turning] @ by_error.T
     excluded = {name: told.exclusion.since_ns for name, told in state.trust.left_out.items()}

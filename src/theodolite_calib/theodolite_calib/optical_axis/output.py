@@ -147,14 +147,15 @@ class PointingOutput:
         axis = self._corrected.at(since_s, ship, EncoderAt(azimuth, elevation, sample.sigma**2 + doubt_rad**2))
         if state.trust.conflict is not None:
             axis.parts_n[self._disagreement] += state.trust.conflict.spread_n
-        # Of where the axis points without lights the separations say nothing.
-        disputed_n = self._corrected.disputed_n(axis) if recent else np.zeros((3, 3))
-        axis.parts_n[self._disagreement] += disputed_n
+        undisputed_n = axis.parts_n.sum(axis=0)
+        if recent:  # Of where the axis points without lights the separations say nothing.
+            axis.parts_n[self._disagreement] += self._corrected.disputed_n(axis)
         estimate = PointingEstimate(
             time_ns=sample.time_ns,
             rotation_nm=axis.rotation_nm,
             parts_n=axis.parts_n,
             covariance_n=axis.parts_n.sum(axis=0),
+            undisputed_n=undisputed_n,
             rotation_nt=axis.rotation_nt if recent else np.full((3, 3), np.nan),
             mode=mode,
             status=status,
@@ -162,7 +163,6 @@ class PointingOutput:
             state=state,
             text=text,
             by_error_n=axis.by_error_n,
-            disputed_n=disputed_n,
         )
         if status is Status.DEGRADED or not self._config.integrity.alert_limit_arcsec:
             return estimate
@@ -193,4 +193,5 @@ def no_pointing(filter_: CalibrationFilter, state: CalibrationState, now_ns: int
     """No pointing is claimed."""
     unknown = np.full((3, 3), np.nan)
     parts_n = np.full((len(filter_.model.sources), 3, 3), np.nan)
-    return PointingEstimate(now_ns, unknown, parts_n, unknown, unknown, Mode.ENCODER, Status.INVALID, 0, state, text)
+    nothing = unknown, parts_n, unknown, unknown, unknown
+    return PointingEstimate(now_ns, *nothing, Mode.ENCODER, Status.INVALID, 0, state, text)

@@ -1,0 +1,68 @@
+"""Silence is no agreement: what agreed before it must agree anew."""
+
+from dataclasses import replace
+
+import pytest
+
+from ship_estimation.exclusion import Exclusion
+from ship_geometry.time_scales import SECOND_NS
+from ship_testing.simulated_session import config
+from theodolite_calib.filter.alternatives import BEACON, ENCODER
+from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.filter.trust import Conflict, LeftOut, Referee, Trust, no_doubt
+
+SETTINGS = config()
+ROWS = CalibrationFilter(SETTINGS).rows
+REFEREE = Referee(SETTINGS.integrity, SETTINGS.gate, ROWS, threshold=5.0)
+FIRST, SECOND = ROWS.beacons[:2]
+AGREED_NS, LAST_NS = 10 * SECOND_NS, 40 * SECOND_NS
+
+
+def agreeing(heard_ns: dict[str, int]) -> Trust:
+    """The first drone, the encoders and the lights agree since 10 s; each light was seen last at its moment."""
+    trust = no_doubt(ROWS)
+    seen_ns = trust.means.heard_ns.copy()
+    for name, time_ns in heard_ns.items():
+        seen_ns[ROWS.beacons.index(name)] = time_ns
+    left_out = {name: LeftOut(Exclusion(0, agrees_since_ns=AGREED_NS), "") for name in (BEACON + FIRST, ENCODER)}
+    conflict = Conflict(0.0 * trust.means.running[0, 0, :, :3], lasting=True, agrees_since_ns=AGREED_NS)
+    return replace(trust, means=replace(trust.means, heard_ns=seen_ns), left_out=left_out, conflict=conflict)
+
+
+def since_ns(trust: Trust) -> list[int | None]:
+    assert trust.conflict is not None
+    exclusions = [trust.left_out[name].exclusion for name in (BEACON + FIRST, ENCODER)]
+    return [*(exclusion.agrees_since_ns for exclusion in exclusions), trust.conflict.agrees_since_ns]
+
+
+@pytest.mark.parametrize(
+    ("silent_s", "names", "expected"),
+    [
+        (9, (FIRST, SECOND), [AGREED_NS, AGREED_NS, AGREED_NS]),
+        (11, (FIRST, SECOND), [None, None, None]),
+        (11, (SECOND,), [AGREED_NS, None, None]),
+    ],
+)
+def test_what_agreed_before_all_lights_were_gone_must_agree_anew(silent_s, names, expected) -> None:
+    trust = agreeing({FIRST: LAST_NS, SECOND: LAST_NS})
+    assert since_ns(REFEREE.heard_again(trust, names, LAST_NS + silent_s * SECOND_NS)) == expected
+
+
+def test_one_light_that_was_gone_leaves_what_the_other_one_tells() -> None:
+    trust = agreeing({FIRST: LAST_NS - 20 * SECOND_NS, SECOND: LAST_NS})
+    later_ns = LAST_NS + SECOND_NS
+    assert since_ns(REFEREE.heard_again(trust, (FIRST, SECOND), later_ns)) == [None, AGREED_NS, AGREED_NS]
+
+
+def test_an_encoder_that_agrees_returns_a_minute_after_the_lights_are_back() -> None:
+    trust, back_ns = agreeing({FIRST: LAST_NS, SECOND: LAST_NS}), LAST_NS + 100 * SECOND_NS
+    returned = []
+    for time_ns in range(back_ns, back_ns + 62 * SECOND_NS, SECOND_NS):
+        trust = REFEREE.heard_again(trust, (SECOND,), time_ns)
+        heard_ns = trust.means.heard_ns.copy()
+        heard_ns[ROWS.beacons.index(SECOND)] = time_ns
+        trust = replace(trust, means=replace(trust.means, heard_ns=heard_ns))
+        if ENCODER in trust.left_out:
+            trust = REFEREE.watched_turn(trust, ENCODER, True, time_ns)
+            returned += [] if ENCODER in trust.left_out else [(time_ns - back_ns) / SECOND_NS]
+    assert returned == [SETTINGS.integrity.return_after_s]
