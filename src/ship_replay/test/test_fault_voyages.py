@@ -16,10 +16,11 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
-from ship_replay.trials.fault_judge import UNSEEN_ROWS, Passage, beyond, first_named, is_source, judged
+from ship_replay.trials.fault_judge import beyond, first_named, is_source, judged
 from ship_replay.trials.fault_results import kind_rows, pair_rows, results_file, totals
 from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, replayed, run_voyage, taken_topics, voyages
 from ship_replay.trials.one_fault import one_fault_lines
+from ship_replay.trials.passage import UNSEEN_ROWS, UNTOLD_ROWS, Passage
 from ship_replay.trials.threats import BY_FORM, DATA_LIKE, OVERLAPPING, SINGLE, draw_faults
 from ship_replay.trials.voyage_told import EXCLUSION, SILENT, Claim, HealthBook, Sign, Told, VoyageSink
 from ship_simulation.draws.noise import random_stream
@@ -108,10 +109,11 @@ def told_of(claims=(), not_valid=(), signs=()):
 FAULT = Fault(topic="ins/imu", kind="bias", start_s=10.0, end_s=20.0, up_arcsec=30.0)
 
 
-def passage(told=None, arrivals_ns=None, lights_s=(), encoder_sigma_arcsec=math.nan):
+def passage(told=None, arrivals_ns=None, lights_s=(), encoder_sigma_arcsec=math.nan, ins_sigma_arcsec=math.nan):
     """A minute without faults."""
     lights_ns = (np.array(lights_s) * NS_PER_S).astype(np.int64)
-    return Passage(told or told_of(), arrivals_ns or {}, lights_ns, encoder_sigma_arcsec, 0, 60 * NS_PER_S)
+    sigmas_arcsec = encoder_sigma_arcsec, ins_sigma_arcsec
+    return Passage(told or told_of(), arrivals_ns or {}, lights_ns, *sigmas_arcsec, 0, 60 * NS_PER_S)
 
 
 def verdict(told, clean=None, until_s=60.0, first_s=10.02):
@@ -160,15 +162,41 @@ def test_only_a_slip_below_thirteen_sigmas_that_no_light_sees_cannot_be_told():
     assert dark.unseen(slip(26.1), begin_ns) == ""
     assert dark.unseen(Fault(topic="theodolite/encoder", kind="freeze", start_s=10.0), begin_ns) == ""
     assert dark.unseen(FAULT, begin_ns) == ""
-    drifts = [Fault(topic=topic, kind="drift", start_s=10.0) for topic in ("theodolite/encoder", "ins/imu", "star/a")]
-    rows = [dark.unseen(drift, begin_ns) for drift in drifts]
-    assert rows == ["encoder drift, told late", "ins drift, told late", ""]
     knocks = [Fault(topic="theodolite/beacons", kind="knock", start_s=10.0, up_arcsec=size) for size in (-12.9, 13.1)]
     assert [dark.unseen(knock, begin_ns) for knock in knocks] == ["telescope knock, small", ""]
     lit = passage(arrivals_ns=arrivals_ns, lights_s=[9.9, 10.9], encoder_sigma_arcsec=2.0)
     assert lit.unseen(slip(-25.9), begin_ns) == ""
     unknown = passage(arrivals_ns=arrivals_ns, lights_s=[])
     assert unknown.unseen(slip(1.0), begin_ns) == ""
+
+
+@pytest.mark.parametrize(
+    ("topic", "size", "row"),
+    [
+        ("theodolite/encoder", {"azimuth_arcsec_per_min": -101.0}, "encoder drift, told late"),
+        ("theodolite/encoder", {"azimuth_arcsec_per_min": 99.0}, ""),
+        ("theodolite/encoder", {"elevation_arcsec_per_min": 300.0}, ""),
+        ("ins/imu", {"up_arcsec_per_min": 61.0}, "ins drift, told late"),
+        ("ins/imu", {"forward_arcsec_per_min": -61.0}, "ins drift, told late"),
+        ("ins/imu", {"right_arcsec_per_min": 59.0}, ""),
+        ("star/bow/horizon_attitude", {"up_arcsec_per_min": 300.0}, ""),
+    ],
+)
+def test_what_creeps_fast_is_told_late(topic, size, row):
+    fault = Fault(topic=topic, kind="drift", start_s=10.0, **size)
+    two, three = (
+        passage(arrivals_ns={f"star/{name}/{kind}": [] for name in names for kind in ("observations", "solution")})
+        for names in (("bow", "port"), ("aft", "bow", "port"))
+    )
+    assert two.unseen(fault, 10 * NS_PER_S) == row
+    assert three.unseen(fault, 10 * NS_PER_S) == ("" if topic == "ins/imu" else row)
+
+
+def test_a_step_of_the_ins_that_no_sample_tells_is_a_small_one():
+    found = passage(ins_sigma_arcsec=2.0)
+    steps = [Fault(topic="ins/imu", kind="bias", start_s=10.0, east_arcsec=size) for size in (-21.9, 22.1)]
+    assert [found.unseen(step, 10 * NS_PER_S) for step in steps] == ["ins step, small", ""]
+    assert passage().unseen(steps[0], 10 * NS_PER_S) == ""
 
 
 def test_a_star_sensor_knocked_while_no_star_is_seen_cannot_be_told():
@@ -426,7 +454,8 @@ def overlapping(number, **changes):
         ([result(3, threat=UNSEEN_ROWS[0], worst_over_level=1.1)], ["1 VALID beyond the protection level"]),
         ([result(3, alert_s=1.1)], ["told within 1 s or 3 measurements: 98.0%"]),
         ([result(3, alert_s=1.1, sigmas=7.9)], []),
-        ([result(3, alert_s=1.1, threat=UNSEEN_ROWS[0])], []),
+        ([result(3, alert_s=1.1, threat=UNTOLD_ROWS[0])], []),
+        ([result(3, alert_s=1.1, threat="ins step, small")], ["told within 1 s or 3 measurements: 98.0%"]),
         ([result(3, alert_s=None, detected=False)], ["told within 1 s or 3 measurements: 98.0%"]),
         ([result(3, alert_s=None, detected=False, changed=2)], []),
         ([result(i, attributed=False) for i in range(3)], ["the right source named: 94.2%"]),

@@ -18,22 +18,19 @@ A name is right where the source that it means (:mod:`ship_estimation.protection
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.exclusion import HEARD_NS
+from ship_replay.trials.passage import Passage
 from ship_replay.trials.voyage_told import EXCLUSION, INTEGRITY, Claim, Sign, Told
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
 
 SETTLING_S = 3.0
 """What a fault leaves behind is told within this after its end."""
-
-MEASUREMENTS = 3
-"""A step is told within so many measurements of its source, or within a second."""
 
 _BESIDE_NS = NS_PER_S // 2
 """So near to a moment at which the voyage without faults was not VALID either, a status is no sign of a fault."""
@@ -45,101 +42,7 @@ BEYOND = 5.0
 _PERIOD_S = 0.1
 """From one moment of the truth to the next."""
 
-_KNOCK_SEEN_ARCSEC = 13.0
-"""A knock on the telescope by more is told by the next lights: three times what one sighting of them scatters."""
-
-_SLIP_SEEN_SIGMAS = 13.0
-"""A slip of more sigmas of a reading shows in the readings themselves
-(:mod:`theodolite_calib.measured.encoder_steps`)."""
-
-_STARS = "star/"
 _ONE_LIGHT_KINDS = ("swap", "false_lights", "hide", "wrong_id")
-
-
-@dataclass
-class Passage:
-    """One voyage through the nodes without faults, and what of its bag the judge has to know.
-
-    Attributes:
-        told: what it put out.
-        arrivals_ns: input topic → when its messages arrived, in order.
-        lights_ns: when the images arrived that show a light, in order.
-        encoder_sigma_arcsec: noise of a reading of the theodolite's encoders; NaN without one.
-        start_ns: beginning of the bag.
-        end_ns: its end.
-    """
-
-    told: Told
-    arrivals_ns: dict[str, np.ndarray]
-    lights_ns: np.ndarray
-    encoder_sigma_arcsec: float
-    start_ns: int
-    end_ns: int
-
-    @property
-    def length_s(self) -> float:
-        """How long the bag is."""
-        return (self.end_ns - self.start_ns) / NS_PER_S
-
-    def alert_limit_s(self, fault: Fault) -> float:
-        """Within this a large step must be told: a second, or three measurements of the source."""
-        return max(1.0, MEASUREMENTS * self._period_s(fault.topic))
-
-    def unseen(self, fault: Fault, first_ns: int) -> str:
-        """The row of what no data can tell that a fault belongs to; empty where the data can tell it.
-
-        Args:
-            fault: it changed a message.
-            first_ns: when the first of these arrived.
-        """
-        return next((row for row, holds in _UNSEEN.items() if holds(self, fault, first_ns)), "")
-
-    def _slips_without_lights(self, fault: Fault, first_ns: int) -> bool:
-        """Encoders that slip by less than their own readings tell, while no light is in view."""
-        if fault.kind != "slip":
-            return False
-        size_arcsec = max(abs(fault.azimuth_arcsec), abs(fault.elevation_arcsec))
-        end_ns = first_ns + round(self.alert_limit_s(fault) * NS_PER_S)
-        in_view = (self.lights_ns >= first_ns) & (self.lights_ns < end_ns)
-        return not in_view.any() and size_arcsec < _SLIP_SEEN_SIGMAS * self.encoder_sigma_arcsec
-
-    def _encoders_creep(self, fault: Fault, first_ns: int) -> bool:
-        """Encoders that creep: lights and axis errors take it up until the rows tell."""
-        return fault.kind == "drift" and fault.topic == ENCODER_TOPIC
-
-    def _ins_creeps(self, fault: Fault, first_ns: int) -> bool:
-        """An INS that creeps: its slow error takes it up until its own rates, or the rows, tell."""
-        return fault.kind == "drift" and fault.topic == "ins/imu"
-
-    def _knocks_within_scatter(self, fault: Fault, first_ns: int) -> bool:
-        """A telescope turned by no more than its lights scatter."""
-        size_arcsec = max(abs(fault.forward_arcsec), abs(fault.up_arcsec), abs(fault.right_arcsec))
-        return fault.kind == "knock" and fault.topic == IMAGE_TOPIC and size_arcsec < _KNOCK_SEEN_ARCSEC
-
-    def _knocked_unseen(self, fault: Fault, first_ns: int) -> bool:
-        """A star sensor knocked while no star was seen: what the INS has done meanwhile is as unknown."""
-        if fault.kind != "knock" or not fault.topic.startswith(_STARS):
-            return False
-        by_stars = [arrivals_ns for topic, arrivals_ns in self.arrivals_ns.items() if topic.startswith(_STARS)]
-        stars_ns = np.concatenate(by_stars)
-        return not ((stars_ns >= first_ns - HEARD_NS) & (stars_ns < first_ns)).any()
-
-    def _period_s(self, topic: str) -> float:
-        """From one message of a topic to the next."""
-        periods_ns = np.diff(self.arrivals_ns.get(topic, np.zeros(0)))
-        return float(np.median(periods_ns)) / NS_PER_S if periods_ns.size else 0.0
-
-
-_UNSEEN: dict[str, Callable[[Passage, Fault, int], bool]] = {
-    "encoder slip, no lights": Passage._slips_without_lights,
-    "encoder drift, told late": Passage._encoders_creep,
-    "ins drift, told late": Passage._ins_creeps,
-    "telescope knock, small": Passage._knocks_within_scatter,
-    "star knock, no stars": Passage._knocked_unseen,
-}
-
-UNSEEN_ROWS = tuple(_UNSEEN)
-"""What no data can tell, as ``docs/explanation/integrity.md`` lists it; each has a row of its own in the table."""
 
 
 @dataclass(frozen=True)

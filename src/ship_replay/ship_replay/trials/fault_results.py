@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ship_replay.trials.fault_judge import BEYOND, MEASUREMENTS, UNSEEN_ROWS
+from ship_replay.trials.fault_judge import BEYOND
+from ship_replay.trials.passage import MEASUREMENTS, UNSEEN_ROWS, UNTOLD_ROWS
 from ship_replay.trials.results_file import Result, ResultsFile
 from ship_replay.trials.threats import DATA_LIKE, OVERLAPPING, SINGLE
 
@@ -143,7 +144,8 @@ def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
     unseen = [fault for fault in single if fault["threat"] in UNSEEN_ROWS]
     seen = [fault for fault in single if fault["threat"] not in UNSEEN_ROWS]
     exceeded, beyond = _above(single, _LEVEL, 1.0), _above(seen, "worst_sigmas", BEYOND)
-    large = [fault for fault in seen if (fault["sigmas"] or 0.0) >= _LARGE_STEP]
+    all_large = [fault for fault in single if (fault["sigmas"] or 0.0) >= _LARGE_STEP]
+    large = [fault for fault in all_large if fault["threat"] not in UNTOLD_ROWS]
     # Where the source made fewer measurements, its time to be told had not run out.
     steps = [fault for fault in large if fault["changed"] >= MEASUREMENTS]
     detected = [fault for fault in single if fault["detected"]]
@@ -163,7 +165,7 @@ def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
             (
                 f"  of {len(steps)} steps ≥ {_LARGE_STEP:g}σ told within 1 s or {MEASUREMENTS} measurements: "
                 f"{_share(steps, _in_time)}, at some time {_share(steps, _told)}; bound {_IN_TIME:.0%}; "
-                f"{len(large) - len(steps)} more ended before"
+                f"{len(large) - len(steps)} more ended before, {len(all_large) - len(large)} no data can tell"
             ),
         ),
         (

@@ -22,7 +22,8 @@ from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.orientations import ORIENTATIONS
 from ship_replay.offline.replay import ReplayRun, ReplaySummary
-from ship_replay.trials.fault_judge import Passage, beyond, judged
+from ship_replay.trials.fault_judge import beyond, judged
+from ship_replay.trials.passage import Passage
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, DrawnFault, draw_faults
 from ship_replay.trials.voyage_told import Told, VoyageSink
 from ship_simulation.draws.noise import random_stream
@@ -138,12 +139,14 @@ def clean_voyage(path: Path) -> Passage:
             arrivals.setdefault(record.topic, []).append(record.log_time_ns)
             if record.topic == IMAGE_TOPIC and record.decode().beacons:
                 lights.append(record.log_time_ns)
+        ship = chain.configs.get(ShipAttitudeAdapter.node_name)
         pointing = chain.configs.get(OpticalAxisAdapter.node_name)
         return Passage(
             told=replayed(Injection(path, {}, 0)),
             arrivals_ns={topic: np.array(times) for topic, times in arrivals.items()},
             lights_ns=np.array(lights),
             encoder_sigma_arcsec=math.nan if pointing is None else pointing.encoder.sigma_arcsec,
+            ins_sigma_arcsec=math.nan if ship is None else ship.ins.white_sigma_arcsec,
             start_ns=bag.start_ns or 0,
             end_ns=bag.end_ns or 0,
         )

@@ -85,7 +85,7 @@ def _each(names: tuple[str, ...], sigma: float) -> dict[str, float]:
 
 
 DATA_LIKE = (
-    Threat("ins step", _INS, "bias", _size(_HORIZON, 10.0, 300.0), _each(_HORIZON, 1.0), 4.0),
+    Threat("ins step", _INS, "bias", _size(_HORIZON, 5.0, 300.0), _each(_HORIZON, 1.0), 4.0),
     Threat("ins drift", _INS, "drift", _size(_TURNING, 10.0, 200.0), weight=2.0),
     Threat("ins frozen", _INS, "freeze"),
     Threat("ins axes", _INS, "axes", _one_of(axes=("exchanged", "ned_frd"))),
