@@ -274,6 +274,25 @@ def test_all_stars_against_an_ins_without_rates_are_a_doubt_that_covers_the_disa
     assert max(error_sigmas(one) for one in sailed.between(32.0, 60.0)) < 3.0
 
 
+@pytest.mark.parametrize("after", [2, 6])
+@pytest.mark.parametrize(("source", "rates"), [("ins", False), ("sky", True)])
+def test_so_many_refusals_of_each_source_as_configured_are_a_doubt_and_set_all_stars_aside(
+    source: str, rates: bool, after: int
+) -> None:
+    """Stars are 61 ms apart; what they say is judged when the INS's samples of up to 0.1 s later are there."""
+    changes = {"gate": {"degraded_after": after}, "ins": {"jump_samples": 1000, "time_offset_sigma_s": 0.0}}
+    lie = Lie(source, UP * 100.0 * ARCSEC, 10.0)
+    sailed = sailed_with(lie, sensors=("bow", "port"), seconds=15.0, rates=rates, **changes)
+    refused_s = 10.068 + (after - 1) * STAR_NS / SECOND_NS
+    doubted_s = next(one.time_ns / SECOND_NS for one in sailed.between(10.0, 15.0) if one.status is Status.DEGRADED)
+    # Without rates the first refusal is one: the INS may have jumped. With them the third at the latest, by its mean.
+    assert doubted_s <= refused_s + INS_NS / SECOND_NS
+    assert {one.status for one in sailed.between(doubted_s, 15.0)} == {Status.DEGRADED}
+    aside_s, names = sailed.excluded_first()
+    assert names == ("star.bow", "star.port")
+    assert refused_s < aside_s <= refused_s + 0.1
+
+
 @pytest.mark.parametrize("turn_arcsec", [32.0, 100.0])
 def test_a_sky_that_turns_moves_no_attitude_and_its_stars_return_when_it_is_back(turn_arcsec: float) -> None:
     """A position a kilometre off turns all stars by 32″."""

@@ -183,6 +183,21 @@ def test_nan_does_not_agree():
     assert find_fault(no_means(2, 1), uses, np.array([0.0, np.nan]), 5.0, [1], 0).fault
 
 
+@pytest.mark.parametrize("after", [2, 6])
+def test_refusals_in_a_row_contradict_a_row_though_no_mean_does(after):
+    uses = np.array([[True, True], [False, True], [True, False]])
+
+    def found(by_all, by_second):
+        seen = no_means(3, 2)
+        seen.heard_ns[:], seen.excess[:, 0], seen.refused[[0, 2], 0] = 0, [0.9, 0.0, 0.3], [by_all, by_second]
+        return find_fault(seen, uses, np.zeros(3), 5.0, [1, 2], 0, after)
+
+    assert not found(after - 1, after).fault
+    assert found(after, after).row == 1
+    # The row that uses the same source is not contradicted: it may still be the one that is right.
+    assert (found(after, after - 1).fault, found(after, after - 1).row) == (True, None)
+
+
 def test_a_source_returns_after_it_agreed_for_long_enough_without_a_break():
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0)
     one = RowsCompared(*(np.empty(0),) * 4, np.zeros((1, 3)), np.eye(3), np.eye(3)[None])
