@@ -9,12 +9,12 @@ import pytest
 
 from ship_estimation.outcome import Status
 from ship_simulation.scenario.fault import Fault
-from ship_testing.adapter_runs import SECOND_NS, stamp_of
+from ship_testing.adapter_runs import stamp_of
 from ship_testing.every_input import scenario, sigmas, voyage_of, worst_claim
 from theodolite_calib.measured.samples import Mode
 
 DURATION_S, BEGIN_S, END_S = 12.0, 6.0, 9.0
-SIGMAS, ALERT_S = 5.0, 1.0
+SIGMAS = 5.0
 
 OF_FORM: dict[str, dict[str, Any]] = {
     "delay": {"delay_s": 1.5},
@@ -67,12 +67,5 @@ def test_the_theodolite_with_one_light_under_faults(topic: str, kind: str, sizes
     run = known.run()
     pointings = run.messages("theodolite/pointing")
     assert {message.mode for message in pointings[100:200]} == {Mode.ONE_LIGHT}
-    start_ns = known.arrivals[0].stamp_ns
-    wrong_s = [
-        (stamp_of(message) - start_ns) / SECOND_NS
-        for message in pointings
-        if message.status in (Status.VALID, Status.COASTING) and not sigmas(known, message) < SIGMAS
-    ]
-    # A slip smaller than what the mount can reach from one reading to the next is seen by the next lights.
-    assert all(BEGIN_S <= since_s < BEGIN_S + ALERT_S for since_s in wrong_s if kind == "slip")
-    assert kind == "slip" or not wrong_s
+    claimed = [m for m in pointings if m.status in (Status.VALID, Status.COASTING)]
+    assert not [stamp_of(message) for message in claimed if not sigmas(known, message) < SIGMAS]

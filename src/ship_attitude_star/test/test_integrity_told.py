@@ -1,11 +1,14 @@
 """Protection levels go by the state that the attitude rests on, also at the moment at which a source is excluded."""
 
 import functools
+import re
 from typing import Any
 
 import numpy as np
+import pytest
 
 from ship_geometry.rotations import ARCSEC
+from ship_node.edge.messages_out import Level
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, stamp_of
 from ship_testing.small_voyage import FORE, INS, STARBOARD, Run, cut, drive, new_adapter, voyage
 from ship_testing.told_levels import LevelledRun
@@ -33,6 +36,17 @@ def test_the_knocked_sensor_is_excluded_within_three_of_its_measurements() -> No
     told = [m for m in knocked_run().messages("ship/integrity") if m.excluded]
     assert told[0].excluded == ["star.fore"]
     assert stamp_of(told[0]) - KNOCKED_NS < 0.7 * SECOND_NS  # three periods of 0.2 s, and 0.12 s on the way
+
+
+def test_the_diagnostics_name_it_and_for_how_long_it_is_excluded() -> None:
+    told = next(m for m in knocked_run().messages("ship/integrity") if m.excluded)
+    report_ns = START_NS + 9 * SECOND_NS
+    ((level, text),) = knocked_run().diagnostics("integrity", report_ns, report_ns + SECOND_NS)
+    assert level == Level.WARN
+    seconds = re.fullmatch(r"excluded: star\.fore for (\d+) s", text)
+    assert seconds is not None
+    # By the levels told last, which go out once a second.
+    assert int(seconds[1]) == pytest.approx((report_ns - stamp_of(told)) / SECOND_NS, abs=1.5)
 
 
 def test_no_level_is_told_for_an_attitude_of_before_the_exclusion() -> None:

@@ -273,6 +273,17 @@ def test_a_time_of_day_that_is_not_that_of_the_receive_time_is_refused(imported)
     assert [len(found[topic]) for topic in ("ins/imu", "gnss/fix")] == [2, 2]
 
 
+@pytest.mark.parametrize("late", [1, -1], ids=["before", "after"])
+def test_a_minute_off_the_receive_time_may_be_a_delay_and_more_is_wrong(imported, late):
+    body = "PASHR,12{}.000,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0"
+    for off_s, rejected in ((59, {}), (61, {"instrument time": 1})):
+        text = line(12 * 3600 + 1800, body.format("3000"))
+        text += line(12 * 3600 + 1860 + late * off_s, body.format("3100"))
+        found, _, counts = imported("--force", ins=text)
+        assert len(found["ins/imu"]) == 2 - len(rejected)
+        assert counts["files"]["ins.log"]["rejected"] == rejected
+
+
 def test_position_from_a_log_without_attitude_becomes_the_fix_alone(imported, capsys):
     positions = "".join(line for line in S330.splitlines(keepends=True) if "GGA" in line)
     found, _, _ = imported("--resample", "20", ins=positions + GYR1)
