@@ -12,7 +12,9 @@ from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import message_store
+from ship_node.edge.messages_out import INTEGRITY_TYPE
 from ship_replay.commands.replay import main
+from ship_simulation.inject_command import main as inject
 from ship_testing.black_boxes import BOX_FORMAT, OPTICAL_AXIS, SHIP_ATTITUDE, changed_copy, make_box
 
 ATTITUDE = "ship_msgs/msg/ShipAttitude"
@@ -64,6 +66,28 @@ def test_a_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
     assert "outputs are equal to the last bit" in out
     text = (tmp_path / "calibration.yaml").read_text()
     assert text.startswith("format: optical_axis calibration")
+
+
+@pytest.mark.parametrize(
+    ("node", "fault", "source"),
+    [
+        (SHIP_ATTITUDE, "topic: star/fore/horizon_attitude, kind: knock, right_arcsec: 80.0", "star.fore"),
+        (OPTICAL_AXIS, "topic: beacon/a/baseline, kind: wrong_fix, up_m: 2.0", "beacon.a"),
+    ],
+    ids=["ship_attitude", "optical_axis"],
+)
+def test_a_box_with_an_exclusion_in_it_is_equal_to_the_last_bit(node, fault, source, tmp_path, capsys):
+    faults, hit = tmp_path / "faults.yaml", tmp_path / "hit.mcap"
+    faults.write_text(f"faults: {{one: {{{fault}, start_s: 3.0}}}}")
+    assert inject([str(node.bag), "--faults", str(faults), "--out", str(hit)]) == 0
+    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=replace(node, bag=hit)).path
+    with read_bag(box) as bag:
+        (topic,) = (name for name, type_name in bag.topics.items() if type_name == INTEGRITY_TYPE)
+        excluded = [name for record in bag.records([topic]) for name in record.decode().excluded]
+    assert set(excluded) == {source}
+    code, out, _ = verify(capsys, box)
+    assert code == 0, out
+    assert "outputs are equal to the last bit" in out
 
 
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
