@@ -55,7 +55,7 @@ faults: setup ## voyages with faults: told, attributed, within the protection le
 hours: setup ## a hundred hours without faults: false exclusions, availability, levels; HOURS=5 for few
 	@$(RUN) python tools/clean_hours.py --hours $(HOURS)
 
-stanford: setup ## a million epochs: error against protection level, docs/figures/stanford.png
+stanford: setup ## errors against protection levels, a million epochs: docs/figures/stanford*.png
 	@$(RUN) python tools/stanford.py
 
 kills: setup ## kill -9 of recorder and node at random moments: what is lost

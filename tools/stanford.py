@@ -1,4 +1,4 @@
-"""Errors against protection levels in the reference case, over many voyages: draws the figure of the docs.
+"""Errors against protection levels in the two reference cases, over many voyages: draws the figures of the docs.
 
 A voyage that is in the folder already is not made again. Exits 1 where an error was above its level.
 """
@@ -6,43 +6,75 @@ A voyage that is in the folder already is not made again. Exits 1 where an error
 import argparse
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
-from ship_bags.command_line import CommandParser, run_command
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.commands.stanford import main as draw
 from ship_replay.offline.replay import replay
 from ship_replay.trials.fault_voyage import make_bag
 
 ROOT = Path(__file__).resolve().parents[1]
-SCENARIO = ROOT / "bags" / "scenarios" / "paper.yaml"
-FIGURE = ROOT / "docs" / "figures" / "stanford.png"
-_LENGTH_S = 600.0
+SCENARIOS = ROOT / "bags" / "scenarios"
+FIGURES = ROOT / "docs" / "figures"
 _FIRST_SEED = 101
+
+
+@dataclass(frozen=True)
+class Case:
+    """Voyages of one scenario.
+
+    Attributes:
+        length_s: of each voyage, s.
+        voyages: how many.
+        figure: name of the file to draw.
+    """
+
+    length_s: float
+    voyages: int
+    figure: str
+
+
+CASES = {
+    "paper": Case(600.0, 17, "stanford.png"),
+    "theodolite_sweep": Case(300.0, 34, "stanford_pointing.png"),
+}
+"""By scenario: a million epochs of the ship's attitude, whose truth is known at each output; a hundred thousand of the
+pointing while there are lights, whose truth is in the bag ten times a second."""
 
 
 def main() -> int:
     """Make the voyages and draw them."""
     parser = CommandParser(prog="stanford", description=__doc__.splitlines()[0], epilog=__doc__.splitlines()[2])
-    parser.add_argument("--voyages", type=int, default=17, help="of ten minutes; 17 are a million epochs (17)")
+    parser.add_argument("--cases", nargs="*", default=list(CASES), choices=list(CASES), help="scenarios (both)")
+    parser.add_argument("--voyages", type=int, help="of each case (17 and 34)")
     parser.add_argument("--processes", type=int, default=2, help="worker processes (2)")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "stanford", help="folder of the voyages")
-    parser.add_argument("--figure", type=Path, default=FIGURE, help="to draw (stanford.png in docs)")
+    parser.add_argument("--figures", type=Path, default=FIGURES, help="folder of what is drawn (docs/figures)")
     return run_command(parser, _run, None)
 
 
 def _run(options: argparse.Namespace) -> int:
-    seeds = range(_FIRST_SEED, _FIRST_SEED + options.voyages)
+    codes = [_drawn(name, CASES[name], options) for name in options.cases]
+    return next((code for code in codes if code != EXIT_DONE), EXIT_DONE)
+
+
+def _drawn(name: str, case: Case, options: argparse.Namespace) -> int:
+    """Exit code of the figure of a case."""
+    count = case.voyages if options.voyages is None else options.voyages
+    seeds = range(_FIRST_SEED, _FIRST_SEED + count)
+    folder = options.out / name
     with ProcessPoolExecutor(options.processes) as pool:
-        paths = list(pool.map(_voyage, [options.out] * len(seeds), seeds))
-    return draw([*map(str, paths), "--figure", str(options.figure), "--force"])
+        paths = list(pool.map(_voyage, [folder] * count, [name] * count, [case.length_s] * count, seeds))
+    return draw([*map(str, paths), "--figure", str(options.figures / case.figure), "--force"])
 
 
-def _voyage(folder: Path, seed: int) -> Path:
+def _voyage(folder: Path, scenario: str, length_s: float, seed: int) -> Path:
     """The outputs of one voyage, with the truth."""
     path = folder / f"out_{seed}.mcap"
     if not path.exists():
-        replay(make_bag(SCENARIO, _LENGTH_S, seed, folder / f"in_{seed}.mcap"), path, ADAPTERS)
+        replay(make_bag(SCENARIOS / f"{scenario}.yaml", length_s, seed, folder / f"in_{seed}.mcap"), path, ADAPTERS)
     return path
 
 
