@@ -232,7 +232,8 @@ def test_an_alert_limit_caps_the_status():
     assert set(wide.status[with_lights]) == {Status.VALID}
     # Without lights there is no level, and a limit is asked for.
     assert set(wide.status[wide.time_s > 75.0]) == {Status.DEGRADED}
-    assert wide.estimates[-1].text.startswith("there are too few sources")
+    why_none = "there is no protection level, and alert limits are configured: too few sources check one another"
+    assert wide.estimates[-1].text.startswith(why_none)
     narrow = claims(run, integrity__alert_limit_arcsec=[20.0, 20.0, 1000.0])
     assert set(narrow.status[with_lights]) == {Status.DEGRADED}
     assert "above its alert limit: azimuth_cos_elevation" in narrow.estimates[400].text

@@ -379,7 +379,8 @@ def above_limit(report: IntegrityReport, quantities: Sequence[str]) -> str:
         )
         return f"a protection level is above its alert limit: {levels}"
     if report.state is IntegrityState.UNAVAILABLE:
-        return "there are too few sources to check one another, and alert limits are configured"
+        why = "too few sources check one another, or they contradict one another"
+        return f"there is no protection level, and alert limits are configured: {why}"
     return ""
 
 

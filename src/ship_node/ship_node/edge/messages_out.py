@@ -210,10 +210,11 @@ def integrity_status(report: IntegrityReport | None, quantities: Sequence[str]) 
     if report.excluded:
         seconds = [f"{name} for {(report.time_ns - since_ns) * 1e-9:.0f} s" for name, since_ns in report.excluded]
         return DiagnosticStatus("integrity", Level.WARN, f"excluded: {', '.join(seconds)}", values)
+    why = "too few sources check one another, they contradict one another, or a jump is not confirmed yet"
     words = {
         IntegrityState.MET: (Level.OK, "every protection level is within its alert limit"),
         IntegrityState.EXCEEDED: (Level.WARN, "a protection level is above its alert limit"),
-        IntegrityState.UNAVAILABLE: (Level.OK, "too few sources in use to check one another: no protection level"),
+        IntegrityState.UNAVAILABLE: (Level.OK, f"no protection level: {why}"),
         IntegrityState.NO_LIMIT: (Level.OK, "no alert limit is configured"),
     }
     return DiagnosticStatus("integrity", *words[report.state], values)
