@@ -11,38 +11,30 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ship_attitude_star.measurements.samples import AttitudeDecision
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.linearised import Linearised
-from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import Mounted, solve_deck, solve_exposure
 from ship_attitude_star.stars.solution import SolutionStatus
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_estimation.kalman import innovation, update
-from ship_estimation.outcome import Measurement
 from ship_estimation.parameters import build
-from ship_estimation.refusals import Reason
 from ship_replay.trials.live_run import LiveFailure, LiveRun
 from ship_replay.trials.monte_carlo import core_for, feed_attitude, feed_pointing, sky_input, star_exposure
+from ship_replay.trials.one_estimate import WithoutAlternatives, WithoutIntegrity
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration, star_attitude_configuration
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import Alternatives, SourceRows
-from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.samples import ExposureDecision
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -135,24 +127,6 @@ def star_solution() -> list[Row]:
     ]
 
 
-class _WithoutIntegrity(ShipFilter):
-    """The step with one estimate alone and its gate: what the estimates beside it are measured against."""
-
-    def __init__(self, config: ShipAttitudeConfig) -> None:
-        super().__init__(config)
-        self.suspects.table.rows, self.suspects.table.ins_rows = 1, ()
-
-    def _judged(
-        self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
-    ) -> tuple[FilterState, AttitudeDecision]:
-        linear = found.compared.linear
-        covariance, nis = innovation(predicted.parts, linear)
-        correction, parts = update(predicted.parts, linear, covariance)
-        after = replace(predicted, means=predicted.means + correction, stack=parts)
-        decision = AttitudeDecision(measurement, Reason.NONE, True, nis=nis, ins_time_ns=found.ins_time_ns)
-        return self._used(after, measurement), decision
-
-
 class _WithPairs(ShipFilter):
     """The step with the estimates without each pair of sources, too."""
 
@@ -161,49 +135,15 @@ class _WithPairs(ShipFilter):
         super().__init__(dataclasses.replace(config, integrity=pairs))
 
 
-class _NoAlternatives:
-    """The rows of a theodolite's filter, of which none is carried on."""
-
-    def __init__(self, rows: SourceRows) -> None:
-        self._rows = rows
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._rows, name)
-
-    def predicted(self, rows: Alternatives, *_: object) -> Alternatives:
-        """As they were."""
-        return rows
-
-    unknown = predicted
-
-
-class _WithoutAlternatives(SightingStep):
-    """The theodolite's step with one estimate alone, its gate and its light checks."""
-
-    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
-        super().__init__(config, filter_)
-        filter_.rows = _NoAlternatives(filter_.rows)  # type: ignore[assignment]
-
-    def _learnt(
-        self,
-        before: CalibrationState,
-        after: CalibrationState,
-        names: tuple[str, ...],
-        compared: Comparison,
-        decision: ExposureDecision,
-    ) -> tuple[CalibrationState, ExposureDecision]:
-        return after, decision
-
-
 def integrity_cost() -> list[Row]:
     """The filters' steps, with the estimates without each source beside them and without them, by turns."""
     ship, theodolite = _run_of("three_sensors", 20.0), _run_of("theodolite", 60.0)
     of_ship = "ship's step by three star sensors"
     return [
-        *_integrity_rows(of_ship, _ship_steps_us, ship, _WithoutIntegrity, ShipFilter),
-        *_integrity_rows(f"{of_ship}, integrity.pairs", _ship_steps_us, ship, _WithoutIntegrity, _WithPairs, None),
+        *_integrity_rows(of_ship, _ship_steps_us, ship, WithoutIntegrity, ShipFilter),
+        *_integrity_rows(f"{of_ship}, integrity.pairs", _ship_steps_us, ship, WithoutIntegrity, _WithPairs, None),
         *_integrity_rows(
-            "theodolite's step by two lights", _theodolite_steps_us, theodolite, _WithoutAlternatives, SightingStep
+            "theodolite's step by two lights", _theodolite_steps_us, theodolite, WithoutAlternatives, SightingStep
         ),
     ]
 
