@@ -272,12 +272,15 @@ def test_a_creeping_sensor_of_three_is_named_and_must_agree_for_twice_as_long_th
     assert_honest(sailed)
 
 
-def test_a_creeping_sensor_of_two_is_a_doubt_until_it_is_named() -> None:
-    """Not by each voyage: what is left then is a sensor and an INS that wanders by as much."""
+def test_a_creeping_sensor_of_two_is_a_doubt_and_where_one_is_named_it_is_the_right_one() -> None:
+    """The other sensor and an INS that wanders by as much nearly explain it: it may take minutes until one is named."""
     drift = Lie("star.port", UP * 5.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = sailed_with(drift, sensors=("bow", "port"), seconds=180.0, seed=2)
-    assert [names for _, names in sailed.excluded] == [(), ("star.port",)]
-    assert any(one.status is Status.DEGRADED for one in sailed.between(20.0, sailed.excluded[1][0]))
+    assert {names for _, names in sailed.excluded} <= {(), ("star.port",)}
+    in_doubt = [one for one in sailed.between(20.0, 180.0) if one.status is Status.DEGRADED]
+    # Half a minute at least, and it covers what is in dispute.
+    assert len(in_doubt) * INS_NS > 30 * SECOND_NS
+    assert max(error_sigmas(one) for one in in_doubt) < 5.0
     assert_honest(sailed)
 
 
