@@ -63,16 +63,20 @@ def stepped(message: Any) -> Any:
     return changed
 
 
-@pytest.mark.parametrize("node", ["ship_attitude", "star_attitude"])
+@pytest.mark.parametrize("node", ["ship_attitude", "star_attitude", "optical_axis"])
 def test_the_step_is_there(node: str) -> None:
-    stamps = np.array([a.stamp_ns for a in across(node)[0].arrivals if a.topic == "ins/imu"])
+    topic = "theodolite/encoder" if node == "optical_axis" else "ins/imu"
+    stamps = np.array([a.stamp_ns for a in across(node)[0].arrivals if a.topic == topic])
     assert np.min(np.diff(stamps)) < -0.9 * SECOND_NS
     assert stamps[0] < MIDNIGHT_NS - 7 * SECOND_NS < MIDNIGHT_NS + 14 * SECOND_NS < stamps[-1]
 
 
-def test_what_is_claimed_is_honest_and_in_doubt_for_ten_seconds() -> None:
-    known, run = across("ship_attitude")
-    attitudes = [message for message in run.messages("ship/attitude") if message.status != Status.INVALID]
+@pytest.mark.parametrize(
+    ("node", "topic"), [("ship_attitude", "ship/attitude"), ("optical_axis", "theodolite/pointing")]
+)
+def test_what_is_claimed_is_honest_and_in_doubt_for_ten_seconds(node: str, topic: str) -> None:
+    known, run = across(node)
+    attitudes = [message for message in run.messages(topic) if message.status != Status.INVALID]
     since_s = np.array([(stamp_of(message) - MIDNIGHT_NS) / SECOND_NS for message in attitudes])
     status = np.array([message.status for message in attitudes])
     assert np.all(np.diff(since_s) > 0.0)
@@ -95,3 +99,17 @@ def test_stars_are_not_solved_in_doubt_and_right_afterwards() -> None:
     assert set(status[since_s < -1.1]) == {0}
     assert set(status[(since_s > 0.3) & (since_s < 9.5)]) == {3}
     assert status[-1] == 0
+
+
+def test_lights_are_not_used_in_doubt_and_nobody_is_excluded() -> None:
+    _, run = across("optical_axis")
+    lights = [message for message in run.messages("theodolite/innovation") if message.source == "lights"]
+    since_s = {
+        used: np.array([(stamp_of(m) - MIDNIGHT_NS) / SECOND_NS for m in lights if m.accepted is used])
+        for used in (True, False)
+    }
+    assert not np.any((since_s[True] > 0.3) & (since_s[True] < 9.5))
+    assert np.count_nonzero((since_s[False] > 0.3) & (since_s[False] < 9.5)) > 40
+    assert np.count_nonzero(since_s[True] > 11.0) > 10
+    assert not {source for told in run.messages("theodolite/integrity") for source in told.excluded}
+    assert run.messages("theodolite/pointing")[-1].light_count == 2

@@ -16,7 +16,7 @@ This module names the reasons. A measurement meets those who decide in this orde
 """
 
 import enum
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -24,6 +24,7 @@ from ship_geometry.time_scales import SECOND_NS
 
 AGREES_AGAIN_AFTER_S = 10.0
 """So long a source that contradicted itself must have agreed with itself before what rests on it is VALID again."""
+_AGREES_AGAIN_AFTER_NS = round(AGREES_AGAIN_AFTER_S * SECOND_NS)
 
 LONGEST_TEXT = 200
 """Characters of a reason; and what comes from outside is never longer than that in anything that goes out."""
@@ -160,6 +161,7 @@ class Contradictions:
 
     Attributes:
         latest_ns: by source, the stamp of its last conflict, however long ago.
+        since_ns: by source, the stamp of the first of the conflicts that led to it, each within ten seconds of another.
 
     Example:
         >>> told = Contradictions()
@@ -169,22 +171,39 @@ class Contradictions:
         {'ship': 5000000000}
         >>> told.at(16 * SECOND_NS)
         {}
+        >>> told.together({"ship", "encoder"}), told.together({"ship"})
+        (None, (5000000000, 15000000000))
     """
 
     def __init__(self) -> None:
         self.latest_ns: dict[str, int] = {}
+        self.since_ns: dict[str, int] = {}
 
     def note(self, source: str, time_ns: int, refusal: Refusal | None) -> None:
         """Take note of what was said of an input with this stamp; only CONFLICT counts."""
         if refusal is not None and refusal.reason is Reason.CONFLICT:
-            self.latest_ns[source] = max(time_ns, self.latest_ns.get(source, time_ns))
+            latest_ns = self.latest_ns.get(source, time_ns)
+            since_ns = self.since_ns.get(source, time_ns)
+            # A conflict long after the last one begins anew; one long before it is over.
+            begins_anew = time_ns - latest_ns > _AGREES_AGAIN_AFTER_NS
+            if begins_anew or since_ns - _AGREES_AGAIN_AFTER_NS <= time_ns < since_ns:
+                since_ns = time_ns
+            self.since_ns[source], self.latest_ns[source] = since_ns, max(time_ns, latest_ns)
 
     def at(self, time_ns: int) -> dict[str, int]:
         """The sources that have not agreed with themselves for long, each with the stamp of its last conflict."""
         if not self.latest_ns:
             return {}
-        since_ns = time_ns - round(AGREES_AGAIN_AFTER_S * SECOND_NS)
+        since_ns = time_ns - _AGREES_AGAIN_AFTER_NS
         return {source: latest_ns for source, latest_ns in self.latest_ns.items() if latest_ns >= since_ns}
+
+    def together(self, sources: Set[str]) -> tuple[int, int] | None:
+        """From when until when sources all contradict themselves, each since its first conflict; None for never."""
+        if not sources <= self.latest_ns.keys():
+            return None
+        first_ns = max(self.since_ns[source] for source in sources)
+        until_ns = min(self.latest_ns[source] for source in sources) + _AGREES_AGAIN_AFTER_NS
+        return (first_ns, until_ns) if first_ns <= until_ns else None
 
 
 def contradiction_text(sources: Iterable[str]) -> str:

@@ -9,7 +9,7 @@ from rclpy.serialization import serialize_message
 from ship_estimation.outcome import Status
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival
 from ship_testing.garbage import paths, spoil
-from ship_testing.small_session import ALL_TOPICS, Run, clean_run, new_adapter, session
+from ship_testing.small_session import ALL_TOPICS, SHIP, Run, clean_run, new_adapter, session
 
 MESSAGES = 10_000
 
@@ -26,6 +26,8 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
             now_ns = start_ns + arrival.receive_ns - START_NS
             good = later(arrival, start_ns - START_NS)
             take(run, good, now_ns)
+            if arrival.topic == SHIP and start_ns == START_NS:
+                continue  # No lights are used while both the encoders and the ship contradict themselves.
             pickled = pickle.dumps(good.message)  # copies three times as fast as deepcopy()
             for _ in range(6):
                 bad = pickle.loads(pickled)

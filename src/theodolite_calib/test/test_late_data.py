@@ -1,6 +1,7 @@
 """Messages late and out of order: within the lag the end is the same to the last bit, and outputs never go back."""
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +10,12 @@ from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_testing.adapter_runs import (
     SECOND_NS,
+    START_NS,
     Arrival,
     assert_a_flood_costs_little,
+    changed_copy,
     delayed,
+    in_order,
     index_at,
     replaced,
     stamp_of,
@@ -23,6 +27,7 @@ from ship_testing.small_session import (
     ENCODER,
     IMU,
     SHIP,
+    Run,
     clean_run,
     drive,
     new_adapter,
@@ -121,3 +126,45 @@ def test_a_flood_with_random_stamps_costs_few_steps_and_what_is_refused_leaves_n
     assert_a_flood_costs_little(
         monkeypatch, OpticalAxisCore, lambda a: drive(new_adapter(), a), session(3.0), BEACONS, "lights"
     )
+
+
+def told_twice(topics: tuple[str, ...]) -> tuple[Arrival, ...]:
+    """Of the time from 2.0 s to 2.3 s some sources tell what is so a second later, too."""
+
+    def again(message: Any) -> None:
+        ns = stamp_of(message) - SECOND_NS
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, SECOND_NS)
+
+    begin_ns, end_ns = START_NS + 3 * SECOND_NS, START_NS + 33 * SECOND_NS // 10
+    twice = [a for a in session(16.0) if a.topic in topics and begin_ns <= a.stamp_ns < end_ns]
+    return in_order([*session(16.0), *(changed_copy(a, again) for a in twice)])
+
+
+def lights_used(run: Run) -> list[float]:
+    """Stamps of the lights used, s after the start."""
+    told = [m for m in run.messages("theodolite/innovation") if m.source == "lights" and m.accepted]
+    return sorted({(stamp_of(m) - START_NS) / SECOND_NS for m in told})
+
+
+def test_no_lights_are_used_while_encoders_and_ship_tell_a_time_twice() -> None:
+    run = drive(new_adapter(), told_twice((ENCODER, SHIP)))
+    core = run.adapter.core
+    assert not core.state.trust.left_out
+    assert run.pointings[-1].status == Status.VALID
+    used = lights_used(run)
+    assert not [s for s in used if 2.3 < s < 12.2]
+    assert [s for s in used if s > 12.4]
+
+
+def test_in_any_order_no_lights_are_used_while_encoders_and_ship_tell_a_time_twice() -> None:
+    arrivals = told_twice((ENCODER, SHIP))
+    one = drive(new_adapter(), arrivals)
+    rng = np.random.default_rng(7)
+    slow = np.array([a.topic in (BEACONS, ALPHA) for a in arrivals])
+    other = drive(new_adapter(), delayed(arrivals, np.where(slow, rng.uniform(0.0, LAG_S - 0.001, slow.size), 0.005)))
+    assert other.state() == one.state()
+
+
+def test_lights_are_used_while_one_source_alone_tells_a_time_twice() -> None:
+    used = lights_used(drive(new_adapter(), told_twice((SHIP,))))
+    assert len([s for s in used if 3.5 < s < 12.0]) == 17  # all: there are two a second

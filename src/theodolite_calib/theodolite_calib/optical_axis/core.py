@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.protection import IntegrityReport
-from ship_estimation.refusals import Refusal, contradiction_text
+from ship_estimation.refusals import Reason, Refusal, contradiction_text
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SampleTrack
@@ -47,6 +47,8 @@ from theodolite_calib.optical_axis.calibration import (
 )
 from theodolite_calib.optical_axis.integrity import integrity_of
 from theodolite_calib.optical_axis.output import PointingOutput, no_pointing
+
+_TOLD_TWICE = "encoders and ship both say different things of one moment: a clock has told a time twice"
 
 
 class _WaitingReading(NamedTuple):
@@ -102,6 +104,7 @@ class OpticalAxisCore:
         self._ship_watch = ShipWatch(self.config, self._tracks.ship_shift_ns)
         self._waiting: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
+        self._told_twice: tuple[int, int] | None = None
         self._ship_covered_until_ns: int | None = None
         return remarks
 
@@ -128,8 +131,10 @@ class OpticalAxisCore:
             shell.add_jump(judged.jump.time_ns, ENCODER, judged.jump, track.cut(judged.jump.time_ns))
         if judged.refusal is not None:
             shell.add_refused(ENCODER, track, sample)
+            self._watch_time()
             return outcome
         shell.add_sample(ENCODER, track, sample, outcome)
+        self._watch_time()
         if outcome.refusal is None and track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
             self._waiting.append(_WaitingReading(sample, self._watch.doubt, self._watch.doubt_rad))
@@ -146,6 +151,7 @@ class OpticalAxisCore:
             self._shell.add_refused(source, track, sample)
         elif self._shell.add_sample(source, track, sample, outcome):
             self._ship_covered_until_ns = self._tracks.ship_covered_until_ns
+        self._watch_time()
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
 
@@ -247,6 +253,9 @@ class OpticalAxisCore:
     ) -> tuple[CalibrationState, ExposureDecision] | None:
         if may_wait and self._tracks.awaits(exposure):
             return None
+        told_twice = self._told_twice
+        if told_twice is not None and told_twice[0] <= exposure.time_ns <= told_twice[1]:
+            return state, ExposureDecision(exposure, Reason.CONFLICT, text=_TOLD_TWICE)
         assembled = self._sightings.assemble(exposure)
         if assembled.sighting is None:
             assert assembled.refusal is not None
@@ -300,6 +309,19 @@ class OpticalAxisCore:
             if ship is not None:
                 estimate = functools.partial(self._pointing.estimate, sample, ship, doubt, doubt_rad)
                 self._shell.put_out(outcome, sample.time_ns, waiting_ns, estimate)
+
+    def _watch_time(self) -> None:
+        """Compare lights anew where it turns out that encoders and ship tell a time twice."""
+        before = self._told_twice
+        together = self._shell.contradictions.together({ENCODER, self.config.ship.source})
+        if together is None:
+            return
+        first_ns = together[0] - self._tracks.reach_ns
+        self._told_twice = first_ns, together[1]
+        if before is None or before[0] != first_ns:
+            self._shell.data_changed(first_ns if before is None else min(before[0], first_ns))
+        elif together[1] > before[1]:
+            self._shell.data_changed(before[1])
 
     def _contradiction(self, time_ns: int) -> str:
         """Why what a pointing rests on is in doubt since a source contradicted itself; empty where none did."""
