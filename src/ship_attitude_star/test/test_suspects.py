@@ -272,12 +272,16 @@ def test_a_creeping_sensor_of_three_is_named_and_must_agree_for_twice_as_long_th
     assert_honest(sailed)
 
 
-def test_a_creeping_sensor_of_two_is_a_doubt_and_where_one_is_named_it_is_the_right_one() -> None:
-    """The other sensor and an INS that wanders by as much nearly explain it: it may take minutes until one is named."""
+@pytest.mark.parametrize("seed", [4, 9])
+def test_a_creeping_sensor_of_two_is_a_doubt_and_where_one_is_named_it_is_the_right_one(seed: int) -> None:
+    """The other sensor and an INS that wanders by as much nearly explain it: it may take minutes until one is named.
+
+    In these two voyages four tenths of the limit (``_CLEARER``) named the other one.
+    """
     drift = Lie("star.port", UP * 5.0 / 60.0 * ARCSEC, 20.0, per_s=True)
-    sailed = sailed_with(drift, sensors=("bow", "port"), seconds=180.0, seed=2)
+    sailed = sailed_with(drift, sensors=("bow", "port"), seconds=170.0, seed=seed)
     assert {names for _, names in sailed.excluded} <= {(), ("star.port",)}
-    in_doubt = [one for one in sailed.between(20.0, 180.0) if one.status is Status.DEGRADED]
+    in_doubt = [one for one in sailed.between(20.0, 170.0) if one.status is Status.DEGRADED]
     # Half a minute at least, and it covers what is in dispute.
     assert len(in_doubt) * INS_NS > 30 * SECOND_NS
     assert max(error_sigmas(one) for one in in_doubt) < 5.0
