@@ -25,7 +25,7 @@ _SLIP_SEEN_SIGMAS = 13.0
 """A slip of more sigmas of a reading shows in the readings themselves
 (:mod:`theodolite_calib.measured.encoder_steps`)."""
 
-_INS_CREEPS_ARCSEC_PER_MIN, _AZIMUTH_CREEPS_ARCSEC_PER_MIN = 60.0, 100.0
+_INS_CREEPS_ARCSEC_PER_MIN, _STARS_CREEP_ARCSEC_PER_MIN, _AZIMUTH_CREEPS_ARCSEC_PER_MIN = 60.0, 4.0, 100.0
 """What creeps by less is found before an output is beyond five sigmas."""
 
 _SMALL_STEP_SIGMAS = 11.0
@@ -94,11 +94,19 @@ class Passage:
 
     def _ins_creeps(self, fault: Fault, first_ns: int) -> bool:
         """An INS that creeps, with two star sensors: its slow error takes it up until its rates, or the rows, tell."""
-        if fault.kind != "drift" or fault.topic != _INS:
+        return fault.topic == _INS and self._creeps_beside_two(fault, _INS_CREEPS_ARCSEC_PER_MIN)
+
+    def _stars_creep(self, fault: Fault, first_ns: int) -> bool:
+        """One of two star sensors that creeps: the INS nearly explains it, and about one axis none knows better."""
+        return fault.topic.startswith(_STARS) and self._creeps_beside_two(fault, _STARS_CREEP_ARCSEC_PER_MIN)
+
+    def _creeps_beside_two(self, fault: Fault, arcsec_per_min: float) -> bool:
+        """Whether a fault is a drift by more than that about an axis, beside two star sensors."""
+        if fault.kind != "drift":
             return False
         rates = fault.forward_arcsec_per_min, fault.up_arcsec_per_min, fault.right_arcsec_per_min
         sensors = {topic.split("/")[1] for topic in self.arrivals_ns if topic.startswith(_STARS)}
-        return max(map(abs, rates)) > _INS_CREEPS_ARCSEC_PER_MIN and len(sensors) < _CHECK_EACH_OTHER
+        return max(map(abs, rates)) > arcsec_per_min and len(sensors) < _CHECK_EACH_OTHER
 
     def _ins_steps_a_little(self, fault: Fault, first_ns: int) -> bool:
         """An INS that steps by less than a sample of it tells."""
@@ -129,6 +137,7 @@ _UNSEEN: dict[str, Callable[[Passage, Fault, int], bool]] = {
     "encoder drift, told late": Passage._encoders_creep,
     "ins drift, told late": Passage._ins_creeps,
     "ins step, small": Passage._ins_steps_a_little,
+    "star drift, told late": Passage._stars_creep,
     "telescope knock, small": Passage._knocks_within_scatter,
     "star knock, no stars": Passage._knocked_unseen,
 }
