@@ -127,7 +127,8 @@ def find_fault(
     if all(not worst[row] < worst[best] + _CLEARER for row in asked if row != best):
         return Finding(fault=True, row=best, explaining=tuple(explaining))
     row = None
-    if agrees and len(explaining) > 1:
+    # After a refusal the first row has not used all that the others have: its distance from them tells nothing then.
+    if agrees and len(explaining) > 1 and not (means.refused[0] * counts[0]).any():
         both = [*explaining, *(row for row in larger if explains[row])]
         row = _farthest(both, statistic, threshold) or _farthest(explaining, statistic, threshold)
     return Finding(fault=True, row=row, explaining=tuple(explaining))
