@@ -166,6 +166,20 @@ def test_a_row_of_two_is_asked_where_no_row_of_one_can_be_it_or_where_it_stands_
         assert find_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger=[3]).row == told
 
 
+def test_after_a_refusal_a_distance_names_nobody():
+    """The first row has not used what another one has: their covariances do not tell how far apart they may be."""
+    uses = np.array([[True, True], [False, True], [True, False]])
+    seen = no_means(3, 2)
+    seen.heard_ns[:] = 0
+    apart = np.array([0.0, 2000.0, 4.0])
+    assert find_fault(seen, uses, apart, 5.0, [1, 2], 0).row == 1
+    seen.refused[0, 1] = 1
+    found = find_fault(seen, uses, apart, 5.0, [1, 2], 0)
+    assert (found.fault, found.row) == (True, None)
+    # One that the first row does not use refuses nothing of it.
+    assert find_fault(seen, uses & [True, False], apart, 5.0, [1, 2], 0).row == 1
+
+
 def test_a_single_gross_error_excludes_nobody():
     bank, rng = Bank(3), np.random.default_rng(8)
     for epoch in range(100):
