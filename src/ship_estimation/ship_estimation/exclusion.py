@@ -25,8 +25,8 @@ HEARD_NS = 10 * SECOND_NS
 
 _CLEARER = 0.6
 """By so much of its limit the chi² of the row that explains a fault is smaller than that of any other row: with the
-usual limits the fault is 75 000 times as probable there. It has to be so much, because with something that creeps this
-is asked hundreds of times: for 2000 times, one voyage in six named a sensor that was right."""
+usual limits the fault is 75 000 times as probable there. A source that creeps is judged anew at hundreds of
+measurements before anybody is named: with 2 000 to one, six voyages of 40 named a sensor that was right."""
 
 _FARTHER = 1.3
 """Where all rows agree with what they see, the one that stands so many times farther off than any other explains it."""

@@ -134,8 +134,9 @@ class OpticalAxisCore:
             self._watch_time()
             return outcome
         shell.add_sample(ENCODER, track, sample, outcome)
-        self._watch_time()
-        if outcome.refusal is None and track.newest is sample:
+        if outcome.refusal is not None:
+            self._watch_time()
+        elif track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
             self._waiting.append(_WaitingReading(sample, self._watch.doubt, self._watch.doubt_rad))
             self._publish(outcome, arrival_ns)
@@ -151,7 +152,8 @@ class OpticalAxisCore:
             self._shell.add_refused(source, track, sample)
         elif self._shell.add_sample(source, track, sample, outcome):
             self._ship_covered_until_ns = self._tracks.ship_covered_until_ns
-        self._watch_time()
+        if outcome.refusal is not None:
+            self._watch_time()
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
 
@@ -311,7 +313,7 @@ class OpticalAxisCore:
                 self._shell.put_out(outcome, sample.time_ns, waiting_ns, estimate)
 
     def _watch_time(self) -> None:
-        """Compare lights anew where it turns out that encoders and ship tell a time twice."""
+        """Compare lights anew where a refusal has shown that encoders and ship tell a time twice."""
         before = self._told_twice
         together = self._shell.contradictions.together({ENCODER, self.config.ship.source})
         if together is None:
