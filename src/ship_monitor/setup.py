@@ -1,0 +1,21 @@
+# The same lines stand in the setup.py of every package: colcon builds each package from its own file alone.
+from setuptools import find_packages, setup
+
+package_name = "ship_monitor"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools", "numpy", "bokeh", "textual"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="Ship attitude team",
+    maintainer_email="maintainers@example.org",
+    description="Live page, terminal view and alerts of a suite.",
+    license="Apache-2.0",
+)

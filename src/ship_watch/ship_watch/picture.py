@@ -1,0 +1,198 @@
+"""What a watch officer is shown at one moment: the contract between what is judged and what is drawn.
+
+:class:`Picture` is made by :meth:`ship_watch.watch.Watch.look` from the messages of a suite. The live page, the
+terminal view, the alerts and the report read it; none of them judges anew. Angles are in radians, ages in seconds,
+times in integer ns. NaN means that there is no value; an infinite age, that nothing was ever heard.
+"""
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+ANGLES = ("heading", "pitch", "roll", "azimuth", "elevation")
+"""The angles of a picture, in the order in which they are shown."""
+
+
+class Safety(enum.IntEnum):
+    """How far an angle may be relied on, in the words of IMO MSC.1/Circ.1575; the worse the larger."""
+
+    SAFE = 0
+    CAUTION = 1
+    UNSAFE = 2
+
+
+class Presence(enum.Enum):
+    """Whether a source takes part."""
+
+    IN = "IN"
+    OUT = "OUT"
+    OFF = "OFF"
+    """It is not configured: no topic of it was ever named."""
+
+
+class Priority(enum.IntEnum):
+    """Urgency of an alert, as in ship_msgs/Alert."""
+
+    CAUTION = 0
+    WARNING = 1
+    ALARM = 2
+
+
+@dataclass(frozen=True)
+class AngleShown:
+    """One angle as a tile or a line shows it.
+
+    Attributes:
+        name: one of :data:`ANGLES`.
+        value: the angle, rad: heading and azimuth from north to the right, pitch bow up, roll port up, elevation up.
+        accuracy_95: 1.96 sigma, rad; of the azimuth times the cosine of the elevation.
+        limit: the ship's limit of ``accuracy_95``, rad.
+        protection_level: bound under any single fault, rad; NaN where none is told.
+        safety: the word.
+        reason: why it is not SAFE, a few words; empty where it is.
+        age_s: time since the last value arrived.
+        is_old: whether that is too long: the value is then shown greyed, with its age.
+        stamp_ns: time of the value, UTC as POSIX time; 0 before the first.
+        since_ns: UTC since which the word stands; 0 before the first.
+    """
+
+    name: str
+    value: float
+    accuracy_95: float
+    limit: float
+    protection_level: float
+    safety: Safety
+    reason: str
+    age_s: float
+    is_old: bool
+    stamp_ns: int
+    since_ns: int
+
+
+@dataclass(frozen=True)
+class NisVerdict:
+    """Whether the stated sigma of a source fits its innovations of the last minute.
+
+    Attributes:
+        ratio: √(mean NIS / degrees of freedom); NaN where nothing was accepted.
+        degrees: degrees of freedom in all.
+        text: "σ as stated (1.01)", "σ optimistic by 1.6", "σ pessimistic by 1.3", or empty with too few.
+        is_as_stated: whether the ratio lies within 1 ± 3.3/√(2·degrees).
+    """
+
+    ratio: float
+    degrees: int
+    text: str
+    is_as_stated: bool
+
+
+@dataclass(frozen=True)
+class SourceShown:
+    """One source: an instrument, or what belongs together of one.
+
+    Attributes:
+        name: "ins", "star.<id>", "reference.<name>", "lights", "encoder", "baselines", "gnss", "weather".
+        presence: IN, OUT or OFF.
+        reason: why it is OUT: "81 refused in a row", "silent", "invalid", "excluded"; empty where it is IN.
+        disagreement: how it disagrees, "right +49″"; empty where that is not known.
+        residual: mean of its last residuals over its sigma where it disagrees, NaN elsewhere.
+        verdict: of its sigma; None where it has no innovations.
+        age_s: time since the last message arrived.
+        rate_hz: mean rate of arrival; NaN before two messages.
+        refused: messages refused in a row, in input or filter.
+        out_since_ns: UTC of the first refusal or of the silence; 0 where it is IN.
+        topics: relative topics it comes by.
+    """
+
+    name: str
+    presence: Presence
+    reason: str
+    disagreement: str
+    residual: float
+    verdict: NisVerdict | None
+    age_s: float
+    rate_hz: float
+    refused: int
+    out_since_ns: int
+    topics: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class AlertShown:
+    """One alert as the alert node published it; ``state`` as in ship_msgs/Alert."""
+
+    id: str
+    instance: int
+    priority: Priority
+    state: int
+    source: str
+    text: str
+    value: float
+    limit: float
+    unit: str
+    raised_ns: int
+    changed_ns: int
+
+    @property
+    def is_acknowledged(self) -> bool:
+        """Whether nobody needs to acknowledge it any more."""
+        return self.state in (0, 3)
+
+
+@dataclass(frozen=True)
+class InputShown:
+    """One input topic, with what its node and what the filter behind it refused."""
+
+    topic: str
+    rate_hz: float
+    latency_s: float
+    age_s: float
+    level: int
+    refused_60s: int
+    reasons: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that changed.
+
+    Attributes:
+        utc_ns: when, UTC as POSIX time.
+        kind: "state", "status", "mode", "source", "alert" or "node".
+        subject: the angle, source, alert or node.
+        text: what changed, for people: "roll SAFE → CAUTION, over the limit".
+    """
+
+    utc_ns: int
+    kind: str
+    subject: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Picture:
+    """All of one moment.
+
+    Attributes:
+        utc_ns: the suite's time now, UTC as POSIX time: newest stamp plus the time since it came; 0 before the first.
+        angles: in the order of :data:`ANGLES`; those of a theodolite only where one was ever heard.
+        ages_s: time since the last stars, lights and INS sample that were used: keys "stars", "lights", "ins".
+        pointing_by: "2 lights", "1 light", "encoder", "no pointing"; empty without a theodolite.
+        horizon: "geodetic", "gravity"; empty before the first attitude.
+        sources: OUT first, then in a fixed order.
+        alerts: as last published, the most urgent first; None where no alert node was heard.
+        inputs: in the order of their topics.
+        events: the newest first, at most 200.
+        waiting_for: what was never heard and is needed, "ship/attitude"; empty where nothing is missing.
+    """
+
+    utc_ns: int
+    angles: tuple[AngleShown, ...]
+    ages_s: Mapping[str, float]
+    pointing_by: str
+    horizon: str
+    sources: tuple[SourceShown, ...]
+    alerts: tuple[AlertShown, ...] | None
+    inputs: tuple[InputShown, ...]
+    events: tuple[Event, ...]
+    waiting_for: str
