@@ -1,0 +1,270 @@
+"""The topics of one namespace, taken as bytes and decoded only when somebody looks.
+
+Nothing here runs when a message arrives: DDS itself keeps the newest messages of each topic, and
+:meth:`TopicReader.take` fetches them. An INS at 1 kHz therefore costs four decoded messages a second, and no thread of
+Python is woken. The subscriptions are best effort, so that no publisher ever waits for them; only topics that keep
+their last message for those who come later are taken reliably, because DDS gives that message to nobody else.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock
+
+from ship_bags.errors import BadInput
+from ship_bags.live.installed_types import installed_class
+from ship_bags.live.ros_process import require_demanded_security
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_bags.topic_names import TRUTH_PREFIX, relative_topic
+
+KEPT = 256
+"""Messages of a topic that may wait between two looks where each counts: 1 s of a star sensor, an INS and lights."""
+
+STREAMS = frozenset(
+    {
+        *("sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/FluidPressure"),
+        *("sensor_msgs/msg/Temperature", "sensor_msgs/msg/RelativeHumidity", "rosgraph_msgs/msg/Clock"),
+        *("ship_msgs/msg/ShipAttitude", "ship_msgs/msg/OpticalAxisPointing", "ship_msgs/msg/TheodoliteEncoder"),
+        *("ship_msgs/msg/AlignmentState", "ship_msgs/msg/TheodoliteCalibration", "ship_msgs/msg/AlertArray"),
+        *("ship_msgs/msg/AttitudeDeg", "ship_msgs/msg/Deflection"),
+    }
+)
+"""Types of which only the newest message of each look is taken: the one before it says nothing that is still true."""
+
+CLOCK_TOPIC = "/clock"
+_ABSOLUTE = ("/diagnostics", CLOCK_TOPIC)
+_DISCOVERY_NS = 500_000_000
+_CLOCK_BACK_NS = 100_000_000
+"""A jump of /clock by which nodes start anew (:mod:`ship_node.live.live_node`)."""
+_STAMPS_BACK_NS = 5 * NS_PER_S
+"""Outputs increase in time: stamps that go back by more are those of another voyage."""
+_OUTPUTS = ("ship/attitude", "theodolite/pointing")
+_ASLEEP_NS = 5 * NS_PER_S
+
+
+def steady_ns() -> int:
+    """Nanoseconds of a clock that never steps and, unlike ``time.monotonic_ns``, goes on while the machine sleeps."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """One message: its relative topic, the decoded message, and when it came by :func:`steady_ns`."""
+
+    topic: str
+    message: Any
+    arrival_ns: int
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What came since the last look.
+
+    Attributes:
+        is_anew: the time of the suite has gone back, as when a bag starts over: what was heard before is of no use.
+        messages: in the order of their arrival; of before the jump, none.
+    """
+
+    is_anew: bool
+    messages: tuple[Arrived, ...]
+
+
+@dataclass
+class _Heard:
+    """A topic that is subscribed to."""
+
+    subscription: Subscription
+    relative: str
+    kind: Any
+    type_name: str
+    is_latched: bool
+
+
+class TopicReader:
+    """Reads the topics of a namespace, and finds new ones as they appear.
+
+    It has a context and a node of its own, which nobody spins. After the machine has slept it takes part in the network
+    anew, because the addresses may be others.
+
+    Attributes:
+        domain_id: ROS domain it listens in.
+        namespace: with its slash in front; "/" for none.
+
+    Args:
+        name: name of the node.
+        namespace: namespace of the suite, with or without slashes; empty for none.
+        wants: whether a topic is wanted, by its relative name and the name of its type.
+
+    Raises:
+        BadInput: the namespace is not one; or DDS security is demanded and not there.
+    """
+
+    def __init__(self, name: str, namespace: str, wants: Callable[[str, str], bool]) -> None:
+        self.namespace = "/" + namespace.strip("/")
+        self._name, self._wants = name, wants
+        self._asleep_ns = self._last_take_ns = self._next_discovery_ns = 0
+        self._latest_ns: dict[str, int] = {}
+        self._open()
+
+    def take(self) -> Taken:
+        """Messages since the last call; of :data:`STREAMS` only the newest of each topic."""
+        asleep_ns = _asleep_ns()
+        if asleep_ns - self._asleep_ns > _ASLEEP_NS:
+            self.close()
+            self._open()
+        now_ns = steady_ns()
+        if now_ns >= self._next_discovery_ns:
+            self._discover()
+            self._next_discovery_ns = now_ns + _DISCOVERY_NS
+        arrived = sorted(self._fetched(now_ns), key=lambda each: each.arrival_ns)
+        self._last_take_ns = now_ns
+        jump_ns = max(filter(None, map(self._jump_ns, arrived)), default=None)
+        kept = (each for each in arrived if each.topic != CLOCK_TOPIC)
+        if jump_ns is None:
+            return Taken(False, tuple(kept))
+        # Outputs follow /clock a moment later, and that is the same jump.
+        self._latest_ns = {CLOCK_TOPIC: self._latest_ns[CLOCK_TOPIC]} if CLOCK_TOPIC in self._latest_ns else {}
+        latched = {heard.relative for heard in self._heard.values() if heard.is_latched}
+        return Taken(True, tuple(each for each in kept if each.arrival_ns >= jump_ns or each.topic in latched))
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the suite's truth is on the network, which no real ship has."""
+        return any(topic.startswith(TRUTH_PREFIX) for topic in self._present)
+
+    @property
+    def is_played(self) -> bool:
+        """Whether somebody sets the time, as the player of a bag does."""
+        return bool(self._node.count_publishers(CLOCK_TOPIC))
+
+    @property
+    def place(self) -> str:
+        """Where it listens, in words, and in which other namespaces a suite is heard."""
+        where = f"namespace {self.namespace}, domain {self.domain_id}"
+        others = [f"/{name}" for name in self._elsewhere if f"/{name}" != self.namespace]
+        return f"{where}; there is one in {', '.join(others)}" if others else where
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _open(self) -> None:
+        require_demanded_security()
+        self._context = Context()
+        self._context.init(args=[])
+        self.domain_id = int(self._context.get_domain_id())
+        try:
+            self._node = Node(
+                self._name,
+                context=self._context,
+                namespace=self.namespace,
+                use_global_arguments=False,
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
+        except (InvalidNamespaceException, ValueError) as problem:
+            self._context.try_shutdown()
+            raise BadInput(
+                f"'{self.namespace}' is not a namespace of ROS; expected letters, digits, _ and /"
+            ) from problem
+        self._heard: dict[str, _Heard] = {}
+        self._present: set[str] = set()
+        self._unusable: set[tuple[str, str]] = set()
+        self._elsewhere: tuple[str, ...] = ()
+        self._latest_ns = {}
+        self._asleep_ns = _asleep_ns()
+        self._last_take_ns = self._next_discovery_ns = steady_ns()
+
+    def _discover(self) -> None:
+        """Subscribe to what is new, and again to what has changed its type or begun to keep its last message."""
+        names = self._node.get_topic_names_and_types()
+        ending = "/" + _OUTPUTS[0]
+        self._elsewhere = tuple(sorted(name[1 : -len(ending)] for name, _ in names if name.endswith(ending)))
+        self._present = set()
+        for topic, types in names:
+            relative = topic if topic in _ABSOLUTE else relative_topic(topic, self.namespace)
+            if relative is None:
+                continue
+            wanted = [each for each in types if relative == CLOCK_TOPIC or self._wants(relative, each)]
+            if not wanted and not relative.startswith(TRUTH_PREFIX):
+                continue
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            if not publishers:
+                continue
+            self._present.add(relative)
+            type_name = publishers[-1].topic_type
+            if type_name in wanted:
+                durability = {each.qos_profile.durability for each in publishers}
+                self._subscribe(topic, relative, type_name, durability == {DurabilityPolicy.TRANSIENT_LOCAL})
+
+    def _subscribe(self, topic: str, relative: str, type_name: str, is_latched: bool) -> None:
+        heard = self._heard.get(topic)
+        if heard is not None:
+            if (heard.type_name, heard.is_latched) == (type_name, is_latched):
+                return
+            self._node.destroy_subscription(heard.subscription)
+            del self._heard[topic]
+        if (topic, type_name) in self._unusable:
+            return
+        try:
+            kind = installed_class(type_name)
+        except BadInput as problem:
+            self._unusable.add((topic, type_name))
+            self._node.get_logger().warning(f"topic '{topic}' is not shown: {problem}")
+            return
+        qos = QoSProfile(
+            depth=1 if type_name in STREAMS else KEPT,
+            reliability=ReliabilityPolicy.RELIABLE if is_latched else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE,
+        )
+        subscription = self._node.create_subscription(kind, topic, lambda _: None, qos, raw=True)
+        self._heard[topic] = _Heard(subscription, relative, kind, type_name, is_latched)
+
+    def _fetched(self, now_ns: int) -> Iterator[Arrived]:
+        """All that waits, decoded. What cannot be decoded is left out: its sender has another definition."""
+        clock_offset_ns = time.time_ns() - now_ns
+        for heard in self._heard.values():
+            for _ in range(KEPT):
+                with heard.subscription.handle:
+                    taken = heard.subscription.handle.take_message(heard.kind, True)
+                if taken is None:
+                    break
+                data, info = taken
+                # The middleware tells the time of the system's clock, which may have been set since the last look.
+                arrival_ns = info["received_timestamp"] - clock_offset_ns
+                arrival_ns = min(max(arrival_ns, self._last_take_ns), now_ns)
+                try:
+                    message = deserialize_message(data, heard.kind)
+                except Exception as problem:
+                    self._node.get_logger().warning(
+                        f"topic '{heard.relative}' is not read: {problem}", throttle_duration_sec=10.0
+                    )
+                    continue
+                yield Arrived(heard.relative, message, arrival_ns)
+
+    def _jump_ns(self, arrived: Arrived) -> int | None:
+        """When time was seen to have gone back, by /clock or by outputs that claim an angle; None where it has not."""
+        message = arrived.message
+        if isinstance(message, Clock):
+            time_ns, tolerance_ns = ns_from_stamp(message.clock), _CLOCK_BACK_NS
+        elif arrived.topic in _OUTPUTS and message.status != message.INVALID:
+            time_ns, tolerance_ns = ns_from_stamp(message.header.stamp), _STAMPS_BACK_NS
+        else:
+            return None
+        latest_ns = self._latest_ns.get(arrived.topic, time_ns)
+        self._latest_ns[arrived.topic] = time_ns
+        return arrived.arrival_ns if time_ns < latest_ns - tolerance_ns else None
+
+
+def _asleep_ns() -> int:
+    """Time that the machine has slept since it was started."""
+    return steady_ns() - time.monotonic_ns()
