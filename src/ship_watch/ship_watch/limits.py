@@ -1,0 +1,170 @@
+"""The limits of a ship: how good its angles must be, how old and how rare its inputs may be, when people are told.
+
+A ship has a YAML file of its own with the limits that differ from the defaults, read by :func:`read_limits`:
+
+    heading_arcsec: 8.0
+    every_input: {refusals: 10}
+    inputs:
+      star_bow: {rate_hz: 2.0}
+
+The alerts, the page, the terminal and the report hold the same values against the same limits.
+"""
+
+import difflib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ship_bags.parameter_yaml import read_plain
+from ship_estimation.parameter_fields import mapping_of, parameter, section
+from ship_estimation.parameters import ParameterError, build
+
+INPUT_KINDS = ("ins", "star", "reference", "lights", "encoder", "baselines", "gnss", "weather")
+"""What sources are called: alone, or before the id of one of several, as in ``star.bow``."""
+
+_NO_SHORT_ID = re.compile(r"(star|reference)_.+")
+
+
+@dataclass(frozen=True)
+class InputLimits:
+    """What is expected of one source of measurements."""
+
+    rate_hz: float = parameter(
+        0.0, doc="least rate of arrival; 0 for no limit", unit="Hz", minimum=0.0, maximum=1e4
+    )
+    age_s: float = parameter(
+        0.0,
+        doc="longest time without a message; 0 for three periods of the rate at which it comes, 2 s at least",
+        unit="s", minimum=0.0, maximum=1e6,
+    )
+    refusals: int = parameter(
+        5, doc="measurements refused in a row after which the source is out", minimum=1, maximum=1_000_000
+    )
+    accepted: int = parameter(
+        10, doc="measurements accepted in a row after which the source is in again", minimum=1, maximum=1_000_000
+    )
+
+
+@dataclass(frozen=True)
+class AlertTimes:
+    """How long a situation lasts before it is told, and how long people have to answer."""
+
+    raise_after_s: float = parameter(
+        0.5, doc="a situation is told when it has lasted so long", unit="s", minimum=0.0, maximum=60.0
+    )
+    clear_after_s: float = parameter(
+        5.0, doc="a situation is over when it has been gone so long", unit="s", minimum=0.0, maximum=600.0
+    )
+    escalate_after_s: float = parameter(
+        60.0,
+        doc="a warning that nobody has acknowledged is repeated, or becomes an alarm, after this time",
+        unit="s", minimum=1.0, maximum=300.0,
+    )
+    silence_s: float = parameter(
+        30.0, doc="the sound of an alert stays off so long after it was silenced", unit="s", minimum=0.0, maximum=30.0
+    )
+
+
+@dataclass(frozen=True)
+class MachineLimits:
+    """What is expected of the computer on which the suite runs."""
+
+    disk_path: str = parameter("", doc="a folder on the disk that recordings go to; empty for none")
+    disk_free_gb: float = parameter(
+        10.0, doc="least free space of that disk", unit="GB", minimum=0.0, maximum=1e6
+    )
+    box_lost: int = parameter(
+        0, doc="entries that a black box may lose without a word", minimum=0, maximum=1_000_000_000
+    )
+    clock_offset_s: float = parameter(
+        0.05, doc="largest distance of stamps into the future of the computer's clock", unit="s",
+        minimum=0.001, maximum=1e6,
+    )
+
+
+@dataclass(frozen=True)
+class Limits:
+    """All limits of a ship. Limits of angles are held against 1.96 sigma (95 %)."""
+
+    heading_arcsec: float = parameter(
+        5.0, doc="of the heading, 95 %", unit="arcsec", minimum=0.1, maximum=360_000.0
+    )
+    tilt_arcsec: float = parameter(
+        3.0, doc="of pitch and roll, each, 95 %", unit="arcsec", minimum=0.1, maximum=360_000.0
+    )
+    pointing_arcsec: float = parameter(
+        10.0,
+        doc="of the pointing's azimuth times the cosine of its elevation, and of its elevation, each, 95 %",
+        unit="arcsec", minimum=0.1, maximum=360_000.0,
+    )
+    unsafe_factor: float = parameter(
+        3.0, doc="an angle is unsafe where its accuracy is over so many times its limit", minimum=1.0, maximum=1000.0
+    )
+    better_after_s: float = parameter(
+        5.0, doc="an angle is called better when it has been so for this time", unit="s", minimum=0.0, maximum=600.0
+    )
+    attitude_age_s: float = parameter(
+        1.0, doc="longest time without a message of ship/attitude", unit="s", minimum=0.05, maximum=3600.0
+    )
+    pointing_age_s: float = parameter(
+        1.0, doc="longest time without a message of theodolite/pointing", unit="s", minimum=0.05, maximum=3600.0
+    )
+    stars_age_s: float = parameter(
+        30.0, doc="longest time without stars that were used", unit="s", minimum=0.1, maximum=1e6
+    )
+    lights_age_s: float = parameter(
+        30.0, doc="longest time without lights that were used", unit="s", minimum=0.1, maximum=1e6
+    )
+    every_input: InputLimits = section(InputLimits)
+    inputs: dict[str, InputLimits] = mapping_of(
+        doc="sources with limits of their own in place of every_input, by kind (star) or name (star_bow for star.bow)"
+    )
+    alerts: AlertTimes = section(AlertTimes)
+    machine: MachineLimits = section(MachineLimits)
+
+    def __post_init__(self) -> None:
+        for name in self.inputs:
+            if name not in INPUT_KINDS and not _NO_SHORT_ID.fullmatch(name):
+                near = difflib.get_close_matches(name.partition("_")[0], INPUT_KINDS, n=1)
+                meant = f"; did you mean '{near[0]}'?" if near else ""
+                raise ParameterError(
+                    f"parameter 'inputs.{name}' is no source: expected one of {', '.join(INPUT_KINDS)}, star_ID or "
+                    f"reference_ID{meant}",
+                    f"inputs.{name}", value=name,
+                )
+
+    def of_angle(self, angle: str) -> float:
+        """Limit of one of :data:`ship_watch.picture.ANGLES`, rad.
+
+        Raises:
+            KeyError: there is no such angle.
+        """
+        tilt, pointing = self.tilt_arcsec, self.pointing_arcsec
+        limits_arcsec = {
+            "heading": self.heading_arcsec, "pitch": tilt, "roll": tilt, "azimuth": pointing, "elevation": pointing
+        }
+        return float(np.radians(limits_arcsec[angle] / 3600.0))
+
+    def of_input(self, source: str) -> InputLimits:
+        """Limits of a source, by its name in a picture: its own, else those of its kind, else those of every input."""
+        own = self.inputs.get(source.replace(".", "_"))
+        return own or self.inputs.get(source.partition(".")[0], self.every_input)
+
+
+def read_limits(source: Path | str) -> Limits:
+    """The limits of a ship out of a YAML file.
+
+    Args:
+        source: a path; a ``str`` is the text itself, whatever it holds.
+
+    Raises:
+        BadInput: the file cannot be read, or has an unknown key or a value out of its range; it names file, line, key
+            and what was expected.
+    """
+    file = read_plain(source)
+    try:
+        return build(Limits, file.values)
+    except ParameterError as error:
+        raise file.error(error) from error

@@ -1,0 +1,73 @@
+"""Limits of a ship: defaults, a ship's own file, and what a file with a mistake is told."""
+
+from pathlib import Path
+
+import pytest
+
+from ship_bags.errors import BadInput
+from ship_estimation.parameters import build
+from ship_watch.limits import INPUT_KINDS, InputLimits, Limits, read_limits
+from ship_watch.picture import ANGLES
+
+ARCSEC = 4.84813681109536e-06
+
+
+def test_defaults_are_those_of_the_suite() -> None:
+    """Heading 5″, tilt 3″, pointing 10″ at 95 % and a second for attitude and pointing, as the issue states them."""
+    limits = Limits()
+    in_arcsec = {angle: limits.of_angle(angle) / ARCSEC for angle in ANGLES}
+    assert in_arcsec == pytest.approx({"heading": 5, "pitch": 3, "roll": 3, "azimuth": 10, "elevation": 10})
+    assert (limits.attitude_age_s, limits.pointing_age_s, limits.unsafe_factor) == (1.0, 1.0, 3.0)
+    assert limits == build(Limits, {})
+
+
+def test_ships_file_changes_what_it_names(tmp_path: Path) -> None:
+    """What the file does not name keeps its default; an input takes its own limits, else its kind's, else all's."""
+    path = tmp_path / "ship.yaml"
+    path.write_text(
+        "heading_arcsec: 8.0\nevery_input: {refusals: 7}\ninputs:\n  star: {rate_hz: 1.0}\n  star_bow: {rate_hz: 2.0}\n"
+        "  gnss: {age_s: 20}\nalerts: {clear_after_s: 9.0}\n"
+    )
+    limits = read_limits(path)
+    assert limits.of_angle("heading") == pytest.approx(8.0 * ARCSEC)
+    assert limits.tilt_arcsec == Limits().tilt_arcsec
+    assert limits.of_input("star.bow") == InputLimits(rate_hz=2.0)
+    assert limits.of_input("star.starboard") == InputLimits(rate_hz=1.0)
+    assert limits.of_input("gnss").age_s == 20.0
+    assert limits.of_input("ins").refusals == 7
+    assert limits.alerts.clear_after_s == 9.0
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "named", "expected"),
+    [
+        ("tilt_arcsec: 3\nheading_arcsek: 5\n", 2, "heading_arcsek", "did you mean 'heading_arcsec'?"),
+        ("inputs:\n  star_bow: {rate: 2.0}\n", 2, "inputs.star_bow.rate", "did you mean 'rate_hz'?"),
+        ("inputs:\n  inz: {rate_hz: 2.0}\n", 2, "inputs.inz", "did you mean 'ins'?"),
+        ("inputs:\n  gnss_bow: {rate_hz: 2.0}\n", 2, "inputs.gnss_bow", "expected one of ins, star"),
+        ("# ours\nheading_arcsec: 0\n", 2, "heading_arcsec", "[0.1, 360000.0]"),
+        ("heading_arcsec: .nan\n", 1, "heading_arcsec", "must be finite"),
+        ("alerts:\n  escalate_after_s: long\n", 2, "alerts.escalate_after_s", "must be"),
+        ("alerts: 5\n", 1, "alerts", "must be a group"),
+        ("", 1, "", "the file holds none"),
+    ],
+)
+def test_mistake_is_told_in_one_line(tmp_path: Path, text: str, line: int, named: str, expected: str) -> None:
+    """File, line, key and what was expected, without a line break."""
+    path = tmp_path / "ship.yaml"
+    path.write_text(text)
+    with pytest.raises(BadInput) as caught:
+        read_limits(path)
+    told = str(caught.value)
+    assert str(path) in told
+    assert f"line {line}" in told or f":{line}" in told
+    assert named in told
+    assert expected in told
+    assert "\n" not in told
+
+
+def test_kinds_of_inputs_are_refused_as_angles() -> None:
+    """A source is no angle."""
+    for kind in INPUT_KINDS:
+        with pytest.raises(KeyError):
+            Limits().of_angle(kind)
