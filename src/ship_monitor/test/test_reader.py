@@ -10,7 +10,7 @@ from sensor_msgs.msg import Imu
 
 from ship_bags.errors import BadInput
 from ship_monitor.live import reader as reader_module
-from ship_monitor.live.reader import TopicReader, steady_ns
+from ship_monitor.live.reader import KEPT, TopicReader, steady_ns
 from ship_msgs.msg import AlertArray, Innovation, ShipAttitude
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
@@ -47,9 +47,15 @@ def ship():
     ship.stop()
 
 
+def depth_of(topic, type_name):
+    if topic.startswith("/"):
+        return 0
+    return KEPT if type_name.endswith("/Innovation") else 1
+
+
 @pytest.fixture
 def reader():
-    reader = TopicReader("monitor", "demo", lambda topic, _: not topic.startswith("/"))
+    reader = TopicReader("monitor", "demo", depth_of)
     yield reader
     reader.close()
 
@@ -198,4 +204,4 @@ def test_after_a_sleep_of_the_machine_it_takes_part_anew(ship, reader, until, mo
 
 def test_what_is_no_namespace_is_refused_in_one_line():
     with pytest.raises(BadInput, match=r"'/a b' is not a namespace"):
-        TopicReader("monitor", "a b", lambda *_: True)
+        TopicReader("monitor", "a b", lambda *_: 1)

@@ -26,18 +26,7 @@ from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topic
 
 KEPT = 256
-"""Messages of a topic that may wait between two looks where each counts: 1 s of a star sensor, an INS and lights."""
-
-STREAMS = frozenset(
-    {
-        *("sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/FluidPressure"),
-        *("sensor_msgs/msg/Temperature", "sensor_msgs/msg/RelativeHumidity", "rosgraph_msgs/msg/Clock"),
-        *("ship_msgs/msg/ShipAttitude", "ship_msgs/msg/OpticalAxisPointing", "ship_msgs/msg/TheodoliteEncoder"),
-        *("ship_msgs/msg/AlignmentState", "ship_msgs/msg/TheodoliteCalibration", "ship_msgs/msg/AlertArray"),
-        *("ship_msgs/msg/AttitudeDeg", "ship_msgs/msg/Deflection"),
-    }
-)
-"""Types of which only the newest message of each look is taken: the one before it says nothing that is still true."""
+"""Messages of a topic that may wait between two looks where each counts: a quarter of a second at 1 kHz."""
 
 CLOCK_TOPIC = "/clock"
 _ABSOLUTE = ("/diagnostics", CLOCK_TOPIC)
@@ -101,13 +90,14 @@ class TopicReader:
     Args:
         name: name of the node.
         namespace: namespace of the suite, with or without slashes; empty for none.
-        wants: whether a topic is wanted, by its relative name and the name of its type.
+        wants: how many messages of a topic may wait between two looks, by its relative name and the name of its type: 1
+            where the newest says all, :data:`KEPT` where each counts, 0 where it is not wanted.
 
     Raises:
         BadInput: the namespace is not one; or DDS security is demanded and not there.
     """
 
-    def __init__(self, name: str, namespace: str, wants: Callable[[str, str], bool]) -> None:
+    def __init__(self, name: str, namespace: str, wants: Callable[[str, str], int]) -> None:
         self.namespace = "/" + namespace.strip("/")
         self._name, self._wants = name, wants
         self._asleep_ns = self._last_take_ns = self._next_discovery_ns = 0
@@ -115,7 +105,7 @@ class TopicReader:
         self._open()
 
     def take(self) -> Taken:
-        """Messages since the last call; of :data:`STREAMS` only the newest of each topic."""
+        """Messages since the last call, of each topic as many as may wait: the newest."""
         asleep_ns = _asleep_ns()
         if asleep_ns - self._asleep_ns > _ASLEEP_NS:
             self.close()
@@ -194,19 +184,20 @@ class TopicReader:
             relative = topic if topic in _ABSOLUTE else relative_topic(topic, self.namespace)
             if relative is None:
                 continue
-            wanted = [each for each in types if relative == CLOCK_TOPIC or self._wants(relative, each)]
-            if not wanted and not relative.startswith(TRUTH_PREFIX):
+            depths = {each: 1 if relative == CLOCK_TOPIC else self._wants(relative, each) for each in types}
+            if not any(depths.values()) and not relative.startswith(TRUTH_PREFIX):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
             if not publishers:
                 continue
             self._present.add(relative)
             type_name = publishers[-1].topic_type
-            if type_name in wanted:
+            if depths.get(type_name):
                 durability = {each.qos_profile.durability for each in publishers}
-                self._subscribe(topic, relative, type_name, durability == {DurabilityPolicy.TRANSIENT_LOCAL})
+                is_latched = durability == {DurabilityPolicy.TRANSIENT_LOCAL}
+                self._subscribe(topic, relative, type_name, depths[type_name], is_latched)
 
-    def _subscribe(self, topic: str, relative: str, type_name: str, is_latched: bool) -> None:
+    def _subscribe(self, topic: str, relative: str, type_name: str, depth: int, is_latched: bool) -> None:
         heard = self._heard.get(topic)
         if heard is not None:
             if (heard.type_name, heard.is_latched) == (type_name, is_latched):
@@ -222,7 +213,7 @@ class TopicReader:
             self._node.get_logger().warning(f"topic '{topic}' is not shown: {problem}")
             return
         qos = QoSProfile(
-            depth=1 if type_name in STREAMS else KEPT,
+            depth=depth,
             reliability=ReliabilityPolicy.RELIABLE if is_latched else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE,
         )
