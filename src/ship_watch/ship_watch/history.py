@@ -4,9 +4,12 @@ Every series is a bounded queue of points in the order of their times. A plot ta
 point that it has.
 """
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from ship_geometry.rotations import FloatArray
 from ship_watch.picture import Safety
@@ -19,7 +22,8 @@ KEPT_S = 600.0
 class InnovationPoint:
     """One measurement of a source: the mean of its residuals along each axis, rad or m, and whether it was accepted.
 
-    ``parts`` are the residuals of its single stars or lights along the same axes, shape (n, axes).
+    ``parts`` are the residuals of its single stars or lights along the same axes, shape (n, axes), ``part_names`` what
+    its components call them ("HIP 85355", "a"); of an attitude or an encoder there is one part, without a name.
     """
 
     utc_ns: int
@@ -31,6 +35,7 @@ class InnovationPoint:
     gate: float
     is_accepted: bool
     reason: str
+    part_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -44,11 +49,17 @@ class ErrorPoint:
 
 @dataclass(frozen=True)
 class BudgetPoint:
-    """Variance of each source of error about East, North and Up, rad², shape (3,) each; ``total`` of all."""
+    """Variance of each source of error about East, North and Up, rad², shape (3,) each; ``total`` of all.
+
+    ``by_angle`` are the variances of the same sources in each angle that is shown, rad², as
+    :func:`ship_watch.budget.angle_variances` makes them: heading, pitch and roll, or azimuth times the cosine of the
+    elevation, and elevation.
+    """
 
     utc_ns: int
     variances: Mapping[str, FloatArray]
     total: FloatArray
+    by_angle: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -61,7 +72,7 @@ class SafetyPoint:
 
 @dataclass(frozen=True)
 class LightPoint:
-    """A light on the detector, m along right and up, and its residual, NaN where unknown."""
+    """A light on the detector, m along right and up, and its residual on the sky, rad, NaN where unknown."""
 
     utc_ns: int
     x: float
@@ -73,7 +84,7 @@ class LightPoint:
 
 @dataclass(frozen=True)
 class StarsSeen:
-    """The last exposure of a star sensor, as (n,) arrays; residuals are empty where none is told.
+    """The last exposure of a star sensor, as (n,) arrays.
 
     Attributes:
         utc_ns: middle of the exposure.
@@ -83,6 +94,9 @@ class StarsSeen:
         star_count: stars used; ``rejected_count``: left out.
         azimuth: of the sensor's boresight in the horizon frame, rad; NaN where no solution is told.
         elevation: likewise, rad.
+        residual_right: measured minus predicted place of each star along the sensor's right, rad, in the order of
+            ``u``; NaN where none is told for a star, which was then not used; empty where none is told at all.
+        residual_up: likewise along its up.
     """
 
     utc_ns: int
@@ -93,17 +107,24 @@ class StarsSeen:
     rejected_count: int
     azimuth: float
     elevation: float
+    residual_right: FloatArray = field(default_factory=lambda: np.empty(0))
+    residual_up: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True)
 class ParameterShown:
-    """An alignment or calibration state: estimate, 2 sigma, nominal value (NaN unknown), in ``unit`` (rad, s, m)."""
+    """An alignment or calibration state, its sigma and its nominal value, in ``unit`` (rad, s, m).
+
+    States that are errors are nominally zero. Of installation angles and of a focal length the nominal value stands in
+    the configuration, which no topic tells: then it is the value that was heard first; NaN where none was.
+    """
 
     name: str
     value: float
     sigma: float
     unit: str
     is_observable: bool
+    nominal: float = math.nan
 
 
 @dataclass
