@@ -52,7 +52,10 @@ class AlertTimes:
     """How long a situation lasts before it is told, and how long people have to answer."""
 
     raise_after_s: float = parameter(
-        0.5, doc="a situation is told when it has lasted so long", unit="s", minimum=0.0, maximum=60.0
+        0.2, doc="a situation is told when it has lasted so long", unit="s", minimum=0.0, maximum=60.0
+    )
+    start_s: float = parameter(
+        10.0, doc="what was never heard is told so long after the start", unit="s", minimum=0.0, maximum=600.0
     )
     clear_after_s: float = parameter(
         5.0, doc="a situation is over when it has been gone so long", unit="s", minimum=0.0, maximum=600.0

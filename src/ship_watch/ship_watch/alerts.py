@@ -1,0 +1,298 @@
+"""All alerts of a suite: one of each situation, raised, acknowledged, silenced, repeated, over.
+
+:class:`AlertBook` is told again and again which situations are there. It makes one alert of each, however often the
+situation flaps, and keeps the alert until it is over and, where that is needed, a person has acknowledged it. The book
+knows no clock: the caller gives a steady time, from which durations are counted, and UTC, which goes into the stamps.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ship_bags.stamps import NS_PER_S
+from ship_watch.alert_states import ACTIVE, UNANSWERED, AlertEvent, AlertState, next_state
+from ship_watch.limits import AlertTimes
+from ship_watch.picture import AlertShown, Priority
+
+LONGEST_HOLD_S = 60.0
+"""A situation that comes and goes is held active for the longer the more often it came back, up to this time, s."""
+
+FORGOTTEN_S = 1.0
+"""A situation that was there for less time than it must last is remembered so long: twice within it is no glitch, s."""
+
+QUIET_S = 300.0
+"""A situation that stayed away for so long does not flap any more, s."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A situation that is there now, as :class:`ship_watch.picture.AlertShown` tells it.
+
+    Attributes:
+        id: name of the situation.
+        priority: its urgency.
+        source: who is to blame; empty where nobody is known.
+        text: the situation in a few words. It holds no figure that runs, or each look would be a change.
+        value: what was measured; NaN for nothing.
+        limit: what it is held against; NaN for nothing.
+        unit: of both.
+        becomes_alarm: whether a warning that nobody acknowledges becomes an alarm; otherwise it is repeated.
+        needs_start: whether the situation may be nothing but a suite that is about to start.
+        under: ids of situations that explain this one. While one of them is active, and not less urgent, this one is
+            told by it and is no alert of its own.
+    """
+
+    id: str
+    priority: Priority
+    source: str
+    text: str
+    value: float = math.nan
+    limit: float = math.nan
+    unit: str = ""
+    becomes_alarm: bool = False
+    needs_start: bool = False
+    under: tuple[str, ...] = ()
+
+
+_EXAMPLE = AlertShown("", 1, Priority.CAUTION, AlertState.NORMAL, "", "", math.nan, math.nan, "", 0, 0)
+
+
+@dataclass(frozen=True)
+class AlertChange:
+    """What became of an alert, NORMAL where it is no more, and in words what happened."""
+
+    alert: AlertShown
+    what: str
+
+
+@dataclass
+class _Kept:
+    """What the book remembers of one situation beside its alert; steady times in ns."""
+
+    alert: AlertShown
+    hold_ns: int
+    present_ns: int
+    """When the situation was last there."""
+    lower_since_ns: int | None = None
+    """Since when it is less urgent than its alert says."""
+    becomes_alarm: bool = False
+    unanswered_from_ns: int = 0
+    silenced_ns: int = 0
+
+
+class AlertBook:
+    """All alerts of a suite.
+
+    Args:
+        times: how long situations last before they are told, and people have to answer.
+        saved: what :meth:`saved` of an earlier book gave: its alerts go on with their acknowledgements. They are kept
+            for at least ``times.start_s``, until it can be known whether the situations are still there.
+        now_ns: steady time of the start.
+
+    Raises:
+        ValueError: ``saved`` is not what :meth:`saved` gives.
+    """
+
+    def __init__(self, times: AlertTimes, saved: Iterable[Mapping[str, Any]] = (), now_ns: int = 0) -> None:
+        self._times = times
+        self._start_ns = now_ns
+        self._kept: dict[str, _Kept] = {}
+        self._pending: dict[str, tuple[int, int]] = {}
+        hold_ns = max(_ns(times.clear_after_s), _ns(times.start_s))
+        for entry in saved:
+            alert = _loaded(entry)
+            self._kept[alert.id] = _Kept(alert, hold_ns, now_ns, unanswered_from_ns=now_ns, silenced_ns=now_ns)
+
+    @property
+    def alerts(self) -> tuple[AlertShown, ...]:
+        """All that are not NORMAL, the most urgent first: unacknowledged before acknowledged, alarms before others."""
+        told = [kept.alert for kept in self._kept.values() if kept.alert.state != AlertState.NORMAL]
+        return tuple(sorted(told, key=lambda one: (one.is_acknowledged, -one.priority, -one.raised_ns, one.id)))
+
+    def saved(self) -> list[dict[str, Any]]:
+        """The book as plain values for a file, the counts of instances of alerts that are over among them."""
+        return [dataclasses.asdict(kept.alert) for _, kept in sorted(self._kept.items())]
+
+    def take(self, conditions: Iterable[Condition], now_ns: int, utc_ns: int) -> tuple[AlertChange, ...]:
+        """Take the situations that are there now, all of them.
+
+        Args:
+            conditions: one for each id.
+            now_ns: steady time.
+            utc_ns: UTC as POSIX time.
+        """
+        changes = []
+        there = {each.id: each for each in conditions}
+        self._forget_pending(there, now_ns)
+        # Those that explain others come first, so that nothing is told twice within one call.
+        for condition in sorted(there.values(), key=lambda each: (len(each.under), each.id)):
+            changes += self._present(condition, now_ns, utc_ns)
+        for id_, kept in self._kept.items():
+            if id_ not in there:
+                changes += self._absent(kept, now_ns, utc_ns)
+            changes += self._waited(kept, now_ns, utc_ns)
+        return tuple(changes)
+
+    def acknowledge(self, id_: str, instance: int, utc_ns: int) -> tuple[AlertChange | None, str]:
+        """What a person's acknowledgement changed, None for nothing, and in words what was done or why not."""
+        kept = self._kept.get(id_)
+        if kept is None or kept.alert.state == AlertState.NORMAL:
+            there = ", ".join(alert.id for alert in self.alerts) or "none"
+            return None, f"there is no alert '{id_}' now; there is {there}"
+        alert = kept.alert
+        if alert.instance != instance:
+            return None, f"'{id_}' is instance {alert.instance} now, not {instance}: look at it again"
+        if alert.is_acknowledged:
+            return None, f"'{id_}' needs no acknowledgement: it is {_words(alert)}"
+        change = self._happens(kept, AlertEvent.ACKNOWLEDGED, utc_ns, "acknowledged")
+        return change, f"'{id_}' {'acknowledged' if change.alert.state else 'acknowledged, and over'}"
+
+    def silence(self, now_ns: int, utc_ns: int) -> tuple[AlertChange, ...]:
+        """Switch off the sound of all alerts that sound, for a while."""
+        changes = []
+        for kept in self._kept.values():
+            if kept.alert.state == AlertState.ACTIVE_UNACKNOWLEDGED:
+                kept.silenced_ns = now_ns
+                changes.append(self._happens(kept, AlertEvent.SILENCED, utc_ns, "silenced"))
+        return tuple(changes)
+
+    def _forget_pending(self, there: Mapping[str, Condition], now_ns: int) -> None:
+        """Situations that went before they had lasted long enough to be told."""
+        for id_, (_, last_ns) in list(self._pending.items()):
+            if id_ not in there and now_ns - last_ns > _ns(FORGOTTEN_S):
+                del self._pending[id_]
+
+    def _is_explained(self, condition: Condition) -> bool:
+        """Whether an alert that is active, or about to be, tells this situation already."""
+        for id_ in condition.under:
+            kept = self._kept.get(id_)
+            if kept is not None and kept.alert.state in ACTIVE and kept.alert.priority >= condition.priority:
+                return True
+        return False
+
+    def _present(self, condition: Condition, now_ns: int, utc_ns: int) -> list[AlertChange]:
+        kept = self._kept.get(condition.id)
+        if self._is_explained(condition):
+            self._pending.pop(condition.id, None)
+            if kept is None or kept.alert.state not in ACTIVE:
+                return []
+            return [self._happens(kept, AlertEvent.EXPLAINED, utc_ns, "told by another alert")]
+        if kept is None or kept.alert.state not in ACTIVE:
+            first_ns, _ = self._pending.get(condition.id, (now_ns, now_ns))
+            self._pending[condition.id] = first_ns, now_ns
+            starting = condition.needs_start and now_ns - self._start_ns < _ns(self._times.start_s)
+            if starting or now_ns - first_ns < _ns(self._times.raise_after_s):
+                return []
+            del self._pending[condition.id]
+            return [self._raise(condition, kept, now_ns, utc_ns)]
+        kept.present_ns, kept.becomes_alarm = now_ns, condition.becomes_alarm
+        if condition.priority > kept.alert.priority:
+            return [self._worsen(condition, kept, now_ns, utc_ns)]
+        return self._ease(condition, kept, now_ns, utc_ns)
+
+    def _raise(self, condition: Condition, kept: _Kept | None, now_ns: int, utc_ns: int) -> AlertChange:
+        hold_ns = _ns(self._times.clear_after_s)
+        instance, state = 1, AlertState.NORMAL
+        if kept is not None:
+            instance, state = kept.alert.instance + 1, AlertState(kept.alert.state)
+            # It came back: held for twice as long from now on, so that it does not come again and again.
+            flaps = now_ns - kept.present_ns < _ns(QUIET_S)
+            hold_ns = min(2 * kept.hold_ns, max(_ns(LONGEST_HOLD_S), hold_ns)) if flaps else hold_ns
+        alert = AlertShown(
+            id=condition.id, instance=instance, priority=condition.priority, state=state, source=condition.source,
+            text=condition.text, value=condition.value, limit=condition.limit, unit=condition.unit,
+            raised_ns=utc_ns, changed_ns=utc_ns,
+        )
+        new = _Kept(alert, hold_ns, now_ns, becomes_alarm=condition.becomes_alarm, unanswered_from_ns=now_ns)
+        self._kept[condition.id] = new
+        return self._happens(new, AlertEvent.COMES, utc_ns, "raised")
+
+    def _worsen(self, condition: Condition, kept: _Kept, now_ns: int, utc_ns: int) -> AlertChange:
+        """The situation is graver than what people acknowledged: an instance of its own, which they have not seen."""
+        before = kept.alert.priority.name.lower()
+        kept.unanswered_from_ns, kept.lower_since_ns = now_ns, None
+        kept.alert = dataclasses.replace(
+            _told(kept.alert, condition), priority=condition.priority, instance=kept.alert.instance + 1,
+            state=AlertState.ACTIVE_UNACKNOWLEDGED, changed_ns=utc_ns,
+        )
+        return AlertChange(kept.alert, f"was a {before}, is a{_n(condition.priority)} now")
+
+    def _ease(self, condition: Condition, kept: _Kept, now_ns: int, utc_ns: int) -> list[AlertChange]:
+        """The situation is as before or less grave. An alert that nobody acknowledged never gets less urgent."""
+        alert = kept.alert
+        if condition.priority == alert.priority:
+            kept.lower_since_ns = None
+            kept.alert = _told(alert, condition)
+            if kept.alert.text == alert.text:
+                return []
+            return [AlertChange(kept.alert, "told in other words")]
+        kept.lower_since_ns = kept.lower_since_ns if kept.lower_since_ns is not None else now_ns
+        if not alert.is_acknowledged or now_ns - kept.lower_since_ns < kept.hold_ns:
+            return []
+        kept.lower_since_ns = None
+        kept.alert = dataclasses.replace(_told(alert, condition), priority=condition.priority, changed_ns=utc_ns)
+        return [AlertChange(kept.alert, f"is only a {condition.priority.name.lower()} now")]
+
+    def _absent(self, kept: _Kept, now_ns: int, utc_ns: int) -> list[AlertChange]:
+        if kept.alert.state not in ACTIVE or now_ns - kept.present_ns < kept.hold_ns:
+            return []
+        return [self._happens(kept, AlertEvent.GOES, utc_ns, "over")]
+
+    def _waited(self, kept: _Kept, now_ns: int, utc_ns: int) -> list[AlertChange]:
+        """What the time that has passed does to an alert that nobody has acknowledged."""
+        alert, patience_ns = kept.alert, _ns(self._times.escalate_after_s)
+        is_due = now_ns - kept.unanswered_from_ns >= patience_ns
+        if alert.state in UNANSWERED and alert.priority is Priority.WARNING and is_due:
+            kept.unanswered_from_ns = now_ns
+            what = f"repeated: nobody acknowledged it for {self._times.escalate_after_s:g} s"
+            if kept.becomes_alarm:
+                kept.alert = dataclasses.replace(alert, priority=Priority.ALARM)
+                what = f"became an alarm: nobody acknowledged it for {self._times.escalate_after_s:g} s"
+            return [self._happens(kept, AlertEvent.UNANSWERED, utc_ns, what)]
+        if alert.state == AlertState.ACTIVE_SILENCED and now_ns - kept.silenced_ns >= _ns(self._times.silence_s):
+            return [self._happens(kept, AlertEvent.SILENCE_ENDS, utc_ns, "sounds again")]
+        return []
+
+    @staticmethod
+    def _happens(kept: _Kept, event: AlertEvent, utc_ns: int, what: str) -> AlertChange:
+        state = next_state(AlertState(kept.alert.state), event, kept.alert.priority)
+        kept.alert = dataclasses.replace(kept.alert, state=state, changed_ns=utc_ns)
+        return AlertChange(kept.alert, what)
+
+
+def _told(alert: AlertShown, condition: Condition) -> AlertShown:
+    return dataclasses.replace(
+        alert, source=condition.source, text=condition.text, value=condition.value, limit=condition.limit,
+        unit=condition.unit,
+    )
+
+
+def _loaded(entry: Mapping[str, Any]) -> AlertShown:
+    """An alert out of a file.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        alert = AlertShown(**{**entry, "priority": Priority(entry["priority"]), "state": AlertState(entry["state"])})
+    except (TypeError, KeyError, ValueError) as problem:
+        raise ValueError(f"no saved alert: {problem}") from problem
+    for field in dataclasses.fields(alert):
+        value, default = getattr(alert, field.name), getattr(_EXAMPLE, field.name)
+        if not isinstance(value, type(default)):
+            raise ValueError(f"no saved alert: {field.name} is {value!r}")
+    return alert
+
+
+def _words(alert: AlertShown) -> str:
+    return f"a {alert.priority.name.lower()}, {AlertState(alert.state).name.lower().replace('_', ' ')}"
+
+
+def _n(priority: Priority) -> str:
+    return f"{'n' if priority is Priority.ALARM else ''} {priority.name.lower()}"
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * NS_PER_S)

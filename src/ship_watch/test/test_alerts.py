@@ -1,0 +1,260 @@
+"""The book of alerts: flapping, escalation, acknowledgement, restart, and one alert for one situation."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ship_watch.alert_states import AlertState
+from ship_watch.alerts import AlertBook, AlertChange, Condition
+from ship_watch.limits import AlertTimes
+from ship_watch.picture import AlertShown, Priority
+
+S = 1_000_000_000
+UTC = 1_700_000_000 * S
+TIMES = AlertTimes()
+OUT = Condition("star.bow.out", Priority.WARNING, "star.bow", "star.bow out: refused")
+
+
+class Voyage:
+    """A book that is looked at four times a second."""
+
+    def __init__(self, book: AlertBook | None = None, start_s: float = 0.0) -> None:
+        self.book = book or AlertBook(TIMES)
+        self.now_s = start_s
+        self.changes: list[AlertChange] = []
+
+    def go(self, seconds: float, *conditions: Condition) -> list[AlertChange]:
+        """Let these situations last for some time; what changed."""
+        before = len(self.changes)
+        for _ in range(round(4 * seconds)):
+            self.now_s += 0.25
+            now_ns = round(self.now_s * S)
+            self.changes += self.book.take(conditions, now_ns, UTC + now_ns)
+        return self.changes[before:]
+
+    def acknowledge(self, id_: str, instance: int = 1) -> str:
+        """Acknowledge at this moment; what the book says."""
+        return self.book.acknowledge(id_, instance, UTC + round(self.now_s * S))[1]
+
+    def states(self) -> dict[str, str]:
+        """Priority and state of each alert."""
+        return {alert.id: f"{alert.priority.name} {AlertState(alert.state).name}" for alert in self.book.alerts}
+
+
+def test_situation_is_raised_once_and_over_after_its_hold() -> None:
+    """A warning comes, is acknowledged, and is gone five seconds after its situation."""
+    voyage = Voyage()
+    changes = voyage.go(30.0, OUT)
+    assert [change.what for change in changes] == ["raised"]
+    assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
+    assert voyage.acknowledge("star.bow.out") == "'star.bow.out' acknowledged"
+    assert voyage.go(4.75) == []
+    assert [change.alert.state for change in voyage.go(1.0)] == [AlertState.NORMAL]
+    assert voyage.book.alerts == ()
+
+
+def test_situation_that_went_stays_until_acknowledged() -> None:
+    """Nobody saw it: it is shown as rectified, and over with the acknowledgement."""
+    voyage = Voyage()
+    voyage.go(1.0, OUT)
+    voyage.go(3600.0)
+    assert voyage.states() == {"star.bow.out": "WARNING RECTIFIED_UNACKNOWLEDGED"}
+    assert voyage.acknowledge("star.bow.out") == "'star.bow.out' acknowledged, and over"
+    assert voyage.book.alerts == ()
+
+
+@pytest.mark.parametrize("period_s", [0.5, 1.0, 2.0, 5.0, 9.0])
+def test_flapping_input_gives_one_alert(period_s: float) -> None:
+    """An hour of flapping, half of the time there: one instance, raised once, and one change when acknowledged."""
+    voyage = Voyage()
+    for _ in range(round(3600.0 / period_s)):
+        voyage.go(period_s / 2.0, OUT)
+        voyage.go(period_s / 2.0)
+    assert sum(change.what == "raised" for change in voyage.changes) == 1
+    assert [(alert.id, alert.instance) for alert in voyage.book.alerts] == [("star.bow.out", 1)]
+    voyage.acknowledge("star.bow.out")
+    before = len(voyage.changes)
+    for _ in range(round(600.0 / period_s)):
+        voyage.go(period_s / 2.0, OUT)
+        voyage.go(period_s / 2.0)
+    assert voyage.changes[before:] == []
+
+
+def test_slow_flapping_is_held_longer_each_time() -> None:
+    """Half a minute there, half not, acknowledged at once each time: holds of 5, 10, 20, 40 s, then one alert."""
+    voyage = Voyage()
+    for _ in range(60):
+        for change in voyage.go(30.0, OUT):
+            voyage.acknowledge("star.bow.out", change.alert.instance)
+        voyage.go(30.0)
+    # Holds of 5, 10 and 20 s are shorter than the pauses of 30 s, that of 40 s is not.
+    assert [change.what for change in voyage.changes] == ["raised", "over"] * 3 + ["raised"]
+    assert voyage.book.alerts[0].instance == 4
+
+
+def test_random_flapping_never_shows_two_alerts_of_one_situation() -> None:
+    """Whatever the pattern, one id is one alert, its instances count up by one, and it never goes unacknowledged."""
+    for seed in range(20):
+        draws = np.random.default_rng(seed)
+        voyage = Voyage()
+        for _ in range(200):
+            there = bool(draws.integers(2))
+            voyage.go(float(draws.exponential(4.0)), *([OUT] if there else []))
+            assert len(voyage.book.alerts) <= 1
+        raised = [change.alert.instance for change in voyage.changes if change.what == "raised"]
+        assert raised == list(range(1, len(raised) + 1))
+        assert all(change.alert.state != AlertState.NORMAL for change in voyage.changes)
+
+
+def test_glitch_of_one_look_is_no_alert() -> None:
+    """What is gone at the next look was not told."""
+    voyage = Voyage()
+    for _ in range(20):
+        voyage.go(0.25, OUT)
+        voyage.go(2.0)
+    assert voyage.changes == []
+
+
+def test_unacknowledged_warning_becomes_an_alarm() -> None:
+    """A warning of something lost becomes an alarm after a minute, and keeps being one until it is acknowledged."""
+    voyage = Voyage()
+    lost = replace(OUT, becomes_alarm=True)
+    voyage.go(60.0, lost)
+    assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
+    changes = voyage.go(0.5, lost)
+    assert [change.what for change in changes] == ["became an alarm: nobody acknowledged it for 60 s"]
+    voyage.go(600.0, lost)
+    assert voyage.states() == {"star.bow.out": "ALARM ACTIVE_UNACKNOWLEDGED"}
+    voyage.acknowledge("star.bow.out")
+    voyage.go(30.0, lost)
+    assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_ACKNOWLEDGED"}
+
+
+def test_unacknowledged_warning_is_repeated() -> None:
+    """One that takes nothing away is told again each minute, as a warning; an acknowledged one is not."""
+    voyage = Voyage()
+    changes = voyage.go(301.0, OUT)
+    assert [change.what[:8] for change in changes] == ["raised"] + ["repeated"] * 5
+    times = [change.alert.changed_ns for change in changes]
+    assert np.diff(times).tolist() == [60 * S] * 5
+    assert len({change.alert.raised_ns for change in changes}) == 1
+    voyage.acknowledge("star.bow.out")
+    assert voyage.go(301.0, OUT) == []
+
+
+def test_silence_lasts_half_a_minute_and_covers_no_new_alert() -> None:
+    """The sound of what is there goes off for 30 s; an alert that comes meanwhile sounds."""
+    voyage = Voyage()
+    voyage.go(1.0, OUT)
+    assert len(voyage.book.silence(round(voyage.now_s * S), UTC)) == 1
+    other = replace(OUT, id="gnss.out", source="gnss")
+    voyage.go(10.0, OUT, other)
+    assert voyage.states() == {
+        "star.bow.out": "WARNING ACTIVE_SILENCED", "gnss.out": "WARNING ACTIVE_UNACKNOWLEDGED"
+    }
+    changes = voyage.go(21.0, OUT, other)
+    assert [(change.alert.id, change.what) for change in changes] == [("star.bow.out", "sounds again")]
+
+
+def test_caution_needs_nobody() -> None:
+    """It is acknowledged from the start, is never repeated and goes by itself."""
+    voyage = Voyage()
+    caution = replace(OUT, priority=Priority.CAUTION)
+    assert [change.what for change in voyage.go(600.0, caution)] == ["raised"]
+    assert voyage.states() == {"star.bow.out": "CAUTION ACTIVE_ACKNOWLEDGED"}
+    assert "needs no acknowledgement" in voyage.acknowledge("star.bow.out")
+    voyage.go(6.0)
+    assert voyage.book.alerts == ()
+
+
+def test_worse_is_another_instance_and_better_waits() -> None:
+    """Who acknowledged the warning has not seen the alarm; a wrong instance changes nothing."""
+    voyage = Voyage()
+    voyage.go(1.0, OUT)
+    voyage.acknowledge("star.bow.out")
+    alarm = replace(OUT, priority=Priority.ALARM)
+    assert [change.what for change in voyage.go(1.0, alarm)] == ["was a warning, is an alarm now"]
+    assert "instance 2 now, not 1" in voyage.acknowledge("star.bow.out", 1)
+    assert voyage.states() == {"star.bow.out": "ALARM ACTIVE_UNACKNOWLEDGED"}
+    voyage.go(20.0, OUT)
+    assert voyage.states() == {"star.bow.out": "ALARM ACTIVE_UNACKNOWLEDGED"}
+    voyage.acknowledge("star.bow.out", 2)
+    voyage.go(20.0, OUT)
+    assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_ACKNOWLEDGED"}
+    for _ in range(100):
+        voyage.go(1.0, OUT)
+        voyage.go(1.0, replace(OUT, priority=Priority.CAUTION))
+    assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_ACKNOWLEDGED"}
+
+
+def test_what_another_alert_explains_is_no_alert_of_its_own() -> None:
+    """Angles lost by a source are told with the source; unless they are graver than what is told of it."""
+    lost = Condition("heading.lost", Priority.WARNING, "star.bow", "heading lost", under=("star.bow.out",))
+    voyage = Voyage()
+    voyage.go(10.0, lost, OUT)
+    assert list(voyage.states()) == ["star.bow.out"]
+    voyage.go(10.0, replace(lost, priority=Priority.ALARM), OUT)
+    assert list(voyage.states()) == ["heading.lost", "star.bow.out"]
+    late = Voyage()
+    late.go(10.0, lost)
+    assert list(late.states()) == ["heading.lost"]
+    changes = late.go(10.0, lost, OUT)
+    assert {(change.alert.id, change.what) for change in changes} == {
+        ("star.bow.out", "raised"), ("heading.lost", "told by another alert")
+    }
+    late.go(10.0, lost)
+    assert "heading.lost" in late.states()
+
+
+def test_start_of_the_suite_is_no_alert() -> None:
+    """What was never heard is told ten seconds after the start."""
+    voyage = Voyage()
+    silent = replace(OUT, needs_start=True)
+    assert voyage.go(9.0, silent) == []
+    assert [change.what for change in voyage.go(2.0, silent)] == ["raised"]
+
+
+def test_restarted_book_keeps_alerts_and_acknowledgements() -> None:
+    """Through a file: acknowledged stays so, unacknowledged stays so, what went meanwhile is over, counts go on."""
+    voyage = Voyage()
+    gnss, ins = replace(OUT, id="gnss.out", source="gnss"), replace(OUT, id="ins.out", value=math.nan)
+    voyage.go(5.0, OUT, gnss, ins)
+    voyage.acknowledge("star.bow.out")
+    voyage.acknowledge("gnss.out")
+    before = voyage.states()
+    saved = json.loads(json.dumps(voyage.book.saved()))
+    again = Voyage(AlertBook(TIMES, saved, round(100.0 * S)), 100.0)
+    assert again.states() == before
+    # The suite is not heard for some seconds after a start: nothing is called over meanwhile.
+    assert again.go(9.0) == []
+    assert [(change.alert.id, change.what) for change in again.go(20.0, OUT, ins)] == [("gnss.out", "over")]
+    assert again.states() == {
+        "ins.out": "WARNING ACTIVE_UNACKNOWLEDGED", "star.bow.out": "WARNING ACTIVE_ACKNOWLEDGED"
+    }
+    again.go(400.0, ins)
+    again.go(1.0, OUT, ins)
+    assert {alert.id: alert.instance for alert in again.book.alerts} == {"star.bow.out": 2, "ins.out": 1}
+
+
+@pytest.mark.parametrize(
+    "spoilt", [{"state": 7}, {"priority": 5}, {"text": 3}, {"instance": "2"}, {"colour": "red"}, {"changed_ns": None}]
+)
+def test_spoilt_file_is_refused(spoilt: dict[str, object]) -> None:
+    """A file that holds something else is not half used."""
+    voyage = Voyage()
+    voyage.go(5.0, OUT)
+    with pytest.raises(ValueError, match="no saved alert"):
+        AlertBook(TIMES, [{**voyage.book.saved()[0], **spoilt}])
+
+
+def test_most_urgent_comes_first() -> None:
+    """Unacknowledged before acknowledged, then by priority, cautions last."""
+    voyage = Voyage()
+    kinds = {"a": Priority.CAUTION, "b": Priority.ALARM, "c": Priority.WARNING, "d": Priority.ALARM}
+    voyage.go(2.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items()))
+    voyage.acknowledge("b")
+    told: tuple[AlertShown, ...] = voyage.book.alerts
+    assert [alert.id for alert in told] == ["d", "c", "b", "a"]
