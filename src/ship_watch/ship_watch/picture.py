@@ -102,6 +102,8 @@ class SourceShown:
         refused: messages refused in a row, in input or filter.
         out_since_ns: UTC of the first refusal or of the silence; 0 where it is IN.
         topics: relative topics it comes by.
+        because_of: the source that is to blame where this one is OUT only because it needs that one, or "its node"
+            where the node that reads it says nothing any more; empty where it is to blame itself.
     """
 
     name: str
@@ -115,6 +117,7 @@ class SourceShown:
     refused: int
     out_since_ns: int
     topics: tuple[str, ...]
+    because_of: str = ""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,209 @@
+"""The two outputs that carry angles, ``ship/attitude`` and ``theodolite/pointing``, as heard last."""
+
+import math
+from typing import Any, ClassVar
+
+from ship_estimation.outcome import Status
+from ship_estimation.protection import IntegrityState
+from ship_watch.limits import Limits
+from ship_watch.states import NORMAL_95, Protection
+
+INTEGRITY_AGE_NS = 3_000_000_000
+"""An Integrity that is older than this, or than three of its periods, says nothing any more, ns."""
+
+_INVALID_PERIOD_NS = 1_000_000_000
+
+_STATUSES = {int(status): status for status in Status}
+_INTEGRITY_STATES = {int(state): state for state in IntegrityState}
+_HORIZONS = {0: "geodetic", 1: "gravity"}
+_ONE_LIGHT, _ENCODER = 1, 2
+_STARS, _STARS_AND_LIGHTS = 3, 4
+
+
+class OutputHeard:
+    """The last message of an output, and the last Integrity beside it.
+
+    Attributes:
+        values: angle → value, rad.
+        accuracies_95: angle → 1.96 sigma, rad.
+        status: None before the first, and where its number is unknown.
+        stamp_ns: UTC of the last; 0 before the first.
+    """
+
+    topic: ClassVar[str]
+    quantities: ClassVar[dict[str, str]]
+    """Angle → what Integrity messages call it."""
+
+    def __init__(self, longest_age_s: float) -> None:
+        self._longest_age_ns = round(longest_age_s * 1e9)
+        self._arrived_ns: int | None = None
+        self.values: dict[str, float] = {}
+        self.accuracies_95: dict[str, float] = {}
+        self.status: Status | None = None
+        self.stamp_ns = 0
+        self._protection: dict[str, Protection] = {}
+        self._integrity_ns: int | None = None
+        self._integrity_age_ns = INTEGRITY_AGE_NS
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether it ever came."""
+        return self._arrived_ns is not None
+
+    def age_s(self, now_ns: int) -> float:
+        """Time since the last came, s; infinite before the first."""
+        return math.inf if self._arrived_ns is None else max(0, now_ns - self._arrived_ns) * 1e-9
+
+    def is_old(self, now_ns: int) -> bool:
+        """Whether it has not come for too long. That there is none is said once a second only."""
+        longest_ns = self._longest_age_ns + (_INVALID_PERIOD_NS if self.status is Status.INVALID else 0)
+        return self._arrived_ns is None or now_ns - self._arrived_ns >= longest_ns
+
+    def protection(self, angle: str, now_ns: int) -> Protection:
+        """What the last Integrity says of an angle; nothing where that is too old."""
+        if self._integrity_ns is None or now_ns - self._integrity_ns > self._integrity_age_ns:
+            return Protection(None)
+        return self._protection.get(angle, Protection(None))
+
+    def note_integrity(self, message: Any, now_ns: int) -> None:
+        """Take an Integrity message."""
+        if self._integrity_ns is not None:
+            self._integrity_age_ns = max(INTEGRITY_AGE_NS, 3 * (now_ns - self._integrity_ns))
+        self._integrity_ns = now_ns
+        places = {str(name): place for place, name in enumerate(message.quantities)}
+        state = _INTEGRITY_STATES.get(int(message.state))
+        self._protection = {
+            angle: Protection(
+                state,
+                float(message.protection_level[places[quantity]]),
+                float(message.alert_limit[places[quantity]]),
+            )
+            for angle, quantity in self.quantities.items()
+            if quantity in places
+        }
+
+    def note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
+        """Take a message of the output; the answer is what changed: kind of event and text."""
+        raise NotImplementedError
+
+    def hint(self, now_ns: int, beacon_count: int) -> str:
+        """Why the output itself is not better, where it lets that know."""
+        raise NotImplementedError
+
+    def is_lessened(self, beacon_count: int) -> bool:
+        """Whether the output is VALID and yet has less than it should have."""
+        return False
+
+    def _note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
+        """Take what both outputs have; the answer is as that of :meth:`note`."""
+        # The same output once more is no newer: only what is claimed anew has arrived now.
+        status = _STATUSES.get(int(message.status))
+        if stamp_ns != self.stamp_ns or status is not self.status:
+            self._arrived_ns = now_ns
+        changes = []
+        if self.stamp_ns and status is not self.status:
+            changes.append(("status", f"{self.topic} {_name(self.status)} → {_name(status)}"))
+        self.status, self.stamp_ns = status, stamp_ns
+        return changes
+
+
+class AttitudeHeard(OutputHeard):
+    """``ship/attitude``: heading, pitch and roll."""
+
+    topic: ClassVar[str] = "ship/attitude"
+    quantities: ClassVar[dict[str, str]] = {name: name for name in ("heading", "pitch", "roll")}
+
+    def __init__(self, limits: Limits) -> None:
+        super().__init__(limits.attitude_age_s)
+        self.horizon = ""
+        self._star_age_s = math.inf
+        self._rests_on_ins = False
+
+    def note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
+        """Take a ShipAttitude; the answer is what changed."""
+        covariance = message.covariance
+        self.values = {name: float(getattr(message, name)) for name in self.quantities}
+        self.accuracies_95 = {name: _accuracy_95(covariance[4 * i]) for i, name in enumerate(self.quantities)}
+        star_age_s = float(message.star_age_s)
+        self._star_age_s = star_age_s if math.isfinite(star_age_s) else math.inf
+        self._rests_on_ins = "ins" in message.sources
+        horizon, before = _HORIZONS.get(int(message.horizon), ""), self.horizon
+        changes = self._note(message, stamp_ns, now_ns)
+        if before and horizon != before and self.status is not Status.INVALID:
+            changes.append(("mode", f"horizon {before} → {horizon}"))
+        self.horizon = horizon
+        return changes
+
+    def star_age_s(self, now_ns: int) -> float:
+        """Time since the last star attitude that was used, s; infinite where there was none."""
+        return self._star_age_s + (self.age_s(now_ns) if self.is_heard else 0.0)
+
+    def ins_age_s(self, reported_s: float, now_ns: int) -> float:
+        """Time since the last INS sample, s: an attitude that rests on the INS comes with each of its samples."""
+        return min(reported_s, self.age_s(now_ns)) if self._rests_on_ins else reported_s
+
+    def hint(self, now_ns: int, beacon_count: int) -> str:
+        """No stars, and since when."""
+        age_s = self.star_age_s(now_ns)
+        if math.isinf(age_s):
+            return "no star yet"
+        return f"no stars for {age_s:.0f} s" if self.status is Status.COASTING else ""
+
+
+class PointingHeard(OutputHeard):
+    """``theodolite/pointing``: azimuth and elevation of the main axis."""
+
+    topic: ClassVar[str] = "theodolite/pointing"
+    quantities: ClassVar[dict[str, str]] = {"azimuth": "azimuth_cos_elevation", "elevation": "elevation"}
+
+    def __init__(self, limits: Limits) -> None:
+        super().__init__(limits.pointing_age_s)
+        self._mode, self._lights = _ENCODER, 0
+
+    @property
+    def by(self) -> str:
+        """What it was found by, for people; empty before the first."""
+        if not self.is_heard:
+            return ""
+        if self.status is Status.INVALID:
+            return "no pointing"
+        lights = f"{self._lights} light{'s' if self._lights > 1 else ''}"
+        words = {_ENCODER: "encoder", _STARS: "stars", _STARS_AND_LIGHTS: f"stars, {lights}"}
+        return words.get(self._mode, lights)
+
+    def note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
+        """Take an OpticalAxisPointing; the answer is what changed."""
+        azimuth, elevation = float(message.azimuth), float(message.elevation)
+        self.values = {"azimuth": azimuth, "elevation": elevation}
+        self.accuracies_95 = {
+            "azimuth": _accuracy_95(message.covariance[0]) * abs(math.cos(elevation)),
+            "elevation": _accuracy_95(message.covariance[4]),
+        }
+        before = self.by
+        self._mode, self._lights = int(message.mode), int(message.light_count)
+        changes = self._note(message, stamp_ns, now_ns)
+        if before and self.by != before:
+            changes.append(("mode", f"pointing by {before} → {self.by}"))
+        return changes
+
+    def hint(self, now_ns: int, beacon_count: int) -> str:
+        """Too few lights."""
+        if self.is_lessened(beacon_count):
+            return f"one of {_COUNTS.get(beacon_count, beacon_count)} lights"
+        return "no lights" if self._mode == _ENCODER else ""
+
+    def is_lessened(self, beacon_count: int) -> bool:
+        """Whether one light is used where there are several."""
+        return self._mode == _ONE_LIGHT and beacon_count > 1
+
+
+_COUNTS = {2: "two", 3: "three", 4: "four"}
+
+
+def _accuracy_95(variance: float) -> float:
+    """1.96 sigma; NaN of what is no variance."""
+    return NORMAL_95 * math.sqrt(variance) if variance >= 0.0 else math.nan
+
+
+def _name(status: Status | None) -> str:
+    return "unknown" if status is None else status.name

@@ -1,0 +1,184 @@
+"""What ``input_health`` says of one topic, by one node or by several that read it."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+from ship_bags.stamps import ns_from_stamp
+from ship_watch.picture import InputShown
+
+WINDOW_NS = 60_000_000_000
+"""Refusals of so long are counted, ns."""
+
+LEAST_SILENCE_NS = 2_000_000_000
+"""Nothing shorter is silence, ns."""
+
+SILENT_PERIODS = 3.0
+
+_FORGOTTEN_NS = 10_000_000_000
+"""A node that has not reported for so long reports no more, ns."""
+
+_REPORT_PERIOD_NS = 1_000_000_000.0
+"""How often a node reports, as long as that is not known from its reports, ns."""
+
+
+@dataclass
+class _Reporter:
+    """One of the nodes that report on the topic: its last report. The message does not name the node."""
+
+    stamp_ns: int
+    heard_ns: int
+    received: int
+    accepted: int
+    rejected: int
+    reasons: dict[str, int]
+
+    def may_go_on_with(self, other: "_Reporter") -> bool:
+        """Whether this may be the same node's next report: its counters never go back."""
+        return (
+            other.stamp_ns > self.stamp_ns
+            and other.received >= self.received
+            and other.accepted >= self.accepted
+            and other.rejected >= self.rejected
+            and all(other.reasons.get(word, 0) >= count for word, count in self.reasons.items())
+        )
+
+
+class TopicReports:
+    """All reports on one topic.
+
+    Attributes:
+        topic: its name.
+        arrived_ns: when its last message arrived, by the caller's time; None where none was ever told.
+        reported_ns: when the last report came.
+        rate_hz: mean rate of arrival; NaN before it is known.
+        used: messages used so far, by the node that has used most of them.
+    """
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.arrived_ns: int | None = None
+        self.reported_ns: int | None = None
+        self.rate_hz = math.nan
+        self.used = 0
+        self._usual_rate_hz = math.nan
+        self._latency_s = math.nan
+        self._report_period_ns = _REPORT_PERIOD_NS
+        self._level = 0
+        self._has_come = False
+        self._reporters: list[_Reporter] = []
+        self._refused: deque[tuple[int, int, dict[str, int]]] = deque()
+
+    def note(self, message: Any, now_ns: int) -> bool:
+        """Take a report; the answer is whether it comes from a node that has started since the last one."""
+        report = _Reporter(
+            ns_from_stamp(message.header.stamp),
+            now_ns,
+            int(message.received),
+            int(message.accepted),
+            int(message.rejected),
+            {str(word): int(count) for word, count in zip(message.reasons, message.reason_counts, strict=False)},
+        )
+        self.reported_ns = now_ns
+        self.rate_hz, self._latency_s, self._level = float(message.rate_hz), float(message.latency_s), message.level
+        is_new, before = self._assign(report)
+        if report.received:
+            self._note_arrival(message, report, before)
+        self.used = max(reporter.accepted for reporter in self._reporters)
+        return is_new
+
+    def heard(self, now_ns: int) -> None:
+        """Take note that a message of the topic itself came, or a word on one."""
+        self.arrived_ns = now_ns if self.arrived_ns is None else max(self.arrived_ns, now_ns)
+
+    def period_ns(self) -> float:
+        """The usual time between two messages, ns; NaN where unknown."""
+        return 1e9 / self._usual_rate_hz if self._usual_rate_hz > 0.0 else math.nan
+
+    @property
+    def is_expected(self) -> bool:
+        """Whether a node misses the topic, although nothing of it ever came."""
+        return self.arrived_ns is None and self._level > 0
+
+    def age_s(self, now_ns: int) -> float:
+        """Time since the last message arrived, s; infinite where none did.
+
+        Between two reports it stands as long as messages came until the last: they are not told one by one.
+        """
+        if self.arrived_ns is None:
+            return math.inf
+        reported_ns = self.reported_ns
+        if self._has_come and reported_ns is not None and now_ns - reported_ns <= 1.5 * self._report_period_ns:
+            now_ns = reported_ns
+        return max(0, now_ns - self.arrived_ns) * 1e-9
+
+    def is_silent(self, now_ns: int, longest_s: float = 0.0) -> bool:
+        """Whether it has not come for ``longest_s``; for three periods, 2 s at least, where that is 0.
+
+        A report says nothing of a message that came after it, so that reports that are rare lengthen this.
+        """
+        if self.arrived_ns is None:
+            return False
+        period_ns = self.period_ns()
+        period_ns = 0.0 if math.isnan(period_ns) else period_ns
+        limit_ns = longest_s * 1e9 or max(LEAST_SILENCE_NS, SILENT_PERIODS * period_ns)
+        return now_ns - self.arrived_ns >= max(limit_ns, 1.5 * self._report_period_ns + period_ns)
+
+    def is_untold(self, now_ns: int) -> bool:
+        """Whether the node that reads it has not reported for three of its periods."""
+        return self.reported_ns is not None and now_ns - self.reported_ns > 3.0 * self._report_period_ns
+
+    def shown(self, now_ns: int) -> InputShown:
+        """What is shown of the topic."""
+        while self._refused and now_ns - self._refused[0][0] > WINDOW_NS:
+            self._refused.popleft()
+        reasons: dict[str, int] = {}
+        for _, _, grown in self._refused:
+            for word, count in grown.items():
+                reasons[word] = reasons.get(word, 0) + count
+        refused = sum(count for _, count, _ in self._refused)
+        age_s = self.age_s(now_ns)
+        return InputShown(self.topic, self.rate_hz, self._latency_s, age_s, int(self._level), refused, reasons)
+
+    def _note_arrival(self, message: Any, report: _Reporter, before: _Reporter | None) -> None:
+        """When the last message came: as long ago as its stamp is older than stamps are at arrival in the mean.
+
+        Of refused messages the report tells no stamp. They came after the last report, a period apart. While nothing
+        comes the mean rate sinks, and tells no longer what is usual.
+        """
+        come = report.received - (before.received if before else 0)
+        self._has_come = come > 0
+        if self._has_come and message.rate_hz > 0.0:
+            self._usual_rate_hz = float(message.rate_hz)
+        since_s = float(message.age_s - message.latency_s)
+        if math.isfinite(since_s):
+            self.heard(report.heard_ns - round(max(since_s, 0.0) * 1e9))
+        if before and self._has_come and (self.arrived_ns is None or self.arrived_ns <= before.heard_ns):
+            period_ns = self.period_ns()
+            passed_ns = 0.0 if math.isnan(period_ns) else come * period_ns
+            self.heard(min(report.heard_ns, before.heard_ns + round(passed_ns)))
+
+    def _assign(self, report: _Reporter) -> tuple[bool, _Reporter | None]:
+        """Put the report in the place of the one before it; of several that it may follow, of the oldest.
+
+        Returns:
+            Whether a node has started since; the report before it, None where there is none.
+        """
+        before = min(
+            (known for known in self._reporters if known.may_go_on_with(report)),
+            key=lambda known: known.stamp_ns,
+            default=None,
+        )
+        if before is None:
+            self._reporters = [known for known in self._reporters if report.heard_ns - known.heard_ns < _FORGOTTEN_NS]
+            self._reporters.append(report)
+            return len(self._reporters) > 1, None
+        if before.heard_ns < report.heard_ns:
+            self._report_period_ns = min(max(float(report.heard_ns - before.heard_ns), 1e8), 1e10)
+        grown = {word: n - before.reasons.get(word, 0) for word, n in report.reasons.items()}
+        grown = {word: n for word, n in grown.items() if n > 0}
+        if grown:
+            self._refused.append((report.heard_ns, report.rejected - before.rejected, grown))
+        self._reporters[self._reporters.index(before)] = report
+        return False, before

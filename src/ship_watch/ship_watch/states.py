@@ -1,0 +1,138 @@
+"""SAFE, CAUTION or UNSAFE: how far an angle may be relied on, and why not, in a few words.
+
+The words are those of IMO MSC.1/Circ.1575. An angle is SAFE where its output is VALID and fresh, its 95 % accuracy is
+within the ship's limit and the protection levels are met. CAUTION: the accuracy is known and not over three times the
+limit, but integrity is unavailable, the output is COASTING or DEGRADED, or the accuracy is over its limit. All else is
+UNSAFE: every comparison is written so that NaN fails it.
+"""
+
+import math
+from dataclasses import dataclass
+
+from ship_estimation.outcome import Status
+from ship_estimation.protection import IntegrityState
+from ship_watch.picture import Safety, SourceShown
+
+NORMAL_95 = 1.96
+"""95 % of a normal error lie within so many sigmas to both sides."""
+
+
+@dataclass(frozen=True)
+class Protection:
+    """What an Integrity message says of one angle.
+
+    Attributes:
+        state: of the whole message; None where none was told or the last is too old.
+        level: protection level, rad; NaN where there is none.
+        alert_limit: rad; NaN where none is configured.
+    """
+
+    state: IntegrityState | None
+    level: float = math.nan
+    alert_limit: float = math.nan
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What an output claims of one angle at one moment, and what speaks against it.
+
+    Attributes:
+        topic: of the output.
+        is_heard: whether it ever came.
+        is_old: whether it has not come for too long.
+        value: the angle, rad.
+        accuracy_95: 1.96 sigma, rad.
+        limit: the ship's limit of that, rad.
+        unsafe_factor: over so many times the limit the angle is UNSAFE.
+        status: of the output; None where its number is unknown.
+        hint: why it is not better, as the output itself lets know: "no stars for 31 s", "1 light".
+        is_lessened: whether the hint alone makes it a CAUTION: one of two lights.
+        protection: what the integrity says.
+        guilty: the source that is out by a fault of its own; None where none is known.
+    """
+
+    topic: str
+    is_heard: bool
+    is_old: bool
+    value: float
+    accuracy_95: float
+    limit: float
+    unsafe_factor: float
+    status: Status | None
+    hint: str
+    is_lessened: bool
+    protection: Protection
+    guilty: SourceShown | None
+
+
+def judged(claim: Claim) -> tuple[Safety, str]:
+    """The word of an angle, and why it is not SAFE."""
+    if not claim.is_heard:
+        return Safety.UNSAFE, f"waiting for {claim.topic}"
+    guilty = _guilty(claim.guilty)
+    if claim.is_old:
+        return Safety.UNSAFE, guilty or f"{claim.topic} silent"
+    if claim.status is None or claim.status is Status.INVALID or not math.isfinite(claim.value):
+        return Safety.UNSAFE, guilty or "invalid"
+    if not claim.accuracy_95 <= claim.unsafe_factor * claim.limit:
+        over = f"over {claim.unsafe_factor:g} × the limit"
+        return Safety.UNSAFE, guilty or over if math.isfinite(claim.accuracy_95) else "accuracy unknown"
+    state, protection = claim.protection.state, claim.protection
+    if state is IntegrityState.EXCEEDED and not _is_within(protection):
+        return Safety.UNSAFE, guilty or "protection level over its alert limit"
+    if claim.status is not Status.VALID:
+        return Safety.CAUTION, guilty or claim.hint or claim.status.name.lower()
+    if not claim.accuracy_95 <= claim.limit:
+        return Safety.CAUTION, guilty or "over the limit"
+    if state is None:
+        return Safety.CAUTION, "integrity not told"
+    if state is IntegrityState.UNAVAILABLE or not math.isfinite(protection.level):
+        return Safety.CAUTION, guilty or claim.hint or "nothing checks it"
+    return (Safety.CAUTION, claim.hint) if claim.is_lessened else (Safety.SAFE, "")
+
+
+def _is_within(protection: Protection) -> bool:
+    """Whether the level of this angle itself is within its limit, or has none while others have."""
+    return protection.level <= protection.alert_limit or math.isnan(protection.alert_limit)
+
+
+def _guilty(source: SourceShown | None) -> str:
+    """Few words for a source that is out: what stands before a colon suffices."""
+    return "" if source is None else f"{source.name} {source.reason.partition(':')[0]}"
+
+
+class HeldWord:
+    """The word of one angle as it is shown: worse at once, better after some time.
+
+    Attributes:
+        word: as shown last; None before the first.
+        reason: why.
+        since_ns: since when it stands, by the caller's time.
+    """
+
+    def __init__(self, better_after_s: float) -> None:
+        self._hold_ns = round(better_after_s * 1e9)
+        self._last: dict[Safety, tuple[int, str]] = {}
+        self.word: Safety | None = None
+        self.reason = ""
+        self.since_ns = 0
+
+    def note(self, word: Safety, reason: str, now_ns: int) -> bool:
+        """Take the word of now; the answer is whether the shown one changed."""
+        for level in (Safety.CAUTION, Safety.UNSAFE):
+            if word >= level:
+                self._last[level] = now_ns, reason
+        shown, self.reason = self.shown(word, reason, now_ns)
+        changed = shown is not self.word
+        if changed:
+            self.word, self.since_ns = shown, now_ns
+        return changed
+
+    def shown(self, word: Safety, reason: str, now_ns: int) -> tuple[Safety, str]:
+        """What is shown where the word of now is this: the worst of the last seconds."""
+        for level in (Safety.UNSAFE, Safety.CAUTION):
+            if word >= level:
+                return word, reason
+            if level in self._last and now_ns - self._last[level][0] < self._hold_ns:
+                return level, self._last[level][1]
+        return Safety.SAFE, ""

@@ -1,0 +1,68 @@
+"""Whether the stated sigma of a source fits its innovations of the last minute."""
+
+import math
+from collections import deque
+
+from ship_watch.picture import NisVerdict
+
+WINDOW_NS = 60_000_000_000
+"""Innovations of so long are looked at, ns."""
+
+BAND_SIGMAS = 3.3
+"""Half width of the band in which the ratio counts as stated, in its own sigmas: 99.9 % of all, both sides together."""
+
+WIDEST_BAND = 0.5
+"""A band wider than this tells nothing: fewer than 22 degrees of freedom."""
+
+
+class NisWindow:
+    """Accepted innovations of one source over the last minute: their normalised squares and degrees of freedom."""
+
+    def __init__(self) -> None:
+        self._entries: deque[tuple[int, float, int]] = deque()
+        self._nis, self._degrees = 0.0, 0
+
+    def add(self, now_ns: int, nis: float, degrees: int) -> None:
+        """Take the innovation of an accepted measurement; what is not finite is left out."""
+        if degrees > 0 and math.isfinite(nis):
+            self._entries.append((now_ns, nis, degrees))
+            self._nis += nis
+            self._degrees += degrees
+        self._forget(now_ns)
+
+    def verdict(self, now_ns: int) -> NisVerdict:
+        """What the last minute says: r = √(mean NIS / degrees), within 1 ± 3.3/√(2 N) of N degrees in all as stated.
+
+        The sum of N squares of unit normals has the mean N and the variance 2 N, and its root over √N the sigma
+        1/√(2 N).
+        """
+        self._forget(now_ns)
+        degrees = self._degrees
+        if degrees == 0:
+            return NisVerdict(math.nan, 0, "", is_as_stated=True)
+        ratio = math.sqrt(max(self._nis, 0.0) / degrees)
+        band = BAND_SIGMAS / math.sqrt(2.0 * degrees)
+        fits = abs(ratio - 1.0) <= band
+        if not band <= WIDEST_BAND or ratio == 0.0:
+            return NisVerdict(ratio, degrees, "", fits)
+        if fits:
+            text = f"σ as stated ({ratio:.2f})"
+        elif ratio > 1.0:
+            text = f"σ optimistic by {_factor(ratio)}"
+        else:
+            text = f"σ pessimistic by {_factor(1.0 / ratio)}"
+        return NisVerdict(ratio, degrees, text, fits)
+
+    def _forget(self, now_ns: int) -> None:
+        entries = self._entries
+        while entries and now_ns - entries[0][0] > WINDOW_NS:
+            _, nis, degrees = entries.popleft()
+            self._nis -= nis
+            self._degrees -= degrees
+        if not entries:
+            self._nis = 0.0  # what rounding left
+
+
+def _factor(value: float) -> str:
+    """A factor with as many digits as tell it from one."""
+    return f"{value:.2f}" if value < 1.05 else f"{value:.1f}"

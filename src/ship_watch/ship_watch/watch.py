@@ -1,0 +1,284 @@
+"""The outputs of a suite, taken message by message, and what they come to at any moment.
+
+Whoever watches gives each message that it hears to :meth:`Watch.take`, and asks :meth:`Watch.look` for the picture. It
+needs no clock: times of arrival are the caller's, live a steady clock, of a bag the log times. Words and events are
+judged ten times a second of that time, whenever somebody looks, so that a bag read at once gives the same events as
+the same messages heard live.
+"""
+
+import math
+import re
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_estimation.outcome import Status
+from ship_watch.history import History
+from ship_watch.limits import Limits
+from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
+from ship_watch.picture import ANGLES, AlertShown, AngleShown, Event, Picture, Presence, Priority, Safety, SourceShown
+from ship_watch.sources import SourceBook, blamed
+from ship_watch.states import Claim, HeldWord, judged
+from ship_watch.topics import watched_topic
+
+STEP_NS = 100_000_000
+"""How often words and events are judged, ns."""
+
+LONGEST_GAP_NS = 120 * NS_PER_S
+"""In a gap longer than this nothing is judged any more: all that can become old has."""
+
+EVENTS_KEPT = 200
+
+BACK_NS = NS_PER_S
+"""An output that is so much older than the one before it begins anew: a bag in a loop, ns."""
+
+_SHIP_SOURCES = ("ins", "star", "reference", "gnss", "weather")
+_POINTING_SOURCES = ("encoder", "lights", "baselines", "ship_attitude")
+
+
+class Watch:
+    """What a suite puts out, judged against the limits of the ship.
+
+    Args:
+        limits: of the ship.
+
+    Attributes:
+        history: what plots draw.
+    """
+
+    def __init__(self, limits: Limits | None = None) -> None:
+        self.limits = limits or Limits()
+        self._takers: dict[str, Callable[[Any, int], None] | None] = {}
+        self._alerts: tuple[AlertShown, ...] | None = None
+        self._forget()
+
+    def start_anew(self) -> None:
+        """Forget all that was heard but alerts: the data begin anew, as when a bag is played in a loop."""
+        self._forget()
+
+    def _forget(self) -> None:
+        self.history = History()
+        self._takers.clear()
+        self._attitude, self._pointing = AttitudeHeard(self.limits), PointingHeard(self.limits)
+        self._book = SourceBook(self.limits)
+        self._words = {name: HeldWord(self.limits.better_after_s) for name in ANGLES}
+        self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
+        self._presence: dict[str, tuple[Presence, str]] = {}
+        self._newest_ns, self._utc_offset_ns = 0, 0
+        self._first_ns: int | None = None
+        self._judged_ns: int | None = None
+
+    # -- what is heard --------------------------------------------------------------------------------------
+
+    def take(self, topic: str, message: Any, arrival_ns: int) -> None:
+        """Take one message; topics that are not watched are passed over.
+
+        Args:
+            topic: its name, relative to the namespace of the suite.
+            message: with the fields of its type as attributes.
+            arrival_ns: when it came, by the caller's steady time.
+        """
+        try:
+            taker = self._takers[topic]
+        except KeyError:
+            taker = self._takers[topic] = self._taker(topic)
+        if taker is not None:
+            self._judge_until(arrival_ns)
+            taker(message, arrival_ns)
+
+    def _taker(self, topic: str) -> Callable[[Any, int], None] | None:
+        """What takes the messages of a topic; None where it is not watched."""
+        if watched_topic(topic) is None:
+            return None
+        first, _, last = topic.rpartition("/")
+        if last == "innovation":
+            return lambda message, now_ns: self._take_innovation(topic, message, now_ns)
+        if last == "integrity":
+            output = self._attitude if first == "ship" else self._pointing
+            return lambda message, now_ns: self._take_integrity(topic, output, message, now_ns)
+        takers: dict[str, Callable[[Any, int], None]] = {
+            "ship/attitude": lambda message, now_ns: self._take_output(self._attitude, message, now_ns),
+            "theodolite/pointing": lambda message, now_ns: self._take_output(self._pointing, message, now_ns),
+            "input_health": self._take_health,
+            "ship/alerts": self._take_alerts,
+        }
+        return takers.get(topic)
+
+    def _take_output(self, output: OutputHeard, message: Any, now_ns: int) -> None:
+        stamp_ns = ns_from_stamp(message.header.stamp)
+        if message.status != Status.INVALID and stamp_ns < output.stamp_ns - BACK_NS:
+            self._forget()
+            self._tell("node", "time", "time went back: the data begin anew", stamp_ns)
+            output = self._attitude if output.topic == self._attitude.topic else self._pointing
+        self._note_time(stamp_ns, now_ns)
+        changes = output.note(message, stamp_ns, now_ns)
+        for kind, text in changes:
+            self._tell(kind, output.topic, text, stamp_ns)
+        self._book.heard(output.topic, now_ns)
+
+    def _take_innovation(self, topic: str, message: Any, now_ns: int) -> None:
+        self._book.note_innovation(topic, message, now_ns)
+
+    def _take_integrity(self, topic: str, output: OutputHeard, message: Any, now_ns: int) -> None:
+        output.note_integrity(message, now_ns)
+        self._book.note_integrity(topic, message, ns_from_stamp(message.header.stamp))
+
+    def _take_health(self, message: Any, now_ns: int) -> None:
+        self._note_time(ns_from_stamp(message.header.stamp), now_ns)
+        self._book.note_health(message, now_ns)
+
+    def _take_alerts(self, message: Any, now_ns: int) -> None:
+        alerts = [_alert(alert) for alert in message.alerts]
+        before = {(alert.id, alert.instance): alert.state for alert in self._alerts or ()}
+        for alert in alerts:
+            if before.pop((alert.id, alert.instance), None) != alert.state:
+                text = f"{alert.priority.name} {_ALERT_WORDS.get(alert.state, '')}: {alert.text}"
+                self._tell("alert", alert.id, text, alert.changed_ns)
+        for name, _ in before:
+            self._tell("alert", name, f"{name} is over", ns_from_stamp(message.header.stamp))
+        self._alerts = tuple(sorted(alerts, key=_urgency))
+
+    def _note_time(self, stamp_ns: int, now_ns: int) -> None:
+        """The suite's time is that of its newest output, plus what has passed since."""
+        if stamp_ns > self._newest_ns:
+            self._newest_ns, self._utc_offset_ns = stamp_ns, stamp_ns - now_ns
+
+    # -- what it comes to -----------------------------------------------------------------------------------
+
+    def look(self, now_ns: int) -> Picture:
+        """The picture of this moment, by the caller's time; it is the same however often somebody looks."""
+        self._judge_until(now_ns)
+        sources = self._book.shown(now_ns, self._utc_offset_ns)
+        words = self._judged(sources, now_ns)
+        shown = [self._shown(name, *self._words[name].shown(*words[name], now_ns), now_ns) for name in words]
+        return Picture(
+            utc_ns=now_ns + self._utc_offset_ns if self._newest_ns else 0,
+            angles=tuple(shown),
+            ages_s={
+                "stars": self._attitude.star_age_s(now_ns),
+                "lights": self._book.used_age_s("lights", now_ns),
+                "ins": self._attitude.ins_age_s(self._book.age_s("ins", now_ns), now_ns),
+            },
+            pointing_by=self._pointing.by,
+            horizon=self._attitude.horizon,
+            sources=tuple(sources),
+            alerts=self._alerts,
+            inputs=tuple(reports.shown(now_ns) for reports in self._book.inputs),
+            events=tuple(self._events),
+            waiting_for="" if self._attitude.is_heard else self._attitude.topic,
+        )
+
+    def _judge_until(self, now_ns: int) -> None:
+        """Judge at each step of time until now; messages that came before are judged with what came before them."""
+        if self._judged_ns is None:
+            self._judged_ns = self._first_ns = now_ns - now_ns % STEP_NS
+        if now_ns - self._judged_ns > LONGEST_GAP_NS:
+            self._judged_ns += (now_ns - self._judged_ns - LONGEST_GAP_NS) // STEP_NS * STEP_NS
+        while self._judged_ns + STEP_NS <= now_ns:
+            self._judged_ns += STEP_NS
+            self._judge(self._judged_ns)
+
+    def _judge(self, now_ns: int) -> None:
+        sources = self._book.shown(now_ns, self._utc_offset_ns)
+        self._tell_sources(sources, now_ns)
+        for name, (word, reason) in self._judged(sources, now_ns).items():
+            held = self._words[name]
+            before = held.word
+            if self._output(name).is_heard and held.note(word, reason, now_ns) and held.word is not None:
+                change = f"{before.name} → {held.word.name}" if before is not None else held.word.name
+                text = f"{name} {change}" + (f", {held.reason}" if held.reason else "")
+                self._tell("state", name, text, now_ns + self._utc_offset_ns)
+
+    def _judged(self, sources: list[SourceShown], now_ns: int) -> dict[str, tuple[Safety, str]]:
+        """Word and reason of each angle at this moment, held by nothing."""
+        ship = blamed(sources, _SHIP_SOURCES)
+        pointing = blamed(sources, _POINTING_SOURCES) or ship
+        has_pointing = self._pointing.is_heard or self._book.has_theodolite()
+        return {
+            name: judged(self._claim(name, ship if name in ANGLES[:3] else pointing, now_ns))
+            for name in ANGLES
+            if has_pointing or name in ANGLES[:3]
+        }
+
+    def _claim(self, name: str, guilty: SourceShown | None, now_ns: int) -> Claim:
+        output, beacons = self._output(name), self._book.beacon_count()
+        return Claim(
+            topic=output.topic,
+            is_heard=output.is_heard,
+            is_old=output.is_old(now_ns),
+            value=output.values.get(name, math.nan),
+            accuracy_95=output.accuracies_95.get(name, math.nan),
+            limit=self.limits.of_angle(name),
+            unsafe_factor=self.limits.unsafe_factor,
+            status=output.status,
+            hint=output.hint(now_ns, beacons),
+            is_lessened=output.is_lessened(beacons),
+            protection=output.protection(name, now_ns),
+            guilty=guilty,
+        )
+
+    def _shown(self, name: str, word: Safety, reason: str, now_ns: int) -> AngleShown:
+        output, held = self._output(name), self._words[name]
+        is_held = held.word is word
+        return AngleShown(
+            name=name,
+            value=output.values.get(name, math.nan),
+            accuracy_95=output.accuracies_95.get(name, math.nan),
+            limit=self.limits.of_angle(name),
+            protection_level=output.protection(name, now_ns).level,
+            safety=word,
+            reason=reason,
+            age_s=output.age_s(now_ns),
+            is_old=output.is_old(now_ns),
+            stamp_ns=output.stamp_ns,
+            since_ns=(held.since_ns if is_held else now_ns) + self._utc_offset_ns if output.is_heard else 0,
+        )
+
+    def _output(self, name: str) -> OutputHeard:
+        return self._attitude if name in ANGLES[:3] else self._pointing
+
+    # -- events ---------------------------------------------------------------------------------------------
+
+    def _tell(self, kind: str, subject: str, text: str, utc_ns: int) -> None:
+        self._events.appendleft(Event(utc_ns, kind, subject, text))
+
+    def _tell_sources(self, sources: list[SourceShown], now_ns: int) -> None:
+        """Tell of the sources that went out or came in, and of those that are out for another reason now."""
+        utc_ns = now_ns + self._utc_offset_ns
+        for source in sources:
+            kind = _NUMBER.sub("", source.reason)
+            before = self._presence.get(source.name, (Presence.IN, ""))
+            if kind.endswith("accepted again") or before == (source.presence, kind):
+                continue
+            self._presence[source.name] = source.presence, kind
+            if source.presence is Presence.OUT:
+                told = ", ".join(part for part in (source.reason, source.disagreement) if part)
+                self._tell("source", source.name, f"{source.name} OUT, {told}", utc_ns)
+            elif before[0] is Presence.OUT:
+                self._tell("source", source.name, f"{source.name} {source.presence.value}", utc_ns)
+
+
+_NUMBER = re.compile(r"\d+ ")
+_ALERT_WORDS = {0: "over", 1: "raised", 2: "silenced", 3: "acknowledged", 4: "rectified, not acknowledged"}
+
+
+def _alert(alert: Any) -> AlertShown:
+    return AlertShown(
+        id=str(alert.id),
+        instance=int(alert.instance),
+        priority=Priority(alert.priority),
+        state=int(alert.state),
+        source=str(alert.source),
+        text=str(alert.text),
+        value=float(alert.value),
+        limit=float(alert.limit),
+        unit=str(alert.unit),
+        raised_ns=ns_from_stamp(alert.raised),
+        changed_ns=ns_from_stamp(alert.changed),
+    )
+
+
+def _urgency(alert: AlertShown) -> tuple[int, bool, int, str]:
+    """The most urgent first: by priority, unacknowledged before acknowledged, the newest first."""
+    return -alert.priority, alert.is_acknowledged, -alert.raised_ns, alert.id

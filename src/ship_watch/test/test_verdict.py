@@ -1,0 +1,62 @@
+"""Whether a stated sigma fits: against chi-square draws, and their quantiles by scipy."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from ship_watch.verdict import BAND_SIGMAS, NisWindow
+
+SECOND = 1_000_000_000
+
+
+def filled(sigma_ratio: float, seed: int, count: int = 300, degrees: int = 3) -> NisWindow:
+    window = NisWindow()
+    for i, nis in enumerate(np.random.default_rng(seed).chisquare(degrees, count) * sigma_ratio**2):
+        window.add(i * SECOND // 5, float(nis), degrees)
+    return window
+
+
+def test_honest_sigmas_are_as_stated() -> None:
+    # Outside 3.3 sigma of 900 degrees of freedom lies one run in a thousand: of 2000 about 2, more than 9 in one of
+    # 20 000 such tests (Poisson).
+    found = [filled(1.0, seed, count=60, degrees=15).verdict(12 * SECOND) for seed in range(2000)]
+    assert all(verdict.degrees == 900 for verdict in found)
+    assert 1 <= sum(not verdict.is_as_stated for verdict in found) <= 9
+    stated = next(verdict for verdict in found if verdict.is_as_stated)
+    assert stated.text == f"σ as stated ({stated.ratio:.2f})"
+
+
+@pytest.mark.parametrize(("ratio", "text"), [(1.6, "σ optimistic by 1.6"), (0.5, "σ pessimistic by 2.0")])
+def test_a_wrong_sigma_is_named_with_its_factor(ratio: float, text: str) -> None:
+    found = filled(ratio, 3, count=299, degrees=100).verdict(60 * SECOND)
+    assert not found.is_as_stated
+    assert found.text == text
+
+
+@pytest.mark.parametrize("degrees", [30, 300, 3000])
+def test_the_band_holds_what_it_says(degrees: int) -> None:
+    # r = √(χ²/N): the probability to be outside 1 ± 3.3/√(2N), by scipy, is close to that of 3.3 normal sigmas.
+    band = BAND_SIGMAS / math.sqrt(2 * degrees)
+    outside = chi2.cdf(degrees * (1 - band) ** 2, degrees) + chi2.sf(degrees * (1 + band) ** 2, degrees)
+    assert 0.0004 < outside < 0.002
+
+
+def test_what_is_older_than_a_minute_is_forgotten() -> None:
+    window = filled(3.0, 1)
+    for i in range(300):
+        window.add((61 + i) * SECOND, 3.0, 3)
+    found = window.verdict(361 * SECOND)
+    assert found.degrees == 60 * 3  # from 301 s to 360 s
+    assert found.ratio == pytest.approx(1.0)
+
+
+def test_too_few_say_nothing_and_none_is_nan() -> None:
+    window = NisWindow()
+    assert math.isnan(window.verdict(0).ratio)
+    window.add(0, 90.0, 3)
+    assert window.verdict(0).text == ""
+    window.add(0, math.nan, 3)
+    window.add(0, math.inf, 3)
+    assert window.verdict(0).degrees == 3

@@ -1,0 +1,235 @@
+"""The watch, given messages made by hand: what is old, what is waited for, what begins anew."""
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_geometry.rotations import ARCSEC
+from ship_watch.limits import Limits
+from ship_watch.picture import ANGLES, Presence, Safety
+from ship_watch.topics import TOPICS, source_of_name, source_of_topic, watched_topic
+from ship_watch.watch import Watch
+
+SECOND = 1_000_000_000
+UTC = 1_404_906_607 * SECOND
+
+
+def stamp(ns: int) -> SimpleNamespace:
+    return SimpleNamespace(stamp=SimpleNamespace(sec=ns // SECOND, nanosec=ns % SECOND), frame_id="")
+
+
+def attitude(ns: int, sigma_arcsec: float = 1.0, status: int = 0, **other: Any) -> SimpleNamespace:
+    values = {"heading": 0.6, "pitch": 0.01, "roll": -0.02, "horizon": 0, "star_age_s": 0.1} | other
+    covariance = np.diag([(sigma_arcsec * ARCSEC) ** 2] * 3).ravel()
+    return SimpleNamespace(
+        header=stamp(ns), covariance=covariance, status=status, sources=["ins", "star.bow"], **values
+    )
+
+
+def integrity(ns: int, state: int = 0, excluded: tuple[str, ...] = ()) -> SimpleNamespace:
+    return SimpleNamespace(
+        header=stamp(ns),
+        quantities=["heading", "pitch", "roll"],
+        protection_level=np.full(3, 20.0 * ARCSEC),
+        alert_limit=np.full(3, 30.0 * ARCSEC),
+        state=state,
+        excluded=list(excluded),
+    )
+
+
+def health(ns: int, topic: str, received: int, rate_hz: float = 5.0, age_s: float = 0.2) -> SimpleNamespace:
+    return SimpleNamespace(
+        header=stamp(ns), topic=topic, received=received, accepted=received, rejected=0, rate_hz=rate_hz,
+        latency_s=0.1, age_s=age_s, level=0, reasons=[], reason_counts=[],
+    )  # fmt: skip
+
+
+def heard(until_s: float, start_s: float = 0.0, **of_attitude: Any) -> Watch:
+    """A watch that has heard a good ship for some seconds, at 10 Hz; its time begins at 1000 s."""
+    watch = Watch()
+    go_on(watch, start_s, until_s, **of_attitude)
+    return watch
+
+
+def go_on(watch: Watch, start_s: float, until_s: float, **of_attitude: Any) -> None:
+    for tenth in range(round(start_s * 10), round(until_s * 10) + 1):
+        ns = tenth * SECOND // 10
+        now = 1000 * SECOND + ns
+        if tenth % 10 == 0:
+            watch.take("ship/integrity", integrity(UTC + ns), now)
+            watch.take("input_health", health(UTC + ns, "ins/imu", 10 + tenth * 10, 100.0, 0.1), now)
+            watch.take("input_health", health(UTC + ns, "star/bow/solution", 1 + tenth // 2), now)
+        watch.take("ship/attitude", attitude(UTC + ns, **of_attitude), now)
+
+
+def at(seconds: float) -> int:
+    return 1000 * SECOND + round(seconds * SECOND)
+
+
+def test_before_anything_is_heard_it_says_what_it_waits_for() -> None:
+    picture = Watch().look(5 * SECOND)
+    assert [angle.name for angle in picture.angles] == list(ANGLES[:3])
+    assert all(angle.safety is Safety.UNSAFE and angle.is_old for angle in picture.angles)
+    assert {angle.reason for angle in picture.angles} == {"waiting for ship/attitude"}
+    assert picture.waiting_for == "ship/attitude"
+    assert picture.utc_ns == 0
+    assert picture.alerts is None
+
+
+def test_a_good_ship_is_safe_and_the_picture_tells_her_time() -> None:
+    picture = heard(10.0).look(at(10.3))
+    assert [angle.safety for angle in picture.angles] == [Safety.SAFE] * 3
+    heading = picture.angles[0]
+    assert heading.accuracy_95 == pytest.approx(1.96 * ARCSEC)
+    assert heading.limit == pytest.approx(5.0 * ARCSEC)
+    assert heading.age_s == pytest.approx(0.3)
+    assert heading.stamp_ns == UTC + 10 * SECOND
+    assert picture.utc_ns == UTC + 10 * SECOND + 3 * SECOND // 10
+    assert picture.ages_s["stars"] == pytest.approx(0.4)
+    assert {source.name: source.presence for source in picture.sources} == {
+        "ins": Presence.IN, "star.bow": Presence.IN, "gnss": Presence.OFF, "weather": Presence.OFF
+    }  # fmt: skip
+
+
+def test_what_is_old_is_never_current() -> None:
+    watch = heard(10.0)
+    assert not watch.look(at(10.9)).angles[0].is_old
+    old = watch.look(at(11.0)).angles[0]
+    assert old.is_old
+    assert (old.safety, old.reason) == (Safety.UNSAFE, "ship/attitude silent")
+    much_later = watch.look(at(3600.0))
+    assert much_later.angles[0].age_s == pytest.approx(3590.0)
+    assert all(source.presence is not Presence.IN for source in much_later.sources)
+    assert {source.reason for source in much_later.sources if source.presence is Presence.OUT} == {"not reported"}
+
+
+def test_the_same_output_again_and_again_grows_old() -> None:
+    watch = heard(10.0)
+    for tenth in range(1, 21):
+        watch.take("ship/attitude", attitude(UTC + 10 * SECOND), at(10.0 + tenth / 10))
+    assert watch.look(at(12.0)).angles[0].is_old
+
+
+def test_after_it_was_old_it_is_better_only_after_five_seconds() -> None:
+    watch = heard(10.0)
+    watch.look(at(12.0))
+    go_on(watch, 12.5, 17.0)
+    held = watch.look(at(17.0)).angles[0]
+    assert held.safety is Safety.UNSAFE
+    assert not held.is_old
+    go_on(watch, 17.1, 18.0)
+    assert watch.look(at(18.0)).angles[0].safety is Safety.SAFE
+
+
+def test_nan_is_unsafe_in_each_angle() -> None:
+    watch = heard(10.0)
+    watch.take("ship/attitude", attitude(UTC + 10_500_000_000, pitch=math.nan), at(10.5))
+    words = {angle.name: angle.safety for angle in watch.look(at(10.5)).angles}
+    assert words == {"heading": Safety.SAFE, "pitch": Safety.UNSAFE, "roll": Safety.SAFE}
+
+
+def test_integrity_that_is_old_or_absent_is_not_met() -> None:
+    watch = heard(10.0)
+    for tenth in range(101, 140):
+        watch.take("ship/attitude", attitude(UTC + tenth * SECOND // 10), at(tenth / 10))
+        told = watch.look(at(tenth / 10)).angles[0]
+        assert (told.safety, told.reason) == ((0, "") if tenth <= 130 else (1, "integrity not told"))
+    watch = Watch()
+    watch.take("ship/attitude", attitude(UTC), at(0.0))
+    assert watch.look(at(0.1)).angles[0].safety is Safety.CAUTION
+
+
+def test_a_silent_source_is_out_after_two_seconds_and_named_by_the_angle() -> None:
+    watch = heard(10.0)
+    for tenth in range(101, 131):
+        ns = UTC + tenth * SECOND // 10
+        watch.take("ship/attitude", attitude(ns, status=1, star_age_s=tenth / 10 - 10.0), at(tenth / 10))
+        if tenth % 10 == 0:
+            watch.take("ship/integrity", integrity(ns), at(tenth / 10))
+            watch.take("input_health", health(ns, "ins/imu", 10 + tenth * 10, 100.0, 0.1), at(tenth / 10))
+            watch.take("input_health", health(ns, "star/bow/solution", 51, 4.0, tenth / 10 - 9.8), at(tenth / 10))
+    early = {source.name: source for source in watch.look(at(11.8)).sources}
+    assert early["star.bow"].presence is Presence.IN
+    picture = watch.look(at(13.0))
+    assert [(source.name, source.reason) for source in picture.sources if source.presence is Presence.OUT] == [
+        ("star.bow", "silent")
+    ]
+    assert picture.angles[0].reason == "star.bow silent"
+    assert picture.sources[0].out_since_ns == pytest.approx(UTC + 9.9 * SECOND, abs=1e6)
+
+
+def test_an_excluded_source_is_out_and_in_again() -> None:
+    watch = heard(10.0)
+    watch.take("ship/integrity", integrity(UTC + 10 * SECOND, 2, ("star.bow",)), at(10.05))
+    source = watch.look(at(10.1)).sources[0]
+    assert (source.name, source.presence, source.reason) == ("star.bow", Presence.OUT, "excluded")
+    watch.take("ship/integrity", integrity(UTC + 11 * SECOND), at(10.5))
+    assert all(source.presence is not Presence.OUT for source in watch.look(at(10.6)).sources)
+    assert [event.text for event in watch.look(at(10.7)).events if event.kind == "source"] == [
+        "star.bow IN", "star.bow OUT, excluded"
+    ]  # fmt: skip
+
+
+def test_events_do_not_depend_on_who_looks() -> None:
+    looked_at, left_alone = Watch(), Watch()
+    for seconds in range(30):
+        for watch in (looked_at, left_alone):
+            go_on(watch, float(seconds), seconds + 0.9, sigma_arcsec=9.0 if seconds % 13 == 5 else 1.0)
+        for tenth in range(9):
+            looked_at.look(at(seconds + 0.9 + tenth / 100))
+    assert looked_at.look(at(40.0)) == left_alone.look(at(40.0))
+    assert any("CAUTION" in event.text or "UNSAFE" in event.text for event in left_alone.look(at(40.0)).events)
+
+
+def test_a_bag_that_starts_over_begins_anew() -> None:
+    watch = heard(30.0)
+    for tenth in range(200):
+        watch.take("ship/attitude", attitude(UTC + tenth * SECOND // 10), at(31.0 + tenth / 10))
+    picture = watch.look(at(50.9))
+    assert picture.utc_ns == UTC + 19_900_000_000
+    assert not any(angle.is_old for angle in picture.angles)
+    assert picture.events[-1].text == "time went back: the data begin anew"
+
+
+def test_limits_of_the_ship_are_used() -> None:
+    watch = Watch(Limits(heading_arcsec=1.5))
+    go_on(watch, 0.0, 3.0)
+    words = [(angle.safety, angle.reason) for angle in watch.look(at(3.0)).angles]
+    assert words == [(Safety.CAUTION, "over the limit"), (Safety.SAFE, ""), (Safety.SAFE, "")]
+
+
+def test_every_topic_is_watched_by_its_type_alone() -> None:
+    for row in TOPICS:
+        assert watched_topic(row.pattern.replace("<id>", "bow"), row.type_name) is row
+        assert watched_topic(row.pattern.replace("<id>", "bow"), "std_msgs/msg/String") is None
+    assert watched_topic("ins/imu") is None
+
+
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("ins", "ins"), ("star.bow", "star.bow"), ("reference.gyro", "reference.gyro"), ("light.a", "lights"),
+        ("lights", "lights"), ("telescope", "lights"), ("encoder", "encoder"), ("ship", "ship_attitude"),
+        ("ship_attitude", "ship_attitude"), ("baseline.a", "baselines"), ("drone.a", "baselines"),
+        ("beacon.a", "baselines"), ("gnss/fix", "gnss"), ("met/pressure", "weather"), ("ship/attitude", ""),
+        ("slow topics", ""),
+    ],
+)  # fmt: skip
+def test_names_of_innovations_and_hypotheses_are_sources(name: str, source: str) -> None:
+    assert source_of_name(name) == source
+
+
+@pytest.mark.parametrize(
+    ("topic", "source"),
+    [
+        ("ins/imu", "ins"), ("star/bow/observations", "star.bow"), ("star/joint/solution", ""),
+        ("reference/gyro/imu", "reference.gyro"), ("theodolite/beacons", "lights"), ("theodolite/encoder", "encoder"),
+        ("beacon/a/baseline", "baselines"), ("beacon/a/imu", "baselines"), ("gnss/fix", "gnss"),
+        ("met/humidity", "weather"), ("ship/attitude", "ship_attitude"), ("truth/attitude", ""),
+    ],
+)  # fmt: skip
+def test_topics_are_of_sources(topic: str, source: str) -> None:
+    assert source_of_topic(topic) == source
