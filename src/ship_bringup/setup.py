@@ -18,4 +18,9 @@ setup(
     maintainer_email="maintainers@example.org",
     description="Launch files, parameter files, layouts; a suite brought up without ros2 launch.",
     license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "suite = ship_bringup.commands.suite:main",
+        ],
+    },
 )

@@ -15,13 +15,12 @@ from rosbags.typesys import get_types_from_msg
 
 from ship_bags.live.play import CLOCK_PERIOD_NS, with_ticks
 from ship_bags.live.recorded_graph import is_activity
-from ship_bags.live.ros_process import dds_has_security, loaded_libraries
+from ship_bags.live.ros_process import dds_has_security, executable, loaded_libraries
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_factory import message_class
 from ship_bags.message_store import RosbagsFactory, message_store
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
-from ship_replay.trials.live_run import executable
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
 

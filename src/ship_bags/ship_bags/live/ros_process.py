@@ -10,6 +10,7 @@ import contextlib
 import math
 import mmap
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -31,6 +32,7 @@ _LIBRARY = "libfastrtps."
 _WITH, _WITHOUT = b"process_data_message_with_security", b"process_data_message_without_security"
 """Parts of names that the library exports: the second always, the first only where it was built with security."""
 
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 _PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 
@@ -96,6 +98,29 @@ def positive(text: str) -> float:
     if not (math.isfinite(value) and value > 0.0):
         raise argparse.ArgumentTypeError(f"{text} is not a positive number")
     return value
+
+
+def executable(package: str, name: str) -> list[str]:
+    """Command of a package's executable, found as ``ros2 run`` finds it.
+
+    Raises:
+        BadInput: it is not installed.
+    """
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        path = Path(prefix) / "lib" / package / name
+        if prefix and path.is_file():
+            return [sys.executable, str(path)]
+    raise BadInput(f"package {package} has no executable '{name}': build the workspace and source its environment")
+
+
+def namespace_name(text: str) -> str:
+    """A namespace of ROS without its outer slashes, as an argument's type."""
+    name = text.strip("/")
+    if name and not all(_NAME.fullmatch(part) for part in name.split("/")):
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is not a namespace: expected letters, digits and _ between single slashes"
+        )
+    return name
 
 
 def use_quick_repeats() -> None:

@@ -14,13 +14,13 @@ from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import Imu
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import use_quick_repeats
+from ship_bags.live.ros_process import executable, use_quick_repeats
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.recover import recover, recovered_path
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_msgs.msg import ShipAttitude
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
-from ship_replay.trials.live_run import LiveFailure, executable
+from ship_replay.trials.live_run import LiveFailure
 
 RATE_HZ = 200.0
 _TOPIC = "ins/imu"

@@ -1,8 +1,6 @@
 """A node of the suite over one bag as at sea: node, recorder and player as processes that talk over DDS."""
 
 import contextlib
-import os
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -10,7 +8,7 @@ from types import TracebackType
 
 from rcl_interfaces.srv import GetParameters
 
-from ship_bags.errors import BadInput
+from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import Bag, read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
@@ -176,19 +174,6 @@ class LiveRun:
         for process, name in ((self.node, "the node"), (self._recorder, "record")):
             if process.exit_code is not None:
                 raise LiveFailure(_end_of(process, name))
-
-
-def executable(package: str, name: str) -> list[str]:
-    """Command of a package's executable, found as ``ros2 run`` finds it.
-
-    Raises:
-        BadInput: it is not installed.
-    """
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        path = Path(prefix) / "lib" / package / name
-        if prefix and path.is_file():
-            return [sys.executable, str(path)]
-    raise BadInput(f"package {package} has no executable '{name}': build the workspace and source its environment")
 
 
 def _end_of(process: LiveProcess, name: str) -> str:

@@ -1,0 +1,129 @@
+"""``suite``: the nodes of a suite file, as processes of their own, with one command."""
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_bags.command_line import CommandParser, run_command
+from ship_bags.errors import BadInput, one_line
+from ship_bags.live.ros_process import namespace_name, positive, require_demanded_security
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bringup.suite.keeper import Keeper, say_line
+from ship_bringup.suite.plan import SuiteOptions, attached_suite, plan_of
+
+_DESCRIPTION = """\
+Starts a node for each section of a suite file (ROS 2 parameter file with sections as '/**/ship_attitude:'), each as a
+process of its own, and shows their lines with the node's name in front. A node that dies is started again, at once the
+first time, then after 1 s, 2 s, 4 s and so on; it begins from the alignment that it saved (parameters alignment_file
+and alignment_autosave_s). What ended with exit code 2, bad input, is not started again. When one fails for good, the
+others go on. Ctrl-C or SIGTERM ends all in order, a second one at once; when this process is killed, they end too.
+With --bag the bag is played into the nodes and sets their time; the suite ends with it. Topics that the nodes give
+themselves are not played.
+"""
+_EPILOG = (
+    "exit code: that of the first program that failed for good (128 + n after signal n); 0 where none did, also after "
+    "Ctrl-C or SIGTERM; 2 bad input or usage"
+)
+_MOST_RESTARTS = 5
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of ``suite``; returns the exit code."""
+    return run_command(_parser(), _suite, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="suite",
+        example="./ros2run ship_bringup suite examples/two_sensors.yaml --bag bags/demo.mcap",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "file", type=Path, nargs="?", metavar="FILE", help="suite file; without: the one attached to the bag"
+    )
+    parser.add_argument(
+        "--namespace", type=namespace_name, default="", metavar="NS", help="namespace of all nodes and topics (none)"
+    )
+    parser.add_argument("--bag", type=Path, metavar="BAG", help="play this bag into the nodes")
+    parser.add_argument(
+        "--rate", type=positive, default=1.0, metavar="R", help="with --bag: seconds of the bag per second (1)"
+    )
+    parser.add_argument("--loop", action="store_true", help="with --bag: play it again and again")
+    parser.add_argument("--use-sim-time", action="store_true", help="the nodes go by /clock, which somebody else sets")
+    parser.add_argument("--monitor", action="store_true", help="start live page and alerts of ship_monitor, too")
+    parser.add_argument(
+        "--limits", type=Path, metavar="FILE", help="with --monitor: the ship's limits of angles and inputs"
+    )
+    parser.add_argument(
+        "--port", type=_port, metavar="PORT", help="with --monitor: port of the page (that of 'monitor')"
+    )
+    parser.add_argument("--box", type=Path, metavar="FOLDER", help="a black box of each node goes into this folder")
+    parser.add_argument(
+        "--restarts",
+        type=_count,
+        default=_MOST_RESTARTS,
+        metavar="N",
+        help=f"start a program again N times in a row at most ({_MOST_RESTARTS}); a run of 60 s ends the row",
+    )
+    return parser
+
+
+def _suite(parsed: argparse.Namespace) -> int:
+    if parsed.file is None and parsed.bag is None:
+        raise BadInput("no FILE: expected a suite file, or --bag with a bag that has one attached")
+    require_demanded_security()
+    options = SuiteOptions(
+        namespace=parsed.namespace,
+        bag=parsed.bag,
+        rate=parsed.rate,
+        loop=parsed.loop,
+        monitor=parsed.monitor,
+        box=parsed.box,
+        use_sim_time=parsed.use_sim_time,
+        limits=parsed.limits,
+        monitor_arguments=() if parsed.port is None else ("--port", str(parsed.port)),
+    )
+    with tempfile.TemporaryDirectory(prefix="ship_suite_") as folder:
+        path = parsed.file or _written(parsed.bag, Path(folder))
+        try:
+            plan = plan_of(path, options)
+        except BadInput as problem:
+            raise BadInput(_named(str(problem), path, parsed)) from problem
+        for warning in plan.warnings:
+            print(f"suite: warning: {one_line(_named(warning, path, parsed))}", file=sys.stderr)
+        say_line(f"[suite] starts {', '.join(program.name for program in plan.programs)}")
+        return Keeper(plan.programs, parsed.restarts, say_line).run()
+
+
+def _written(bag: Path, folder: Path) -> Path:
+    """The suite file attached to a bag as a file, for the nodes to read."""
+    path = folder / SUITE_ATTACHMENT
+    path.write_text(attached_suite(bag), encoding="utf-8")
+    return path
+
+
+def _named(text: str, path: Path, parsed: argparse.Namespace) -> str:
+    """A message about the suite file, which people know by another name where it came with the bag."""
+    return text if parsed.file is not None else text.replace(str(path), f"{parsed.bag}, attached {SUITE_ATTACHMENT}")
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} is not a number of times, zero or more")
+    return value
+
+
+def _port(text: str) -> int:
+    value = int(text)
+    if not 0 < value < 65536:
+        raise argparse.ArgumentTypeError(f"{text} is not a port: expected 1 to 65535")
+    return value
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

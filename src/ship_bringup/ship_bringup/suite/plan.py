@@ -1,0 +1,152 @@
+"""Which programs a suite consists of: a node for each section of its file, who watches them, and a bag's player."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ship_bags.errors import BadInput
+from ship_bags.live.ros_process import executable
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.parameter_yaml import anywhere, full_name, read_sections
+from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
+from ship_bringup.suite.keeper import Program, Role
+from ship_node.parameters.parameter_file import unknown_sections
+from ship_replay.commands.replay import ADAPTERS
+from ship_replay.offline.adapter_chain import AdapterChain, suite_text
+from ship_replay.offline.replay import match_inputs
+from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
+
+_SAVED_FILES = "alignment_file", "calibration_file"
+
+
+@dataclass(frozen=True)
+class SuiteOptions:
+    """How a suite is brought up; see ``suite --help``.
+
+    Attributes:
+        namespace: of all its nodes and topics, without slashes at its ends; empty for none.
+        bag: is played into it; None for real sensors.
+        rate: seconds of the bag per second.
+        loop: whether the bag is played without end.
+        monitor: whether page and alerts are started too.
+        box: folder that takes a black box of each node; None for none.
+        use_sim_time: whether the nodes go by /clock although no bag is played here.
+        limits: file of the ship's limits for page and alerts; None for the defaults.
+        monitor_arguments: further arguments of the page.
+    """
+
+    namespace: str = ""
+    bag: Path | None = None
+    rate: float = 1.0
+    loop: bool = False
+    monitor: bool = False
+    box: Path | None = None
+    use_sim_time: bool = False
+    limits: Path | None = None
+    monitor_arguments: tuple[str, ...] = ()
+
+    def topic(self, relative: str) -> str:
+        """Full name of a topic of the suite."""
+        return full_name(relative, self.namespace)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is started, in this order, and what people should know before."""
+
+    programs: tuple[Program, ...]
+    warnings: tuple[str, ...]
+
+
+def attached_suite(bag_path: Path) -> str:
+    """Text of the suite file that is attached to a bag.
+
+    Raises:
+        BadInput: the bag cannot be read, or none is attached.
+    """
+    with read_bag(bag_path) as bag:
+        text: str = suite_text(bag, None)
+    return text
+
+
+def plan_of(path: Path, options: SuiteOptions) -> Plan:
+    """The programs of a suite file.
+
+    Raises:
+        BadInput: names the file, the line, the parameter or section, and what was expected; or the bag and what it
+            lacks; or a program that is not installed.
+    """
+    nodes, warnings = _checked_nodes(path, options.namespace)
+    chain = AdapterChain([node.adapter for node in nodes])
+    packages = {kind.node_name: kind.__module__.partition(".")[0] for kind in ADAPTERS}
+    ros = _ros_arguments(options)
+    programs = []
+    for adapter in chain.adapters:
+        name = adapter.node_name
+        box = () if options.box is None else ("-p", f"black_box:={options.box.resolve()}/")
+        arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box)
+        programs.append(Program(name, (*executable(packages[name], name), *arguments)))
+    if options.monitor:
+        programs += _watchers(options, ros)
+    if options.bag is not None:
+        programs.append(_player(options.bag, chain, options))
+    return Plan(tuple(programs), (*warnings, *_without_saved_file(path, nodes)))
+
+
+def _checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
+    findings = Findings()
+    nodes = check_file(path, ADAPTERS, findings, namespace)
+    if findings.errors:
+        first, *others = findings.errors
+        raise BadInput(first + (f" (and {len(others)} more: see ship_replay check_config)" if others else ""))
+    strange = unknown_sections(path, [full_name(kind.node_name, namespace) for kind in ADAPTERS])
+    if strange:
+        lines = {section.node: section.line for section in read_sections(path)[1]}
+        expected = ", ".join(f"'{anywhere(kind.node_name)}'" for kind in ADAPTERS)
+        reason = f"section '{strange[0]}' fits no node of this suite: expected one of {expected} or '/**'"
+        raise BadInput(reason, file=path, line=lines[strange[0]])
+    return nodes, findings.warnings
+
+
+def _without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
+    for node in nodes:
+        for name in _SAVED_FILES:
+            if getattr(node.config, name, None) == "":
+                yield f"{path}: {node.adapter.node_name} has no {name}: a restart begins without what it has learned"
+
+
+def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:
+    """Names and clock of a node of the suite."""
+    has_clock = options.bag is not None or options.use_sim_time
+    return (*_names(options), *(("-p", "use_sim_time:=true") if has_clock else ()))
+
+
+def _names(options: SuiteOptions) -> tuple[str, ...]:
+    """What puts a process into the suite's namespace; a bag's time is that of its own suite, not of the next one."""
+    if not options.namespace:
+        return ()
+    clock = () if options.bag is None else ("-r", f"/clock:={options.topic('clock')}")
+    return ("-r", f"__ns:=/{options.namespace}", *clock)
+
+
+def _watchers(options: SuiteOptions, ros: tuple[str, ...]) -> list[Program]:
+    """Page and alerts."""
+    limits = () if options.limits is None else ("--limits", str(options.limits))
+    where = ("--namespace", options.namespace) if options.namespace else ()
+    page = (*executable("ship_monitor", "monitor"), *where, *limits, *options.monitor_arguments)
+    alerts = (*executable("ship_monitor", "alerts"), *limits, "--ros-args", *ros)
+    return [Program("alerts", alerts, Role.WATCHER), Program("monitor", page, Role.WATCHER)]
+
+
+def _player(path: Path, chain: AdapterChain, options: SuiteOptions) -> Program:
+    """Plays what the suite takes from outside, and the truth, under the names that they have in the suite."""
+    with read_bag(path) as bag:
+        required = [topic.topic for topic in chain.inputs if topic.required]
+        namespace = likely_namespace(bag.topics, required) or ""
+        played = match_inputs(bag, chain, namespace)
+        found = relative_topics(bag.topics, namespace)
+    played |= {relative: name for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
+    moved = [f"{name}:={options.topic(relative)}" for relative, name in played.items()]
+    command = [*executable("ship_bags", "play"), str(path), "--rate", str(options.rate)]
+    command += ["--loop", "0" if options.loop else "1", "--topics", *played.values(), "--remap", *moved]
+    return Program("play", (*command, "--ros-args", *_names(options)), Role.PLAYER)

@@ -1,0 +1,101 @@
+"""``suite`` with the real nodes over DDS: brought up from a file, kept running, apart from another suite."""
+
+import re
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from ship_bags.live.ros_process import executable
+from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+
+ROOT = Path(__file__).parents[1]
+DEMO, THEODOLITE = ROOT / "bags" / "demo.mcap", ROOT / "bags" / "theodolite.mcap"
+NODE = "/**/ship_attitude:\n  ros__parameters:\n    lag_s: 2.0\n"
+
+
+@pytest.fixture
+def domain(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    return free_domain_id()
+
+
+def suite(*arguments):
+    return [*executable("ship_bringup", "suite"), *map(str, arguments)]
+
+
+def run(*arguments):
+    return subprocess.run(suite(*arguments), capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (NODE.replace("lag_s", "lagg_s"), r":3: parameter 'lagg_s' is unknown: .*did you mean 'lag_s'\?"),
+        (NODE.replace("2.0", "-1.0"), r":3: parameter 'lag_s' .*-1\.0"),
+        (NODE + NODE.replace("ship_attitude", "nonsense"), r":4: section '/\*\*/nonsense' fits no node .*: expected"),
+        (NODE.replace("ship_attitude", "ship_atitude"), r":1: section '/\*\*/ship_atitude' does not fit"),
+        ("", r": empty: expected a section"),
+    ],
+)
+def test_a_bad_suite_file_is_one_line_with_file_line_and_what_was_expected(tmp_path, text, told):
+    path = tmp_path / "suite.yaml"
+    path.write_text(text)
+    ended = run(path)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert re.fullmatch(rf"suite: {re.escape(str(path))}{told}.*\n", ended.stderr), ended.stderr
+
+
+def test_neither_a_file_nor_a_bag():
+    ended = run()
+    assert ended.returncode == 2
+    assert ended.stderr == "suite: no FILE: expected a suite file, or --bag with a bag that has one attached\n"
+
+
+def test_a_bag_without_what_the_nodes_need_starts_nothing():
+    ended = run(ROOT / "examples" / "theodolite.yaml", "--bag", DEMO)
+    assert ended.returncode == 2
+    assert f"{DEMO}: required topics theodolite/encoder are missing" in ended.stderr
+    assert ended.stdout == ""
+
+
+def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_path, domain):
+    environment = live_environment(domain, tmp_path)
+    with LiveProcess(suite("--bag", DEMO, "--rate", "20"), tmp_path / "suite.log", environment) as process:
+        assert process.wait(120) == 0, process.log()
+        log = process.log()
+    assert re.search(r"^\[ship_attitude\] .*attitude: VALID: INS and stars", log, re.MULTILINE), log
+    assert re.search(r"^\[suite\] play ended after .*: exit code 0$", log, re.MULTILINE), log
+    assert "suite.yaml: ship_attitude has no alignment_file" in log
+
+
+def namespaces(node, topic):
+    """Those of the nodes that give or take a topic."""
+    ends = [*node.get_publishers_info_by_topic(topic), *node.get_subscriptions_info_by_topic(topic)]
+    return {info.node_namespace for info in ends}
+
+
+def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
+    environment = live_environment(domain, tmp_path)
+
+    def started(name, bag):
+        command = suite("--bag", bag, "--namespace", name, "--loop")
+        return LiveProcess(command, tmp_path / f"{name}.log", environment)
+
+    with GraphObserver(domain) as observer, started("alpha", DEMO) as alpha, started("beta", THEODOLITE) as beta:
+        there = {"/alpha/ship/attitude": 1, "/alpha/clock": 1, "/beta/theodolite/pointing": 1, "/beta/clock": 1}
+        assert observer.wait_for(there, {"/beta/ship/attitude": 1}, 60.0), alpha.log() + beta.log()
+        names = dict(observer.node.get_topic_names_and_types())
+        assert not [name for name in names if not name.startswith(("/alpha/", "/beta/", "/rosout", "/parameter_events"))
+                    and name != "/diagnostics"]  # fmt: skip
+        for topic in (*there, "/beta/ship/attitude"):
+            own = "/" + topic.split("/")[1]
+            # Names of nodes come later than their topics.
+            assert observer.spin_until(lambda t=topic, own=own: namespaces(observer.node, t) == {own}), topic
+            assert observer.node.count_publishers(topic) == 1
+        assert alpha.end(signal.SIGTERM) == 0
+        assert beta.exit_code is None
+        assert observer.node.count_publishers("/beta/theodolite/pointing") == 1
