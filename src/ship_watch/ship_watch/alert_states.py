@@ -1,13 +1,48 @@
-"""The states of one alert and what leads from one to the next, after IEC 62923-1 and IMO MSC.302(87), section 7.
+"""The situations that alerts tell, the states of an alert, and what leads from one to the next.
 
-A warning or an alarm stays until a person has acknowledged it, also where its situation is over. A caution is told as
-long as its situation is there, and nobody needs to acknowledge it.
+The states are those of IEC 62923-1 and IMO MSC.302(87), section 7. A warning or an alarm stays until a person has
+acknowledged it, also where its situation is over. A caution is told as long as its situation is there, and nobody
+needs to acknowledge it.
 """
 
 import enum
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from ship_watch.picture import Priority
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A situation that is there now, as :class:`ship_watch.picture.AlertShown` tells it.
+
+    Attributes:
+        id: name of the situation.
+        priority: its urgency.
+        source: who is to blame; empty where nobody is known.
+        text: the situation in a few words. It holds no figure that runs, or each look would be a change.
+        value: what was measured; NaN for nothing.
+        limit: what it is held against; NaN for nothing.
+        unit: of both.
+        becomes_alarm: whether a warning that nobody acknowledges becomes an alarm; otherwise it is repeated.
+        needs_start: whether the situation may be nothing but a suite that is about to start.
+        under: ids of situations that explain this one. While one of them is active, and not less urgent, this one is
+            told by it and is no alert of its own.
+        lost: what the situation takes away. When more is lost than a person has acknowledged, it is told anew.
+    """
+
+    id: str
+    priority: Priority
+    source: str
+    text: str
+    value: float = math.nan
+    limit: float = math.nan
+    unit: str = ""
+    becomes_alarm: bool = False
+    needs_start: bool = False
+    under: tuple[str, ...] = ()
+    lost: frozenset[str] = frozenset()
 
 
 class AlertState(enum.IntEnum):

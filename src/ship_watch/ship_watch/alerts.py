@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ship_bags.stamps import NS_PER_S
-from ship_watch.alert_states import ACTIVE, UNANSWERED, AlertEvent, AlertState, next_state
+from ship_watch.alert_states import ACTIVE, UNANSWERED, AlertEvent, AlertState, Condition, next_state
 from ship_watch.limits import AlertTimes
 from ship_watch.picture import AlertShown, Priority
 
@@ -24,36 +24,6 @@ FORGOTTEN_S = 1.0
 
 QUIET_S = 300.0
 """A situation that stayed away for so long does not flap any more, s."""
-
-
-@dataclass(frozen=True)
-class Condition:
-    """A situation that is there now, as :class:`ship_watch.picture.AlertShown` tells it.
-
-    Attributes:
-        id: name of the situation.
-        priority: its urgency.
-        source: who is to blame; empty where nobody is known.
-        text: the situation in a few words. It holds no figure that runs, or each look would be a change.
-        value: what was measured; NaN for nothing.
-        limit: what it is held against; NaN for nothing.
-        unit: of both.
-        becomes_alarm: whether a warning that nobody acknowledges becomes an alarm; otherwise it is repeated.
-        needs_start: whether the situation may be nothing but a suite that is about to start.
-        under: ids of situations that explain this one. While one of them is active, and not less urgent, this one is
-            told by it and is no alert of its own.
-    """
-
-    id: str
-    priority: Priority
-    source: str
-    text: str
-    value: float = math.nan
-    limit: float = math.nan
-    unit: str = ""
-    becomes_alarm: bool = False
-    needs_start: bool = False
-    under: tuple[str, ...] = ()
 
 
 _EXAMPLE = AlertShown("", 1, Priority.CAUTION, AlertState.NORMAL, "", "", math.nan, math.nan, "", 0, 0)
@@ -75,8 +45,9 @@ class _Kept:
     hold_ns: int
     present_ns: int
     """When the situation was last there."""
-    lower_since_ns: int | None = None
-    """Since when it is less urgent than its alert says."""
+    other_since_ns: int | None = None
+    """Since when it is less urgent than its alert says, or another text tells it."""
+    lost: frozenset[str] = frozenset()
     becomes_alarm: bool = False
     unanswered_from_ns: int = 0
     silenced_ns: int = 0
@@ -102,8 +73,8 @@ class AlertBook:
         self._pending: dict[str, tuple[int, int]] = {}
         hold_ns = max(_ns(times.clear_after_s), _ns(times.start_s))
         for entry in saved:
-            alert = _loaded(entry)
-            self._kept[alert.id] = _Kept(alert, hold_ns, now_ns, unanswered_from_ns=now_ns, silenced_ns=now_ns)
+            alert, lost = _loaded(entry)
+            self._kept[alert.id] = _Kept(alert, hold_ns, now_ns, None, lost, False, now_ns, now_ns)
 
     @property
     def alerts(self) -> tuple[AlertShown, ...]:
@@ -113,7 +84,9 @@ class AlertBook:
 
     def saved(self) -> list[dict[str, Any]]:
         """The book as plain values for a file, the counts of instances of alerts that are over among them."""
-        return [dataclasses.asdict(kept.alert) for _, kept in sorted(self._kept.items())]
+        return [
+            {**dataclasses.asdict(kept.alert), "lost": sorted(kept.lost)} for _, kept in sorted(self._kept.items())
+        ]
 
     def take(self, conditions: Iterable[Condition], now_ns: int, utc_ns: int) -> tuple[AlertChange, ...]:
         """Take the situations that are there now, all of them.
@@ -174,6 +147,9 @@ class AlertBook:
 
     def _present(self, condition: Condition, now_ns: int, utc_ns: int) -> list[AlertChange]:
         kept = self._kept.get(condition.id)
+        if any(id_ in self._pending for id_ in condition.under):
+            # What explains it may be told in a moment.
+            return []
         if self._is_explained(condition):
             self._pending.pop(condition.id, None)
             if kept is None or kept.alert.state not in ACTIVE:
@@ -188,51 +164,66 @@ class AlertBook:
             del self._pending[condition.id]
             return [self._raise(condition, kept, now_ns, utc_ns)]
         kept.present_ns, kept.becomes_alarm = now_ns, condition.becomes_alarm
+        more, kept.lost = condition.lost - kept.lost, kept.lost | condition.lost
         if condition.priority > kept.alert.priority:
-            return [self._worsen(condition, kept, now_ns, utc_ns)]
+            what = f"was a {kept.alert.priority.name.lower()}, is a{_n(condition.priority)} now"
+            return [self._worsen(condition, kept, what, now_ns, utc_ns)]
+        if more and condition.priority is not Priority.CAUTION:
+            if kept.alert.is_acknowledged:
+                return [self._worsen(condition, kept, f"{', '.join(sorted(more))} as well", now_ns, utc_ns)]
+            kept.alert = _told(kept.alert, condition)
+            return [AlertChange(kept.alert, f"{', '.join(sorted(more))} as well")]
         return self._ease(condition, kept, now_ns, utc_ns)
 
     def _raise(self, condition: Condition, kept: _Kept | None, now_ns: int, utc_ns: int) -> AlertChange:
         hold_ns = _ns(self._times.clear_after_s)
-        instance, state = 1, AlertState.NORMAL
+        instance, state, priority = 1, AlertState.NORMAL, condition.priority
         if kept is not None:
             instance, state = kept.alert.instance + 1, AlertState(kept.alert.state)
+            if state is AlertState.RECTIFIED_UNACKNOWLEDGED:
+                priority = max(priority, kept.alert.priority)
             # It came back: held for twice as long from now on, so that it does not come again and again.
             flaps = now_ns - kept.present_ns < _ns(QUIET_S)
             hold_ns = min(2 * kept.hold_ns, max(_ns(LONGEST_HOLD_S), hold_ns)) if flaps else hold_ns
         alert = AlertShown(
-            id=condition.id, instance=instance, priority=condition.priority, state=state, source=condition.source,
+            id=condition.id, instance=instance, priority=priority, state=state, source=condition.source,
             text=condition.text, value=condition.value, limit=condition.limit, unit=condition.unit,
             raised_ns=utc_ns, changed_ns=utc_ns,
         )
-        new = _Kept(alert, hold_ns, now_ns, becomes_alarm=condition.becomes_alarm, unanswered_from_ns=now_ns)
+        new = _Kept(alert, hold_ns, now_ns, None, condition.lost, condition.becomes_alarm, now_ns)
         self._kept[condition.id] = new
         return self._happens(new, AlertEvent.COMES, utc_ns, "raised")
 
-    def _worsen(self, condition: Condition, kept: _Kept, now_ns: int, utc_ns: int) -> AlertChange:
+    @staticmethod
+    def _worsen(condition: Condition, kept: _Kept, what: str, now_ns: int, utc_ns: int) -> AlertChange:
         """The situation is graver than what people acknowledged: an instance of its own, which they have not seen."""
-        before = kept.alert.priority.name.lower()
-        kept.unanswered_from_ns, kept.lower_since_ns = now_ns, None
+        kept.unanswered_from_ns, kept.other_since_ns = now_ns, None
         kept.alert = dataclasses.replace(
-            _told(kept.alert, condition), priority=condition.priority, instance=kept.alert.instance + 1,
-            state=AlertState.ACTIVE_UNACKNOWLEDGED, changed_ns=utc_ns,
+            _told(kept.alert, condition), priority=max(condition.priority, kept.alert.priority),
+            instance=kept.alert.instance + 1, state=AlertState.ACTIVE_UNACKNOWLEDGED, changed_ns=utc_ns,
         )
-        return AlertChange(kept.alert, f"was a {before}, is a{_n(condition.priority)} now")
+        return AlertChange(kept.alert, what)
 
-    def _ease(self, condition: Condition, kept: _Kept, now_ns: int, utc_ns: int) -> list[AlertChange]:
-        """The situation is as before or less grave. An alert that nobody acknowledged never gets less urgent."""
+    @staticmethod
+    def _ease(condition: Condition, kept: _Kept, now_ns: int, utc_ns: int) -> list[AlertChange]:
+        """The situation is as before, or not as grave, or told in other words: taken when that has lasted for a while.
+
+        An alert that nobody acknowledged never gets less urgent.
+        """
         alert = kept.alert
-        if condition.priority == alert.priority:
-            kept.lower_since_ns = None
+        if condition.text == alert.text and condition.priority == alert.priority:
+            kept.other_since_ns = None
             kept.alert = _told(alert, condition)
-            if kept.alert.text == alert.text:
-                return []
-            return [AlertChange(kept.alert, "told in other words")]
-        kept.lower_since_ns = kept.lower_since_ns if kept.lower_since_ns is not None else now_ns
-        if not alert.is_acknowledged or now_ns - kept.lower_since_ns < kept.hold_ns:
             return []
-        kept.lower_since_ns = None
-        kept.alert = dataclasses.replace(_told(alert, condition), priority=condition.priority, changed_ns=utc_ns)
+        kept.other_since_ns = kept.other_since_ns if kept.other_since_ns is not None else now_ns
+        is_lower = condition.priority < alert.priority
+        if (is_lower and not alert.is_acknowledged) or now_ns - kept.other_since_ns < kept.hold_ns:
+            return []
+        kept.other_since_ns = None
+        kept.alert = _told(alert, condition)
+        if not is_lower:
+            return [AlertChange(kept.alert, "told in other words")]
+        kept.alert = dataclasses.replace(kept.alert, priority=condition.priority, changed_ns=utc_ns)
         return [AlertChange(kept.alert, f"is only a {condition.priority.name.lower()} now")]
 
     def _absent(self, kept: _Kept, now_ns: int, utc_ns: int) -> list[AlertChange]:
@@ -269,21 +260,23 @@ def _told(alert: AlertShown, condition: Condition) -> AlertShown:
     )
 
 
-def _loaded(entry: Mapping[str, Any]) -> AlertShown:
-    """An alert out of a file.
+def _loaded(entry: Mapping[str, Any]) -> tuple[AlertShown, frozenset[str]]:
+    """An alert out of a file, and what its situation takes away.
 
     Raises:
         ValueError: it is none.
     """
     try:
-        alert = AlertShown(**{**entry, "priority": Priority(entry["priority"]), "state": AlertState(entry["state"])})
+        fields = {**entry, "priority": Priority(entry["priority"]), "state": AlertState(entry["state"])}
+        lost = frozenset(map(str, fields.pop("lost")))
+        alert = AlertShown(**fields)
     except (TypeError, KeyError, ValueError) as problem:
         raise ValueError(f"no saved alert: {problem}") from problem
     for field in dataclasses.fields(alert):
         value, default = getattr(alert, field.name), getattr(_EXAMPLE, field.name)
         if not isinstance(value, type(default)):
             raise ValueError(f"no saved alert: {field.name} is {value!r}")
-    return alert
+    return alert, lost
 
 
 def _words(alert: AlertShown) -> str:

@@ -21,7 +21,7 @@ from ship_bags.parameter_yaml import read_plain
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_estimation.parameters import ParameterError, build
 
-INPUT_KINDS = ("ins", "star", "reference", "lights", "encoder", "baselines", "gnss", "weather")
+INPUT_KINDS = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
 """What sources are called: alone, or before the id of one of several, as in ``star.bow``."""
 
 _NO_SHORT_ID = re.compile(r"(star|reference)_.+")

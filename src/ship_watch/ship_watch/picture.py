@@ -54,6 +54,7 @@ class AngleShown:
         is_old: whether that is too long: the value is then shown greyed, with its age.
         stamp_ns: time of the value, UTC as POSIX time; 0 before the first.
         since_ns: UTC since which the word stands; 0 before the first.
+        because_of: the source that is to blame for a word that is not SAFE; empty where none is known.
     """
 
     name: str
@@ -67,6 +68,7 @@ class AngleShown:
     is_old: bool
     stamp_ns: int
     since_ns: int
+    because_of: str = ""
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,10 @@ class Watch:
         self._judge_until(now_ns)
         sources = self._book.shown(now_ns, self._utc_offset_ns)
         words = self._judged(sources, now_ns)
-        shown = [self._shown(name, *self._words[name].shown(*words[name], now_ns), now_ns) for name in words]
+        shown = [
+            self._shown(name, *self._words[name].shown(*words[name], now_ns), self._guilty(name, sources), now_ns)
+            for name in words
+        ]
         return Picture(
             utc_ns=now_ns + self._utc_offset_ns if self._newest_ns else 0,
             angles=tuple(shown),
@@ -192,14 +195,18 @@ class Watch:
 
     def _judged(self, sources: list[SourceShown], now_ns: int) -> dict[str, tuple[Safety, str]]:
         """Word and reason of each angle at this moment, held by nothing."""
-        ship = blamed(sources, _SHIP_SOURCES)
-        pointing = blamed(sources, _POINTING_SOURCES) or ship
         has_pointing = self._pointing.is_heard or self._book.has_theodolite()
         return {
-            name: judged(self._claim(name, ship if name in ANGLES[:3] else pointing, now_ns))
+            name: judged(self._claim(name, self._guilty(name, sources), now_ns))
             for name in ANGLES
             if has_pointing or name in ANGLES[:3]
         }
+
+    @staticmethod
+    def _guilty(name: str, sources: list[SourceShown]) -> SourceShown | None:
+        """The source that is to blame where an angle is not SAFE; None where none is known."""
+        ship = blamed(sources, _SHIP_SOURCES)
+        return ship if name in ANGLES[:3] else blamed(sources, _POINTING_SOURCES) or ship
 
     def _claim(self, name: str, guilty: SourceShown | None, now_ns: int) -> Claim:
         output, beacons = self._output(name), self._book.beacon_count()
@@ -218,7 +225,9 @@ class Watch:
             guilty=guilty,
         )
 
-    def _shown(self, name: str, word: Safety, reason: str, now_ns: int) -> AngleShown:
+    def _shown(
+        self, name: str, word: Safety, reason: str, guilty: SourceShown | None, now_ns: int
+    ) -> AngleShown:
         output, held = self._output(name), self._words[name]
         is_held = held.word is word
         return AngleShown(
@@ -233,6 +242,7 @@ class Watch:
             is_old=output.is_old(now_ns),
             stamp_ns=output.stamp_ns,
             since_ns=(held.since_ns if is_held else now_ns) + self._utc_offset_ns if output.is_heard else 0,
+            because_of=guilty.name if guilty is not None and word is not Safety.SAFE else "",
         )
 
     def _output(self, name: str) -> OutputHeard:

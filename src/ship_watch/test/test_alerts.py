@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_watch.alert_states import AlertState
-from ship_watch.alerts import AlertBook, AlertChange, Condition
+from ship_watch.alert_states import AlertState, Condition
+from ship_watch.alerts import AlertBook, AlertChange
 from ship_watch.limits import AlertTimes
 from ship_watch.picture import AlertShown, Priority
 
@@ -109,6 +109,58 @@ def test_random_flapping_never_shows_two_alerts_of_one_situation() -> None:
         assert all(change.alert.state != AlertState.NORMAL for change in voyage.changes)
 
 
+def test_random_situations_keep_the_rules() -> None:
+    """Whatever comes and goes in whatever priority and words: a caution is never unacknowledged, nothing that nobody
+    acknowledged vanishes or gets less urgent, an instance is never used twice."""
+    for seed in range(20):
+        draws = np.random.default_rng(seed)
+        voyage = Voyage()
+        for _ in range(300):
+            lost = frozenset(draws.choice(["heading", "tilt"], size=draws.integers(3), replace=False).tolist())
+            priority = Priority(int(draws.integers(3)))
+            condition = replace(OUT, priority=priority, text=f"out {sorted(lost)}", lost=lost)
+            before = voyage.book.alerts
+            voyage.go(float(draws.exponential(4.0)), *([condition] if draws.integers(3) else []))
+            for alert in before:
+                if not alert.is_acknowledged:
+                    assert voyage.book.alerts[0].priority >= alert.priority
+                if draws.integers(4) == 0:
+                    voyage.acknowledge(alert.id, voyage.book.alerts[0].instance if voyage.book.alerts else 0)
+            for change in voyage.changes:
+                assert change.alert.priority is not Priority.CAUTION or change.alert.state in (0, 3)
+        raised = [change.alert.instance for change in voyage.changes if change.what == "raised"]
+        assert len(set(raised)) == len(raised)
+
+
+def test_more_lost_than_acknowledged_is_told_anew() -> None:
+    """The tilt goes after the heading was acknowledged: a new instance; before it, another text of the same one."""
+    voyage = Voyage()
+    heading = replace(OUT, text="out; heading", lost=frozenset({"heading"}))
+    both = replace(OUT, text="out; heading and tilt", lost=frozenset({"heading", "tilt"}))
+    voyage.go(1.0, heading)
+    assert [(change.alert.text, change.alert.instance) for change in voyage.go(1.0, both)] == [(both.text, 1)]
+    voyage.acknowledge("star.bow.out")
+    for _ in range(50):
+        voyage.go(0.5, heading)
+        voyage.go(0.5, both)
+    assert voyage.book.alerts[0].instance == 1
+    pointing = replace(both, lost=both.lost | {"pointing"})
+    assert [change.what for change in voyage.go(1.0, pointing)] == ["pointing as well"]
+    assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
+    assert voyage.book.alerts[0].instance == 2
+
+
+def test_text_that_flickers_is_not_told_each_time() -> None:
+    """Words change when they have lasted; what flips at each look stays as it was."""
+    voyage = Voyage()
+    voyage.go(1.0, OUT)
+    voyage.acknowledge("star.bow.out")
+    for _ in range(100):
+        assert voyage.go(0.5, replace(OUT, text="silent")) == []
+        assert voyage.go(0.5, OUT) == []
+    assert [change.alert.text for change in voyage.go(10.0, replace(OUT, text="silent"))] == ["silent"]
+
+
 def test_glitch_of_one_look_is_no_alert() -> None:
     """What is gone at the next look was not told."""
     voyage = Voyage()
@@ -198,6 +250,13 @@ def test_what_another_alert_explains_is_no_alert_of_its_own() -> None:
     assert list(voyage.states()) == ["star.bow.out"]
     voyage.go(10.0, replace(lost, priority=Priority.ALARM), OUT)
     assert list(voyage.states()) == ["heading.lost", "star.bow.out"]
+    at_once = Voyage()
+    at_once.go(5.0, replace(lost, priority=Priority.CAUTION))
+    # The very moment at which the cause is seen: it does not become graver for one look first.
+    assert [change.alert.id for change in at_once.go(0.25, lost, OUT)] == []
+    assert {(change.alert.id, change.what) for change in at_once.go(0.25, lost, OUT)} == {
+        ("star.bow.out", "raised"), ("heading.lost", "told by another alert")
+    }
     late = Voyage()
     late.go(10.0, lost)
     assert list(late.states()) == ["heading.lost"]

@@ -1,0 +1,229 @@
+"""Which situations of a suite are alerts, and how urgent each is: one alert for one situation.
+
+A source that is out is one alert, and what it takes away is told with it: the more is lost, the more urgent it is. Only
+what no source explains is an alert of an output. docs/explanation/alerts.md has the table for people.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from ship_watch.alert_states import Condition
+from ship_watch.functions import ATTITUDE, POINTING, FunctionShown, functions, still
+from ship_watch.limits import InputLimits, Limits
+from ship_watch.picture import Picture, Presence, Priority, SourceShown
+
+STARS_OUT = "stars.out"
+
+_OUT_PRIORITY = {
+    "ins": Priority.WARNING,
+    "star": Priority.WARNING,
+    "reference": Priority.WARNING,
+    "encoder": Priority.WARNING,
+    "lights": Priority.CAUTION,
+    "baselines": Priority.CAUTION,
+    "ship_attitude": Priority.CAUTION,
+    "gnss": Priority.CAUTION,
+    "weather": Priority.CAUTION,
+}
+"""Urgency of a source that is out and takes nothing away, by the first word of its name. Lights come and go with the
+drones; of the fix and the weather the last ones hold for a while."""
+
+_NOT_ITS_FAULT = ("no stars", "no lights")
+"""Reasons for which a source is out although nothing is broken: clouds, daylight, drones on deck."""
+
+_SILENT = ("silent", "never heard", "not reported")
+"""Endings of reasons for which the age says how long."""
+
+_NODE_STATUSES = {
+    "black box": ("box", Priority.WARNING),
+    "clock": ("clock", Priority.WARNING),
+    "stamps": ("stamps", Priority.WARNING),
+    "name": ("name", Priority.WARNING),
+    "callbacks": ("software", Priority.CAUTION),
+}
+"""Statuses by which nodes tell in `/diagnostics` how they themselves do: end of the alert's id, urgency of an error."""
+
+_ERROR = 2
+_ITS_NODE = "its node"
+
+
+@dataclass(frozen=True)
+class NodeStatus:
+    """What a node told of itself in `/diagnostics`: its level as there, text, and further figures."""
+
+    node: str
+    name: str
+    level: int
+    text: str
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Machine:
+    """How the computer does.
+
+    Attributes:
+        statuses: what nodes told of themselves last.
+        disk_free_gb: free space of the disk that the limits name, GB; NaN where none is named.
+    """
+
+    statuses: tuple[NodeStatus, ...] = ()
+    disk_free_gb: float = math.nan
+
+
+def conditions(picture: Picture, limits: Limits, machine: Machine | None = None) -> list[Condition]:
+    """All situations that are there now, for :meth:`ship_watch.alerts.AlertBook.take`."""
+    shown = functions(picture)
+    machine = machine or Machine()
+    return [
+        *_outputs(picture, shown),
+        *_sources_out(picture, shown),
+        *_unreported(picture),
+        *_ages(picture, limits),
+        *(found for source in picture.sources for found in _rate(source, limits.of_input(source.name))),
+        *_clock(picture, limits),
+        *_nodes(machine.statuses, limits),
+        *_disk(machine, limits),
+    ]
+
+
+def _outputs(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:
+    """Outputs that do not come, and what is lost of the others: alerts where no source that is out explains it."""
+    outs = (STARS_OUT, *(f"{source.name}.out" for source in picture.sources))
+    for output, topic in ((ATTITUDE, "ship/attitude"), (POINTING, "theodolite/pointing")):
+        members = [one for one in shown if one.output == output and one.safety]
+        above = () if output == ATTITUDE else ("attitude.silent", "attitude.degraded")
+        if silent := [one for one in members if one.is_silent or math.isinf(one.angle.age_s)]:
+            never = all(math.isinf(one.angle.age_s) for one in silent)
+            yield Condition(
+                f"{output}.silent", Priority.WARNING if never else Priority.ALARM, "",
+                f"{topic} never heard" if never else f"{topic} silent: {_listed(silent)}",
+                becomes_alarm=never, needs_start=never, under=above[:1] if never else (), lost=_lost(silent),
+            )
+            continue
+        if members:
+            worst = max(members, key=lambda one: (one.priority or 0, one.accuracy_arcsec))
+            priority = worst.priority or Priority.CAUTION
+            yield Condition(
+                f"{output}.degraded", priority, "", f"{_listed(members)}: {worst.reason}", worst.accuracy_arcsec,
+                worst.limit_arcsec, "arcsec", becomes_alarm=priority is Priority.WARNING,
+                needs_start=True, under=(*above, *outs), lost=_lost(members),
+            )
+
+
+def _sources_out(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:
+    """Sources that are out by a fault of their own; all star sensors out for one reason are one situation."""
+    guilty = _guilty(picture)
+    stars = [source for source in picture.sources if source.name.startswith("star.")]
+    stars_out = [source for source in guilty if source.name.startswith("star.")]
+    if len(stars) == len(stars_out) >= 2 and len({still(source.reason) for source in stars_out}) == 1:
+        names = {source.name for source in stars_out}
+        yield _out(STARS_OUT, "", stars_out[0], [one for one in shown if one.because_of in names], ())
+    for source in guilty:
+        under = (STARS_OUT,) if source in stars else ()
+        yield _out(
+            f"{source.name}.out", source.name, source, [one for one in shown if one.because_of == source.name], under
+        )
+
+
+def _unreported(picture: Picture) -> Iterable[Condition]:
+    """Sources of which nothing is known because the node that reads them is gone, while the output still comes."""
+    for source in picture.sources:
+        if source.presence is Presence.OUT and source.because_of == _ITS_NODE:
+            yield Condition(
+                f"{source.name}.unreported", Priority.WARNING, source.name,
+                f"{source.name} not reported: its node says nothing any more", source.age_s, unit="s",
+                under=("attitude.silent", "pointing.silent"),
+            )
+
+
+def _out(
+    id_: str, name: str, source: SourceShown, taken: list[FunctionShown], under: tuple[str, ...]
+) -> Condition:
+    base = _OUT_PRIORITY.get(source.name.partition(".")[0], Priority.WARNING)
+    if source.reason in _NOT_ITS_FAULT:
+        base = Priority.CAUTION
+    priority = max([base, *(one.priority for one in taken if one.priority is not None)])
+    lost = _lost(taken)
+    text = f"{name or 'all star sensors'} out: {still(source.reason)}" + (f"; {_listed(taken)}" if lost else "")
+    value, unit = (source.residual, "sigma") if math.isfinite(source.residual) else (math.nan, "")
+    if source.reason.endswith(_SILENT):
+        value, unit = source.age_s, "s"
+    return Condition(id_, priority, name, text, value, unit=unit, becomes_alarm=bool(lost), under=under, lost=lost)
+
+
+def _ages(picture: Picture, limits: Limits) -> Iterable[Condition]:
+    """Stars and lights that were used too long ago, where no source says why."""
+    outs = tuple(f"{source.name}.out" for source in picture.sources)
+    for what, limit_s, above in (
+        ("stars", limits.stars_age_s, ("attitude.silent",)),
+        ("lights", limits.lights_age_s, ("pointing.silent",)),
+    ):
+        age_s = picture.ages_s.get(what, math.nan)
+        if math.isfinite(age_s) and age_s > limit_s:
+            yield Condition(
+                f"{what}.old", Priority.CAUTION, "", f"no {what} used for more than {limit_s:g} s", age_s, limit_s, "s",
+                under=(*above, STARS_OUT, *outs),
+            )
+
+
+def _rate(source: SourceShown, limits: InputLimits) -> Iterable[Condition]:
+    if source.presence is Presence.IN and source.rate_hz < limits.rate_hz:
+        yield Condition(
+            f"{source.name}.rate", Priority.CAUTION, source.name, f"{source.name} comes at a lower rate than it should",
+            source.rate_hz, limits.rate_hz, "Hz", under=(f"{source.name}.out",),
+        )
+
+
+def _clock(picture: Picture, limits: Limits) -> Iterable[Condition]:
+    """Stamps from the future: the clock of an instrument, or that of the computer, is wrong."""
+    ahead = [one for one in picture.inputs if one.latency_s < -limits.machine.clock_offset_s]
+    if ahead:
+        worst = min(ahead, key=lambda one: one.latency_s)
+        yield Condition(
+            "clock.ahead", Priority.WARNING, "", f"stamps of {worst.topic} are ahead of the computer's clock",
+            -worst.latency_s, limits.machine.clock_offset_s, "s",
+        )
+
+
+def _nodes(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable[Condition]:
+    for status in statuses:
+        if status.name not in _NODE_STATUSES or status.level < _ERROR:
+            continue
+        ending, priority = _NODE_STATUSES[status.name]
+        lost = int(status.values.get("lost", "0"))
+        if ending == "box" and 0 < lost <= limits.machine.box_lost:
+            continue
+        value = (float(lost), float(limits.machine.box_lost), "entries") if lost else (math.nan, math.nan, "")
+        text = f"{status.node}, {status.name}: {status.text}".replace(f"{lost} entries", "entries")
+        yield Condition(f"{status.node}.{ending}", priority, "", text, *value)
+
+
+def _disk(machine: Machine, limits: Limits) -> Iterable[Condition]:
+    if machine.disk_free_gb < limits.machine.disk_free_gb:
+        yield Condition(
+            "disk.full", Priority.WARNING, "", f"the disk of {limits.machine.disk_path} is nearly full",
+            machine.disk_free_gb, limits.machine.disk_free_gb, "GB", becomes_alarm=True,
+        )
+
+
+def _guilty(picture: Picture) -> list[SourceShown]:
+    return [one for one in picture.sources if one.presence is Presence.OUT and not one.because_of]
+
+
+def _listed(shown: Iterable[FunctionShown]) -> str:
+    """What has become of functions: "heading lost, tilt over its limit"; what is only unchecked where that is all."""
+    shown = list(shown)
+    by_words: dict[str, list[str]] = {}
+    for one in [one for one in shown if one.is_over] or shown:
+        by_words.setdefault(one.text.partition(" ")[2], []).append(one.name)
+    return ", ".join(f"{_and(names)} {words}" for words, names in by_words.items())
+
+
+def _and(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _lost(shown: Iterable[FunctionShown]) -> frozenset[str]:
+    return frozenset(one.name for one in shown if one.is_over)

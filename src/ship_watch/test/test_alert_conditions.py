@@ -1,0 +1,202 @@
+"""Which situations are alerts: each row of the table in docs/explanation/alerts.md, and one alert for one situation."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from ship_testing.shown_pictures import (
+    angle,
+    late_input,
+    lost,
+    never_heard,
+    out,
+    over,
+    picture,
+    silent,
+    source,
+)
+from ship_watch.alert_conditions import Machine, NodeStatus, conditions
+from ship_watch.alert_states import Condition
+from ship_watch.alerts import AlertBook
+from ship_watch.functions import functions, tree
+from ship_watch.limits import InputLimits, Limits
+from ship_watch.picture import Picture, Presence, Priority, Safety
+
+S = 1_000_000_000
+PAGE = Path(__file__).parents[3] / "docs/explanation/alerts.md"
+UNCHECKED = {"safety": Safety.CAUTION, "reason": "nothing checks it"}
+LIMITS = replace(Limits(), inputs={"gnss": InputLimits(rate_hz=1.5)})
+
+
+def node(name: str, level: int = 2, **values: str) -> Machine:
+    """One status of a node."""
+    return Machine((NodeStatus("ship_attitude", name, level, "what it says", values),))
+
+
+ATTITUDE, ANGLES_OF_POINTING = ("heading", "pitch", "roll"), ("azimuth", "elevation")
+
+CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
+    ("attitude.silent", "alarm"): (picture(*silent(*ATTITUDE)), None),
+    ("attitude.silent", "warning"): (picture(*never_heard(*ATTITUDE, *ANGLES_OF_POINTING)), None),
+    ("attitude.degraded", "alarm"): (picture(lost("heading")), None),
+    ("attitude.degraded", "warning"): (picture(over("roll")), None),
+    ("attitude.degraded", "caution"): (picture(angle("pitch", **UNCHECKED)), None),
+    ("pointing.silent", "alarm"): (picture(*silent(*ANGLES_OF_POINTING)), None),
+    ("pointing.silent", "warning"): (picture(*never_heard(*ANGLES_OF_POINTING)), None),
+    ("pointing.degraded", "alarm"): (picture(lost("elevation")), None),
+    ("pointing.degraded", "warning"): (picture(over("azimuth")), None),
+    ("pointing.degraded", "caution"): (picture(angle("azimuth", **UNCHECKED)), None),
+    ("stars.out", "warning"): (picture(out("star.bow", "silent"), out("star.starboard", "silent")), None),
+    ("ins.out", "warning"): (picture(out("ins", "81 refused in a row")), None),
+    ("star.ID.out", "warning"): (picture(out("star.bow", "excluded")), None),
+    ("star.ID.out", "caution"): (picture(out("star.bow", "no stars")), None),
+    ("reference.ID.out", "warning"): (picture(out("reference.mast", "silent")), None),
+    ("encoder.out", "warning"): (picture(out("encoder", "silent")), None),
+    ("lights.out", "caution"): (picture(out("lights", "7 refused in a row")), None),
+    ("baselines.out", "caution"): (picture(out("baselines", "silent")), None),
+    ("ship_attitude.out", "caution"): (picture(out("ship_attitude", "invalid")), None),
+    ("gnss.out", "caution"): (picture(out("gnss", "silent")), None),
+    ("weather.out", "caution"): (picture(out("weather", "silent")), None),
+    ("SOURCE.unreported", "warning"): (picture(out("star.bow", "not reported", because_of="its node")), None),
+    ("SOURCE.rate", "caution"): (picture(source("gnss", rate_hz=1.0)), None),
+    ("stars.old", "caution"): (picture(ages_s={"stars": 31.0, "lights": 0.5}), None),
+    ("lights.old", "caution"): (picture(ages_s={"stars": 0.5, "lights": 31.0}), None),
+    ("clock.ahead", "warning"): (picture(inputs=(late_input("ins/imu", -0.06),)), None),
+    ("NODE.box", "warning"): (picture(), node("black box", lost="12")),
+    ("NODE.clock", "warning"): (picture(), node("clock")),
+    ("NODE.stamps", "warning"): (picture(), node("stamps")),
+    ("NODE.name", "warning"): (picture(), node("name")),
+    ("NODE.software", "caution"): (picture(), node("callbacks")),
+    ("disk.full", "warning"): (picture(), Machine(disk_free_gb=9.0)),
+}
+
+
+def told(shown: Picture, machine: Machine | None = None) -> dict[str, Condition]:
+    """What becomes an alert after a minute, through a book, by id."""
+    book = AlertBook(Limits().alerts)
+    found = conditions(shown, LIMITS, machine)
+    for tenth in range(200):
+        book.take(found, tenth * S // 10, 0)
+    ids = {alert.id for alert in book.alerts}
+    return {each.id: each for each in found if each.id in ids}
+
+
+def pattern(id_: str) -> str:
+    """The id as the table writes it."""
+    if re.fullmatch(r"(star|reference)\..+\.out", id_):
+        return id_.partition(".")[0] + ".ID.out"
+    if id_.endswith((".unreported", ".rate")):
+        return "SOURCE." + id_.rpartition(".")[2]
+    return re.sub(r"^ship_attitude\.(?!out)", "NODE.", id_)
+
+
+@pytest.mark.parametrize("case", CASES, ids="-".join)
+def test_each_row_is_one_alert(case: tuple[str, str]) -> None:
+    """The situation of a row gives one alert, with its id and its priority."""
+    (found,) = told(*CASES[case]).values()
+    assert (pattern(found.id), found.priority.name.lower()) == case
+    assert "\n" not in found.text
+    assert len(found.text) < 90
+
+
+def test_table_for_people_is_that_of_the_code() -> None:
+    """docs/explanation/alerts.md names each id with all priorities that it may have by itself, and none besides."""
+    rows = [line.split("|")[1:-1] for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
+    table = {(row[0].strip().strip("`"), word.strip()) for row in rows for word in row[1].split(",")}
+    assert table == set(CASES)
+    assert all(len(row) == 5 and all(cell.strip() for cell in row) for row in rows)
+
+
+def test_all_well_is_no_alert() -> None:
+    """Nothing at all, with good statuses of nodes, too."""
+    assert conditions(picture(), LIMITS, node("black box", 0)) == []
+    assert conditions(picture(), LIMITS, node("callbacks", 1)) == []
+
+
+def test_what_a_source_takes_away_is_told_with_it() -> None:
+    """The INS is silent, heading and tilt and the pointing are lost: one alarm that names the INS and what is lost."""
+    angles = [lost(name, "ins") for name in (*ATTITUDE, "azimuth", "elevation")]
+    found = told(picture(out("ins", "silent", age_s=4.0), *angles))
+    assert list(found) == ["ins.out"]
+    alert = found["ins.out"]
+    assert (alert.priority, alert.source) == (Priority.ALARM, "ins")
+    assert alert.text == "ins out: silent; heading, tilt and pointing lost"
+    assert (alert.value, alert.unit) == (4.0, "s")
+    assert alert.lost == {"heading", "tilt", "pointing"}
+
+
+def test_pointing_lost_with_the_attitude_is_blamed_on_what_took_the_attitude() -> None:
+    """The drones are on deck and the INS stops: the pointing is lost because of the INS, not of the lights."""
+    angles = [lost(name, "ins") for name in ATTITUDE] + [lost(name, "lights") for name in ANGLES_OF_POINTING]
+    shown = picture(out("lights", "no lights"), out("ins", "silent"), *angles)
+    found = told(shown)
+    assert {id_: one.priority for id_, one in found.items()} == {
+        "ins.out": Priority.ALARM, "lights.out": Priority.CAUTION
+    }
+    blamed = {one.name: one.because_of for one in functions(shown)}
+    assert blamed == dict.fromkeys(("heading", "tilt", "pointing"), "ins")
+
+
+def test_all_stars_out_for_one_reason_are_one_situation() -> None:
+    """For two reasons they are two; what they need of others is told with the others."""
+    taken = over("heading", "star.bow")
+    both = told(picture(out("star.bow", "silent"), out("star.starboard", "silent"), taken))
+    assert list(both) == ["stars.out"]
+    assert both["stars.out"].text == "all star sensors out: silent; heading over its limit"
+    assert both["stars.out"].becomes_alarm
+    two = told(picture(out("star.bow", "silent"), out("star.starboard", "81 refused in a row"), taken))
+    assert sorted(two) == ["star.bow.out", "star.starboard.out"]
+    needs = [out(f"star.{id_}", "needs ins", because_of="ins") for id_ in ("bow", "starboard")]
+    assert list(told(picture(out("ins", "silent"), *needs))) == ["ins.out"]
+
+
+def test_node_that_is_gone_is_one_situation() -> None:
+    """No attitude comes, nothing is reported of its sources, the pointing is invalid: one alarm."""
+    gone = [out(name, "not reported", because_of="its node") for name in ("ins", "star.bow", "star.starboard")]
+    angles = [*silent(*ATTITUDE), lost("azimuth"), lost("elevation")]
+    assert list(told(picture(*gone, *angles))) == ["attitude.silent"]
+
+
+def test_suite_that_only_points_misses_no_attitude() -> None:
+    """A pointing is heard, an attitude never was: nobody asked for it."""
+    shown = picture(*never_heard(*ATTITUDE))
+    assert told(shown) == {}
+    assert [one.safety for one in functions(shown)] == [None, None, Safety.SAFE]
+
+
+def test_texts_hold_no_figure_that_runs() -> None:
+    """The next look tells of the same situation with the same words."""
+    texts = set()
+    for count in (5, 81):
+        shown = picture(
+            out("star.bow", f"{count} refused in a row", disagreement=f"right +{count}″", age_s=count),
+            angle("heading", **{**UNCHECKED, "reason": f"no stars for {count} s"}),
+        )
+        texts |= {each.text for each in conditions(shown, LIMITS)}
+    assert texts == {"star.bow out: refused in a row", "heading unchecked: no stars"}
+
+
+def test_box_may_lose_what_the_limits_allow() -> None:
+    """Entries within the limit are no alert; a box that ended is one whatever the limit."""
+    patient = replace(LIMITS, machine=replace(LIMITS.machine, box_lost=20))
+    assert conditions(picture(), patient, node("black box", lost="12")) == []
+    assert len(conditions(picture(), patient, node("black box", lost="21"))) == 1
+    assert len(conditions(picture(), patient, node("black box"))) == 1
+
+
+def test_tree_names_the_input_that_takes_a_function_away() -> None:
+    """Each function with its limit, under it its sources; the guilty one is an error where the function is lost."""
+    angles = [lost("heading", "ins"), over("roll", "ins", 2.0)]
+    shown = picture(out("ins", "81 refused in a row", disagreement="up +100″"), *angles)
+    branches = {branch.path: (branch.level, branch.text) for branch in tree(shown, Limits())}
+    assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy of 5″ (95 %)")
+    assert branches["heading within 5″/ins"] == (2, "out: 81 refused in a row, up +100″, for this heading lost")
+    assert branches["tilt within 3″"] == (1, "over its limit, because of ins, over the limit, 6.0″ of 3″ (95 %)")
+    assert branches["tilt within 3″/star.bow"] == (0, "in")
+    assert branches["pointing within 10″"] == (0, "safe: 5.0″ of 10″ (95 %)")
+    assert branches["pointing within 10″/ins"][0] == 1
+    assert "heading within 5″/lights" not in branches
+    off = picture(source("gnss", presence=Presence.OFF))
+    assert not any(branch.path.endswith("/gnss") for branch in tree(off, Limits()))
