@@ -1,0 +1,97 @@
+"""Alignment and calibration: each state minus its nominal value, with two sigma to both sides."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from bokeh.models import ColumnDataSource, FixedTicker, Range1d
+
+from ship_monitor.page.curves import fixed_step, signed
+from ship_monitor.page.figures import ARCSEC, PanelBox, SideLabels, plot
+from ship_monitor.page.themes import Theme
+from ship_watch.history import History, ParameterShown
+
+STEPS_ARCSEC = (30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 3600.0)
+"""Half widths that the axis may have, arcsec."""
+
+_ROW_PX = 20
+
+
+class AlignmentPanel:
+    """A row for each state.
+
+    Attributes:
+        box: the panel.
+    """
+
+    def __init__(self, theme: Theme) -> None:
+        self._x, self._rows = Range1d(-60.0, 60.0), Range1d(-0.5, 0.5)
+        self.figure = plot(theme, 320, self._x, self._rows, x_axis_label="estimate − nominal, ″; bar ±2σ")
+        self.figure.ygrid.grid_line_color = None
+        self.figure.min_border_left = 150
+        self._values = SideLabels(theme, self.figure)
+        self._source = ColumnDataSource({name: [] for name in ("row", "value", "low", "high", "fill", "dash")})
+        self.figure.line([0.0, 0.0], [-1e3, 1e3], line_color=theme.second_text)
+        self.figure.segment(
+            "low", "row", "high", "row", source=self._source, line_color=theme.series[0], line_width=5, line_alpha=0.55
+        )
+        self.figure.scatter("value", "row", source=self._source, size=8, fill_color="fill", line_color=theme.text)
+        self._theme = theme
+        self.box = PanelBox(theme, "Alignment and calibration", [self.figure])
+
+    def update(self, history: History) -> None:
+        """Draw the states as they are now."""
+        states = [*history.alignment, *history.calibration]
+        count = len(states)
+        if not count:
+            self._source.data = {name: [] for name in self._source.data}
+            self.box.say("no alignment and no calibration is told")
+            return
+        self.figure.height = _ROW_PX * count + 60
+        self._rows.update(start=count - 0.5, end=-0.5)
+        low, value, high = bars_arcsec(states)
+        half = half_width(low, value, high)
+        self._x.update(start=-half, end=half)
+        self._source.data = {
+            "row": np.arange(count),
+            "value": value,
+            "low": np.maximum(low, -half),
+            "high": np.minimum(high, half),
+            "fill": [self._theme.text if state.is_observable else self._theme.panel for state in states],
+            "dash": ["solid" if state.is_observable else "dashed" for state in states],
+        }
+        self.figure.yaxis[0].ticker = FixedTicker(ticks=list(range(count)))
+        self.figure.yaxis[0].major_label_overrides = {row: state.name for row, state in enumerate(states)}
+        self._values.write({row: state_text(state) for row, state in enumerate(states)})
+        hidden = [state.name for state in states if not state.is_observable]
+        self.box.say(f"not observable: {', '.join(hidden)}" if hidden else "all observable")
+
+
+def bars_arcsec(states: Sequence[ParameterShown]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower end, value and upper end of each bar, arcsec; NaN of what is no angle, or has no nominal value."""
+    scale = np.array([ARCSEC if state.unit == "rad" else np.nan for state in states])
+    value = scale * np.array([deviation(state) for state in states])
+    reach = 2.0 * scale * np.array([state.sigma for state in states])
+    return value - reach, value, value + reach
+
+
+def deviation(state: ParameterShown) -> float:
+    """Estimate minus nominal value, in the state's unit; of an angle the short way round."""
+    off = state.value - state.nominal
+    return math.remainder(off, 2.0 * math.pi) if state.unit == "rad" and math.isfinite(off) else off
+
+
+def half_width(low: np.ndarray, value: np.ndarray, high: np.ndarray) -> float:
+    """Half the width of the axis, arcsec: it holds all values and three quarters of the bars; others are cut off."""
+    known = np.isfinite(low) & np.isfinite(high)
+    if not known.any():
+        return STEPS_ARCSEC[0]
+    reach = np.fmax(np.abs(low[known]), np.abs(high[known]))
+    return fixed_step(max(float(np.quantile(reach, 0.75)), 1.05 * float(np.max(np.abs(value[known])))), STEPS_ARCSEC)
+
+
+def state_text(state: ParameterShown) -> str:
+    """Deviation ± two sigma, in the unit that people use."""
+    scale, unit, digits = {"rad": (ARCSEC, "″", 1), "s": (1e3, " ms", 2), "m": (1e6, " µm", 0)}[state.unit]
+    text = f"{signed(scale * deviation(state), digits)} ± {2.0 * scale * state.sigma:.{digits}f}{unit}"
+    return text if state.is_observable else f"({text})"

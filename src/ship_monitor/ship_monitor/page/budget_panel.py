@@ -1,0 +1,240 @@
+"""Error budget of one angle: the variances of its sources stacked, the axis labelled by their roots.
+
+Variances add up, sigmas do not: so the bands add up to the whole, and 2″ stands four times as high as 1″. What a short
+peak hides is cut off, and its height is written.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from bokeh.models import ColumnDataSource, FixedTicker, InlineStyleSheet, RadioButtonGroup, Range1d, Stack
+from numpy.typing import NDArray
+
+from ship_geometry.rotations import FloatArray
+from ship_monitor.page.curves import placed
+from ship_monitor.page.figures import ARCSEC, PanelBox, SideLabels, TimePlots, Trail, time_plot, words
+from ship_monitor.page.themes import FONT, Theme
+from ship_watch.history import KEPT_S, BudgetPoint, History
+from ship_watch.picture import ANGLES
+
+LARGEST_SHOWN = 5
+TOPS_ARCSEC = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 100.0, 200.0, 500.0)
+"""Sigmas at which the axis may end, arcsec."""
+
+_HATCHES = (None, "/", ".", "\\", "x", "-")
+_OPACITIES = (0.75, 0.75, 0.75, 0.4, 0.4, 0.25)
+
+
+class BudgetPanel:
+    """The bands of one angle.
+
+    Attributes:
+        box: the panel.
+        angle: the angle shown, one of :data:`ship_watch.picture.ANGLES`; empty as long as there is none.
+    """
+
+    def __init__(self, theme: Theme, times: TimePlots) -> None:
+        self._theme = theme
+        self._times = times
+        self.angle = ""
+        self._bands: tuple[str, ...] = ()
+        self._sources: tuple[str, ...] = ()
+        self._names: list[str] = []
+        self._choice = RadioButtonGroup(labels=[], stylesheets=[InlineStyleSheet(css=_choice_css(theme))])
+        self._choice.on_change("active", lambda _name, _old, new: self.choose(self._names[new]))
+        self._height = Range1d(0.0, 1.0)
+        self._begin()
+        self.box = PanelBox(theme, "Error budget", [self._choice, self._figure])
+
+    def choose(self, angle: str) -> None:
+        """Show another angle from the next update on."""
+        if angle != self.angle:
+            self.angle, self._sources = angle, ()
+
+    def update(self, history: History) -> None:
+        """Draw what is new of the angle."""
+        topics = {angle: topic for topic, points in history.budgets.items() if points for angle in points[-1].by_angle}
+        self._names = [angle for angle in ANGLES if angle in topics]
+        self._choice.labels = self._names
+        if not self._names:
+            self.box.say("no error budget is told")
+            return
+        if self.angle not in self._names:
+            self.choose(self._names[0])
+        self._choice.active = self._names.index(self.angle)
+        points = history.budgets[topics[self.angle]]
+        sources = tuple(points[-1].by_angle[self.angle])
+        if sources != self._sources:
+            self._sources, self._bands = sources, ()
+            self._begin()
+            self.box.hold([self._choice, self._figure])
+        self._trail.follow(points, self._columns)
+        self._draw(points)
+
+    def _begin(self) -> None:
+        """An empty plot: each source of error has a column of its own."""
+        self._trail = Trail((*(_column(source) for source in self._sources), "total"), by="total")
+        self._figure = time_plot(self._theme, self._times, 210, self._height, has_axis=True)
+        self._labels = SideLabels(self._theme, self._figure)
+        self._peaks = ColumnDataSource({"x": [], "y": [], "text": []})
+        placing = {"text_baseline": "top", "x_offset": 5, "y_offset": 2, "level": "overlay"}
+        words(self._figure, self._peaks, text_color=self._theme.text, **placing)
+        self._filled: list[object] = []
+
+    def _columns(self, points: Sequence[BudgetPoint]) -> dict[str, FloatArray]:
+        variances = variances_arcsec2(points, self.angle, self._sources)
+        columns = {_column(source): variances[:, index] for index, source in enumerate(self._sources)}
+        return {**columns, "total": variances.sum(axis=1)}
+
+    def _draw(self, points: Sequence[BudgetPoint]) -> None:
+        columns = self._trail.source.data
+        totals = np.asarray(columns["total"], float)
+        if not np.isfinite(totals).any():
+            self.box.say(f"{self.angle}: not known now")
+            return
+        means = {source: float(np.nanmean(columns[_column(source)])) for source in self._sources}
+        bands = largest_sources(means, self._bands)
+        if bands != self._bands:
+            self._bands = bands
+            self._stack()
+        top = top_of_axis(totals)
+        self._height.end = top**2
+        ticks = root_ticks(top)
+        self._figure.yaxis[0].ticker = FixedTicker(ticks=[tick**2 for tick in ticks])
+        self._figure.yaxis[0].major_label_overrides = {tick**2: f"{tick:g}″" for tick in ticks}
+        times = np.asarray(columns["t"], float)
+        found = peaks(times, totals, top)
+        self._peaks.data = {
+            "x": [at for at, _ in found],
+            "y": [top**2] * len(found),
+            "text": [f"to {math.sqrt(height):.1f}″ ↑" for _, height in found],
+        }
+        last = {source: variances_arcsec2([points[-1]], self.angle, (source,))[0, 0] for source in self._sources}
+        self._labels.write(band_labels(last, self._bands, top**2))
+        sigma = math.sqrt(total) if (total := sum(last.values())) >= 0.0 else math.nan
+        self.box.say(f"{self.angle}, σ {sigma:.2f}″ · variances stacked, axis labelled by their roots")
+
+    def _stack(self) -> None:
+        """Draw the bands anew: the five largest, and the others together."""
+        for renderer in self._filled:
+            self._figure.renderers.remove(renderer)
+        edges = [[_column(name) for name in self._bands[: count + 1]] for count in range(len(self._bands))]
+        if len(self._sources) > len(self._bands):
+            edges.append([_column(name) for name in self._sources])
+        self._filled, below = [], None
+        for index, fields in enumerate(edges):
+            colour = self._theme.series[index % 3] if index < LARGEST_SHOWN else self._theme.second_text
+            band = self._figure.varea(
+                x="t",
+                y1=0.0 if below is None else {"expr": Stack(fields=below)},
+                y2={"expr": Stack(fields=fields)},
+                source=self._trail.source,
+                fill_color=colour,
+                fill_alpha=_OPACITIES[index],
+                hatch_pattern=_HATCHES[index],
+                hatch_color=self._theme.panel,
+                hatch_scale=8.0,
+                hatch_weight=1.5,
+            )
+            self._filled.append(band)
+            below = fields
+
+
+def variances_arcsec2(points: Sequence[BudgetPoint], angle: str, sources: Sequence[str]) -> FloatArray:
+    """Variances of an angle, arcsec², shape (points, sources); NaN where a point tells none."""
+    empty: Mapping[str, float] = {}
+    rows = [[point.by_angle.get(angle, empty).get(source, np.nan) for source in sources] for point in points]
+    return np.array(rows, float).reshape(len(points), len(sources)) * ARCSEC**2
+
+
+def largest_sources(means: Mapping[str, float], before: tuple[str, ...]) -> tuple[str, ...]:
+    """The sources with bands of their own, the largest at the bottom; they change places only for a clear reason.
+
+    Args:
+        means: mean variance by source.
+        before: the bands until now: one stays until another is a quarter larger.
+    """
+    known = {source: mean for source, mean in means.items() if mean > 0.0}
+    weight = {source: mean * (1.25 if source in before else 1.0) for source, mean in known.items()}
+    chosen = sorted(weight, key=lambda source: -weight[source])[:LARGEST_SHOWN]
+    if set(chosen) == set(before):
+        return before
+    return tuple(sorted(chosen, key=lambda source: -known[source]))
+
+
+def top_of_axis(totals: FloatArray) -> float:
+    """Sigma at which the axis ends, arcsec: above nine tenths of the time, so that short peaks are cut off.
+
+    Args:
+        totals: variances, arcsec²; NaN in gaps.
+    """
+    usual = math.sqrt(1.15 * float(np.nanquantile(totals, 0.9)))
+    return next((top for top in TOPS_ARCSEC if top >= usual), TOPS_ARCSEC[-1])
+
+
+def peaks(times: FloatArray, totals: FloatArray, top: float) -> list[tuple[float, float]]:
+    """Where the stack is cut off: time of the highest point of each stretch, and its variance.
+
+    Args:
+        times: as the browser counts them, shape (n,).
+        totals: variances, arcsec²; a gap ends a stretch.
+        top: sigma at which the axis ends, arcsec.
+    """
+    over: NDArray[np.bool_] = totals > top**2
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], over, [False])).astype(int)))
+    found = []
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        at = int(start) + int(np.argmax(totals[start:end]))
+        found.append((float(times[at]), float(totals[at])))
+    least = 0.15 * 1e3 * KEPT_S
+    kept: list[tuple[float, float]] = []
+    for peak in sorted(found, key=lambda one: -one[1]):  # the words of two must not cover one another
+        if all(abs(peak[0] - other[0]) >= least for other in kept):
+            kept.append(peak)
+    return sorted(kept)
+
+
+def root_ticks(top: float) -> list[float]:
+    """Sigmas at which the axis has a label, arcsec: multiples of a round step, none so low that it covers another."""
+    step = next(step for step in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if top / step <= 6.0)
+    ticks = [0.0]
+    for count in range(1, int(top / step + 1e-9) + 1):
+        if (count * step) ** 2 - ticks[-1] ** 2 >= 0.1 * top**2:
+            ticks.append(count * step)
+    return ticks
+
+
+def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float) -> dict[float, str]:
+    """Names and sigmas of the bands, at the middle of each as it ends, none on another.
+
+    Args:
+        last: newest variance by source, arcsec².
+        bands: sources with bands of their own, from below.
+        height: of the axis, arcsec².
+    """
+    others = sum(value for source, value in last.items() if source not in bands)
+    parts = [(band, last[band]) for band in bands] + ([("other", others)] if len(last) > len(bands) else [])
+    middles, below = [], 0.0
+    for _, part in parts:
+        middles.append(below + 0.5 * part)
+        below += part
+    if not math.isfinite(below):
+        return {}
+    heights = placed(middles, 0.115 * height, 0.03 * height, 0.97 * height)
+    texts = [f"{name.replace('_', ' ')} {math.sqrt(max(part, 0.0)):.2f}″" for name, part in parts]
+    return dict(zip(heights, texts, strict=True))
+
+
+def _column(source: str) -> str:
+    """Name of a source's column: no source is called as the columns of the time and of the whole are."""
+    return f"of {source}"
+
+
+def _choice_css(theme: Theme) -> str:
+    return (
+        f":host{{margin:0 12px}}.bk-btn{{background:{theme.panel};color:{theme.second_text};font:13px {FONT};"
+        f"border:1px solid {theme.border};padding:2px 9px;box-shadow:none}}"
+        f".bk-btn:hover{{background:{theme.border};color:{theme.text}}}"
+        f".bk-btn.bk-active{{background:{theme.border};color:{theme.text};font-weight:bold}}"
+    )

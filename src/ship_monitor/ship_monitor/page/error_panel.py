@@ -1,0 +1,98 @@
+"""Error of each angle against the truth, inside ±3 sigma: only where a suite has a truth, in simulation."""
+
+from collections.abc import Mapping, Sequence
+from itertools import islice
+
+import numpy as np
+from bokeh.models import Range1d
+
+from ship_geometry.rotations import FloatArray
+from ship_monitor.page.curves import fixed_step
+from ship_monitor.page.figures import PanelBox, SideLabels, TimePlots, Trail, hover, time_plot
+from ship_monitor.page.themes import Theme
+from ship_watch.history import ErrorPoint, History
+
+CHANNELS: Mapping[tuple[str, str], str] = {
+    ("ship/error_arcsec", "heading"): "heading",
+    ("ship/error_arcsec", "pitch"): "pitch",
+    ("ship/error_arcsec", "roll"): "roll",
+    ("theodolite/error_arcsec", "azimuth_cos_elevation"): "azimuth · cos elevation",
+    ("theodolite/error_arcsec", "elevation"): "elevation",
+}
+"""Topic and channel → what a plot is called."""
+
+LATELY_NS = 60_000_000_000
+"""Figures beside a plot, and its height, are of so long, ns."""
+
+
+def has_truth(history: History) -> bool:
+    """Whether any error is known of late."""
+    for points in history.errors.values():
+        if any(np.isfinite(error) for point in islice(reversed(points), 20) for error in point.error.values()):
+            return True
+    return False
+
+
+class ErrorPanel:
+    """A plot for each angle that has an error.
+
+    Attributes:
+        box: the panel; it is not shown where there is no truth.
+    """
+
+    def __init__(self, theme: Theme, times: TimePlots) -> None:
+        self._theme, self._times = theme, times
+        self._rows: dict[tuple[str, str], _ErrorRow] = {}
+        self.box = PanelBox(theme, "Error inside ±3σ", [])
+
+    def update(self, history: History) -> None:
+        """Draw what is new."""
+        newest = {topic: points[-1].error for topic, points in history.errors.items() if points}
+        shown = [key for key in CHANNELS if key[1] in newest.get(key[0], {})]
+        if shown != list(self._rows):
+            last = shown[-1] if shown else None
+            self._rows = {key: _ErrorRow(self._theme, self._times, key, has_axis=key == last) for key in shown}
+            self.box.hold([row.figure for row in self._rows.values()])
+        steps = {row.update(history.errors[topic]) for (topic, _), row in self._rows.items()}
+        steps.discard(15.0)
+        wider = " · wider where it says so" if steps else ""
+        self.box.say(f"against the truth of the simulation · axis ±15″{wider}")
+
+
+class _ErrorRow:
+    """The plot of one angle."""
+
+    def __init__(self, theme: Theme, times: TimePlots, key: tuple[str, str], *, has_axis: bool) -> None:
+        self._channel, self._title = key[1], CHANNELS[key]
+        self._height = Range1d(-15.0, 15.0)
+        self.figure = time_plot(theme, times, 116 if has_axis else 94, self._height, has_axis=has_axis)
+        self._labels = SideLabels(theme, self.figure)
+        self._trail = Trail(("error", "sigma", "low", "high"), by="error")
+        source, colour = self._trail.source, theme.series[0]
+        self.figure.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=0.18)
+        for edge in ("low", "high"):
+            self.figure.line("t", edge, source=source, line_color=colour, line_dash="dashed")
+        line = self.figure.line("t", "error", source=source, line_color=theme.text, line_width=1.2)
+        hover(theme, self.figure, "@error{+0.0}″, σ @sigma{0.0}″", [line])
+
+    def update(self, points: Sequence[ErrorPoint]) -> float:
+        """Draw what is new; the answer is half the height of the axis, arcsec."""
+        self._trail.follow(points, self._columns)
+        newest_ns = points[-1].utc_ns
+        lately = self._columns([point for point in reversed(points) if newest_ns - point.utc_ns <= LATELY_NS])
+        error, sigma = (column[np.isfinite(column)] for column in (lately["error"], lately["sigma"]))
+        rms = float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
+        mean_sigma = float(np.mean(sigma)) if len(sigma) else float("nan")
+        largest = max(
+            (float(np.quantile(np.abs(some), 0.98)) for some in (error, 3.0 * sigma) if len(some)), default=0.0
+        )
+        step = fixed_step(largest)
+        self._height.update(start=-step, end=step)
+        self.figure.title.text = self._title + (f" · axis ±{step:g}″" if step > 15.0 else "")
+        self._labels.write({0.35 * step: f"rms {rms:.1f}″", -0.35 * step: f"σ {mean_sigma:.1f}″"})
+        return step
+
+    def _columns(self, points: Sequence[ErrorPoint]) -> dict[str, FloatArray]:
+        error = np.array([point.error.get(self._channel, np.nan) for point in points], float)
+        sigma = np.array([point.sigma.get(self._channel, np.nan) for point in points], float)
+        return {"error": error, "sigma": sigma, "low": -3.0 * sigma, "high": 3.0 * sigma}

@@ -1,0 +1,280 @@
+"""Figures and panels in the colours of a theme: no toolbar, no legend, drag zooms the time of all, nothing is white."""
+
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+from bokeh.core.properties import value
+from bokeh.models import (
+    BoxZoomTool,
+    Column,
+    ColumnDataSource,
+    DatetimeTickFormatter,
+    Div,
+    FixedTicker,
+    HoverTool,
+    InlineStyleSheet,
+    LinearAxis,
+    Range1d,
+)
+from bokeh.plotting import figure
+
+from ship_geometry.rotations import FloatArray
+from ship_monitor.page.curves import (
+    ROWS_KEPT,
+    Point,
+    fixed_step,
+    gaps_before,
+    newer,
+    thinned,
+    usual_period_ns,
+    waits_from,
+)
+from ship_monitor.page.themes import FONT, Theme
+
+ARCSEC = 3600.0 * 180.0 / np.pi
+"""Arcseconds in a radian."""
+
+MS = 1e-6
+"""Milliseconds, in which browsers count time, in a nanosecond."""
+
+NARROW = "@media (max-width: 700px)"
+"""Small screens: one column, plots 180 px high."""
+
+_SIDE_PX = 118
+
+
+class Trail:
+    """A line's data in the browsers: what is new is streamed, what is older than ten minutes rolls over.
+
+    Args:
+        columns: names of its columns beside ``t``, the time in ms.
+        by: the column whose least and largest values are kept.
+
+    Attributes:
+        source: what glyphs draw.
+    """
+
+    def __init__(self, columns: Sequence[str], by: str) -> None:
+        self.source = ColumnDataSource({name: np.empty(0) for name in ("t", *columns)})
+        self._by = by
+        self._taken_ns: int | None = None
+
+    def follow(self, points: Sequence[Point], rows: Callable[[Sequence[Point]], Mapping[str, FloatArray]]) -> None:
+        """Take what is new of the points; all of them where they begin anew.
+
+        Args:
+            points: in the order of their times.
+            rows: makes the columns of some of them.
+        """
+        if self._taken_ns is not None and (not points or points[-1].utc_ns < self._taken_ns):
+            self._taken_ns = None
+            self.source.data = {name: np.empty(0) for name in self.source.data}
+        new = newer(points, self._taken_ns)
+        time_ns = np.array([point.utc_ns for point in new], np.int64)
+        over = waits_from(time_ns)
+        if not over:
+            return
+        columns: dict[str, FloatArray] = {"t": MS * time_ns.astype(float), **rows(new)}
+        kept = thinned(time_ns, columns[self._by])
+        broken = gaps_before(time_ns[kept], self._taken_ns, usual_period_ns(points))
+        self._taken_ns = int(time_ns[over - 1])
+        shown = {name: np.insert(column[kept], broken, np.nan) for name, column in columns.items()}
+        shown["t"] = np.insert(columns["t"][kept], broken, columns["t"][kept][broken] - 1.0)
+        self.source.stream({name: column[-ROWS_KEPT:] for name, column in shown.items()}, rollover=ROWS_KEPT)
+
+
+class TimePlots:
+    """The time that all plots of a page show: the last ten minutes, until somebody zooms.
+
+    Attributes:
+        range: shared by the plots; whoever draws along time may share it.
+    """
+
+    def __init__(self, length_s: float) -> None:
+        self._length_ms = 1e3 * length_s
+        self.range = Range1d(0.0, self._length_ms)
+        self._live = self._latest = (self.range.start, self.range.end)
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether somebody has zoomed, so that the plots do not follow the time."""
+        return (self.range.start, self.range.end) != self._live
+
+    def follow(self, utc_ns: int) -> None:
+        """Show the minutes up to a time, unless paused."""
+        paused, end = self.is_paused, MS * utc_ns
+        self._latest = (end - self._length_ms, end)
+        if not paused:
+            self.go_live()
+
+    def go_live(self) -> None:
+        """Leave the zoom."""
+        self._live = self._latest
+        self.range.update(start=self._live[0], end=self._live[1])
+
+
+def plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **options: Any) -> figure:
+    """An empty plot."""
+    tools = [BoxZoomTool(dimensions="width")] if isinstance(options.get("x_axis_type"), str) else []
+    for tool in tools:
+        tool.overlay.update(fill_color=theme.series[0], fill_alpha=0.15, line_color=theme.second_text, line_alpha=1.0)
+    made = figure(
+        height=height,
+        x_range=x_range,
+        y_range=y_range,
+        tools=tools,
+        toolbar_location=None,
+        background_fill_color=theme.panel,
+        border_fill_color=theme.panel,
+        outline_line_color=theme.border,
+        min_border_left=48,
+        min_border_right=8,
+        min_border_top=4,
+        min_border_bottom=4,
+        sizing_mode="stretch_width",
+        stylesheets=[tooltip_style(theme)],
+        **options,
+    )
+    made.title.update(text_color=theme.text, text_font=FONT, text_font_size="13px", text_font_style="normal")
+    made.title.update(standoff=2, vertical_align="bottom")
+    dress(theme, made)
+    return made
+
+
+def time_plot(theme: Theme, times: TimePlots, height: int, y_range: Range1d, *, has_axis: bool) -> figure:
+    """An empty plot along the shared time; double click returns to live."""
+    made = plot(theme, height, times.range, y_range, x_axis_type="datetime")
+    made.on_event("doubletap", lambda _event: times.go_live())
+    clock = DatetimeTickFormatter(
+        milliseconds="%H:%M:%S", seconds="%H:%M:%S", minsec="%H:%M:%S", minutes="%H:%M", hourmin="%H:%M", hours="%H:%M"
+    )
+    made.xaxis.update(formatter=clock, visible=has_axis)
+    made.xaxis.ticker.desired_num_ticks = 5
+    made.min_border_right = _SIDE_PX
+    return made
+
+
+def dress(theme: Theme, made: figure) -> None:
+    """Give axes and grids of a plot the colours of the theme."""
+    for axis in made.axis:
+        axis.update(axis_line_color=None, major_tick_line_color=None, minor_tick_line_color=None)
+        axis.update(major_label_text_color=theme.second_text, major_label_text_font=FONT)
+        axis.update(major_label_text_font_size="13px", axis_label_text_color=theme.second_text)
+        axis.update(axis_label_text_font=FONT, axis_label_text_font_size="13px", axis_label_text_font_style="normal")
+    made.grid.grid_line_color = theme.grid
+    made.yaxis.ticker.desired_num_ticks = 4
+
+
+class SideLabels:
+    """Words at the right of a plot, at the heights of what they name."""
+
+    def __init__(self, theme: Theme, made: figure) -> None:
+        self._axis = LinearAxis(ticker=FixedTicker(ticks=[]), axis_line_color=None, minor_tick_line_color=None)
+        self._axis.update(major_label_text_color=theme.text, major_label_text_font=FONT)
+        self._axis.update(major_label_text_font_size="13px", major_tick_line_color=theme.second_text)
+        self._axis.update(major_tick_in=0, major_tick_out=4, major_label_standoff=3)
+        made.add_layout(self._axis, "right")
+
+    def write(self, texts: Mapping[float, str]) -> None:
+        """Show these words, each at its height."""
+        self._axis.ticker.ticks = sorted(texts)
+        self._axis.major_label_overrides = dict(texts)
+
+
+def hover(theme: Theme, made: figure, html: str, renderers: list[Any]) -> None:
+    """Show a point's figures under the pointer; ``html`` names columns as ``@column{0.0}``."""
+    body = f'<div style="color:{theme.text};font:13px {FONT}">@t{{%H:%M:%S}} {html}</div>'
+    made.add_tools(
+        HoverTool(tooltips=body, formatters={"@t": "datetime"}, renderers=renderers, point_policy="snap_to_data")
+    )
+
+
+def tooltip_style(theme: Theme) -> InlineStyleSheet:
+    """Tooltips in the colours of the theme; without it they are white."""
+    colours = f"--background-color:{theme.background};--color:{theme.text};--divider-color:{theme.border}"
+    return InlineStyleSheet(css=f":host{{{colours}}}")
+
+
+def words(made: figure, source: ColumnDataSource, **options: Any) -> None:
+    """Words at places of a plot: columns ``x``, ``y`` and ``text`` of a source; ``options`` as of Bokeh's text."""
+    made.text("x", "y", "text", source=source, text_font=value(FONT), text_font_size="13px", **options)
+
+
+class ResidualBars:
+    """Bars at places of a plot, true in direction whatever the scales of its axes, and one that tells their length.
+
+    Args:
+        theme: colours.
+        made: the plot.
+        steps_arcsec: residuals that a bar of the full length may stand for.
+    """
+
+    FULL_PX = 42.0
+
+    def __init__(self, theme: Theme, made: figure, steps_arcsec: Sequence[float]) -> None:
+        self._steps = steps_arcsec
+        self._bars = ColumnDataSource({name: [] for name in ("x", "y", "length", "angle")})
+        self._renderer = made.ray(
+            "x", "y", "length", "angle", length_units="screen", source=self._bars, line_color=theme.text, line_width=2.5
+        )
+
+    def draw(self, x: FloatArray, y: FloatArray, right: FloatArray, up: FloatArray, colour: str) -> float:
+        """Draw a bar at each place, from what it is off to the right and up, rad; NaN has none.
+
+        Returns:
+            What the full length stands for, arcsec.
+        """
+        off = ARCSEC * np.hypot(right, up)
+        known = np.isfinite(off)
+        step = fixed_step(float(np.max(off[known])) if known.any() else 0.0, self._steps)
+        self._bars.data = {
+            "x": x[known],
+            "y": y[known],
+            "length": self.FULL_PX / step * off[known],
+            "angle": np.arctan2(up[known], right[known]),
+        }
+        self._renderer.glyph.line_color = colour
+        return step
+
+
+class PanelBox:
+    """A panel: its title, what is said beside it, and what it holds.
+
+    Attributes:
+        layout: what the page places.
+    """
+
+    def __init__(self, theme: Theme, title: str, children: Sequence[Any]) -> None:
+        self._theme, self._title = theme, title
+        self._head = Div(sizing_mode="stretch_width", stylesheets=[InlineStyleSheet(css=_head_css(theme))])
+        self.layout = Column(
+            children=[self._head, *children],
+            sizing_mode="stretch_width",
+            stylesheets=[InlineStyleSheet(css=_panel_css(theme))],
+        )
+        self.say("")
+
+    def say(self, text: str) -> None:
+        """Write what stands beside the title, small."""
+        self._head.text = f"<b>{escape(self._title)}</b><span>{escape(text)}</span>"
+
+    def hold(self, children: Sequence[Any]) -> None:
+        """Hold other things than before."""
+        if self.layout.children[1:] != list(children):
+            self.layout.children = [self._head, *children]
+
+
+def _head_css(theme: Theme) -> str:
+    return (
+        f":host{{padding:8px 12px 4px}}.bk-clearfix{{font:13px {FONT};color:{theme.second_text}}}"
+        f"b{{font-size:15px;color:{theme.text};margin-right:10px}}"
+    )
+
+
+def _panel_css(theme: Theme) -> str:
+    return (
+        f":host{{background:{theme.panel};border:1px solid {theme.border};border-radius:4px;min-width:0;"
+        "box-sizing:border-box;padding-bottom:6px;align-self:stretch}"
+    )

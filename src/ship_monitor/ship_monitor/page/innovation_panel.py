@@ -1,0 +1,173 @@
+"""Innovations by source: what was measured minus what was predicted, inside the band that was promised.
+
+A dot is the mean of a measurement along one axis, a cross one that was refused. The band is ±3 sigma. While a source
+is out, its plot is shaded.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import islice
+
+import numpy as np
+from bokeh.models import ColumnDataSource, Range1d
+
+from ship_geometry.rotations import FloatArray
+from ship_monitor.page.curves import fixed_step, placed, signed
+from ship_monitor.page.figures import ARCSEC, MS, PanelBox, SideLabels, TimePlots, Trail, hover, time_plot
+from ship_monitor.page.themes import Theme
+from ship_watch.history import History, InnovationPoint
+from ship_watch.picture import Picture, Presence, SourceShown
+
+LATELY_NS = 10_000_000_000
+"""Means beside a plot are over so long, ns; its height holds what came within six times that."""
+
+AXES_DRAWN = (("up", "z"), ("right", "x"))
+"""Axes of star sensors and of lights that are drawn, each by a marker; a turn about the boresight is far coarser."""
+
+_MARKERS = (("circle", "●"), ("square", "■"))
+
+
+class InnovationPanel:
+    """A plot for each source that is compared with a prediction.
+
+    Attributes:
+        box: the panel.
+    """
+
+    def __init__(self, theme: Theme, times: TimePlots) -> None:
+        self._theme, self._times = theme, times
+        self._rows: dict[str, _SourceRow] = {}
+        self.box = PanelBox(theme, "Innovations by source", [])
+
+    def update(self, history: History, picture: Picture, *, has_truth: bool) -> None:
+        """Draw what is new; the panel says where the error itself cannot be known."""
+        sources = {source.name: source for source in picture.sources}
+        shown = [name for name, points in history.innovations.items() if any(point.axes for point in points)]
+        shown.sort(key=lambda name: (not name.startswith("star"), name))
+        if shown != list(self._rows):
+            last = shown[-1] if shown else ""
+            self._rows = {name: _SourceRow(self._theme, self._times, name, has_axis=name == last) for name in shown}
+            self.box.hold([row.figure for row in self._rows.values()])
+        for name, row in self._rows.items():
+            row.update(history.innovations[name], sources.get(name), picture.utc_ns)
+        nothing = "" if self._rows else "no source is compared with a prediction yet. "
+        markers = "mean per exposure, ″: ● up, z  ■ right, x  ✕ refused"
+        self.box.say(nothing + (markers if has_truth else f"no truth here: the error is not known · {markers}"))
+
+
+class _SourceRow:
+    """The plot of one source."""
+
+    def __init__(self, theme: Theme, times: TimePlots, name: str, *, has_axis: bool) -> None:
+        self._theme, self._name = theme, name
+        self._height = Range1d(-15.0, 15.0)
+        self.figure = time_plot(theme, times, 150 if has_axis else 128, self._height, has_axis=has_axis)
+        self._labels = SideLabels(theme, self.figure)
+        self._out = ColumnDataSource({"start": [], "end": []})
+        shade = {"fill_color": theme.caution_border, "fill_alpha": 0.14, "line_color": None}
+        hatch = {"hatch_pattern": "right_diagonal_line", "hatch_color": theme.caution_border, "hatch_alpha": 0.25}
+        self.figure.vstrip(x0="start", x1="end", source=self._out, **shade, **hatch, hatch_scale=14)
+        self._trails = [Trail(("value", "used", "refused", "low", "high"), by="value") for _ in AXES_DRAWN]
+        for trail, (marker, _), colour in zip(self._trails, _MARKERS, theme.series, strict=False):
+            self._draw(trail, marker, colour)
+
+    def _draw(self, trail: Trail, marker: str, colour: str) -> None:
+        source, theme = trail.source, self._theme
+        self.figure.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=0.13)
+        for edge in ("low", "high"):
+            self.figure.line("t", edge, source=source, line_color=colour, line_dash="dashed", line_alpha=0.5)
+        dots = self.figure.scatter(
+            "t",
+            "used",
+            source=source,
+            marker=marker,
+            size=2.6,
+            line_color=None,
+            fill_color=colour,
+        )
+        crosses = self.figure.scatter(
+            "t", "refused", source=source, marker="x", size=6, line_color=theme.caution_border, line_width=1.5
+        )
+        hover(theme, self.figure, "@value{+0.0}″, ±3σ to @high{0.0}″", [dots, crosses])
+
+    def update(self, points: Sequence[InnovationPoint], source: SourceShown | None, utc_ns: int) -> None:
+        """Draw what is new of the source."""
+        told = [point for point in points if point.axes] if any(not point.axes for point in points) else points
+        for trail, axes in zip(self._trails, AXES_DRAWN, strict=True):
+            trail.follow(told, partial(_columns, axes=axes))
+        lately = list(islice((point for point in reversed(told) if utc_ns - point.utc_ns <= 6 * LATELY_NS), 600))
+        step = fixed_step(_largest(lately))
+        self._height.update(start=-step, end=step)
+        self._labels.write(_side_texts([point for point in lately if utc_ns - point.utc_ns <= LATELY_NS], step))
+        text, is_out = source_line(self._name, source)
+        wider = f" · axis ±{step:g}″" if step > 15.0 else ""
+        self.figure.title.update(
+            text=text + wider, text_color=self._theme.caution_border if is_out else self._theme.text
+        )
+        self.figure.title.text_font_style = "bold" if is_out else "normal"
+        self._shade(source, utc_ns)
+
+    def _shade(self, source: SourceShown | None, utc_ns: int) -> None:
+        """The times for which it was out: the last one grows as long as it is."""
+        start, end = list(self._out.data["start"]), list(self._out.data["end"])
+        if source is None or source.presence is not Presence.OUT or not source.out_since_ns:
+            return
+        since = MS * source.out_since_ns
+        if start and start[-1] == since:
+            end[-1] = MS * utc_ns
+        else:
+            keeps = [index for index, begun in enumerate(start) if begun < since]
+            start, end = [*(start[index] for index in keeps), since], [*(end[index] for index in keeps), MS * utc_ns]
+        self._out.data = {"start": start, "end": end}
+
+
+def source_line(name: str, source: SourceShown | None) -> tuple[str, bool]:
+    """What stands above a source's plot, and whether it is out: the glyph, the word, and the verdict or the reason."""
+    if source is None:
+        return name, False
+    if source.presence is Presence.OUT:
+        off = f" · {source.disagreement}" if source.disagreement else ""
+        sigmas = f" · residual {source.residual:.1f} σ" if np.isfinite(source.residual) else ""
+        return f"✕ {name}  OUT · {source.reason}{off}{sigmas}", True
+    verdict = f" · {source.verdict.text}" if source.verdict and source.verdict.text else ""
+    return f"✓ {name}  {source.presence.value}{verdict}", False
+
+
+def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[str, FloatArray]:
+    """The columns of one axis, arcsec; NaN where a measurement has none of it."""
+    value, sigma = np.full(len(points), np.nan), np.full(len(points), np.nan)
+    for index, point in enumerate(points):
+        place = next((place for place, axis in enumerate(point.axes) if axis in axes), None)
+        if place is not None:
+            value[index], sigma[index] = ARCSEC * point.mean[place], ARCSEC * point.sigma[place]
+    used = np.array([point.is_accepted for point in points], bool)
+    return {
+        "value": value,
+        "used": np.where(used, value, np.nan),
+        "refused": np.where(used, np.nan, value),
+        "low": -3.0 * sigma,
+        "high": 3.0 * sigma,
+    }
+
+
+def _largest(points: Sequence[InnovationPoint]) -> float:
+    """What the height of a plot must hold, arcsec: nearly all values and the band, of the axes that are drawn."""
+    largest = 0.0
+    for axes in AXES_DRAWN:
+        columns = _columns(points, axes)
+        for column in ("value", "high"):
+            known = np.abs(columns[column][np.isfinite(columns[column])])
+            largest = max(largest, float(np.quantile(known, 0.98)) if len(known) else 0.0)
+    return largest
+
+
+def _side_texts(points: Sequence[InnovationPoint], step: float) -> dict[float, str]:
+    """The mean of each axis lately, at its height beside the plot."""
+    means: list[tuple[float, str]] = []
+    for axes, (_, glyph) in zip(AXES_DRAWN, _MARKERS, strict=True):
+        known = (values := _columns(points, axes)["value"])[np.isfinite(values)]
+        if len(known):
+            name = next(axis for point in points for axis in point.axes if axis in axes)
+            means.append((float(np.mean(known)), f"{glyph} {name} {signed(float(np.mean(known)))}″"))
+    heights = placed([mean for mean, _ in means], 0.32 * step, -0.9 * step, 0.9 * step)
+    return {height: text for height, (_, text) in zip(heights, means, strict=True)}

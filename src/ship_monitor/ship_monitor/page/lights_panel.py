@@ -1,0 +1,118 @@
+"""Lights on the detector of the calibration telescope over the last minute, and by how much the last ones were off."""
+
+import math
+
+import numpy as np
+from bokeh.models import ColumnDataSource, Range1d
+
+from ship_monitor.page.curves import fixed_step, signed
+from ship_monitor.page.figures import ARCSEC, PanelBox, ResidualBars, plot, words
+from ship_monitor.page.themes import Theme
+from ship_watch.history import History, LightPoint
+from ship_watch.picture import Picture
+
+SHOWN_NS = 60_000_000_000
+STEPS_MM = (2.0, 5.0, 7.0, 10.0, 20.0, 50.0, 100.0)
+BAR_STEPS_ARCSEC = (2.5, 5.0, 10.0, 25.0, 50.0, 100.0, 250.0)
+"""Residuals that a full bar may stand for, arcsec."""
+
+_MARKERS = ("circle", "square", "triangle", "diamond")
+
+
+class LightsPanel:
+    """The detector.
+
+    Attributes:
+        box: the panel.
+    """
+
+    def __init__(self, theme: Theme) -> None:
+        self._theme = theme
+        self._x, self._z = Range1d(-7.0, 7.0), Range1d(-7.0, 7.0)
+        self.figure = plot(theme, 320, self._x, self._z, x_axis_label="x, mm on the detector", y_axis_label="z, mm")
+        self._past = _source("x", "z", "alpha", "colour", "marker")
+        self._now = _source("x", "y", "colour", "marker", "text", "ahead", "align")
+        dots = {"size": 3, "line_color": "colour", "fill_color": None, "line_alpha": "alpha", "marker": "marker"}
+        self.figure.scatter("x", "z", source=self._past, **dots)
+        self._bars = ResidualBars(theme, self.figure, BAR_STEPS_ARCSEC)
+        self._bar = ColumnDataSource({"x": [0.0], "y": [0.0], "text": [""]})
+        scale = {"length": ResidualBars.FULL_PX, "length_units": "screen", "angle": 0.0}
+        self.figure.ray("x", "y", source=self._bar, line_color=theme.second_text, line_width=2.5, **scale)
+        words(self.figure, self._bar, text_color=theme.second_text, y_offset=-3, text_baseline="bottom")
+        self.figure.scatter(
+            "x", "y", source=self._now, size=12, marker="marker", line_color="colour", fill_color=None, line_width=2
+        )
+        words(
+            self.figure,
+            self._now,
+            x_offset="ahead",
+            text_align="align",
+            text_color=theme.text,
+            y_offset=-14,
+            text_baseline="bottom",
+        )
+        self.box = PanelBox(theme, "Lights on the detector", [self.figure])
+
+    def update(self, history: History, picture: Picture) -> None:
+        """Draw the last minute."""
+        shown = {
+            name: lately
+            for name, points in sorted(history.lights.items())
+            if (lately := [point for point in points if 0 <= picture.utc_ns - point.utc_ns <= SHOWN_NS])
+        }
+        if not shown:
+            for source in (self._past, self._now, self._bar):
+                source.data = {name: [] for name in source.data}
+            self._bars.draw(*(np.empty(0),) * 4, self._theme.text)
+            self.box.say("no light seen in the last 60 s" if history.lights else "no lights: there is no telescope")
+            return
+        places = [1e3 * abs(place) for points in shown.values() for point in points for place in (point.x, point.z)]
+        half = fixed_step(1.05 * max(places), STEPS_MM)
+        for side in (self._x, self._z):
+            side.update(start=-half, end=half)
+        self._draw_past(shown, picture.utc_ns)
+        self._draw_last(shown, half)
+        self.box.say("last 60 s · bar at a light: its residual")
+
+    def _draw_past(self, shown: dict[str, list[LightPoint]], utc_ns: int) -> None:
+        columns: dict[str, list[object]] = {name: [] for name in self._past.data}
+        for index, points in enumerate(shown.values()):
+            columns["x"] += [1e3 * point.x for point in points]
+            columns["z"] += [1e3 * point.z for point in points]
+            columns["alpha"] += [1.0 - 0.8 * (utc_ns - point.utc_ns) / SHOWN_NS for point in points]
+            columns["colour"] += [
+                self._colour(index) if point.is_used else self._theme.caution_border for point in points
+            ]
+            columns["marker"] += [_MARKERS[index % len(_MARKERS)] if point.is_used else "x" for point in points]
+        self._past.data = columns
+
+    def _draw_last(self, shown: dict[str, list[LightPoint]], half: float) -> None:
+        now: dict[str, list[object]] = {name: [] for name in self._now.data}
+        for index, (name, points) in enumerate(shown.items()):
+            point = points[-1]
+            text = f"light {name}  x {signed(ARCSEC * point.residual_x)}″  z {signed(ARCSEC * point.residual_z)}″"
+            text = text if math.isfinite(point.residual_x) else f"light {name}"
+            is_right = 1e3 * point.x > 0.2 * half
+            row = {
+                "x": 1e3 * point.x,
+                "y": 1e3 * point.z,
+                "colour": self._colour(index) if point.is_used else self._theme.caution_border,
+                "marker": _MARKERS[index % len(_MARKERS)] if point.is_used else "x",
+                "text": text if point.is_used else f"✕ {text} refused",
+                "ahead": 12 if is_right else -12,
+                "align": "right" if is_right else "left",
+            }
+            for key, value in row.items():
+                now[key].append(value)
+        self._now.data = now
+        last = [points[-1] for points in shown.values()]
+        residuals = (np.array([point.residual_x for point in last]), np.array([point.residual_z for point in last]))
+        step = self._bars.draw(np.array(now["x"]), np.array(now["y"]), *residuals, self._theme.text)
+        self._bar.data = {"x": [-0.95 * half], "y": [-0.93 * half], "text": [f"{step:g}″"]}
+
+    def _colour(self, index: int) -> str:
+        return self._theme.series[index % len(self._theme.series)]
+
+
+def _source(*columns: str) -> ColumnDataSource:
+    return ColumnDataSource({name: [] for name in columns})

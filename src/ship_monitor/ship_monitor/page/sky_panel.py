@@ -1,0 +1,221 @@
+"""Sky over the ship, and what each star sensor sees: stars used and refused, the residual of each as a bar.
+
+Bars that are alike say that the sensor has moved, bars at random that stars are misidentified.
+"""
+
+import math
+
+import numpy as np
+from bokeh.models import Column, ColumnDataSource, InlineStyleSheet, Range1d
+
+from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, plot, words
+from ship_monitor.page.sky import moon_direction, on_map
+from ship_monitor.page.themes import Theme
+from ship_watch.history import History, StarsSeen
+from ship_watch.picture import Picture, Presence, SourceShown
+
+FIELDS_SHOWN = 3
+BAR_STEPS_ARCSEC = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
+"""Residuals that a full bar may stand for, arcsec."""
+
+_FIELD_ON_MAP = 0.085
+"""Half side of a field of view on the map: larger than in the sky, so that stars can be told apart."""
+
+_FIELD_PX = 256.0
+
+
+class SkyPanel:
+    """The map, and a field for each sensor that tells single stars.
+
+    Attributes:
+        box: the panel.
+    """
+
+    def __init__(self, theme: Theme) -> None:
+        self._theme = theme
+        self._map = _SkyMap(theme)
+        self._fields: dict[str, _Field] = {}
+        self._column = Column(children=[], sizing_mode="stretch_width")
+        self._columns = InlineStyleSheet(
+            css=":host{display:grid;grid-template-columns:minmax(0,11fr) minmax(0,9fr)}"
+            f"{NARROW}{{:host{{grid-template-columns:minmax(0,1fr)}}}}"
+        )
+        both = Column(
+            children=[self._map.figure, self._column], sizing_mode="stretch_width", stylesheets=[self._columns]
+        )
+        self.box = PanelBox(theme, "Sky", [both])
+
+    def update(self, history: History, picture: Picture) -> None:
+        """Draw the last exposures."""
+        sources = {source.name: source for source in picture.sources}
+        shown = [name for name, seen in sorted(history.stars.items()) if len(seen.u)]
+        shown = sorted(shown, key=lambda name: not _is_out(sources.get(f"star.{name}")))[:FIELDS_SHOWN]
+        if shown != list(self._fields):
+            self._fields = {name: self._fields.get(name) or _Field(self._theme) for name in shown}
+            self._column.children = [field.figure for field in self._fields.values()]
+        for name, field in self._fields.items():
+            field.update(name, history.stars[name], sources.get(f"star.{name}"), len(shown))
+        told = self._map.update(history, picture, sources)
+        self.box.say(f"fields of view larger than they are · bars: residuals{told}")
+
+
+class _SkyMap:
+    """The sky as a chart."""
+
+    def __init__(self, theme: Theme) -> None:
+        self._theme = theme
+        self.figure = plot(theme, 320, Range1d(-1.32, 1.32), Range1d(-1.2, 1.2), match_aspect=True)
+        self.figure.update(min_border_left=4, outline_line_color=None)
+        self.figure.axis.visible = False
+        self.figure.grid.visible = False
+        rings = {"line_color": [theme.second_text, theme.grid, theme.grid], "radius": [1.0, 2 / 3, 1 / 3]}
+        self.figure.circle(
+            "x",
+            "y",
+            radius="radius",
+            fill_color=None,
+            line_color="line_color",
+            source=_source(x=[0] * 3, y=[0] * 3, **rings),
+        )
+        winds = _source(x=[0.0, 1.1, 0.0, -1.1], y=[1.1, 0.0, -1.1, 0.0], text=["N", "E", "S", "W"])
+        words(self.figure, winds, text_color=theme.second_text, text_align="center", text_baseline="middle")
+        self._bow = _source(x=[], y=[])
+        self.figure.line("x", "y", source=self._bow, line_color=theme.second_text, line_dash="dashed")
+        self._names = _source(x=[], y=[], text=[], colour=[])
+        self._moon = _source(x=[], y=[])
+        self.figure.scatter("x", "y", source=self._moon, size=15, line_color=theme.second_text, fill_color=None)
+        self._squares = _source(xs=[], ys=[], colour=[], dash=[])
+        self.figure.multi_line("xs", "ys", source=self._squares, line_color="colour", line_dash="dash", line_width=1.6)
+        self._stars = _source(x=[], y=[], colour=[], marker=[])
+        self.figure.scatter(
+            "x", "y", source=self._stars, size=3.5, marker="marker", line_color="colour", fill_color="colour"
+        )
+        words(self.figure, self._names, text_color="colour", text_baseline="middle")
+
+    def update(self, history: History, picture: Picture, sources: dict[str, SourceShown]) -> str:
+        """Draw where the sensors look; the answer is what else is to be said."""
+        theme = self._theme
+        squares: dict[str, list[object]] = {"xs": [], "ys": [], "colour": [], "dash": []}
+        stars: dict[str, list[object]] = {"x": [], "y": [], "colour": [], "marker": []}
+        names: dict[str, list[object]] = {"x": [], "y": [], "text": [], "colour": []}
+        for name, seen in sorted(history.stars.items()):
+            if not math.isfinite(seen.azimuth + seen.elevation):
+                continue
+            x, y = on_map(seen.azimuth, seen.elevation)
+            is_bad = _is_out(sources.get(f"star.{name}")) or not seen.is_accepted
+            colour, half = theme.caution_border if is_bad else theme.series[0], _FIELD_ON_MAP
+            squares["xs"].append([x - half, x + half, x + half, x - half, x - half])
+            squares["ys"].append([y - half, y - half, y + half, y + half, y - half])
+            squares["colour"].append(colour)
+            squares["dash"].append("dashed" if is_bad else "solid")
+            used, (across, up) = used_stars(seen), places_in_field(seen)
+            stars["x"] += list(x + half * across)
+            stars["y"] += list(y + half * up)
+            stars["colour"] += [colour if is_bad else theme.text] * len(seen.u)
+            stars["marker"] += ["circle" if one and not is_bad else "x" for one in used]
+            _append(names, x + 1.4 * half, y, f"✕ {name}" if is_bad else name, colour)
+        heading = next((angle.value for angle in picture.angles if angle.name == "heading"), math.nan)
+        bow = [on_map(heading, elevation) for elevation in (0.5 * math.pi, 0.0)] if math.isfinite(heading) else []
+        self._bow.data = {"x": [x for x, _ in bow], "y": [y for _, y in bow]}
+        if bow:
+            _append(names, 1.04 * bow[1][0], 1.06 * bow[1][1], "bow", theme.second_text)
+        told = self._draw_moon(history, picture, names)
+        self._squares.data, self._stars.data, self._names.data = squares, stars, names
+        return told
+
+    def _draw_moon(self, history: History, picture: Picture, names: dict[str, list[object]]) -> str:
+        if history.position is None or not picture.utc_ns:
+            self._moon.data = {"x": [], "y": []}
+            return " · no fix, so no Moon"
+        direction = moon_direction(picture.utc_ns, *history.position)
+        if direction is None or not direction[1] > 0.0:
+            self._moon.data = {"x": [], "y": []}
+            return " · Moon below the horizon" if direction else ""
+        x, y = on_map(*direction)
+        self._moon.data = {"x": [x], "y": [y]}
+        _append(names, x + 0.09, y, "Moon", self._theme.second_text)
+        return ""
+
+
+class _Field:
+    """What one sensor sees."""
+
+    def __init__(self, theme: Theme) -> None:
+        self._theme = theme
+        self._size = (_FIELD_PX, _FIELD_PX)
+        self._across, self._down = Range1d(0.0, _FIELD_PX), Range1d(_FIELD_PX, 0.0)
+        self.figure = plot(theme, 150, self._across, self._down)
+        self.figure.update(min_border_left=8)
+        self.figure.axis.visible = False
+        self.figure.grid.visible = False
+        self._used = _source(u=[], v=[])
+        self._left_out = _source(u=[], v=[])
+        self._scale = _source(x=[], y=[])
+        self._word = _source(x=[], y=[], text=[])
+        self._bars = ResidualBars(theme, self.figure, BAR_STEPS_ARCSEC)
+        self._dots = self.figure.scatter("u", "v", source=self._used, size=7, line_color=None, fill_color=theme.text)
+        self.figure.scatter("u", "v", source=self._left_out, size=8, marker="x", line_color=theme.caution_border)
+        scale = {"length": ResidualBars.FULL_PX, "length_units": "screen", "angle": 0.0}
+        self.figure.ray("x", "y", source=self._scale, line_color=theme.second_text, line_width=2.5, **scale)
+        words(self.figure, self._word, text_color=theme.second_text, y_offset=-2, text_baseline="bottom")
+
+    def update(self, name: str, seen: StarsSeen, source: SourceShown | None, shown: int) -> None:
+        """Draw the last exposure; the field is as large as any star has shown it to be."""
+        theme, is_bad = self._theme, _is_out(source) or not seen.is_accepted
+        width, height = max(self._size[0], _rounded(seen.u)), max(self._size[1], _rounded(seen.v))
+        self._size = width, height
+        self._across.update(start=-0.02 * width, end=1.02 * width)
+        self._down.update(start=1.03 * height, end=-0.03 * height)
+        self.figure.height = 300 if shown == 1 else 150 if shown == 2 else 105
+        used = used_stars(seen)
+        self._used.data = {"u": seen.u[used], "v": seen.v[used]}
+        self._left_out.data = {"u": seen.u[~used], "v": seen.v[~used]}
+        told = len(seen.residual_right) == len(seen.u)
+        right, up = (seen.residual_right, seen.residual_up) if told else (np.full(len(seen.u), np.nan),) * 2
+        step = self._bars.draw(seen.u, seen.v, right, up, theme.caution_border if is_bad else theme.series[1])
+        self._scale.data = {"x": [0.03 * width], "y": [0.93 * height]}
+        self._word.data = {"x": [0.03 * width], "y": [0.93 * height], "text": [f"{step:g}″"]}
+        colour = theme.caution_border if is_bad else theme.border
+        self.figure.update(outline_line_color=colour, outline_line_dash="dashed" if is_bad else "solid")
+        fate = "REFUSED" if is_bad else "used"
+        left_out = f" · {seen.rejected_count} left out" if seen.rejected_count else ""
+        self.figure.title.text = f"{'✕' if is_bad else '✓'} {name}  {seen.star_count} stars {fate}{left_out}"
+        self.figure.title.text_color = theme.caution_border if is_bad else theme.text
+
+
+def used_residuals(seen: StarsSeen) -> np.ndarray:
+    """Which stars have a residual; none where none is told at all."""
+    if len(seen.residual_right) != len(seen.u):
+        return np.zeros(len(seen.u), bool)
+    return np.asarray(np.isfinite(seen.residual_right) & np.isfinite(seen.residual_up))
+
+
+def used_stars(seen: StarsSeen) -> np.ndarray:
+    """Which stars are drawn as used: those with a residual, or all where none is told."""
+    told = used_residuals(seen)
+    return told if told.any() else np.ones(len(seen.u), bool)
+
+
+def places_in_field(seen: StarsSeen) -> tuple[np.ndarray, np.ndarray]:
+    """Stars across and up within a field of view whose half side is one."""
+    if not len(seen.u):
+        return np.empty(0), np.empty(0)
+    return 2.0 * seen.u / _rounded(seen.u) - 1.0, 1.0 - 2.0 * seen.v / _rounded(seen.v)
+
+
+def _rounded(places: np.ndarray) -> float:
+    """Side of a detector that holds places: no topic tells it, so the next multiple of 256 px."""
+    return _FIELD_PX * max(1.0, math.ceil((float(np.max(places)) + 1.0) / _FIELD_PX)) if len(places) else _FIELD_PX
+
+
+def _is_out(source: SourceShown | None) -> bool:
+    return source is not None and source.presence is Presence.OUT
+
+
+def _append(names: dict[str, list[object]], x: float, y: float, text: str, colour: str) -> None:
+    for key, value in (("x", x), ("y", y), ("text", text), ("colour", colour)):
+        names[key].append(value)
+
+
+def _source(**columns: object) -> ColumnDataSource:
+    return ColumnDataSource(columns)

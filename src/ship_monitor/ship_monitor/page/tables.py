@@ -1,0 +1,116 @@
+"""Events, the newest first, and inputs with what was refused of them: tables of words."""
+
+import math
+from collections.abc import Mapping
+from html import escape
+
+from bokeh.models import Div, InlineStyleSheet
+
+from ship_geometry.time_scales import utc_text
+from ship_monitor.page.figures import NARROW, PanelBox
+from ship_monitor.page.themes import FONT, Theme
+from ship_watch.picture import Event, InputShown, Picture, Presence, SourceShown
+
+EVENTS_SHOWN = 10
+REASONS_SHOWN = 4
+
+
+class EventsPanel:
+    """What changed lately.
+
+    Attributes:
+        box: the panel.
+    """
+
+    def __init__(self, theme: Theme) -> None:
+        self._table = _table(theme)
+        self.box = PanelBox(theme, "Events", [self._table])
+
+    def update(self, picture: Picture) -> None:
+        """Write the newest."""
+        shown = picture.events[:EVENTS_SHOWN]
+        self._table.text = f"<table>{''.join(event_row(event) for event in shown)}</table>"
+        more = len(picture.events) - len(shown)
+        self.box.say(f"{more} more" if more else "" if shown else "nothing has changed yet")
+
+
+class InputsPanel:
+    """How each input does.
+
+    Attributes:
+        box: the panel.
+    """
+
+    def __init__(self, theme: Theme) -> None:
+        self._table = _table(theme)
+        self.box = PanelBox(theme, "Inputs", [self._table])
+
+    def update(self, picture: Picture) -> None:
+        """Write them; the rows of a source that is out stand out."""
+        guilty = {
+            topic: source for source in picture.sources if source.presence is Presence.OUT for topic in source.topics
+        }
+        rows = "".join(input_row(shown, guilty) for shown in picture.inputs)
+        self._table.text = f"<table class=inputs>{_HEADINGS}{rows}</table>"
+        self.box.say("" if picture.inputs else "no node tells of its inputs")
+
+
+_HEADINGS = (
+    "<tr><th>topic<th class=n>rate Hz<th class='n wide'>latency s<th class=n>age s<th class=n>refused 60 s"
+    "<th class=reasons>reasons"
+)
+
+
+def event_row(event: Event) -> str:
+    """A row of the events; an alert is bold."""
+    time = utc_text(event.utc_ns)[11:19] if event.utc_ns else ""
+    text = escape(
+        event.text if event.kind == "alert" or event.subject in event.text else f"{event.subject}: {event.text}"
+    )
+    return f"<tr><td class=time>{time}<td>{f'<b>{text}</b>' if event.kind == 'alert' else text}"
+
+
+def input_row(shown: InputShown, guilty: Mapping[str, SourceShown]) -> str:
+    """A row of the inputs: what its node refused and what the filter behind it refused are in one number."""
+    source = guilty.get(shown.topic)
+    refused = shown.refused_60s
+    reasons = reasons_text(shown.reasons)
+    if source is not None:
+        reasons = f"OUT: {source.reason}" + (f"; {reasons}" if reasons != "—" else "")
+        refused = max(refused, source.refused)
+    cells = (
+        ("n", _number(shown.rate_hz, 1)),
+        ("n wide", _number(shown.latency_s, 3)),
+        ("n", _number(shown.age_s, 1)),
+        ("n", str(refused)),
+        ("reasons", reasons),
+    )
+    name = f"✕ {shown.topic}" if source else shown.topic
+    row_class = " class=guilty" if source else ""
+    return f"<tr{row_class}><td>{escape(name)}" + "".join(f"<td class='{kind}'>{escape(text)}" for kind, text in cells)
+
+
+def reasons_text(reasons: Mapping[str, int]) -> str:
+    """Reasons with their counts, the most frequent first."""
+    ordered = sorted(((count, word) for word, count in reasons.items() if count), key=lambda one: (-one[0], one[1]))
+    words = [f"{word.replace('_', ' ')} {count}" for count, word in ordered[:REASONS_SHOWN]]
+    more = len(ordered) - len(words)
+    return ", ".join(words) + (f", {more} more" if more else "") if words else "—"
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "—"
+
+
+def _table(theme: Theme) -> Div:
+    css = (
+        ":host{padding:0 12px;box-sizing:border-box}"
+        f".bk-clearfix{{width:100%;font:13px {FONT};color:{theme.text}}}"
+        "table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}"
+        f"td,th{{padding:3px 10px 3px 0;border-top:1px solid {theme.grid};text-align:left;vertical-align:top}}"
+        f"th{{font-weight:normal;border-top:none}}th,.time{{color:{theme.second_text};white-space:nowrap}}"
+        ".n{text-align:right;white-space:nowrap;padding-right:18px}.reasons{width:45%}"
+        f".guilty td{{color:{theme.caution_border};font-weight:bold}}"
+        f"{NARROW}{{.wide{{display:none}}.n{{padding-right:8px}}.reasons{{width:auto}}td,th{{overflow-wrap:anywhere}}}}"
+    )
+    return Div(sizing_mode="stretch_width", stylesheets=[InlineStyleSheet(css=css)])

@@ -1,0 +1,139 @@
+"""What lines keep of many points, where they are broken, and where labels stand."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from bokeh.document import Document
+
+from ship_monitor.page.curves import fixed_step, gaps_before, newer, placed, signed, thinned
+from ship_monitor.page.figures import TimePlots, Trail
+
+SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A value at a time."""
+
+    utc_ns: int
+    value: float
+
+
+def samples(rate_hz: float, length_s: float, start_s: float = 1000.0) -> list[Sample]:
+    rng = np.random.default_rng(5)
+    count = int(rate_hz * length_s)
+    return [Sample(int((start_s + index / rate_hz) * 1e9), float(rng.normal())) for index in range(count)]
+
+
+def rows(points):
+    return {"value": np.array([point.value for point in points])}
+
+
+def test_only_newer_points_are_taken() -> None:
+    points = samples(2.0, 5.0)
+    assert newer(points, None) == points
+    assert newer(points, points[3].utc_ns) == points[4:]
+    assert newer(points, points[-1].utc_ns) == []
+
+
+def test_each_second_keeps_its_least_and_largest_value() -> None:
+    points = samples(50.0, 20.0)
+    time_ns = np.array([point.utc_ns for point in points])
+    value = np.array([point.value for point in points])
+    kept = thinned(time_ns, value)
+    for second in range(1000, 1019):  # the last is not over yet
+        inside = value[time_ns // SECOND_NS == second]
+        left = value[kept][time_ns[kept] // SECOND_NS == second]
+        assert len(left) == 2
+        assert {left.min(), left.max()} == {inside.min(), inside.max()}
+    assert np.all(np.diff(time_ns[kept]) > 0)
+    assert time_ns[kept][-1] // SECOND_NS == 1018
+
+
+def test_what_is_not_known_is_neither_least_nor_largest_but_stays_a_gap() -> None:
+    time_ns = np.arange(12) * SECOND_NS // 4
+    value = np.array([np.nan, 1.0, -2.0, 0.5, np.nan, np.nan, np.nan, np.nan, 0.0, 0.0, 0.0, 0.0])
+    assert list(thinned(time_ns, value)) == [1, 2, 4]
+
+
+@pytest.mark.parametrize("rate_hz", [0.5, 1.0, 2.0, 20.0])
+@pytest.mark.parametrize("batch_s", [0.5, 1.3, 700.0])
+def test_a_trail_is_the_same_however_it_is_fed_and_never_too_long(rate_hz: float, batch_s: float) -> None:
+    points = samples(rate_hz, 700.0)
+    fed, whole = Trail(("value",), by="value"), Trail(("value",), by="value")
+    whole.follow(points, rows)
+    ends = {int(rate_hz * at_s) for at_s in np.arange(batch_s, 700.0, batch_s)} - {0}
+    for end in [*sorted(ends), len(points)]:
+        fed.follow(points[:end], rows)
+    assert len(whole.source.data["t"]) <= 1200
+    np.testing.assert_array_equal(fed.source.data["t"], whole.source.data["t"])
+    np.testing.assert_array_equal(fed.source.data["value"], whole.source.data["value"])
+
+
+def test_a_gap_is_left_open_once_and_the_line_goes_on_behind_it() -> None:
+    points = [point for point in samples(1.0, 60.0) if not 1020.0 < point.utc_ns * 1e-9 < 1030.0]
+    for ends in ([len(points)], range(1, len(points) + 1)):
+        trail = Trail(("value",), by="value")
+        for end in ends:
+            trail.follow(points[:end], rows)
+        times, values = (np.asarray(trail.source.data[name]) for name in ("t", "value"))
+        assert list(times[np.isnan(values)]) == [1_030_000.0 - 1.0]
+        assert len(times) == len(points)  # all but the newest, and the gap
+
+
+def test_points_that_begin_anew_are_drawn_anew() -> None:
+    trail = Trail(("value",), by="value")
+    trail.follow(samples(2.0, 30.0, start_s=5000.0), rows)
+    earlier = samples(2.0, 10.0)
+    trail.follow(earlier, rows)
+    assert list(trail.source.data["t"]) == [point.utc_ns * 1e-6 for point in earlier[:-2]]
+    trail.follow([], rows)
+    assert list(trail.source.data["t"]) == []
+
+
+def test_a_gap_is_three_periods_and_two_seconds_at_least() -> None:
+    time_ns = np.array([0, 1, 4, 5, 15]) * SECOND_NS
+    assert list(gaps_before(time_ns, None, 1.0 * SECOND_NS)) == [4]
+    assert list(gaps_before(time_ns, None, 0.1 * SECOND_NS)) == [2, 4]
+    assert list(gaps_before(time_ns + 9 * SECOND_NS, 0, 5.0 * SECOND_NS)) == []
+    assert list(gaps_before(time_ns + 9 * SECOND_NS, 0, 2.0 * SECOND_NS)) == [0, 4]
+
+
+def test_axes_have_fixed_steps() -> None:
+    assert [fixed_step(size) for size in (0.0, 15.0, 15.1, 49.0, 1e6, float("nan"))] == [15, 15, 30, 60, 3600, 15]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_labels_stand_apart_inside_and_in_the_order_of_what_they_name(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    wanted = list(rng.uniform(-1.5, 1.5, rng.integers(1, 9)))
+    places = placed(wanted, 0.25, -1.0, 1.0)
+    assert all(-1.0 - 1e-12 <= place <= 1.0 + 1e-12 for place in places)
+    ordered = [places[index] for index in np.argsort(wanted)]
+    assert all(above - below >= 0.25 - 1e-9 for below, above in pairwise(ordered))
+
+
+def test_labels_with_room_stand_where_they_belong_and_too_many_stand_closer() -> None:
+    assert placed([0.5, -0.5], 0.3, -1.0, 1.0) == [0.5, -0.5]
+    assert placed([0.0, 0.0, 0.0], 5.0, -1.0, 1.0) == pytest.approx([-1.0, 0.0, 1.0])
+    assert placed([], 1.0, 0.0, 1.0) == []
+
+
+def test_signs_are_words_of_people() -> None:
+    assert [signed(value) for value in (48.93, -1.84, -0.04, float("nan"))] == ["+48.9", "−1.8", "+0.0", "unknown"]
+
+
+def test_time_stands_still_while_somebody_looks_closer() -> None:
+    times = TimePlots(600.0)
+    Document().add_root(times.range)
+    times.follow(1_000 * SECOND_NS)
+    assert (times.range.start, times.range.end) == (400e3, 1000e3)
+    times.range.update(start=500e3, end=520e3)  # as a browser does after a drag
+    assert times.is_paused
+    times.follow(1_100 * SECOND_NS)
+    assert (times.range.start, times.range.end) == (500e3, 520e3)
+    times.go_live()
+    assert not times.is_paused
+    assert (times.range.start, times.range.end) == (500e3, 1100e3)

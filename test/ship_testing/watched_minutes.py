@@ -1,0 +1,194 @@
+"""Ten minutes of a watched suite, drawn with a seed: what panels are fed with where no suite runs.
+
+A star sensor is knocked half a minute before the end, stars were missing for half a minute before, and a light was
+hidden for a while: the situation that the design of the page shows.
+"""
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from ship_watch.history import (
+    BudgetPoint,
+    ErrorPoint,
+    History,
+    InnovationPoint,
+    LightPoint,
+    ParameterShown,
+    StarsSeen,
+)
+from ship_watch.picture import (
+    AngleShown,
+    Event,
+    InputShown,
+    NisVerdict,
+    Picture,
+    Presence,
+    Safety,
+    SourceShown,
+)
+
+ARCSEC = np.deg2rad(1.0 / 3600.0)
+NOW_NS = 1_404_907_207_000_000_000
+"""2014-07-09 12:00:07 UTC, as in the pictures of the design."""
+
+KNOCKED_S = 40.0
+KNOCK_RIGHT_ARCSEC = 49.0
+NO_STARS_S = (-374.0, -347.0)
+_SECOND = 1_000_000_000
+
+
+def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool = True) -> History:
+    """All that plots draw."""
+    rng = np.random.default_rng(seed)
+    history = History()
+    for name in ("star.fore", "star.starboard"):
+        history.innovations[name] = deque(_innovations(rng, name, length_s))
+    history.innovations["lights"] = deque(_innovations(rng, "lights", length_s))
+    at_s = np.arange(-length_s, 0.0, 1.0)
+    sigma = {"heading": 2.2, "pitch": 1.4, "roll": 1.9}
+    history.errors["ship/error_arcsec"] = deque(_errors(rng, at_s, sigma, has_truth))
+    pointing = {"azimuth_cos_elevation": 2.5, "elevation": 2.7, "image_rotation": 30.0}
+    history.errors["theodolite/error_arcsec"] = deque(_errors(rng, at_s, pointing, has_truth))
+    history.budgets["ship/error_budget"] = deque(_budget(at_second) for at_second in at_s)
+    for name, x, z in (("a", -5e-3, -4e-3), ("b", 3.6e-3, 5.0e-3)):
+        history.lights[name] = deque(_lights(rng, x, z))
+    history.stars = {"fore": _stars(rng, 0.45, 0.92), "starboard": _stars(rng, 2.17, 0.85, KNOCK_RIGHT_ARCSEC)}
+    aligned = (("ins.north", 3.5), ("ins.up", 62.9), ("ins.east", 19.3), ("star.fore.azimuth", -2.5))
+    history.alignment = (
+        *(ParameterShown(name, value * ARCSEC, 0.6 * ARCSEC, "rad", True, 0.0) for name, value in aligned),
+        ParameterShown("ins.time_offset", 3.5e-4, 2e-5, "s", True, 0.0),
+    )
+    history.calibration = tuple(
+        ParameterShown(name, value * ARCSEC, sigma * ARCSEC, "rad", name != "beta_y", 0.0)
+        for name, value, sigma in (
+            ("g", 19.3, 6.8), ("h", 24.5, 1.1), ("c", -21.1, 2.0), ("beta_x", -23.8, 4.8), ("beta_y", -5.5, 90.0)
+        )
+    )  # fmt: skip
+    history.position = (np.deg2rad(31.945), np.deg2rad(120.293))
+    return history
+
+
+def watched_picture(now_ns: int = NOW_NS) -> Picture:
+    """What is shown at the end of it."""
+    nan = float("nan")
+    verdict = NisVerdict(1.01, 1800, "σ as stated (1.01)", True)
+    good = SourceShown("star.fore", Presence.IN, "", "", nan, verdict, 0.6, 2.0, 0, 0, ("star/fore/observations",))
+    bad = replace(
+        good,
+        name="star.starboard",
+        presence=Presence.OUT,
+        reason="81 refused in a row",
+        disagreement="right +49″",
+        residual=8.1,
+        refused=81,
+        out_since_ns=now_ns - int(KNOCKED_S * 1e9),
+        topics=("star/starboard/observations",),
+    )
+    topics = ("gnss/fix", "ins/imu", "met/pressure", "star/fore/observations", "star/starboard/observations")
+    inputs = [InputShown(topic, 2.0, 0.1, 0.6, 0, 0, {}) for topic in topics]
+    inputs[-1] = replace(inputs[-1], refused_60s=81, reasons={"gate": 9, "attitude_conflict": 72, "too_few_stars": 56})
+    angle = AngleShown(
+        "heading", np.deg2rad(34.39), 4.2 * ARCSEC, 5 * ARCSEC, nan, Safety.CAUTION, "", 0.1, False, 0, 0
+    )
+    events = (
+        Event(now_ns - 36 * _SECOND, "state", "roll", "roll SAFE → CAUTION, over the limit"),
+        Event(now_ns - 38 * _SECOND, "alert", "source", "WARNING star.starboard out: 5 refused in a row <8.1 σ>"),
+        Event(now_ns - 190 * _SECOND, "mode", "pointing", "ONE_LIGHT → TWO_LIGHTS"),
+    )
+    return Picture(
+        now_ns,
+        (angle,),
+        {},
+        "2 lights",
+        "geodetic",
+        (bad, good, replace(good, name="lights")),
+        None,
+        tuple(inputs),
+        events,
+        "",
+    )
+
+
+def _innovations(rng: np.random.Generator, name: str, length_s: float) -> list[InnovationPoint]:
+    axes = ("x", "z") if name == "lights" else ("up", "right")
+    points = []
+    for at_s in np.arange(-length_s, 0.0, 0.5):
+        if name != "lights" and NO_STARS_S[0] < at_s < NO_STARS_S[1]:
+            continue
+        is_knocked = name == "star.starboard" and at_s > -KNOCKED_S
+        mean = rng.normal(0.0, 3.0, 2) + (np.array([-1.8, KNOCK_RIGHT_ARCSEC]) if is_knocked else 0.0)
+        points.append(
+            InnovationPoint(
+                NOW_NS + int(at_s * 1e9),
+                axes,
+                mean * ARCSEC,
+                np.full(2, 3.0 * ARCSEC),
+                mean[None] * ARCSEC,
+                float(mean @ mean / 9.0),
+                18.0,
+                not is_knocked,
+                "gate" if is_knocked else "",
+            )
+        )
+    return points
+
+
+def _errors(rng: np.random.Generator, at_s: np.ndarray, sigma: dict[str, float], has_truth: bool) -> list[ErrorPoint]:
+    known = 1.0 if has_truth else np.nan
+    points = []
+    error = dict.fromkeys(sigma, 0.0)
+    for at_second in at_s:
+        error = {name: 0.8 * error[name] + 0.6 * rng.normal(0.0, sigma[name]) for name in sigma}
+        grown = {
+            name: value * (3.0 if NO_STARS_S[0] < at_second < NO_STARS_S[1] else 1.0) for name, value in sigma.items()
+        }
+        known_error = {name: known * value for name, value in error.items()}
+        points.append(ErrorPoint(NOW_NS + int(at_second * 1e9), known_error, grown))
+    return points
+
+
+def _budget(at_second: float) -> BudgetPoint:
+    no_stars = NO_STARS_S[0] < at_second < NO_STARS_S[1]
+    part = {
+        "ins_noise": 1.19,
+        "ins_drift": 5.2 if no_stars else 0.9 if at_second < -KNOCKED_S else 1.42,
+        "star_noise": 0.6 if at_second < -KNOCKED_S else 1.06,
+        "installation": 0.37 + 0.9 * np.exp(-(at_second + 600.0) / 150.0),
+        "ship_position": 0.11,
+        "refraction": 0.08,
+        "earth_rotation": 0.01,
+    }
+    of_angle = {name: (value * ARCSEC) ** 2 for name, value in part.items()}
+    by_angle = {"heading": of_angle, "pitch": of_angle, "roll": {name: 2.0 * value for name, value in of_angle.items()}}
+    variances = {name: np.full(3, value) for name, value in of_angle.items()}
+    total = np.sum(list(variances.values()), axis=0)
+    return BudgetPoint(NOW_NS + int(at_second * 1e9), variances, total, by_angle)
+
+
+def _lights(rng: np.random.Generator, x: float, z: float) -> list[LightPoint]:
+    points = []
+    for at_s in np.arange(-90.0, 0.0, 0.5):
+        off = rng.normal(0.0, 1.5 * ARCSEC, 2)
+        moved = 3e-4 * np.array([np.sin(at_s / 9.0), np.cos(at_s / 9.0)])
+        points.append(
+            LightPoint(NOW_NS + int(at_s * 1e9), x + moved[0], z + moved[1], float(off[0]), float(off[1]), True)
+        )
+    return points
+
+
+def _stars(rng: np.random.Generator, azimuth: float, elevation: float, right_arcsec: float = 0.0) -> StarsSeen:
+    right = (right_arcsec + rng.normal(0.0, 4.0, 8)) * ARCSEC
+    return StarsSeen(
+        utc_ns=NOW_NS,
+        u=rng.uniform(60.0, 2000.0, 8),
+        v=rng.uniform(60.0, 2000.0, 8),
+        is_accepted=not right_arcsec,
+        star_count=8,
+        rejected_count=0,
+        azimuth=azimuth,
+        elevation=elevation,
+        residual_right=right,
+        residual_up=rng.normal(0.0, 4.0, 8) * ARCSEC,
+    )
