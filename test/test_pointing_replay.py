@@ -14,7 +14,6 @@ from ship_replay.commands.replay import ADAPTERS
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.evaluation.sources import Truth
 from ship_replay.evaluation.statistics import reason_name
-from ship_replay.offline.orientations import POINTING
 from ship_replay.offline.replay import replay
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
@@ -22,6 +21,7 @@ from ship_simulation.scenario.scenario import Fault, FusedAttitude, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 from ship_testing.theodolite_scenes import bag_scenario, replaced
+from ship_watch.orientations import POINTING
 
 ROOT = Path(__file__).parents[1]
 

@@ -14,13 +14,14 @@ from ship_geometry.rotations import ARCSEC
 from ship_replay.commands.evaluate import main
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.evaluation.figures import attitude_error_figure
-from ship_replay.offline.orientations import POINTING, TruthErrors
+from ship_replay.offline.truth_errors import TruthErrors
 from ship_simulation.messages.theodolite_messages import true_pointings
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Ins
 from ship_simulation.simulate_command import write_bag
 from ship_testing.hand_made_bags import FACTORY, START_NS, innovation, ship_attitude
 from ship_testing.theodolite_scenes import bag_scenario, with_beacons, without_errors
+from ship_watch.orientations import POINTING
 
 SECOND_NS = 1_000_000_000
 SIGMA_ARCSEC = np.array([6.0, 3.0, 40.0])

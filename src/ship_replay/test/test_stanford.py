@@ -15,8 +15,8 @@ from ship_geometry.rotations import ARCSEC
 from ship_replay.commands.stanford import main
 from ship_replay.evaluation.stanford import Epochs, Region, epochs_of
 from ship_replay.evaluation.stanford_figure import stanford_figure
-from ship_replay.offline.orientations import POINTING, SHIP_ATTITUDE
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude
+from ship_watch.orientations import POINTING, SHIP_ATTITUDE
 
 TENTH_NS = 100_000_000
 QUANTITIES = ("heading", "pitch", "roll")

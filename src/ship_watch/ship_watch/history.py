@@ -8,6 +8,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -17,13 +18,20 @@ from ship_watch.picture import Safety
 KEPT_S = 600.0
 """Length of the buffers, s."""
 
+_KEPT_NS = round(KEPT_S * 1e9)
+
+MOST_KEPT = 30_000
+"""Points of a buffer, whatever their times: 50 a second."""
+
 
 @dataclass(frozen=True)
 class InnovationPoint:
     """One measurement of a source: the mean of its residuals along each axis, rad or m, and whether it was accepted.
 
-    ``parts`` are the residuals of its single stars or lights along the same axes, shape (n, axes), ``part_names`` what
-    its components call them ("HIP 85355", "a"); of an attitude or an encoder there is one part, without a name.
+    ``sigma`` is the root mean square of the stated sigmas of what the mean is over: parts share much of their error, so
+    that it is not divided by the root of their number. ``parts`` are the residuals of its single stars or lights along
+    the same axes, shape (n, axes), ``part_names`` what its components call them ("HIP 85355", "a"); of an attitude or
+    an encoder there is one part, without a name.
     """
 
     utc_ns: int
@@ -129,7 +137,19 @@ class ParameterShown:
 
 @dataclass
 class History:
-    """All that plots draw. Keys are names of sources, channels' topics, beacons and sensors."""
+    """All that plots draw.
+
+    Attributes:
+        innovations: by source, as ``star.bow``.
+        errors: by the topic that tells them, as ``ship/error_arcsec``, though they may be made here.
+        budgets: by topic, as ``ship/error_budget``.
+        ribbons: one point a second.
+        lights: by beacon.
+        stars: by source, as ``star.bow``.
+        alignment: the states of ``ship/alignment``, as told last.
+        calibration: the parameters of ``theodolite/calibration``, as told last.
+        position: geodetic latitude and longitude of the last fix, rad; None before the first.
+    """
 
     innovations: dict[str, deque[InnovationPoint]] = field(default_factory=dict)
     errors: dict[str, deque[ErrorPoint]] = field(default_factory=dict)
@@ -140,4 +160,48 @@ class History:
     alignment: tuple[ParameterShown, ...] = ()
     calibration: tuple[ParameterShown, ...] = ()
     position: tuple[float, float] | None = None
-    """Geodetic latitude and longitude of the last fix, rad."""
+
+
+class Timed(Protocol):
+    """A point of a buffer."""
+
+    @property
+    def utc_ns(self) -> int:
+        """Its time."""
+        ...
+
+
+Point = TypeVar("Point", bound=Timed)
+
+
+def append(buffers: dict[str, deque[Point]], name: str, point: Point) -> None:
+    """Add a point to the buffer of a name; one that is older than the last takes its place among them."""
+    buffer = buffers.get(name)
+    if buffer is None:
+        buffer = buffers[name] = deque(maxlen=MOST_KEPT)
+    append_point(buffer, point)
+
+
+def append_point(buffer: deque[Point], point: Point) -> None:
+    """Add a point to a buffer, in the order of times, and forget those that are too old."""
+    place = len(buffer)
+    while place and buffer[place - 1].utc_ns > point.utc_ns:
+        place -= 1
+    if place == len(buffer):
+        buffer.append(point)
+    elif len(buffer) < MOST_KEPT:
+        buffer.insert(place, point)
+    while buffer[-1].utc_ns - buffer[0].utc_ns > _KEPT_NS:
+        buffer.popleft()
+
+
+def place_in_order(buffers: dict[str, deque[Point]], name: str, point: Point) -> None:
+    """Put a point in the place of the one of the same time, where there is one; add it otherwise."""
+    buffer = buffers.get(name, deque())
+    for place in range(len(buffer) - 1, -1, -1):
+        if buffer[place].utc_ns == point.utc_ns:
+            buffer[place] = point
+            return
+        if buffer[place].utc_ns < point.utc_ns:
+            break
+    append(buffers, name, point)

@@ -96,7 +96,8 @@ class SourceShown:
         name: "ins", "star.<id>", "reference.<name>", "lights", "encoder", "baselines", "gnss", "weather".
         presence: IN, OUT or OFF.
         reason: why it is OUT: "81 refused in a row", "silent", "invalid", "excluded"; empty where it is IN.
-        disagreement: how it disagrees, "right +49″"; empty where that is not known.
+        disagreement: how it disagrees, "right +49″"; of one that is IN what is put right in it, "names exchanged" of
+            lights; empty where nothing is known.
         residual: mean of its last residuals over its sigma where it disagrees, NaN elsewhere.
         verdict: of its sigma; None where it has no innovations.
         age_s: time since the last message arrived.

@@ -16,6 +16,9 @@ LEAST_SILENCE_NS = 2_000_000_000
 
 SILENT_PERIODS = 3.0
 
+UNKNOWN_PERIOD_NS = 5_000_000_000
+"""So long may a topic be silent whose rate is not known yet, ns."""
+
 _FORGOTTEN_NS = 10_000_000_000
 """A node that has not reported for so long reports no more, ns."""
 
@@ -120,9 +123,10 @@ class TopicReports:
         """
         if self.arrived_ns is None:
             return False
-        period_ns = self.period_ns()
-        period_ns = 0.0 if math.isnan(period_ns) else period_ns
-        limit_ns = longest_s * 1e9 or max(LEAST_SILENCE_NS, SILENT_PERIODS * period_ns)
+        known_ns = self.period_ns()
+        period_ns = 0.0 if math.isnan(known_ns) else known_ns
+        least_ns = UNKNOWN_PERIOD_NS if math.isnan(known_ns) else LEAST_SILENCE_NS
+        limit_ns = longest_s * 1e9 or max(least_ns, SILENT_PERIODS * period_ns)
         return now_ns - self.arrived_ns >= max(limit_ns, 1.5 * self._report_period_ns + period_ns)
 
     def is_untold(self, now_ns: int) -> bool:
@@ -171,9 +175,10 @@ class TopicReports:
             default=None,
         )
         if before is None:
+            is_new = bool(self._reporters)
             self._reporters = [known for known in self._reporters if report.heard_ns - known.heard_ns < _FORGOTTEN_NS]
             self._reporters.append(report)
-            return len(self._reporters) > 1, None
+            return is_new, None
         if before.heard_ns < report.heard_ns:
             self._report_period_ns = min(max(float(report.heard_ns - before.heard_ns), 1e8), 1e10)
         grown = {word: n - before.reasons.get(word, 0) for word, n in report.reasons.items()}

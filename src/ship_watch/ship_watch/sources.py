@@ -15,7 +15,7 @@ from ship_estimation.refusals import Reason
 from ship_watch.limits import Limits
 from ship_watch.picture import Presence, SourceShown
 from ship_watch.reports import TopicReports
-from ship_watch.streak import NO_DISAGREEMENT, Streak
+from ship_watch.streak import NO_DISAGREEMENT, SHOWN_NS, Disagreement, Streak
 from ship_watch.topics import member_of, place_of, source_of_name, source_of_topic
 from ship_watch.verdict import NisWindow
 
@@ -32,6 +32,9 @@ _NEEDS: dict[Reason, dict[str, tuple[str, ...]]] = {
 
 _SAYS_SO_ITSELF = {(Reason.GAP, "encoder"), (Reason.GAP, "ship_attitude"), (Reason.NO_FIX, "gnss")}
 """Reason and source where the device itself says that it has no value."""
+
+_PUT_RIGHT = {Reason.LIGHT_CONFLICT: "names exchanged"}
+"""Reason of a measurement that was used → what was put right in it."""
 
 _NOTHING_USABLE = {"star": "no stars", "lights": "no lights", "reference": "invalid"}
 _UNUSABLE_PERIODS = 5.0
@@ -59,6 +62,9 @@ class _Source:
         self.excluded_since: dict[str, int] = {}
         self.judged_ns: int | None = None
         self.used_ns: int | None = None
+        self.put_right_ns: int | None = None
+        self.put_right = ""
+        self.blamed_on = ""
 
     @property
     def first_word(self) -> str:
@@ -211,12 +217,17 @@ class SourceBook:
             reasons = {Reason.GAP}  # what waits for another source is refused only when that has been missed for long
         needed = [name for reason in reasons for name in _NEEDS.get(reason, {}).get(source.first_word, ())]
         blamed = next((name for name in needed if name in guilty), "")
+        if not blamed and source.blamed_on in needed:
+            blamed = source.blamed_on  # that one is back, and this has not been accepted often enough since
+        source.blamed_on = blamed
         return replace(fault, reason=f"needs {blamed}", because_of=blamed) if blamed else fault
 
     def _shown(self, source: _Source, fault: _Fault | None, now_ns: int) -> SourceShown:
         streaks = source.streaks.values()
         off = [streak.disagreement for streak in streaks if fault and not fault.because_of]
         furthest = max(off, key=lambda one: abs(one.sigmas) if one.text else -1.0, default=NO_DISAGREEMENT)
+        if fault is None and source.put_right_ns is not None and now_ns - source.put_right_ns <= SHOWN_NS:
+            furthest = Disagreement(source.put_right, math.nan)
         rates = [topic.rate_hz for topic in source.topics.values() if not math.isnan(topic.rate_hz)]
         judged = any(streak.is_judged for streak in streaks)
         return SourceShown(
@@ -252,6 +263,8 @@ class SourceBook:
         if message.reason != Reason.REVISED:
             source.window.add(now_ns, float(message.nis), degrees)
         source.used_ns = now_ns
+        if word := _PUT_RIGHT.get(Reason(message.reason)):
+            source.put_right, source.put_right_ns = word, now_ns
         if source.name == "lights":
             for light in {str(name).partition(" ")[0] for name in message.components}:
                 if streak := source.streaks.get((topic, f"light.{light}")):

@@ -14,7 +14,7 @@ _LOOKED_AT = 5
 """So many of the last refused ones tell how a source is off."""
 
 SHOWN_NS = 2_000_000_000
-"""A source of which only refusals are told stays out for at least so long after the last, so that people see it, ns."""
+"""What is wrong is shown for at least so long after it was told last, so that people see it, ns."""
 
 _KEPT = 24
 """Verdicts that are kept, at least: later ones may revise them."""

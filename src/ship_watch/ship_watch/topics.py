@@ -45,6 +45,7 @@ TOPICS = (
     WatchedTopic("ship/alignment", MESSAGES + "AlignmentState", False),
     WatchedTopic("theodolite/calibration", MESSAGES + "TheodoliteCalibration", False),
     WatchedTopic("star/<id>/solution", MESSAGES + "StarHorizonAttitude", False),
+    WatchedTopic("star/<id>/horizon_attitude", MESSAGES + "StarHorizonAttitude", False),
     WatchedTopic("star/<id>/observations", MESSAGES + "StarObservationArray", False),
     WatchedTopic("theodolite/beacons", MESSAGES + "BeaconImage", True),
     WatchedTopic("gnss/fix", "sensor_msgs/msg/NavSatFix", False),
@@ -94,6 +95,15 @@ def source_of_name(name: str) -> str:
         "beacon": "baselines",
     }
     return whole.get(first, "")
+
+
+def node_of(topic: str) -> str:
+    """The node that reads an input topic, for people; several nodes may read some."""
+    if topic.startswith(("theodolite/", "beacon/", "ship/")):
+        return "optical_axis"
+    if topic.startswith("reference/") or topic.endswith(("/solution", "/horizon_attitude", "/inertial_attitude")):
+        return "ship_attitude"
+    return f"a node that reads {topic}"
 
 
 def member_of(name: str) -> str:

@@ -6,6 +6,7 @@ judged ten times a second of that time, whenever somebody looks, so that a bag r
 the same messages heard live.
 """
 
+import functools
 import math
 import re
 from collections import deque
@@ -15,12 +16,13 @@ from typing import Any
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_watch.history import History
+from ship_watch.history_keeper import HistoryKeeper
 from ship_watch.limits import Limits
 from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
 from ship_watch.picture import ANGLES, AlertShown, AngleShown, Event, Picture, Presence, Priority, Safety, SourceShown
 from ship_watch.sources import SourceBook, blamed
 from ship_watch.states import Claim, HeldWord, judged
-from ship_watch.topics import watched_topic
+from ship_watch.topics import node_of, watched_topic
 
 STEP_NS = 100_000_000
 """How often words and events are judged, ns."""
@@ -29,6 +31,9 @@ LONGEST_GAP_NS = 120 * NS_PER_S
 """In a gap longer than this nothing is judged any more: all that can become old has."""
 
 EVENTS_KEPT = 200
+
+SETTLED_NS = 3 * NS_PER_S
+"""Nodes that were running when the watch began have all reported after this, ns."""
 
 BACK_NS = NS_PER_S
 """An output that is so much older than the one before it begins anew: a bag in a loop, ns."""
@@ -42,9 +47,6 @@ class Watch:
 
     Args:
         limits: of the ship.
-
-    Attributes:
-        history: what plots draw.
     """
 
     def __init__(self, limits: Limits | None = None) -> None:
@@ -53,12 +55,17 @@ class Watch:
         self._alerts: tuple[AlertShown, ...] | None = None
         self._forget()
 
+    @property
+    def history(self) -> History:
+        """What plots draw; another one after the data began anew."""
+        return self._keeper.history
+
     def start_anew(self) -> None:
         """Forget all that was heard but alerts: the data begin anew, as when a bag is played in a loop."""
         self._forget()
 
     def _forget(self) -> None:
-        self.history = History()
+        self._keeper = HistoryKeeper()
         self._takers.clear()
         self._attitude, self._pointing = AttitudeHeard(self.limits), PointingHeard(self.limits)
         self._book = SourceBook(self.limits)
@@ -91,19 +98,23 @@ class Watch:
         """What takes the messages of a topic; None where it is not watched."""
         if watched_topic(topic) is None:
             return None
+        keeper = self._keeper
         first, _, last = topic.rpartition("/")
-        if last == "innovation":
-            return lambda message, now_ns: self._take_innovation(topic, message, now_ns)
-        if last == "integrity":
-            output = self._attitude if first == "ship" else self._pointing
-            return lambda message, now_ns: self._take_integrity(topic, output, message, now_ns)
         takers: dict[str, Callable[[Any, int], None]] = {
-            "ship/attitude": lambda message, now_ns: self._take_output(self._attitude, message, now_ns),
-            "theodolite/pointing": lambda message, now_ns: self._take_output(self._pointing, message, now_ns),
+            "attitude": lambda message, now_ns: self._take_output(self._attitude, message, now_ns),
+            "pointing": lambda message, now_ns: self._take_output(self._pointing, message, now_ns),
+            "innovation": lambda message, now_ns: self._take_innovation(topic, message, now_ns),
+            "integrity": lambda message, now_ns: self._take_integrity(topic, message, now_ns),
             "input_health": self._take_health,
-            "ship/alerts": self._take_alerts,
+            "alerts": self._take_alerts,
+            "error_budget": lambda message, _: keeper.note_budget(topic, message),
+            "error_arcsec": lambda message, _: keeper.note_error(topic, message),
+            "alignment": lambda message, _: keeper.note_parameters(topic, message),
+            "calibration": lambda message, _: keeper.note_parameters(topic, message),
         }
-        return takers.get(topic)
+        if first == "truth":
+            return lambda message, _: keeper.note_truth(topic, message)
+        return takers.get(last, functools.partial(self._take_seen, topic))
 
     def _take_output(self, output: OutputHeard, message: Any, now_ns: int) -> None:
         stamp_ns = ns_from_stamp(message.header.stamp)
@@ -116,17 +127,26 @@ class Watch:
         for kind, text in changes:
             self._tell(kind, output.topic, text, stamp_ns)
         self._book.heard(output.topic, now_ns)
+        self._keeper.note_output(output.topic, message, stamp_ns)
 
     def _take_innovation(self, topic: str, message: Any, now_ns: int) -> None:
-        self._book.note_innovation(topic, message, now_ns)
+        source = self._book.note_innovation(topic, message, now_ns)
+        if source and topic != "star/innovation":  # there a sensor is compared with itself, along other axes
+            self._keeper.note_innovation(source, message, now_ns)
 
-    def _take_integrity(self, topic: str, output: OutputHeard, message: Any, now_ns: int) -> None:
-        output.note_integrity(message, now_ns)
+    def _take_seen(self, topic: str, message: Any, now_ns: int) -> None:
+        self._book.heard(topic, now_ns)
+        self._keeper.note_seen(topic, message, now_ns)
+
+    def _take_integrity(self, topic: str, message: Any, now_ns: int) -> None:
+        (self._attitude if topic.startswith("ship/") else self._pointing).note_integrity(message, now_ns)
         self._book.note_integrity(topic, message, ns_from_stamp(message.header.stamp))
 
     def _take_health(self, message: Any, now_ns: int) -> None:
         self._note_time(ns_from_stamp(message.header.stamp), now_ns)
-        self._book.note_health(message, now_ns)
+        has_started = self._book.note_health(message, now_ns)
+        if has_started and self._first_ns is not None and now_ns - self._first_ns > SETTLED_NS:
+            self._tell_start(node_of(str(message.topic)), ns_from_stamp(message.header.stamp))
 
     def _take_alerts(self, message: Any, now_ns: int) -> None:
         alerts = [_alert(alert) for alert in message.alerts]
@@ -192,6 +212,9 @@ class Watch:
                 change = f"{before.name} → {held.word.name}" if before is not None else held.word.name
                 text = f"{name} {change}" + (f", {held.reason}" if held.reason else "")
                 self._tell("state", name, text, now_ns + self._utc_offset_ns)
+        words = {name: None if self._output(name).is_old(now_ns) else self._words[name].word for name in ANGLES}
+        if self._newest_ns:
+            self._keeper.note_words(now_ns + self._utc_offset_ns, words)
 
     def _judged(self, sources: list[SourceShown], now_ns: int) -> dict[str, tuple[Safety, str]]:
         """Word and reason of each angle at this moment, held by nothing."""
@@ -253,20 +276,28 @@ class Watch:
     def _tell(self, kind: str, subject: str, text: str, utc_ns: int) -> None:
         self._events.appendleft(Event(utc_ns, kind, subject, text))
 
+    def _tell_start(self, node: str, utc_ns: int) -> None:
+        """Tell of the start of a node once, though each of its topics shows it."""
+        told = any(event.kind == "node" and utc_ns - event.utc_ns < SETTLED_NS for event in self._events)
+        if not told:
+            self._tell("node", node, f"{node} started", utc_ns)
+
     def _tell_sources(self, sources: list[SourceShown], now_ns: int) -> None:
-        """Tell of the sources that went out or came in, and of those that are out for another reason now."""
+        """Tell of the sources that went out or came in, and of those of which something else is wrong now."""
         utc_ns = now_ns + self._utc_offset_ns
         for source in sources:
-            kind = _NUMBER.sub("", source.reason)
+            is_out = source.presence is Presence.OUT
+            kind = _NUMBER.sub("", source.reason if is_out else source.disagreement)
             before = self._presence.get(source.name, (Presence.IN, ""))
             if kind.endswith("accepted again") or before == (source.presence, kind):
                 continue
             self._presence[source.name] = source.presence, kind
-            if source.presence is Presence.OUT:
+            if is_out:
                 told = ", ".join(part for part in (source.reason, source.disagreement) if part)
                 self._tell("source", source.name, f"{source.name} OUT, {told}", utc_ns)
-            elif before[0] is Presence.OUT:
-                self._tell("source", source.name, f"{source.name} {source.presence.value}", utc_ns)
+            elif before[0] is Presence.OUT or kind:
+                text = f"{source.name} {source.presence.value}" + (f", {kind}" if kind else "")
+                self._tell("source", source.name, text, utc_ns)
 
 
 _NUMBER = re.compile(r"\d+ ")

@@ -14,7 +14,7 @@ from ship_bags.mcap.bag_reader import watched
 from ship_bags.output_files import add_force, check_file, write_whole
 from ship_replay.evaluation.stanford import Epochs, Region, epochs_of
 from ship_replay.evaluation.tables import table_console
-from ship_replay.offline.orientations import POINTING, SHIP_ATTITUDE
+from ship_watch.orientations import POINTING, SHIP_ATTITUDE
 
 _LIMITED = {"alert_limit": SHIP_ATTITUDE, "pointing_alert_limit": POINTING}
 

@@ -22,7 +22,7 @@ from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, sources
 from ship_replay.evaluation.statistics import AttitudeErrors, InnovationBook, SourceInnovations
 from ship_replay.offline.adapter_chain import attached
-from ship_replay.offline.orientations import ORIENTATIONS
+from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.config import OpticalAxisConfig
 
 Config = TypeVar("Config")

@@ -16,7 +16,7 @@ from ship_geometry.frames import rotation_from_angles, rotation_vector_covarianc
 from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 from ship_replay.evaluation.statistics import AttitudeErrors, attitude_errors
-from ship_replay.offline.orientations import POINTING, SHIP_ATTITUDE, Orientation
+from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import AxesConfig, OpticalAxisConfig
 

@@ -22,7 +22,7 @@ from ship_bags.topic_names import relative_topics
 from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_replay.evaluation.sources import Truth
-from ship_replay.offline.orientations import ORIENTATIONS, Orientation
+from ship_watch.orientations import ORIENTATIONS, Orientation
 
 Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 

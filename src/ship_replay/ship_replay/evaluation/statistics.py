@@ -16,7 +16,7 @@ from ship_estimation.gates import normalized_error_squared
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
-from ship_replay.offline.orientations import Orientation
+from ship_watch.orientations import Orientation
 
 WINDOW_S = 60
 """Length of the windows in which the mean NIS is judged, s."""

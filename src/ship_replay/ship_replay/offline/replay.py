@@ -21,8 +21,9 @@ from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import LogTimes, MessageTimes, in_order_of_stamps
-from ship_replay.offline.orientations import ORIENTATIONS, TruthErrors
 from ship_replay.offline.status_course import STATUS_TOPICS, StatusCourse, reasons_for
+from ship_replay.offline.truth_errors import TruthErrors
+from ship_watch.orientations import ORIENTATIONS
 
 Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 

@@ -11,7 +11,7 @@ from ship_bags.stamps import NS_PER_S, ns_from_stamp, utc_text
 from ship_estimation.refusals import Reason
 from ship_node.edge.adapter import Adapter
 from ship_replay.offline.message_times import MessageTimes, exceeded
-from ship_replay.offline.orientations import ORIENTATIONS
+from ship_watch.orientations import ORIENTATIONS
 
 STATUS_WORDS = ("VALID", "COASTING", "DEGRADED", "INVALID")
 """By the values of ship_msgs/ShipAttitude and OpticalAxisPointing."""

@@ -20,7 +20,6 @@ from ship_bags.stamps import NS_PER_S
 from ship_estimation.protection import IntegrityConfig
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
-from ship_replay.offline.orientations import ORIENTATIONS
 from ship_replay.offline.replay import ReplayRun, ReplaySummary
 from ship_replay.trials.fault_judge import beyond, judged
 from ship_replay.trials.passage import Passage
@@ -32,6 +31,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.names import IMAGE_TOPIC
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
+from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 NODES = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)

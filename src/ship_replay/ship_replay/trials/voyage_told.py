@@ -14,7 +14,7 @@ import numpy as np
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.refusals import Reason
 from ship_replay.evaluation.sources import Truth
-from ship_replay.offline.orientations import ORIENTATIONS, Orientation
+from ship_watch.orientations import ORIENTATIONS, Orientation
 
 INTEGRITY = {"ship/attitude": "ship/integrity", "theodolite/pointing": "theodolite/integrity"}
 """Topic of an output → topic of its protection levels."""

@@ -1,23 +1,15 @@
-"""The orientations that the suite publishes and a simulated bag knows the truth of, and their errors against it.
+"""The orientations that a suite publishes and a simulated bag knows the truth of, and their errors against it."""
 
-A replay fills the errors into ``ship/error_arcsec`` and its like; an estimator never sees the truth.
-"""
-
-from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ship_bags.stamps import ns_from_stamp
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.ros_axes import device_vector_from_ros
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
-
-_TRUTH_GAP_NS = 1_000_000_000
-_PATIENCE_NS = 2_000_000_000
-"""Truth that comes later than this after an attitude is not waited for."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +43,7 @@ class Orientation:
         rate_d = None
         if hasattr(message, "angular_velocity"):
             rate = message.angular_velocity
-            rate_d = device_vector_from_ros([rate.x, rate.y, rate.z])
+            rate_d = device_vector_from_ros(np.array([rate.x, rate.y, rate.z]))
         return AttitudeSample(
             time_ns=ns_from_stamp(message.header.stamp),
             rotation_nd=rotation_from_angles(*self.angles_of(message)),
@@ -92,51 +84,3 @@ POINTING = Orientation(
 )
 
 ORIENTATIONS = (SHIP_ATTITUDE, POINTING)
-
-
-class TruthErrors:
-    """Holds each error message back until the truth at its stamp is known, then fills it in.
-
-    Messages come in order of log time; what :meth:`filled` gives back keeps its own log time.
-    """
-
-    def __init__(self, orientation: Orientation) -> None:
-        self.orientation = orientation
-        self._truth = AttitudeTrack(_TRUTH_GAP_NS)
-        self._attitudes: dict[int, FloatArray] = {}
-        self._waiting: deque[tuple[int, Any]] = deque()
-
-    def add_truth(self, message: Any) -> None:
-        """A message of the truth."""
-        self._truth.insert(self.orientation.sample(message))
-
-    def add_attitude(self, message: Any) -> None:
-        """A message of the orientation as published."""
-        self._attitudes[ns_from_stamp(message.header.stamp)] = self.orientation.angles_of(message)
-
-    def add_error(self, message: Any, log_time_ns: int) -> None:
-        """A message of errors as published, without errors."""
-        self._waiting.append((log_time_ns, message))
-
-    def filled(self, now_ns: int | None) -> list[tuple[int, Any]]:
-        """(log time, message) of those that are ready at ``now_ns``; None: nothing more will come."""
-        ready: list[tuple[int, Any]] = []
-        while self._waiting:
-            log_time_ns, message = self._waiting[0]
-            stamp_ns = ns_from_stamp(message.header.stamp)
-            truth = self._truth.at(stamp_ns)
-            if truth is None and now_ns is not None and now_ns - log_time_ns < _PATIENCE_NS:
-                break
-            attitude = self._attitudes.get(stamp_ns)
-            if truth is not None and attitude is not None:
-                errors_arcsec = self.orientation.errors_arcsec(attitude, truth.rotation_nd)
-                for channel, error in zip(self.orientation.channels, errors_arcsec.tolist(), strict=True):
-                    setattr(message, f"error_{channel}", error)
-            ready.append((log_time_ns, message))
-            self._waiting.popleft()
-            self._forget(stamp_ns)
-        return ready
-
-    def _forget(self, stamp_ns: int) -> None:
-        self._truth.drop_before(stamp_ns)
-        self._attitudes = {time: value for time, value in self._attitudes.items() if time >= stamp_ns}

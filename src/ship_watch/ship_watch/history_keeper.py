@@ -1,0 +1,242 @@
+"""Fills the buffers that plots draw: from innovations, budgets, errors, states and what instruments saw."""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_estimation.outcome import Status
+from ship_estimation.refusals import Reason
+from ship_geometry.attitude_track import AttitudeTrack
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_watch.budget import angle_variances
+from ship_watch.history import (
+    BudgetPoint,
+    ErrorPoint,
+    History,
+    InnovationPoint,
+    ParameterShown,
+    SafetyPoint,
+    append,
+    append_point,
+    place_in_order,
+)
+from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
+from ship_watch.picture import ANGLES, Safety
+from ship_watch.seen import LightsSeenBook, StarsSeenBook
+from ship_watch.topics import source_of_name, source_of_topic
+
+_TRUTH_GAP_NS = NS_PER_S
+_LEAST_BETWEEN_ERRORS_NS = NS_PER_S // 2
+"""Errors against truth are drawn no more often, ns."""
+
+_WAITING = 20
+"""So many outputs wait for the truth at their stamps."""
+
+_INSTALLED = ("star.", "reference.", "focal_length", "telescope_")
+"""What parameters that are no errors begin with; their time offsets are errors all the same."""
+
+
+class ErrorsBeside:
+    """Errors of an output: as its topic tells them, or against a truth that is played beside it.
+
+    An estimator never sees the truth, so that live its topic tells NaN. Then the outputs that were heard are compared
+    with the truth between whose samples their stamps lie.
+    """
+
+    def __init__(self, orientation: Orientation, history: History) -> None:
+        self._orientation, self._history = orientation, history
+        self._truth = AttitudeTrack(_TRUTH_GAP_NS)
+        self._waiting: deque[tuple[int, FloatArray, FloatArray]] = deque(maxlen=_WAITING)
+        self._last_ns = 0
+        self._topic_knows = False
+
+    def note_told(self, message: Any) -> None:
+        """Take a message of the output's own error topic."""
+        channels = self._orientation.channels
+        error = {name: float(getattr(message, f"error_{name}")) for name in channels}
+        knows = any(math.isfinite(value) for value in error.values())
+        self._topic_knows = self._topic_knows or knows
+        if knows or len(self._truth) == 0:
+            sigma = {name: float(getattr(message, f"sigma_{name}")) for name in channels}
+            self._append(ErrorPoint(ns_from_stamp(message.header.stamp), error, sigma))
+
+    def note_output(self, message: Any, stamp_ns: int) -> None:
+        """Take an output, to be compared with the truth."""
+        if self._topic_knows or len(self._truth) == 0 or message.status == Status.INVALID:
+            return
+        if stamp_ns - self._last_ns >= _LEAST_BETWEEN_ERRORS_NS:
+            self._last_ns = stamp_ns
+            variances = np.array([message.covariance[0], message.covariance[4], message.covariance[8]])
+            self._waiting.append((stamp_ns, self._orientation.angles_of(message), variances))
+
+    def note_truth(self, message: Any) -> None:
+        """Take a sample of the truth, and tell the errors of the outputs before it."""
+        self._truth.insert(self._orientation.sample(message))
+        newest = self._truth.newest
+        while self._waiting and newest is not None and self._waiting[0][0] <= newest.time_ns:
+            stamp_ns, angles, variances = self._waiting.popleft()
+            truth = self._truth.at(stamp_ns)
+            if truth is not None:
+                errors = self._orientation.errors_arcsec(angles, truth.rotation_nd)
+                sigmas = np.sqrt(np.maximum(variances, 0.0)) * np.abs(self._orientation.scale(angles)) / ARCSEC
+                self._append(ErrorPoint(stamp_ns, self._named(errors), self._named(sigmas)))
+        if newest is not None:
+            self._truth.drop_before(newest.time_ns - 2 * _TRUTH_GAP_NS)
+
+    def _named(self, values: FloatArray) -> Mapping[str, float]:
+        return dict(zip(self._orientation.channels, values.tolist(), strict=True))
+
+    def _append(self, point: ErrorPoint) -> None:
+        append(self._history.errors, self._orientation.error_topic, point)
+
+
+class HistoryKeeper:
+    """Takes the messages that plots draw.
+
+    Attributes:
+        history: what they fill.
+    """
+
+    def __init__(self) -> None:
+        self.history = History()
+        self._errors = {
+            orientation.topic: ErrorsBeside(orientation, self.history) for orientation in (SHIP_ATTITUDE, POINTING)
+        }
+        self._stars, self._lights = StarsSeenBook(self.history), LightsSeenBook(self.history)
+        self._directions: dict[str, tuple[float, float]] = {}
+        self._nominal: dict[str, float] = {}
+        self._second = 0
+        self._words: dict[str, Safety | None] = {}
+
+    def note_output(self, topic: str, message: Any, stamp_ns: int) -> None:
+        """Take a ShipAttitude or an OpticalAxisPointing."""
+        if message.status != Status.INVALID:
+            is_ship = topic == SHIP_ATTITUDE.topic
+            fields = ("heading", "pitch") if is_ship else ("azimuth", "elevation")
+            self._directions[topic] = float(getattr(message, fields[0])), float(getattr(message, fields[1]))
+        self._errors[topic].note_output(message, stamp_ns)
+
+    def note_truth(self, topic: str, message: Any) -> None:
+        """Take a message of truth/attitude or truth/pointing."""
+        orientation = SHIP_ATTITUDE if topic == SHIP_ATTITUDE.truth_topic else POINTING
+        self._errors[orientation.topic].note_truth(message)
+
+    def note_error(self, topic: str, message: Any) -> None:
+        """Take a message of ship/error_arcsec or theodolite/error_arcsec."""
+        orientation = SHIP_ATTITUDE if topic == SHIP_ATTITUDE.error_topic else POINTING
+        self._errors[orientation.topic].note_told(message)
+
+    def note_innovation(self, source: str, message: Any, now_ns: int) -> None:
+        """Take an Innovation of a source; refusals of what was not compared are not drawn."""
+        if not len(message.components):
+            return
+        point = innovation_point(message)
+        if message.reason == Reason.REVISED:
+            place_in_order(self.history.innovations, source, point)
+        else:
+            append(self.history.innovations, source, point)
+        if source.startswith("star."):
+            self._stars.note_verdict(source, message)
+        elif source_of_name(str(message.source)) == "lights":
+            self._lights.note_verdict(message, now_ns)
+
+    def note_seen(self, topic: str, message: Any, now_ns: int) -> None:
+        """Take what an instrument saw: stars, a solution of them, lights, a fix."""
+        source = source_of_topic(topic)
+        if topic == "theodolite/beacons":
+            self._lights.note_image(message, now_ns)
+        elif topic == "gnss/fix":
+            if math.isfinite(message.latitude) and math.isfinite(message.longitude):
+                self.history.position = math.radians(message.latitude), math.radians(message.longitude)
+        elif topic.endswith("/observations"):
+            self._stars.note_exposure(source, message)
+        else:
+            self._stars.note_solution(source, message)
+
+    def note_budget(self, topic: str, message: Any) -> None:
+        """Take an ErrorBudget."""
+        parts = np.asarray(message.covariances, dtype=float).reshape(-1, 3, 3)
+        names = [str(name) for name in message.sources]
+        covariances = dict(zip(names, parts, strict=False))
+        output = SHIP_ATTITUDE.topic if topic.startswith("ship/") else POINTING.topic
+        is_ship, by_angle = output == SHIP_ATTITUDE.topic, {}
+        if direction := self._directions.get(output):
+            by_angle = angle_variances(covariances, *direction, is_deck=is_ship)
+        variances = {name: np.diagonal(part).copy() for name, part in covariances.items()}
+        total = np.diagonal(np.asarray(message.total, dtype=float).reshape(3, 3)).copy()
+        point = BudgetPoint(ns_from_stamp(message.header.stamp), variances, total, by_angle)
+        append(self.history.budgets, topic, point)
+
+    def note_parameters(self, topic: str, message: Any) -> None:
+        """Take an AlignmentState or a TheodoliteCalibration."""
+        unobservable = {name for told in getattr(message, "unobservable", ()) for name in str(told).split()}
+        names, count = [str(name) for name in message.names], len(message.names)
+        covariance = np.asarray(message.covariance, dtype=float)
+        variances = covariance.reshape(count, count).diagonal() if covariance.size == count**2 else [math.nan] * count
+        shown = []
+        for name, value, variance, unit in zip(names, message.values, variances, message.units, strict=False):
+            sigma = math.sqrt(variance) if variance >= 0.0 else math.nan
+            is_observable = name not in unobservable and math.isfinite(value) and math.isfinite(sigma)
+            nominal = self._nominal_of(name, float(value))
+            shown.append(ParameterShown(name, float(value), sigma, str(unit), is_observable, nominal))
+        if topic == "ship/alignment":
+            self.history.alignment = tuple(shown)
+        else:
+            self.history.calibration = tuple(shown)
+
+    def note_words(self, utc_ns: int, words: Mapping[str, Safety | None]) -> None:
+        """Take the words of a moment; a ribbon has the worst of each second, told when the second is over."""
+        second = utc_ns // NS_PER_S
+        if second != self._second:
+            if self._words and second > self._second:
+                append_point(self.history.ribbons, SafetyPoint(self._second * NS_PER_S, self._words))
+            self._second, self._words = second, dict.fromkeys(ANGLES)
+        for name, word in words.items():
+            known = self._words.get(name)
+            if word is not None and (known is None or word > known):
+                self._words[name] = word
+
+    def _nominal_of(self, name: str, value: float) -> float:
+        """Zero of an error; of an installed angle or length the value that was heard first."""
+        if not name.startswith(_INSTALLED) or name.endswith(".time_offset"):
+            return 0.0
+        if math.isnan(value):
+            return self._nominal.get(name, math.nan)
+        return self._nominal.setdefault(name, value)
+
+
+def innovation_point(message: Any) -> InnovationPoint:
+    """An Innovation as plots draw it: a component's last word is its axis, what stands before it a star or a light."""
+    split = [str(name).rpartition(" ") for name in message.components]
+    axes = tuple(dict.fromkeys(axis for _, _, axis in split))
+    names = tuple(dict.fromkeys(part for part, _, _ in split))
+    parts, sigmas = np.full((len(names), len(axes)), math.nan), np.full((len(names), len(axes)), math.nan)
+    for (part, _, axis), residual, sigma in zip(split, message.residual, message.sigma, strict=False):
+        place = names.index(part), axes.index(axis)
+        parts[place], sigmas[place] = residual, sigma
+    return InnovationPoint(
+        utc_ns=ns_from_stamp(message.header.stamp),
+        axes=axes,
+        mean=_mean(parts),
+        sigma=np.sqrt(_mean(sigmas**2)),
+        parts=parts,
+        nis=float(message.nis),
+        gate=float(message.gate),
+        is_accepted=bool(message.accepted),
+        reason=_WORDS.get(int(message.reason), ""),
+        part_names=names if names != ("",) else (),
+    )
+
+
+def _mean(values: FloatArray) -> FloatArray:
+    """Mean of each column over what is finite; NaN of a column without any."""
+    finite = np.isfinite(values)
+    sums, counts = np.where(finite, values, 0.0).sum(axis=0), finite.sum(axis=0)
+    return np.where(counts > 0, sums / np.maximum(counts, 1), math.nan)
+
+
+_WORDS = {int(reason): "" if reason is Reason.NONE else reason.word for reason in Reason}

@@ -1,0 +1,144 @@
+"""What instruments saw, joined with what became of it: stars of an exposure, lights of an image.
+
+The points come with one message, the verdict and the residuals with another of the same stamp, in any order.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ship_bags.stamps import ns_from_stamp
+from ship_geometry.rotations import FloatArray
+from ship_watch.history import History, LightPoint, StarsSeen, append
+
+_REMEMBERED = 8
+"""So many messages wait for their counterpart."""
+
+_PATIENCE_NS = 3_000_000_000
+"""Lights of which nothing was told for so long are shown without a residual, ns."""
+
+_NOWHERE = np.empty(0)
+
+
+class StarsSeenBook:
+    """The last exposure of each star sensor, in :attr:`ship_watch.history.History.stars`, by source."""
+
+    def __init__(self, history: History) -> None:
+        self._history = history
+        self._exposures: dict[str, deque[Any]] = {}
+        self._verdicts: dict[str, deque[Any]] = {}
+        self._solutions: dict[str, Any] = {}
+
+    def note_exposure(self, source: str, message: Any) -> None:
+        """Take a StarObservationArray."""
+        self._exposures.setdefault(source, deque(maxlen=_REMEMBERED)).append(message)
+        self._join(source)
+
+    def note_solution(self, source: str, message: Any) -> None:
+        """Take a StarHorizonAttitude."""
+        self._solutions[source] = message
+
+    def note_verdict(self, source: str, message: Any) -> None:
+        """Take the Innovation of a measurement of a star sensor."""
+        self._verdicts.setdefault(source, deque(maxlen=_REMEMBERED)).append(message)
+        self._join(source)
+
+    def _join(self, source: str) -> None:
+        """Show the newest exposure of which a verdict is known; of a sensor that tells no stars the newest verdict."""
+        verdicts, exposures = self._verdicts.get(source, ()), self._exposures.get(source)
+        if not verdicts:
+            return
+        if exposures is None:
+            self._show(source, verdicts[-1], None)
+            return
+        told = {ns_from_stamp(verdict.header.stamp): verdict for verdict in verdicts}
+        for exposure in reversed(exposures):
+            if verdict := told.get(ns_from_stamp(exposure.header.stamp)):
+                self._show(source, verdict, exposure)
+                return
+
+    def _show(self, source: str, verdict: Any, exposure: Any) -> None:
+        utc_ns, solution = ns_from_stamp(verdict.header.stamp), self._solutions.get(source)
+        known = self._history.stars.get(source)
+        if known is not None and known.utc_ns > utc_ns:
+            return
+        stars = exposure.stars if exposure is not None else ()
+        names = [f"HIP {star.catalogue_id}" for star in stars]
+        residuals = _by_part(verdict)
+        used = sum(1 for name in residuals if name)
+        if not used and solution is not None:
+            used = int(solution.star_count)
+        left_out = len(names) - used if names else int(solution.rejected_count) if solution is not None else 0
+        self._history.stars[source] = StarsSeen(
+            utc_ns=utc_ns,
+            u=np.array([star.u for star in stars], dtype=float),
+            v=np.array([star.v for star in stars], dtype=float),
+            is_accepted=bool(verdict.accepted),
+            star_count=used,
+            rejected_count=max(left_out, 0),
+            azimuth=float(solution.azimuth) if solution is not None else math.nan,
+            elevation=float(solution.elevation) if solution is not None else math.nan,
+            residual_right=_of_stars(names, residuals, "right"),
+            residual_up=_of_stars(names, residuals, "up"),
+        )
+
+
+class LightsSeenBook:
+    """The lights of each image on the detector, in :attr:`ship_watch.history.History.lights`, by beacon."""
+
+    def __init__(self, history: History) -> None:
+        self._history = history
+        self._images: deque[tuple[int, int, Any]] = deque()
+        self._verdicts: deque[tuple[int, Any]] = deque(maxlen=_REMEMBERED)
+
+    def note_image(self, message: Any, now_ns: int) -> None:
+        """Take a BeaconImage."""
+        self._images.append((ns_from_stamp(message.header.stamp), now_ns, message))
+        self._join(now_ns)
+
+    def note_verdict(self, message: Any, now_ns: int) -> None:
+        """Take the Innovation of the lights of an image."""
+        self._verdicts.append((ns_from_stamp(message.header.stamp), message))
+        self._join(now_ns)
+
+    def _join(self, now_ns: int) -> None:
+        told = dict(self._verdicts)
+        while self._images:
+            utc_ns, came_ns, image = self._images[0]
+            verdict = told.get(utc_ns)
+            later = any(verdict_ns > utc_ns for verdict_ns in told)
+            if verdict is None and not later and now_ns - came_ns < _PATIENCE_NS:
+                return
+            self._images.popleft()
+            residuals = _by_part(verdict) if verdict is not None else {}
+            for light in image.beacons:
+                name = str(light.beacon_id)
+                known = residuals.get(name, {})
+                point = LightPoint(
+                    utc_ns,
+                    float(light.x),
+                    float(light.z),
+                    known.get("x", math.nan),
+                    known.get("z", math.nan),
+                    bool(known) and verdict is not None and bool(verdict.accepted),
+                )
+                append(self._history.lights, name, point)
+
+
+def _by_part(verdict: Any) -> Mapping[str, dict[str, float]]:
+    """Star or light → axis → residual; a component's last word is its axis."""
+    found: dict[str, dict[str, float]] = {}
+    for name, residual in zip(verdict.components, verdict.residual, strict=False):
+        part, _, axis = str(name).rpartition(" ")
+        found.setdefault(part, {})[axis] = float(residual)
+    return found
+
+
+def _of_stars(names: list[str], residuals: Mapping[str, dict[str, float]], axis: str) -> FloatArray:
+    """The residuals of stars along an axis, NaN of those that have none; empty where none has."""
+    if not any(name in residuals for name in names):
+        return _NOWHERE
+    return np.array([residuals.get(name, {}).get(axis, math.nan) for name in names])

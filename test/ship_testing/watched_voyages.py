@@ -1,0 +1,102 @@
+"""Voyages with faults as who watches sees them: a bag, faults put into it, replayed, and its outputs given to a watch.
+
+The times of the faults are seconds after the first message of the bag, and so are the times told here.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_replay.commands.replay import main as replay
+from ship_simulation.inject_command import main as inject
+from ship_watch.picture import Event, Picture, Presence
+from ship_watch.topics import watched_topic
+from ship_watch.watch import Watch
+
+BAGS = Path(__file__).parents[2] / "bags"
+STEP_NS = 100_000_000
+
+
+@dataclass
+class Watched:
+    """What was seen of a voyage.
+
+    Attributes:
+        watch: at the end.
+        start_ns: log time of the first message.
+        end_ns: of the last.
+        out: source → the times at which it went out, s.
+        back: source → the times at which it came in again, s.
+        seen: source → the pictures of it when it went out.
+    """
+
+    watch: Watch
+    start_ns: int
+    end_ns: int = 0
+    out: dict[str, list[float]] = field(default_factory=dict)
+    back: dict[str, list[float]] = field(default_factory=dict)
+    seen: dict[str, list[Any]] = field(default_factory=dict)
+    guilty: list[tuple[float, str]] = field(default_factory=list)
+
+    def events(self, kind: str) -> list[tuple[float, str]]:
+        """(time, text) of all events of a kind, the oldest first."""
+        found: list[Event] = [event for event in self.picture().events if event.kind == kind]
+        return [((event.utc_ns - self.start_ns) * 1e-9, event.text) for event in reversed(found)]
+
+    def picture(self) -> Picture:
+        """The picture at the end."""
+        return self.watch.look(self.end_ns)
+
+
+def replayed(folder: Path, bag: str, faults: str = "") -> tuple[Path, Path]:
+    """A bag of the repository with faults (YAML of the group ``faults``), and what the suite makes of it."""
+    given, result = BAGS / f"{bag}.mcap", folder / "out.mcap"
+    if faults:
+        (folder / "faults.yaml").write_text(f"faults: {{{faults}}}\n")
+        named = ["--faults", str(folder / "faults.yaml"), "--out", str(folder / "in.mcap"), "--seed", "1"]
+        assert inject([str(given), *named]) == 0
+        given = folder / "in.mcap"
+    assert replay([str(given), "--out", str(result)]) == 0
+    return given, result
+
+
+def records(*paths: Path) -> Iterator[tuple[int, str, Any]]:
+    """(log time, topic, message) of the watched topics of bags of one voyage, in order of time."""
+    found = []
+    for path in paths:
+        with read_bag(path) as bag:
+            wanted = [topic for topic, type_name in bag.topics.items() if watched_topic(topic, type_name)]
+            found += [(record.log_time_ns, record.topic, record.decode()) for record in bag.records(wanted)]
+    return iter(sorted(found, key=lambda entry: entry[0]))
+
+
+def watched(*paths: Path) -> Watched:
+    """A voyage as watched ten times a second; inputs that the same bag holds may be given besides its outputs."""
+    seen: Watched | None = None
+    due_ns, before = 0, {}
+    for time_ns, topic, message in records(*paths):
+        if seen is None:
+            seen, due_ns = Watched(Watch(), time_ns), time_ns
+        while due_ns <= time_ns:
+            picture = seen.watch.look(due_ns)
+            before = _note(seen, picture, before, (due_ns - seen.start_ns) * 1e-9)
+            due_ns += STEP_NS
+        seen.watch.take(topic, message, time_ns)
+        seen.end_ns = time_ns
+    assert seen is not None
+    return seen
+
+
+def _note(seen: Watched, picture: Picture, before: dict[str, Presence], time_s: float) -> dict[str, Presence]:
+    for source in picture.sources:
+        was = before.get(source.name, Presence.IN)
+        if source.presence is Presence.OUT and was is not Presence.OUT:
+            seen.out.setdefault(source.name, []).append(time_s)
+            seen.seen.setdefault(source.name, []).append(source)
+            if not source.because_of:
+                seen.guilty.append((time_s, source.name))
+        elif source.presence is Presence.IN and was is Presence.OUT:
+            seen.back.setdefault(source.name, []).append(time_s)
+    return {source.name: source.presence for source in picture.sources}

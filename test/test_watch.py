@@ -1,0 +1,203 @@
+"""Who watches a voyage with faults is told the right source, soon, and is not told of others.
+
+Times are seconds after the first message of the bag. The faults are an INS whose heading steps by 100″, a star sensor
+knocked by 50″, an RTK baseline that is only FLOAT, lights that bear each other's names, an instrument that is silent;
+one after another, coming back, and two at a time.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.stamps import ns_from_stamp
+from ship_testing.watched_voyages import BAGS, Watched, records, replayed, watched
+from ship_watch.picture import Presence, Safety
+from ship_watch.watch import Watch
+
+KNOCK = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 30.0, right_arcsec: 50.0"
+ONE_BY_ONE = (
+    KNOCK + ", end_s: 35.0}, step: {topic: ins/imu, kind: bias, start_s: 55.0, up_arcsec: 100.0}, "
+    "silent: {topic: star/fore/horizon_attitude, kind: drop, start_s: 100.0, end_s: 108.0}"
+)
+TOGETHER = KNOCK + "}, step: {topic: ins/imu, kind: bias, start_s: 31.0, up_arcsec: 100.0}"
+THEODOLITE = (
+    "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 10.0, end_s: 16.0}, "
+    "swap: {topic: theodolite/beacons, kind: swap, start_s: 25.0, end_s: 33.0}, "
+    "silent: {topic: theodolite/encoder, kind: drop, start_s: 60.0, end_s: 66.0}"
+)
+CLOUDS = (69.9, 91.5)
+"""When no star is seen in bags/demo.mcap, and a little more."""
+
+
+@pytest.fixture(scope="module")
+def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Watched:
+    return watched(replayed(tmp_path_factory.mktemp("one"), "demo", ONE_BY_ONE)[1])
+
+
+@pytest.fixture(scope="module")
+def theodolite(tmp_path_factory: pytest.TempPathFactory) -> Watched:
+    return watched(*replayed(tmp_path_factory.mktemp("theodolite"), "theodolite", THEODOLITE))
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    return replayed(tmp_path_factory.mktemp("clean"), "demo")
+
+
+def test_a_knocked_star_sensor_is_out_and_its_direction_is_told(one_by_one: Watched) -> None:
+    first_s = 30.117  # its first exposure after the knock
+    assert first_s < one_by_one.out["star.starboard"][0] <= first_s + 2.0
+    told = one_by_one.seen["star.starboard"][0]
+    assert told.reason == "excluded"
+    axis, size = told.disagreement.split(" ")
+    assert axis == "right"
+    # 50″, with the noise of three exposures: a sigma of 3.2″ each
+    assert float(size.rstrip("″")) == pytest.approx(50.0, abs=6.0)
+    assert told.out_since_ns - one_by_one.start_ns == pytest.approx(30.117e9, abs=0.6e9)
+
+
+def test_an_ins_that_steps_is_out_and_comes_back(one_by_one: Watched) -> None:
+    assert 55.0 < one_by_one.out["ins"][0] <= 57.0
+    assert one_by_one.seen["ins"][0].reason == "5 refused in a row"
+    assert one_by_one.back["ins"] == [pytest.approx(57.1, abs=1.1)]
+    assert len(one_by_one.out["ins"]) == 1
+    words = [text for time_s, text in one_by_one.events("state") if 55.0 < time_s < 55.3]
+    assert "heading CAUTION → UNSAFE, ins 5 refused in a row" in words
+
+
+def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_missing(one_by_one: Watched) -> None:
+    clouds, silent = one_by_one.out["star.fore"]
+    assert CLOUDS[0] < clouds < CLOUDS[1]
+    assert 101.9 <= silent <= 100.033 + 0.2 + 2.0  # at 5 Hz after the last of 99.833, arriving 0.1 s later
+    assert one_by_one.seen["star.fore"][1].reason == "silent"
+    assert one_by_one.back["star.fore"] == [pytest.approx(91.0, abs=1.0), pytest.approx(109.0, abs=1.0)]
+
+
+def test_nobody_else_is_blamed(one_by_one: Watched) -> None:
+    guilty = [name for time_s, name in one_by_one.guilty if not CLOUDS[0] < time_s < CLOUDS[1]]
+    assert guilty == ["star.starboard", "ins", "star.fore"]
+
+
+def test_two_faults_at_a_time_are_told_apart(tmp_path: Path) -> None:
+    seen = watched(replayed(tmp_path, "demo", TOGETHER)[1])
+    assert [name for time_s, name in seen.guilty if time_s < CLOUDS[0]] == ["star.starboard", "ins"]
+    assert seen.out["star.starboard"][0] <= 32.2
+    assert seen.out["ins"][0] <= 33.0
+    assert seen.back["ins"][0] < 35.0
+    picture = seen.picture()
+    assert [source.name for source in picture.sources if source.presence is Presence.OUT] == ["star.starboard"]
+
+
+def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: Watched) -> None:
+    assert 10.0 < theodolite.out["baselines"][0] <= 12.0
+    assert theodolite.seen["baselines"][0].reason == "a 5 refused in a row: not fixed"
+    assert theodolite.seen["lights"][0].because_of == "baselines"
+    assert theodolite.back["baselines"][0] == pytest.approx(17.5, abs=1.0)
+    assert [name for time_s, name in theodolite.guilty if time_s < 40.0] == ["baselines"]
+
+
+def test_lights_that_bear_each_others_names_are_told_though_they_are_put_right(theodolite: Watched) -> None:
+    told = [(time_s, text) for time_s, text in theodolite.events("source") if "lights" in text]
+    exchanged = [time_s for time_s, text in told if text == "lights IN, names exchanged"]
+    assert len(exchanged) == 1
+    assert 25.0 < exchanged[0] <= 27.0
+    assert words_between(theodolite, 26.0, 33.0) == {Safety.SAFE}
+
+
+def test_a_silent_encoder_is_out_and_the_pointing_names_it(theodolite: Watched) -> None:
+    assert 61.9 < theodolite.out["encoder"][0] <= 60.002 + 2.0 + 1e-6
+    assert "needs encoder" in [source.reason for source in theodolite.seen["lights"]]
+    assert theodolite.back["encoder"][0] == pytest.approx(66.2, abs=0.5)
+    guilty = [name for time_s, name in theodolite.guilty if 40.0 < time_s < 79.0]
+    assert guilty == ["encoder"]  # nobody is blamed for what comes back later
+
+
+def test_a_good_voyage_is_safe_and_nobody_is_out(clean: tuple[Path, Path]) -> None:
+    seen = watched(clean[1])
+    assert [name for time_s, name in seen.guilty if not CLOUDS[0] < time_s < CLOUDS[1]] == []
+    picture = seen.picture()
+    assert [angle.safety for angle in picture.angles] == [Safety.SAFE] * 3
+    with read_bag(clean[1]) as bag:
+        last = [record.decode() for record in bag.records(["ship/attitude"])][-1]
+    heading = picture.angles[0]
+    assert heading.value == last.heading
+    assert heading.accuracy_95 == pytest.approx(1.96 * math.sqrt(last.covariance[0]))
+    assert picture.ages_s["stars"] == pytest.approx(last.star_age_s + heading.age_s)
+    # Two star sensors with honest sigmas: stated by 600 degrees of freedom each.
+    verdicts = {source.name: source.verdict for source in picture.sources if source.verdict}
+    assert {name: verdict.is_as_stated for name, verdict in verdicts.items() if verdict} == {
+        "star.fore": True, "star.starboard": True
+    }  # fmt: skip
+
+
+def test_a_recording_shows_what_was_seen_live(clean: tuple[Path, Path]) -> None:
+    """Arrivals by a steady clock that began at another time, looked at now and then: the same picture at the end."""
+    recorded, live, shift_ns = Watch(), Watch(), -1_404_906_000_123_456_700_000
+    end_ns = 0
+    for number, (time_ns, topic, message) in enumerate(records(clean[1])):
+        recorded.take(topic, message, time_ns)
+        live.take(topic, message, time_ns + shift_ns)
+        if number % 1000 == 0:
+            live.look(time_ns + shift_ns)
+        end_ns = time_ns
+    there, here = recorded.look(end_ns), live.look(end_ns + shift_ns)
+    assert here.angles[0].value == there.angles[0].value
+    assert [(a.safety, a.reason, a.age_s) for a in here.angles] == [(a.safety, a.reason, a.age_s) for a in there.angles]
+    assert [(s.name, s.presence, s.reason) for s in here.sources] == [
+        (s.name, s.presence, s.reason) for s in there.sources
+    ]
+    # Words are judged at whole tenths of a second of the one clock or the other.
+    assert [e.text for e in here.events] == [e.text for e in there.events]
+    assert all(abs(a.utc_ns - b.utc_ns) <= 1e8 for a, b in zip(here.events, there.events, strict=True))
+
+
+def test_errors_against_truth_are_filled_where_the_topic_has_none(clean: tuple[Path, Path]) -> None:
+    """What a replay fills into ship/error_arcsec, from the same truth, is what the watch makes of NaN."""
+    with read_bag(clean[1]) as bag:
+        filled = {ns_from_stamp(m.header.stamp): m for r in bag.records(["ship/error_arcsec"]) if (m := r.decode())}
+    live, nan = Watch(), math.nan
+    for time_ns, topic, message in records(*clean):
+        if topic == "ship/error_arcsec":
+            message.error_heading, message.error_pitch, message.error_roll = nan, nan, nan
+        # The truth has other stamps than these, so that it is interpolated.
+        if topic != "ship/attitude" or ns_from_stamp(message.header.stamp) in filled:
+            live.take(topic, message, time_ns)
+    points = live.history.errors["ship/error_arcsec"]
+    assert len(points) >= 110
+    for point in points:
+        same = filled[point.utc_ns]
+        for name in ("heading", "pitch", "roll"):
+            assert point.error[name] == pytest.approx(getattr(same, f"error_{name}"), abs=1e-3)
+            assert point.sigma[name] == pytest.approx(getattr(same, f"sigma_{name}"), rel=1e-6)
+
+
+def test_history_holds_what_plots_draw(theodolite: Watched) -> None:
+    history = theodolite.watch.history
+    assert set(history.lights) == {"a", "b"}
+    used = [point for point in history.lights["b"] if point.is_used]
+    assert len(used) > 300
+    assert all(math.isfinite(point.residual_x) for point in used)
+    assert all(abs(point.x) < 0.02 and abs(point.z) < 0.02 for point in used)
+    assert [point.utc_ns for point in used] == sorted(point.utc_ns for point in used)
+    assert len(history.ribbons) == pytest.approx(120, abs=2)
+    assert words_between(theodolite, 62.0, 65.0) == {Safety.UNSAFE}
+    budget = history.budgets["theodolite/error_budget"][-1]
+    assert sum(budget.variances.values())[2] == pytest.approx(budget.total[2], rel=1e-6)
+    assert set(budget.by_angle) == {"azimuth", "elevation"}
+    assert {state.name for state in history.calibration} >= {"g", "h", "c", "I"}
+    assert history.position == pytest.approx(np.radians(_first_fix()), abs=1e-3)
+
+
+def words_between(seen: Watched, start_s: float, end_s: float) -> set[Safety | None]:
+    """The words of the azimuth in the ribbon."""
+    points = [point for point in seen.watch.history.ribbons if start_s <= (point.utc_ns - seen.start_ns) * 1e-9 < end_s]
+    return {point.words["azimuth"] for point in points}
+
+
+def _first_fix() -> tuple[float, float]:
+    with read_bag(BAGS / "theodolite.mcap") as bag:
+        fix = next(iter(bag.records(["gnss/fix"]))).decode()
+    return fix.latitude, fix.longitude
