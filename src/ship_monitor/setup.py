@@ -7,15 +7,21 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
+    package_data={package_name: ["page/static/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=["setuptools", "numpy", "bokeh", "textual"],
+    install_requires=["setuptools", "numpy", "bokeh", "tornado", "Jinja2", "matplotlib", "textual"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",
     description="Live page, terminal view and alerts of a suite.",
     license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "monitor = ship_monitor.commands.monitor:main",
+        ],
+    },
 )

@@ -33,7 +33,8 @@ class Ship:
         self.publishers[topic].publish(message)
 
     def heard_by(self, reader, until, *topics):
-        until(lambda: reader.take() and all(self.node.count_subscribers(topic) for topic in topics))
+        """Wait until the reader's subscriptions have met the publishers."""
+        until(lambda: reader.take() and all(self.publishers[topic].get_subscription_count() for topic in topics))
 
     def stop(self):
         self.node.destroy_node()

@@ -1,0 +1,71 @@
+"""``monitor``: the live page of a suite."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.live.ros_process import on_end_signals
+from ship_monitor.live.live_watch import LiveWatch
+from ship_monitor.page.app import page_maker
+from ship_monitor.page.server import PageServer
+from ship_monitor.page.themes import THEMES
+from ship_watch.limits import Limits, read_limits
+
+_DESCRIPTION = """\
+Serves the live page of a suite: heading, pitch, roll, azimuth and elevation with their 95 % accuracy; SAFE, CAUTION or
+UNSAFE; the sources that are in and out, the alerts, the last ten minutes; below them plots. It only reads: estimators
+never wait for it, and nothing can be changed from the page. One reader of topics serves all browsers. Without
+--address only browsers of this machine reach it; over ssh, open a tunnel: ssh -L 5006:localhost:5006 SHIP.
+
+Ctrl-C or SIGTERM ends it. ROS_DOMAIN_ID says in which domain it listens.
+"""
+_EPILOG = "exit code: 0 ended by a signal; 2 bad input or usage, or the port is in use"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of ``monitor``; returns the exit code."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="monitor",
+        example="./ros2run ship_monitor monitor --namespace demo --limits limits.yaml --theme dusk",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the suite (none)")
+    parser.add_argument("--address", default="127.0.0.1", help="address to listen on; 0.0.0.0 is all (127.0.0.1)")
+    parser.add_argument("--port", type=_port, default=5006, metavar="N", help="TCP port; 0 takes a free one (5006)")
+    parser.add_argument("--limits", type=Path, metavar="FILE", help="YAML file with the limits of the ship (defaults)")
+    parser.add_argument(
+        "--theme", choices=tuple(THEMES), default="day", help="where the page's address names none (day)"
+    )
+    return parser
+
+
+def _port(text: str) -> int:
+    port = int(text)
+    if not 0 <= port <= 65535:
+        raise argparse.ArgumentTypeError(f"{text} is no port: 0 to 65535")
+    return port
+
+
+def _run(parsed: argparse.Namespace) -> int:
+    limits = Limits() if parsed.limits is None else read_limits(parsed.limits)
+    watch = LiveWatch("monitor", parsed.namespace, limits)
+    try:
+        make = page_maker(lambda: watch, None, parsed.theme)
+        server = PageServer(make, parsed.address, parsed.port, watch.tick)
+        on_end_signals(server.stop)
+        print(f"monitor: {server.address} ({watch.place})", flush=True)
+        server.run()
+    finally:
+        watch.close()
+    return EXIT_DONE
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,79 @@
+"""A running suite, watched: what the reader of topics takes goes to a watch, which gives the picture."""
+
+from ship_monitor.live.reader import KEPT, TopicReader, steady_ns
+from ship_watch.history import History
+from ship_watch.limits import Limits
+from ship_watch.picture import Picture
+from ship_watch.topics import watched_topic
+from ship_watch.watch import Watch
+
+_PICTURE_NS = 200_000_000
+
+
+class LiveWatch:
+    """A suite on the network: one reader and one watch for all who look at it.
+
+    Args:
+        node_name: name of the node on the network.
+        namespace: of the suite, with or without slashes; empty for none.
+        limits: of the ship.
+
+    Raises:
+        BadInput: as of :class:`ship_monitor.live.reader.TopicReader`.
+    """
+
+    def __init__(self, node_name: str, namespace: str, limits: Limits) -> None:
+        self._reader = TopicReader(node_name, namespace, messages_wanted)
+        self._watch = Watch(limits)
+        self._picture: Picture | None = None
+        self._picture_ns = 0
+
+    def tick(self) -> None:
+        """Take what has come. Called some times a second, whether anybody looks or not: nothing is kept for longer."""
+        taken = self._reader.take()
+        if taken.is_anew:
+            self._watch.start_anew()
+        for arrived in taken.messages:
+            self._watch.take(arrived.topic, arrived.message, arrived.arrival_ns)
+
+    def look(self) -> Picture:
+        """The picture of this moment; those who look at nearly the same time share one."""
+        now_ns = steady_ns()
+        if self._picture is None or now_ns - self._picture_ns > _PICTURE_NS:
+            self._picture, self._picture_ns = self._watch.look(now_ns), now_ns
+        return self._picture
+
+    @property
+    def history(self) -> History:
+        """What plots draw."""
+        return self._watch.history
+
+    @property
+    def label(self) -> str:
+        """LIVE; SIMULATED where the truth is on the network, too; BAG where one is played."""
+        if self._reader.is_simulated:
+            return "SIMULATED · bag" if self._reader.is_played else "SIMULATED"
+        return "BAG · played" if self._reader.is_played else "LIVE"
+
+    @property
+    def name(self) -> str:
+        """The namespace without its slash; "ship" where there is none."""
+        return self._reader.namespace.strip("/") or "ship"
+
+    @property
+    def place(self) -> str:
+        """Where it listens, in words."""
+        return self._reader.place
+
+    def controls(self) -> None:
+        """There are none: time goes as it goes."""
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._reader.close()
+
+
+def messages_wanted(topic: str, type_name: str) -> int:
+    """How many messages of a topic may wait between two ticks (:class:`ship_monitor.live.reader.TopicReader`)."""
+    row = watched_topic(topic, type_name)
+    return 0 if row is None else KEPT if row.every else 1

@@ -1,0 +1,191 @@
+"""A picture as the texts, words and lengths that the page writes into its first screenful.
+
+The page's script only puts them in their places. Texts from the network stay texts there: nothing of them is markup.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+from ship_geometry.rotations import ARCSEC
+from ship_watch import words
+from ship_watch.history import History, SafetyPoint
+from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Presence, Safety, SourceShown
+
+RIBBON_S = 600
+"""Length of the ribbons, s."""
+
+_OF_THEODOLITE = ("azimuth", "elevation")
+_TICK_S = 120
+_NS_PER_S = 1_000_000_000
+# Alert.state of ship_msgs: how an alert's icon and words say it.
+_ALERT_STATES = {
+    1: ("unack", "not acknowledged"),
+    2: ("unack", "silenced, not acknowledged"),
+    3: ("ack", "acknowledged"),
+    4: ("rectified", "rectified, not acknowledged"),
+}
+
+
+def shown(picture: Picture, history: History, label: str, place: str) -> dict[str, Any]:
+    """All that the first screenful says, ready for JSON.
+
+    Args:
+        picture: what is said.
+        history: its ribbons.
+        label: LIVE, BAG or SIMULATED, as the source of the pictures says now.
+        place: where it was listened, for a page that waits.
+    """
+    waiting = f"waiting for {picture.waiting_for}" if picture.waiting_for else ""
+    return {
+        "label": label,
+        "utc": words.clock(picture.utc_ns),
+        "waiting": waiting,
+        "place": place if waiting else "",
+        "alert": _alert_line(picture.alerts),
+        "angles": {angle.name: _tile(angle) for angle in picture.angles},
+        "ages": [[name, words.age(age_s)] for name, age_s in picture.ages_s.items()],
+        "foot": _foot(picture),
+        "sources": _sources(picture.sources),
+        "ribbons": _ribbons(history, picture),
+    }
+
+
+def _tile(angle: AngleShown) -> dict[str, Any]:
+    reading = words.reading(angle)
+    limit = words.limit_size(angle.limit)
+    ratio = angle.accuracy_95 / (2.0 * angle.limit) if angle.limit > 0.0 else float("nan")
+    reason = angle.reason or f"limit {limit}"
+    return {
+        "number": reading.number,
+        "sense": reading.sense or ("theodolite" if angle.name in _OF_THEODOLITE else ""),
+        "accuracy": words.accuracy(angle),
+        # The limit is in the middle of the bar. Nothing is drawn without a number.
+        "bar": min(ratio, 1.0) if ratio >= 0.0 and not angle.is_old else None,
+        "reason": f"{reason}, {limit}" if angle.reason == "over the limit" else reason,
+        "is_reason": bool(angle.reason),
+        "is_old": angle.is_old,
+        "age_s": angle.age_s if angle.age_s < float("inf") else None,
+        "safety": angle.safety.name,
+        "tip": _tip(angle),
+    }
+
+
+def _tip(angle: AngleShown) -> list[str]:
+    """All digits, sigma, protection level and stamp, a line each."""
+    degrees = angle.value / (3600.0 * ARCSEC)
+    lines = [
+        f"{degrees:.6f}°".replace("-", "−"),
+        f"σ {angle.accuracy_95 / 1.96 / ARCSEC:.3f}″",
+        f"{words.date_and_clock(angle.stamp_ns)} UTC",
+        f"{angle.safety.name} since {words.clock(angle.since_ns)}",
+    ]
+    if angle.protection_level == angle.protection_level:
+        lines.insert(2, f"protection level {words.angle_size(angle.protection_level)}")
+    return lines
+
+
+def _foot(picture: Picture) -> str:
+    """Below the ages: by what is pointed and which horizon the tilt refers to."""
+    by = picture.pointing_by
+    parts = [by if not by or by.startswith("no ") else f"by {by}"]
+    parts.append(f"horizon: {picture.horizon}" if picture.horizon else "")
+    return " · ".join(filter(None, parts))
+
+
+def _alert_line(alerts: tuple[AlertShown, ...] | None) -> dict[str, Any]:
+    if alerts is None:
+        return {"icon": "", "state": "", "text": "No alert node", "sub": "alerts are not judged", "unack": 0, "all": []}
+    if not alerts:
+        return {"icon": "ok", "state": "", "text": "No alerts", "sub": "", "unack": 0, "all": []}
+    entries = [_alert(alert) for alert in alerts]
+    unack = sum(not alert.is_acknowledged for alert in alerts)
+    return {**entries[0], "unack": unack, "all": entries}
+
+
+def _alert(alert: AlertShown) -> dict[str, str]:
+    state, text = _ALERT_STATES.get(alert.state, ("", ""))
+    said = alert.text if alert.source in alert.text else f"{alert.source} {alert.text}"
+    return {
+        "icon": alert.priority.name.lower(),
+        "state": state,
+        "text": f"{alert.priority.name} · {said}",
+        "sub": f"{words.clock(alert.raised_ns)} · {text}",
+    }
+
+
+def _sources(sources: tuple[SourceShown, ...]) -> dict[str, Any]:
+    """OUT in large with why, then the list; those that are not configured come last and are not counted."""
+    used = [source for source in sources if source.presence is not Presence.OFF]
+    out = [source for source in used if source.presence is Presence.OUT]
+    return {
+        "head": f"{len(used) - len(out)} of {len(used)} in" if used else "",
+        "out": [source.name for source in out],
+        "why": _why(out),
+        "rows": [_source_row(source) for source in sorted(sources, key=lambda each: each.presence is Presence.OFF)],
+    }
+
+
+def _why(out: list[SourceShown]) -> list[str]:
+    """Two lines about one that is OUT, or a line about each of several."""
+    if len(out) == 1:
+        source = out[0]
+        since = f"since {words.clock(source.out_since_ns)}"
+        refused = f"{source.refused} refused" if source.refused else ""
+        if not source.disagreement:
+            return [f"{source.reason} {since}"]
+        return [f"disagrees: {source.disagreement}", " · ".join(filter(None, (since, refused)))]
+    return [
+        f"{source.name} {source.disagreement or f'{source.reason} since {words.clock(source.out_since_ns)}'}"
+        for source in out
+    ]
+
+
+def _source_row(source: SourceShown) -> dict[str, str]:
+    verdict = source.verdict.text if source.verdict is not None else ""
+    return {
+        "name": source.name,
+        "presence": source.presence.value,
+        "sub": source.reason if source.presence is Presence.OUT else verdict,
+        "age": words.age(source.age_s) if source.presence is not Presence.OFF else "",
+    }
+
+
+def _ribbons(history: History, picture: Picture) -> dict[str, Any]:
+    """Stretches of the same word of each angle, as parts of the last ten minutes: 0 is their start, 1 now."""
+    end_s = picture.utc_ns // _NS_PER_S
+    start_s = end_s - RIBBON_S
+    points = [point for point in history.ribbons if point.utc_ns // _NS_PER_S >= start_s]
+    ticks = range(-(-start_s // _TICK_S) * _TICK_S, end_s + 1, _TICK_S) if end_s else ()
+    told = {angle.name for angle in picture.angles}
+    return {
+        "ticks": [[(at_s - start_s) / RIBBON_S, words.clock(at_s * _NS_PER_S)[:5]] for at_s in ticks],
+        "rows": [
+            [
+                [(first_s - start_s) / RIBBON_S, (last_s + 1 - start_s) / RIBBON_S, word.name]
+                for first_s, last_s, word in _stretches(points, name)
+            ]
+            for name in ANGLES
+            if name in told
+        ],
+        "marks": [
+            (source.out_since_ns / _NS_PER_S - start_s) / RIBBON_S
+            for source in picture.sources
+            if source.presence is Presence.OUT and source.out_since_ns // _NS_PER_S >= start_s
+        ],
+    }
+
+
+def _stretches(points: list[SafetyPoint], name: str) -> Iterator[tuple[int, int, Safety]]:
+    """First second, last second and word of each stretch; a second that tells nothing ends one."""
+    first_s = last_s = 0
+    word: Safety | None = None
+    for point in points:
+        now_s, now = point.utc_ns // _NS_PER_S, point.words.get(name)
+        if word is not None and (now is not word or now_s > last_s + 1):
+            yield first_s, last_s, word
+            word = None
+        if word is None:
+            first_s, word = now_s, now
+        last_s = now_s
+    if word is not None:
+        yield first_s, last_s, word

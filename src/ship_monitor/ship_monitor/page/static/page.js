@@ -1,0 +1,244 @@
+// Writes what the server says into the first screenful. It judges one thing only, which nobody else can: whether the
+// server still says anything. Times of arrival are by a clock that never steps.
+"use strict";
+const monitor = (() => {
+  const limits = { linkLostMs: 1600, reloadAfterMs: 4000, lookMs: 200 }, PHONE = "(max-width:699px)";
+  const at = (id) => document.getElementById(id);
+  let heardMs = performance.now(), last = null, linked = false, lost = false, asking = false, marked = "";
+
+  function text(element, value) {
+    if (element.textContent !== value) element.textContent = value;
+  }
+  function icon(svg, name) {
+    const use = svg.firstElementChild, target = name ? "#" + name : "";
+    if (use.getAttribute("href") !== target) use.setAttribute("href", target);
+  }
+  function element(tag, parent, className) {
+    const made = document.createElement(tag);
+    if (className) made.className = className;
+    return parent.appendChild(made);
+  }
+  function drawing(parent, name) {
+    const svg = parent.appendChild(document.createElementNS("http://www.w3.org/2000/svg", "svg"));
+    svg.appendChild(document.createElementNS("http://www.w3.org/2000/svg", "use"));
+    icon(svg, name);
+    return svg;
+  }
+  // As many children as entries; those that are there are used again.
+  function list(parent, entries, make, fill) {
+    while (parent.children.length > entries.length) parent.lastElementChild.remove();
+    entries.forEach((entry, index) => fill(parent.children[index] || make(parent), entry));
+  }
+
+  function tile(id, angle) {
+    const tile = at(id), part = (name) => tile.querySelector(name);
+    tile.classList.toggle("absent", !angle);
+    if (!angle) {
+      tile.dataset.safety = "";
+      text(part(".sense"), "not aboard");
+      return;
+    }
+    const hasDegree = angle.number.endsWith("°");
+    tile.dataset.safety = angle.safety;
+    tile.classList.toggle("old", angle.is_old);
+    tile.classList.toggle("none", !hasDegree);
+    text(part(".sense"), angle.sense);
+    text(part(".digits"), hasDegree ? angle.number.slice(0, -1) : angle.number);
+    text(part(".degree"), hasDegree ? "°" : "");
+    text(part(".size"), angle.accuracy);
+    part(".track i").style.width = (angle.bar === null ? 0 : 100 * angle.bar) + "%";
+    text(part(".reason"), angle.reason);
+    part(".reason").classList.toggle("why", angle.is_reason);
+    text(part(".state b"), angle.safety);
+    icon(part(".state svg"), angle.safety);
+    tile.tip = angle.tip;
+  }
+
+  function alertLine(alert) {
+    at("alert").classList.toggle("calm", !alert.state);
+    at("icon").className = alert.icon + " " + alert.state;
+    at("icon").hidden = !alert.icon;
+    icon(document.querySelector("#icon .shape"), alert.icon);
+    icon(document.querySelector("#icon .sign"), alert.state);
+    text(at("alert-text"), alert.text);
+    at("alert-text").classList.toggle("long", alert.text.length > 32);
+    text(at("alert-sub"), alert.sub);
+    at("unack-count").hidden = !alert.unack;
+    at("unack-count").className = alert.icon;
+    text(at("unack-count"), alert.unack + " UNACK");
+    list(at("alerts"), alert.all, (parent) => {
+      const line = element("p", parent);
+      element("span", line);
+      element("small", line);
+      return line;
+    }, (line, entry) => { text(line.children[0], entry.text); text(line.children[1], entry.sub); });
+    if (!alert.all.length) at("alerts").hidden = true;
+  }
+
+  function ages(rows, foot) {
+    list(document.querySelector("#ages dl"), rows.flat(), (parent) =>
+      element(parent.children.length % 2 ? "dd" : "dt", parent), text);
+    text(at("foot"), foot);
+  }
+
+  function sources(sources) {
+    const bars = sources.out.length > 2 ? [...sources.out.slice(0, 2)] : sources.out;
+    at("head").hidden = sources.out.length > 0;
+    text(at("head"), sources.head);
+    list(at("outs"), bars, (parent) => {
+      const bar = element("b", parent);
+      drawing(bar, "UNSAFE");
+      element("span", bar);
+      return bar;
+    }, (bar, name) => text(bar.children[1], name + " OUT"));
+    text(at("why"), sources.why.slice(0, 3).join("\n"));
+    list(document.querySelector("#sources ul"), sources.rows, (parent) => {
+      const row = element("li", parent);
+      drawing(row, "");
+      for (const name of ["who", "presence", "age"]) element("span", row, name);
+      element("small", row);
+      row.onclick = () => mark(row.children[1].textContent);
+      return row;
+    }, (row, source) => {
+      row.className = source.presence + (source.name === marked ? " marked" : "");
+      icon(row.children[0], { IN: "SAFE", OUT: "UNSAFE" }[source.presence] || "");
+      [source.name, source.presence, source.age, source.sub].forEach((value, index) => text(row.children[index + 1], value));
+    });
+    fit(sources.rows);
+  }
+  // OUT comes first in the list. Where there is no room the verdicts go first; sources that have none are counted.
+  function fit(rows) {
+    const parent = document.querySelector("#sources ul"), items = [...parent.children];
+    items.forEach((item) => { item.hidden = false; });
+    at("more").hidden = true;
+    if (matchMedia(PHONE).matches) return;
+    const isFull = () => parent.scrollHeight > parent.clientHeight;
+    parent.classList.remove("tight");
+    parent.classList.toggle("tight", isFull());
+    let shown = items.length;
+    while (shown > 0 && isFull()) {
+      at("more").hidden = false;
+      items[--shown].hidden = true;
+      const left = rows.slice(shown), out = left.filter((row) => row.presence === "OUT").length;
+      text(at("more"), out ? `${left.length} more, ${out} OUT` : `${left.length} more in`);
+    }
+  }
+
+  function ribbons(ribbons) {
+    const span = (parent, className) => element("i", parent, className);
+    document.querySelectorAll("#rows .row").forEach((row, index) => {
+      row.hidden = index >= ribbons.rows.length;
+      list(row.lastElementChild, ribbons.rows[index] || [], (parent) => span(parent), (part, [start, end, word]) => {
+        const left = Math.max(0, start);
+        part.className = word;
+        part.style.left = 100 * left + "%";
+        part.style.width = 100 * Math.max(0, Math.min(1, end) - left) + "%";
+      });
+    });
+    list(at("ticks"), ribbons.ticks.flat(), (parent) => element(parent.children.length % 2 ? "span" : "i", parent),
+      (part, value) => {
+        if (part.tagName === "SPAN") { text(part, value); part.style.left = part.previousElementSibling.style.left; }
+        else part.style.left = 100 * value + "%";
+      });
+    list(at("marks"), ribbons.marks, span, (part, place) => { part.style.left = 100 * place + "%"; });
+  }
+
+  function draw(model) {
+    text(at("utc"), model.utc);
+    text(at("label"), model.label);
+    // An alert is more urgent than that something was never heard.
+    alertLine(model.waiting && !model.alert.state
+      ? { ...model.alert, icon: "", text: model.waiting, sub: model.place } : model.alert);
+    for (const each of document.querySelectorAll("#tiles .tile:not(.ages)")) tile(each.id, model.angles[each.id]);
+    ages(model.ages, model.foot);
+    sources(model.sources);
+    ribbons(model.ribbons);
+  }
+
+  // What is true of every value when nothing has come for a while: it is old, and by how much.
+  function withoutLink(model, silentS) {
+    const old = structuredClone(model);
+    for (const angle of Object.values(old.angles)) {
+      const ageS = angle.age_s === null ? null : angle.age_s + silentS;
+      Object.assign(angle, { is_old: true, safety: "UNSAFE", reason: "no link to the monitor", is_reason: true, bar: null });
+      angle.accuracy = ageS === null ? "—" : "OLD " + age(ageS);
+      if (silentS > 60) angle.number = "—";
+    }
+    old.alert.text = (linked ? "NO LINK " : "CONNECTING ") + age(silentS);
+    old.alert.sub = linked ? "the page connects again by itself" : "";
+    Object.assign(old.alert, { icon: "", state: "lost", unack: 0 });
+    return old;
+  }
+  function age(seconds) {
+    return seconds < 100 ? Math.round(seconds) + " s" : seconds < 6000 ? Math.round(seconds / 60) + " min" : Math.round(seconds / 3600) + " h";
+  }
+
+  function watchLink() {
+    const silentMs = performance.now() - heardMs;
+    if (silentMs < limits.linkLostMs || last === null) return;
+    lost = true;
+    document.documentElement.classList.add("nolink");
+    draw(withoutLink(last, silentMs / 1000));
+    if (linked && silentMs > limits.reloadAfterMs && !asking) {
+      asking = true;
+      fetch("health", { cache: "no-store", signal: AbortSignal.timeout(2000) })
+        .then((answer) => { if (answer.ok && performance.now() - heardMs > limits.reloadAfterMs) location.reload(); })
+        .catch(() => {})
+        .finally(() => { setTimeout(() => { asking = false; }, 1000); });
+    }
+  }
+
+  function mark(name) {
+    marked = marked === name ? "" : name;
+    if (last !== null) sources(last.sources);
+    tell({ source: marked });
+  }
+  // What the person chose goes to the server's model of this page alone: the plots follow it.
+  let choice = { angle: "heading", source: "", paused: false, plots: true }, chosen = null;
+  function tell(change) {
+    choice = { ...choice, ...change };
+    if (chosen) chosen.data = Object.fromEntries(Object.entries(choice).map(([name, value]) => [name, [value]]));
+  }
+  function pause() {
+    tell({ paused: !choice.paused });
+    at("paused").hidden = !choice.paused;
+  }
+
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || /INPUT|SELECT|TEXTAREA/.test(event.target.tagName)) return;
+    if ("123".includes(event.key)) document.querySelectorAll("#themes a")[event.key - 1].click();
+    if (event.key === " ") { event.preventDefault(); pause(); }
+  });
+  at("alert").onclick = () => { if (last && last.alert.all.length) at("alerts").hidden = !at("alerts").hidden; };
+  at("plots-wanted").onclick = () => { document.body.classList.add("plots"); tell({ plots: true }); };
+  for (const each of document.querySelectorAll("#tiles .tile:not(.ages)")) {
+    each.onclick = () => { tell({ angle: each.id }); at("panels").scrollIntoView({ block: "start" }); };
+    each.onpointermove = (event) => {
+      if (!each.tip || event.pointerType === "touch") return;
+      const tip = at("tip");
+      text(tip, each.tip.join("\n"));
+      tip.hidden = false;
+      tip.style.left = Math.min(event.clientX + 16, innerWidth - tip.offsetWidth - 8) + "px";
+      tip.style.top = event.clientY + 16 + "px";
+    };
+    each.onpointerleave = () => { at("tip").hidden = true; };
+  }
+  setInterval(watchLink, limits.lookMs);
+
+  return {
+    limits,
+    show(model) {
+      last = model;
+      heardMs = performance.now();
+      if (lost) document.documentElement.classList.remove("nolink");
+      lost = false;
+      draw(model);
+    },
+    // The first message over the link: from now on its silence means that it is lost.
+    connected(source) {
+      linked = true;
+      chosen = source;
+      if (matchMedia(PHONE).matches) tell({ plots: false });
+    },
+  };
+})();

@@ -1,0 +1,239 @@
+"""The page as a browser shows it: headless Chromium over hand-made pictures."""
+
+from dataclasses import replace
+
+import pytest
+
+from ship_testing import browser as browser_module
+from ship_testing import pictures
+from ship_testing.browser import Browser
+from ship_testing.page_runs import SetPictures, served
+from ship_watch.picture import Safety
+
+pytestmark = pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
+
+SIZES = {"watch": (1280, 800), "phone": (390, 844)}
+LIVE = (
+    "!document.documentElement.classList.contains('nolink') && document.querySelector('#utc').textContent > '12:00:07'"
+)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    browser = Browser()
+    yield browser
+    browser.close()
+
+
+@pytest.fixture
+def source():
+    return SetPictures()
+
+
+@pytest.fixture
+def page(source):
+    with served(source) as server:
+        yield server.address
+
+
+def rectangle(browser, selector):
+    return browser.evaluate(
+        f"(({{left, top, width, height}}) => [left, top, width, height])"
+        f"(document.querySelector('{selector}').getBoundingClientRect())"
+    )
+
+
+@pytest.mark.parametrize("theme", ["day", "dusk", "night"])
+@pytest.mark.parametrize("size", SIZES)
+def test_everything_of_the_first_screenful_is_drawn(browser, source, page, theme, size, tmp_path):
+    source.set(pictures.faulty(), pictures.history(is_faulty=True))
+    browser.open(f"{page}?theme={theme}", *SIZES[size])
+    browser.until(LIVE)
+    browser.photograph(tmp_path / f"{theme}_{size}.png")
+    assert browser.problems == []
+    assert [
+        address for address in browser.addresses if not address.startswith((page, page.replace("http", "ws")))
+    ] == []
+    words = [browser.text(f"#{name} .state b") for name in ("heading", "pitch", "roll", "azimuth", "elevation")]
+    assert words == ["CAUTION", "SAFE", "CAUTION", "UNSAFE", "UNSAFE"]
+    assert browser.text("#heading .digits") == "034.39"
+    assert browser.text("#azimuth .size") == "OLD 12 s"
+    assert browser.evaluate("getComputedStyle(document.querySelector('#azimuth .digits')).textDecorationLine") == (
+        "line-through"
+    )
+    assert browser.text("#outs") == "star.starboard OUTencoder OUT"
+    assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), "wider than the window"
+    assert browser.evaluate("getComputedStyle(document.body).fontFamily").startswith("Watch")
+
+
+def test_the_first_screenful_at_1280_by_800_lies_where_the_design_has_it(browser, page):
+    browser.open(page)
+    browser.until(LIVE)
+    assert rectangle(browser, "#bar") == [0, 0, 1280, 64]
+    assert rectangle(browser, "#heading") == pytest.approx([16, 76, 276, 268], abs=1.0)
+    assert rectangle(browser, "#ages")[:2] == pytest.approx([588, 354], abs=1.0)
+    assert rectangle(browser, "#sources") == pytest.approx([876, 76, 388, 546], abs=1.0)
+    assert rectangle(browser, "#ribbons") == pytest.approx([16, 632, 1248, 160], abs=1.0)
+
+
+# Least heights of capitals for two metres and for one, as font sizes in px of a screen 1280 wide (design of the page).
+@pytest.mark.parametrize(
+    ("selector", "least_px"),
+    [
+        ("#heading .number", 64),
+        ("#heading .accuracy", 38),
+        ("#heading .state", 36),
+        ("#ages dd", 40),
+        ("#utc", 36),
+        ("#outs b", 29),
+        ("#alert-text", 19),
+        ("#sources li", 19),
+        ("#heading h2", 19),
+    ],
+)
+def test_what_is_read_from_afar_is_large(browser, source, page, selector, least_px):
+    source.set(pictures.faulty())
+    browser.open(page)
+    browser.until(LIVE)
+    assert browser.evaluate(f"parseFloat(getComputedStyle(document.querySelector('{selector}')).fontSize)") >= least_px
+
+
+def test_on_a_phone_a_tile_is_92_px_high_and_the_order_is_alert_tiles_ages_sources(browser, page):
+    browser.open(page, *SIZES["phone"])
+    browser.until(LIVE)
+    tops = [rectangle(browser, selector)[1] for selector in ("#alert", "#heading", "#elevation", "#ages", "#sources")]
+    assert tops == sorted(tops)
+    assert rectangle(browser, "#heading")[3] == pytest.approx(92, abs=1.0)
+    assert rectangle(browser, "#heading")[2] > 370
+
+
+def test_values_change_without_loading_anew(browser, source, page):
+    browser.open(page)
+    browser.until(LIVE)
+    well = pictures.all_well()
+    heading = replace(well.angles[0], value=1.0, safety=Safety.UNSAFE, reason="all stars refused")
+    source.set(replace(well, angles=(heading, *well.angles[1:])))
+    browser.until("document.querySelector('#heading .digits').textContent === '057.30'")  # 1 rad
+    assert browser.text("#heading .reason") == "all stars refused"
+    assert browser.evaluate("document.querySelector('#heading').dataset.safety") == "UNSAFE"
+    assert browser.problems == []
+
+
+def test_a_server_that_says_nothing_is_no_link_and_every_value_is_old(browser, source, page):
+    browser.open(page)
+    browser.until(LIVE)
+    source.fails = True
+    browser.until("document.documentElement.classList.contains('nolink')")
+    assert browser.text("#alert-text").startswith("NO LINK")
+    assert browser.text("#heading .state b") == "UNSAFE"
+    assert browser.text("#heading .size").startswith("OLD ")
+    source.fails = False
+    browser.until(LIVE)
+    assert browser.text("#heading .state b") == "SAFE"
+
+
+def test_no_link_is_said_within_two_seconds_of_the_last_news(browser, page):
+    browser.open(page)
+    browser.until(LIVE)
+    # By the page's own clock and its own timers, whose limit is the browser's to keep: no time of this test enters.
+    limits = browser.evaluate("[monitor.limits.linkLostMs, monitor.limits.lookMs]")
+    assert sum(limits) <= 2000
+
+
+def test_a_server_that_starts_again_is_found_again(browser, source):
+    with served(source) as server:
+        port = int(server.address.rstrip("/").rpartition(":")[2])
+        browser.open(server.address)
+        browser.until(LIVE)
+        browser.evaluate("window.isFormerPage = true")
+    browser.until("document.documentElement.classList.contains('nolink')")
+    with served(source, port):
+        browser.until(f"!window.isFormerPage && typeof monitor === 'object' && {LIVE}", 60.0)
+        assert browser.text("#heading .state b") == "SAFE"
+
+
+def test_keys_choose_the_theme_and_pause_the_plots(browser, page):
+    browser.open(page)
+    browser.until(LIVE)
+    browser.press(" ")
+    assert browser.until("!document.querySelector('#paused').hidden")
+    browser.press(" ")
+    assert browser.until("document.querySelector('#paused').hidden")
+    browser.press("3")
+    browser.until("document.documentElement.className.includes('night')")
+    assert browser.evaluate("getComputedStyle(document.documentElement).backgroundColor") == "rgb(0, 0, 0)"
+    assert browser.evaluate("location.search") == "?theme=night"
+
+
+def test_the_alert_line_opens_the_list(browser, source, page):
+    source.set(pictures.faulty())
+    browser.open(page)
+    browser.until(LIVE)
+    browser.evaluate("document.querySelector('#alert').click()")
+    assert browser.text("#alerts p:nth-child(2) span") == "WARNING · star.starboard out"
+
+
+def test_a_click_on_a_source_marks_it(browser, page):
+    browser.open(page)
+    browser.until(LIVE)
+    browser.evaluate("document.querySelector('#sources li:nth-child(2)').click()")
+    assert browser.text("#sources li.marked .who") == "star.fore"
+
+
+def test_hovering_shows_all_digits_in_the_colours_of_the_theme(browser, page):
+    browser.open(f"{page}?theme=night")
+    browser.until(LIVE)
+    browser.call("Input.dispatchMouseEvent", type="mouseMoved", x=100, y=150)
+    browser.until("!document.querySelector('#tip').hidden")
+    assert browser.text("#tip").startswith("34.390000°\nσ 1.684″")
+    assert browser.evaluate("getComputedStyle(document.querySelector('#tip')).color") == "rgb(255, 64, 38)"
+
+
+def test_names_from_the_network_are_text(browser, source, page):
+    well = pictures.all_well()
+    evil = "</script><img src=x onerror=window.hit=1>"
+    source.set(replace(well, sources=(replace(well.sources[0], name=evil), *well.sources[1:])))
+    browser.open(page)
+    browser.until(LIVE)
+    assert browser.text("#sources li .who") == evil
+    assert browser.evaluate("window.hit") is None
+
+
+def test_many_sources_are_counted_and_those_that_are_out_are_seen(browser, source, page):
+    faulty = pictures.faulty()
+    more = tuple(replace(pictures.source("gnss"), name=f"reference.{number}") for number in range(20))
+    source.set(replace(faulty, sources=faulty.sources + more))
+    browser.open(page)
+    browser.until(LIVE)
+    assert browser.text("#more").endswith(" more in")
+    list_bottom = "document.querySelector('#sources').getBoundingClientRect().bottom"
+    assert browser.evaluate(f"document.querySelector('#more').getBoundingClientRect().bottom <= {list_bottom}")
+
+
+def test_a_ship_without_a_theodolite_has_empty_tiles_for_it(browser, source, page):
+    well = pictures.all_well()
+    source.set(replace(well, angles=well.angles[:3], pointing_by=""))
+    browser.open(page)
+    browser.until(LIVE)
+    assert browser.text("#azimuth .sense") == "not aboard"
+    assert browser.evaluate("getComputedStyle(document.querySelector('#azimuth .state')).visibility") == "hidden"
+
+
+def test_a_page_that_waits_says_for_what_and_where(browser, source, page):
+    source.set(replace(pictures.all_well(), waiting_for="ship/attitude", utc_ns=0))
+    browser.open(page)
+    browser.until("document.querySelector('#alert-text').textContent === 'waiting for ship/attitude'")
+    assert browser.text("#alert-sub") == "namespace /demo, domain 0"
+
+
+def test_the_first_paint_waits_for_no_script_of_bokeh(browser, page):
+    browser.open(page)
+    browser.until(LIVE)
+    # Of one timeline, the browser's: what a loaded machine delays, it delays in both.
+    painted, loaded = browser.evaluate(
+        "[performance.getEntriesByName('first-contentful-paint')[0].startTime,"
+        " performance.getEntriesByType('resource').find((each) => each.name.includes('bokeh')).responseEnd]"
+    )
+    sent = browser.evaluate("performance.getEntriesByType('navigation')[0].responseEnd")
+    print(f"page there after {sent:.0f} ms, painted {painted:.0f} ms, bokeh there {loaded:.0f} ms")
+    assert painted - sent < 1000.0

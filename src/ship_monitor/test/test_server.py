@@ -1,0 +1,92 @@
+"""The page's server without a browser: what it serves, and whom it refuses."""
+
+import http.client
+import socket
+
+import pytest
+
+from ship_bags.errors import BadInput
+from ship_monitor.page.server import PageServer
+from ship_testing.page_runs import served
+
+
+@pytest.fixture(scope="module")
+def page():
+    with served() as server:
+        yield server
+
+
+def get(page, path, host=None, origin=None, upgrade=False):
+    """Status and text."""
+    place = page.address.removeprefix("http://").rstrip("/")
+    connection = http.client.HTTPConnection(place, timeout=20)
+    headers = {"Host": host or place} | ({"Origin": origin} if origin else {})
+    if upgrade:
+        key = {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version": "13"}
+        headers |= {"Upgrade": "websocket", "Connection": "Upgrade"} | key
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    text = b"" if answer.status == 101 else answer.read()
+    connection.close()
+    return answer.status, text.decode("utf-8", "replace")
+
+
+@pytest.mark.parametrize(("theme", "colour"), [("day", "#0E141B"), ("dusk", "#05080B"), ("night", "#000000")])
+def test_the_background_is_in_the_first_bytes(page, theme, colour):
+    status, text = get(page, f"/?theme={theme}")
+    assert status == 200
+    assert f"background:{colour}" in text[:120]
+
+
+def test_a_theme_that_is_none_is_the_default(page):
+    assert "background:#0E141B" in get(page, "/?theme=%22%3E%3Cscript%3E")[1][:120]
+
+
+def test_the_page_asks_nobody_else(page):
+    text = get(page, "/")[1]
+    own = text.replace("http://www.w3.org/2000/svg", "")
+    assert "//" not in own.replace("// ", "").split("<script src")[0].split("<script>")[0]
+    assert "cdn" not in text
+
+
+def test_values_are_in_the_page_before_any_script_of_bokeh(page):
+    text = get(page, "/")[1]
+    assert text.index('"034.39\\u00b0"') < text.index("bokeh.min.js")
+
+
+def test_fonts_come_from_the_wheel_of_matplotlib_and_nothing_else_does(page):
+    assert get(page, "/fonts/DejaVuSans.ttf")[0] == 200
+    assert get(page, "/fonts/DejaVuSans-Bold.ttf")[0] == 200
+    assert get(page, "/fonts/../matplotlibrc")[0] == 404
+    assert get(page, "/fonts/DejaVuSerif.ttf")[0] == 404
+
+
+def test_what_is_not_there_is_said_on_black(page):
+    status, text = get(page, "/nothing")
+    assert status == 404
+    assert "background:#000000" in text
+
+
+def test_another_site_is_refused_and_an_ssh_tunnel_is_not(page):
+    place = page.address.removeprefix("http://").rstrip("/")
+    assert get(page, "/ws", origin="http://evil.example", upgrade=True)[0] == 403
+    assert get(page, "/ws", origin="http://localhost:1", upgrade=True)[0] == 403
+    assert get(page, "/", host="evil.example")[0] == 403
+    assert get(page, "/", host="localhost:8080")[0] == 200
+    # Without a session's token Bokeh accepts the socket and closes it then.
+    assert get(page, "/ws", origin=f"http://{place}", upgrade=True)[0] == 101
+    assert get(page, "/ws", host="localhost:8080", origin="http://localhost:8080", upgrade=True)[0] == 101
+
+
+def test_a_port_in_use_is_said_in_one_line():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(BadInput, match=f"port {port} of 127.0.0.1 is in use"):
+            PageServer(lambda document: None, "127.0.0.1", port, lambda: None)
+
+
+def test_an_address_of_another_machine_is_said_in_one_line():
+    with pytest.raises(BadInput, match=r"cannot listen on 192\.0\.2\.1"):
+        PageServer(lambda document: None, "192.0.2.1", 0, lambda: None)

@@ -1,0 +1,175 @@
+"""What the page is told to write, from hand-made pictures."""
+
+import json
+import math
+from collections import deque
+from dataclasses import replace
+
+import pytest
+
+from ship_geometry.rotations import ARCSEC
+from ship_monitor.page.shown import shown
+from ship_testing import pictures
+from ship_watch.history import History, SafetyPoint
+from ship_watch.picture import Presence, Priority, Safety
+
+WELL = pictures.all_well()
+
+
+def with_angle(name, **changes):
+    angles = tuple(replace(each, **changes) if each.name == name else each for each in WELL.angles)
+    return replace(WELL, angles=angles)
+
+
+def tile(picture, name):
+    return shown(picture, History(), "LIVE", "")["angles"][name]
+
+
+def test_a_tile_says_value_accuracy_limit_and_word():
+    heading = tile(WELL, "heading")
+    assert (heading["number"], heading["sense"], heading["accuracy"]) == ("034.39°", "true", "±3.3″")
+    assert (heading["reason"], heading["is_reason"], heading["safety"]) == ("limit 5″", False, "SAFE")
+
+
+def test_the_limit_is_in_the_middle_of_the_bar():
+    at_limit = with_angle("heading", accuracy_95=5.0 * ARCSEC)
+    assert tile(at_limit, "heading")["bar"] == pytest.approx(0.5)
+    assert tile(with_angle("heading", accuracy_95=50.0 * ARCSEC), "heading")["bar"] == 1.0
+
+
+@pytest.mark.parametrize("accuracy", [math.nan, math.inf])
+def test_without_a_number_there_is_no_bar_shorter_than_the_limit(accuracy):
+    bar = tile(with_angle("heading", accuracy_95=accuracy), "heading")["bar"]
+    assert bar is None or bar == 1.0
+
+
+def test_pitch_without_a_value_has_no_sense():
+    assert tile(with_angle("pitch", value=math.nan), "pitch")["sense"] == ""
+
+
+def test_over_the_limit_names_it():
+    picture = with_angle("roll", safety=Safety.CAUTION, reason="over the limit")
+    assert tile(picture, "roll")["reason"] == "over the limit, 3″"
+
+
+def test_an_old_value_has_its_age_for_its_accuracy_and_no_bar():
+    old = tile(pictures.faulty(), "azimuth")
+    assert (old["is_old"], old["accuracy"], old["bar"]) == (True, "OLD 12 s", None)
+
+
+def test_full_digits_are_told_for_hovering():
+    assert tile(WELL, "heading")["tip"][0] == "34.390000°"
+    assert tile(WELL, "heading")["tip"][1] == "σ 1.684″"  # 3.3 / 1.96
+    assert tile(WELL, "pitch")["tip"][0] == "−0.100000°"
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_whatever_is_unknown_can_be_sent(value):
+    angles = tuple(
+        replace(each, value=value, accuracy_95=value, age_s=math.inf, protection_level=value) for each in WELL.angles
+    )
+    sources = tuple(replace(each, age_s=math.inf, rate_hz=value) for each in WELL.sources)
+    ages = dict.fromkeys(WELL.ages_s, math.inf)
+    picture = replace(WELL, angles=angles, sources=sources, ages_s=ages, utc_ns=0)
+    told = json.loads(json.dumps(shown(picture, History(), "LIVE", ""), allow_nan=False))
+    assert told["utc"] == "--:--:--"
+    assert told["ages"] == [["stars", "never"], ["lights", "never"], ["ins", "never"]]
+    assert told["angles"]["heading"]["age_s"] is None
+
+
+def test_who_waits_is_told_for_what_and_where():
+    told = shown(replace(WELL, waiting_for="ship/attitude"), History(), "LIVE", "namespace /demo, domain 3")
+    assert (told["waiting"], told["place"]) == ("waiting for ship/attitude", "namespace /demo, domain 3")
+    assert shown(WELL, History(), "LIVE", "namespace /demo, domain 3")["place"] == ""
+
+
+@pytest.mark.parametrize(
+    ("alerts", "text", "icon", "state", "unack"),
+    [
+        (None, "No alert node", "", "", 0),
+        ((), "No alerts", "ok", "", 0),
+        ((pictures.alert("star.bow", "out", 0),), "WARNING · star.bow out", "warning", "unack", 1),
+        ((pictures.alert("box", "box full", 0, Priority.ALARM, 3),), "ALARM · box full", "alarm", "ack", 0),
+        ((pictures.alert("ins", "late", 0, Priority.WARNING, 4),), "WARNING · ins late", "warning", "rectified", 1),
+        ((pictures.alert("ins", "late", 0, Priority.CAUTION, 3),), "CAUTION · ins late", "caution", "ack", 0),
+    ],
+)
+def test_the_alert_line(alerts, text, icon, state, unack):
+    line = shown(replace(WELL, alerts=alerts), History(), "LIVE", "")["alert"]
+    assert (line["text"], line["icon"], line["state"], line["unack"]) == (text, icon, state, unack)
+
+
+def test_of_several_alerts_the_first_is_said_and_all_are_listed():
+    line = shown(pictures.faulty(), History(), "LIVE", "")["alert"]
+    assert line["text"] == "WARNING · pointing lost, encoder silent"
+    assert line["sub"] == "11:59:57 · not acknowledged"
+    assert (line["unack"], len(line["all"])) == (2, 2)
+
+
+def test_sources_that_are_out_are_named_and_why():
+    sources = shown(pictures.faulty(), History(), "LIVE", "")["sources"]
+    assert sources["out"] == ["star.starboard", "encoder"]
+    assert sources["why"] == ["star.starboard right +49″", "encoder silent since 11:59:55"]
+    assert sources["head"] == "6 of 8 in"
+    assert sources["rows"][0]["sub"] == "81 refused in a row"
+
+
+def test_of_one_that_is_out_two_lines_say_more():
+    one = tuple(each for each in pictures.faulty().sources if each.name != "encoder")
+    assert shown(replace(WELL, sources=one), History(), "LIVE", "")["sources"]["why"] == [
+        "disagrees: right +49″",
+        "since 11:59:28 · 81 refused",
+    ]
+
+
+def test_what_is_not_configured_comes_last_and_is_not_counted():
+    off = replace(pictures.source("reference.gyro"), presence=Presence.OFF, age_s=math.inf)
+    sources = shown(replace(WELL, sources=(off, *WELL.sources)), History(), "LIVE", "")["sources"]
+    assert sources["head"] == "8 of 8 in"
+    assert (sources["rows"][-1]["name"], sources["rows"][-1]["age"]) == ("reference.gyro", "")
+
+
+def ribbon(words, start_s=0, name="heading"):
+    """Stretches of words of single seconds; a None is a second that is told without word, "-" one that is not told."""
+    first_ns = pictures.NOW_NS - 599 * pictures.NS
+    points = deque(
+        SafetyPoint(first_ns + (start_s + second) * pictures.NS, {name: word})
+        for second, word in enumerate(words)
+        if word != "-"
+    )
+    return shown(WELL, History(ribbons=points), "LIVE", "")["ribbons"]["rows"][0]
+
+
+SAFE, CAUTION = Safety.SAFE, Safety.CAUTION
+
+
+@pytest.mark.parametrize(
+    ("words", "stretches"),
+    [
+        ([], []),
+        ([SAFE, SAFE], [(0, 2, "SAFE")]),
+        ([SAFE, CAUTION, CAUTION], [(0, 1, "SAFE"), (1, 3, "CAUTION")]),
+        ([SAFE, "-", SAFE], [(0, 1, "SAFE"), (2, 3, "SAFE")]),
+        ([SAFE, None, None, SAFE], [(0, 1, "SAFE"), (3, 4, "SAFE")]),
+        ([None, CAUTION], [(1, 2, "CAUTION")]),
+    ],
+)
+def test_a_ribbon_joins_seconds_of_one_word_and_leaves_gaps(words, stretches):
+    # The first second of the history is one after the start of the ribbon.
+    expected = [((start + 1) / 600, (end + 1) / 600, word) for start, end, word in stretches]
+    assert ribbon(words) == [[pytest.approx(start), pytest.approx(end), word] for start, end, word in expected]
+
+
+def test_what_is_older_than_ten_minutes_is_left_out():
+    assert ribbon([SAFE] * 5, start_s=-700) == []
+
+
+def test_ticks_stand_at_even_minutes():
+    ticks = shown(WELL, History(), "LIVE", "")["ribbons"]["ticks"]
+    assert [label for _, label in ticks] == ["11:52", "11:54", "11:56", "11:58", "12:00"]
+    assert ticks[-1][0] == pytest.approx(1.0 - 7.0 / 600.0)
+
+
+def test_when_a_source_went_out_is_marked():
+    marks = shown(pictures.faulty(), History(), "LIVE", "")["ribbons"]["marks"]
+    assert marks == [pytest.approx(1.0 - 39.0 / 600.0), pytest.approx(1.0 - 12.0 / 600.0)]

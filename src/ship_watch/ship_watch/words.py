@@ -1,0 +1,94 @@
+"""Numbers of a picture as people read them: the page, the terminal, the report and the log say them alike.
+
+Minus is "−" (U+2212), a minute of arc never appears, and no sign stands where a word can: "bow up", "port down".
+"""
+
+import math
+from datetime import datetime, timezone
+from typing import NamedTuple
+
+from ship_geometry.rotations import ARCSEC
+from ship_watch.picture import AngleShown
+
+NO_VALUE = "—"
+"""What stands where there is no number."""
+
+DASHES_AFTER_S = 60.0
+"""After so long an old value is not shown any more, only its age, s."""
+
+_SENSES = {"pitch": ("bow up", "bow down"), "roll": ("port up", "port down")}
+
+
+class Reading(NamedTuple):
+    """The number of an angle with its degree sign, and the word that stands for its sign or its north."""
+
+    number: str
+    sense: str
+
+
+def reading(angle: AngleShown) -> Reading:
+    """An angle in degrees: 034.39° true, 0.1° bow down, 359.88°, +68.74°; dashes where it is unknown or too old."""
+    if not math.isfinite(angle.value) or (angle.is_old and angle.age_s > DASHES_AFTER_S):
+        return Reading(NO_VALUE, "true" if angle.name == "heading" else "")
+    degrees = math.degrees(angle.value)
+    if angle.name in _SENSES:
+        tenths = round(abs(degrees), 1)
+        up, down = _SENSES[angle.name]
+        sense = "level" if tenths == 0.0 else up if degrees > 0.0 else down
+        return Reading(f"{tenths:.1f}°", sense)
+    if angle.name == "elevation":
+        return Reading(f"{degrees:+06.2f}°".replace("-", "−"), "")
+    return Reading(f"{round(degrees % 360.0, 2) % 360.0:06.2f}°", "true" if angle.name == "heading" else "")
+
+
+def angle_size(value: float) -> str:
+    """A small angle without its sign: 4.2″, 120″, 1.3°; a dash where it is unknown.
+
+    Args:
+        value: the angle, rad.
+    """
+    if not math.isfinite(value):
+        return NO_VALUE
+    arcsec = abs(value) / ARCSEC
+    if arcsec < 99.95:
+        return f"{arcsec:.1f}″"
+    return f"{arcsec:.0f}″" if arcsec < 3599.5 else f"{math.degrees(abs(value)):.1f}°"
+
+
+def limit_size(value: float) -> str:
+    """A limit: 5″, 2.5″; a dash where there is none. ``value`` in rad."""
+    return f"{abs(value) / ARCSEC:.6g}″" if math.isfinite(value) else NO_VALUE
+
+
+def accuracy(angle: AngleShown) -> str:
+    """The 95 % accuracy of an angle, ±4.2″; where its value is old, how old it is."""
+    if angle.is_old:
+        return f"OLD {age(angle.age_s)}" if math.isfinite(angle.age_s) else NO_VALUE
+    return f"±{angle_size(angle.accuracy_95)}" if math.isfinite(angle.accuracy_95) else NO_VALUE
+
+
+def age(seconds: float) -> str:
+    """A time span with one unit: 0.5 s, 12 s, 5 min, 3 h, 2 d; "never" where it is infinite, a dash where unknown."""
+    if math.isnan(seconds):
+        return NO_VALUE
+    if math.isinf(seconds):
+        return "never"
+    if seconds < 9.95:
+        return f"{max(seconds, 0.0):.1f} s"
+    for size_s, unit in ((1, "s"), (60, "min"), (3600, "h")):
+        if seconds < 99.5 * size_s:
+            return f"{seconds / size_s:.0f} {unit}"
+    return f"{seconds / 86400:.0f} d"
+
+
+def clock(utc_ns: int) -> str:
+    """The time of day, UTC: 12:00:07; dashes before the first. ``utc_ns`` is POSIX time in ns."""
+    return f"{datetime.fromtimestamp(utc_ns // 1_000_000_000, timezone.utc):%H:%M:%S}" if utc_ns > 0 else "--:--:--"
+
+
+def date_and_clock(utc_ns: int) -> str:
+    """Day and time to the millisecond, UTC: 2026-05-01 12:00:07.250; dashes before the first."""
+    if utc_ns <= 0:
+        return "--"
+    seconds, rest_ns = divmod(utc_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S}.{rest_ns // 1_000_000:03d}"

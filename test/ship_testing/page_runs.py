@@ -1,0 +1,73 @@
+"""The page's server in a thread, over pictures that a test sets."""
+
+import asyncio
+import contextlib
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from queue import Queue
+
+from ship_monitor.page.app import page_maker
+from ship_monitor.page.server import PageServer
+from ship_testing import pictures
+from ship_watch.history import History
+from ship_watch.picture import Picture
+
+_END_S = 20.0
+
+
+class SetPictures:
+    """A source of pictures: the one that was set last, with the time going on."""
+
+    label = "SIMULATED · bag"
+    name = "demo"
+    place = "namespace /demo, domain 0"
+
+    def __init__(self) -> None:
+        self.picture = pictures.all_well()
+        self.history = pictures.history()
+        self.fails = False
+        self._start_s = time.monotonic()
+
+    def look(self) -> Picture:
+        """The picture as it was set, now."""
+        if self.fails:
+            raise RuntimeError("no picture: asked for by the test")
+        return replace(self.picture, utc_ns=self.picture.utc_ns + round((time.monotonic() - self._start_s) * 1e9))
+
+    def set(self, picture: Picture, history: History | None = None) -> None:
+        """Show another picture from now on."""
+        self.picture = picture
+        self.history = self.history if history is None else history
+
+    def controls(self) -> None:
+        """None."""
+
+
+@contextlib.contextmanager
+def served(source: SetPictures | None = None, port: int = 0, build_panels: object = None) -> Iterator[PageServer]:
+    """A server that runs until the end of the ``with`` statement."""
+    shown = SetPictures() if source is None else source
+    made: Queue[PageServer | BaseException] = Queue()
+
+    def run() -> None:
+        asyncio.set_event_loop(asyncio.new_event_loop())
+        try:
+            server = PageServer(page_maker(lambda: shown, build_panels, "day"), "127.0.0.1", port, lambda: None)
+        except BaseException as problem:
+            made.put(problem)
+            raise
+        made.put(server)
+        server.run()
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    server = made.get(timeout=_END_S)
+    if isinstance(server, BaseException):
+        raise server
+    try:
+        yield server
+    finally:
+        server.stop()
+        thread.join(_END_S)
