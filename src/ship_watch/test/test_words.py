@@ -1,0 +1,105 @@
+"""What a watch officer reads of a number."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ship_watch import words
+from ship_watch.picture import ANGLES, AngleShown, Safety
+
+ARCSEC = math.pi / 648000
+NOON_NS = 1_777_636_807_250_999_999  # 2026-05-01 12:00:07.250999999 by `date -u -d @1777636807`
+
+
+def angle(name, degrees, **changed):
+    fields = {
+        "name": name,
+        "value": math.radians(degrees),
+        "accuracy_95": 4.2 * ARCSEC,
+        "limit": 5 * ARCSEC,
+        "protection_level": math.nan,
+        "safety": Safety.SAFE,
+        "reason": "",
+        "age_s": 0.1,
+        "is_old": False,
+        "stamp_ns": NOON_NS,
+        "since_ns": NOON_NS,
+    }
+    return AngleShown(**fields | changed)
+
+
+@pytest.mark.parametrize(
+    ("name", "degrees", "number", "sense"),
+    [
+        ("heading", 34.392, "034.39°", "true"),
+        ("heading", 359.9951, "000.00°", "true"),
+        ("heading", -0.001, "000.00°", "true"),
+        ("heading", -90.0, "270.00°", "true"),
+        ("azimuth", 359.88, "359.88°", ""),
+        ("elevation", 68.74, "+68.74°", ""),
+        ("elevation", -5.5, "−05.50°", ""),
+        ("pitch", -0.13, "0.1°", "bow down"),
+        ("pitch", 0.13, "0.1°", "bow up"),
+        ("pitch", -0.04, "0.0°", "level"),
+        ("roll", 2.1, "2.1°", "port up"),
+        ("roll", -12.34, "12.3°", "port down"),
+    ],
+)
+def test_an_angle_is_read_with_a_word_for_its_sign(name, degrees, number, sense):
+    assert words.reading(angle(name, degrees)) == (number, sense)
+
+
+def test_an_old_value_keeps_its_age_and_loses_its_number_after_a_minute():
+    old = angle("heading", 34.39, is_old=True, age_s=12.0)
+    assert words.reading(old).number == "034.39°"
+    assert words.accuracy(old) == "OLD 12 s"
+    very_old = angle("heading", 34.39, is_old=True, age_s=61.0)
+    assert words.reading(very_old).number == words.NO_VALUE
+    assert words.accuracy(very_old) == "OLD 61 s"
+
+
+def test_a_value_that_never_came_is_a_dash():
+    never = angle("pitch", math.nan, is_old=True, age_s=math.inf, accuracy_95=math.nan)
+    assert words.reading(never) == (words.NO_VALUE, "")
+    assert words.accuracy(never) == words.NO_VALUE
+
+
+@pytest.mark.parametrize(
+    ("arcsec", "text"),
+    [(4.24, "4.2″"), (99.94, "99.9″"), (99.96, "100″"), (3599, "3599″"), (7200, "2.0°"), (-3, "3.0″")],
+)
+def test_the_size_of_a_small_angle(arcsec, text):
+    assert words.angle_size(arcsec * ARCSEC) == text
+
+
+def test_a_limit_has_the_digits_that_it_was_given():
+    assert [words.limit_size(each * ARCSEC) for each in (5.0, 2.5, 10.0, math.nan)] == ["5″", "2.5″", "10″", "—"]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        *((0.04, "0.0 s"), (9.94, "9.9 s"), (9.96, "10 s"), (99.0, "99 s"), (100.0, "2 min"), (5400.0, "90 min")),
+        *((7200.0, "2 h"), (360000.0, "4 d"), (math.inf, "never"), (math.nan, "—"), (-0.2, "0.0 s")),
+    ],
+)
+def test_an_age_has_one_unit(seconds, text):
+    assert words.age(seconds) == text
+
+
+def test_times_are_utc():
+    assert words.clock(NOON_NS) == "12:00:07"
+    assert words.date_and_clock(NOON_NS) == "2026-05-01 12:00:07.250"
+    assert words.clock(0) == "--:--:--"
+
+
+@given(st.sampled_from(ANGLES), st.floats(allow_nan=True, allow_infinity=True), st.floats(min_value=0.0))
+def test_any_number_has_a_short_text(name, degrees, age_s):
+    shown = angle(name, degrees, age_s=age_s, accuracy_95=math.radians(degrees))
+    number, sense = words.reading(shown)
+    assert len(words.accuracy(shown)) > 0
+    if abs(degrees) <= 360.0:
+        assert len(number) <= 7
+        assert len(f"{number} {sense}") <= 16 or name == "roll"
