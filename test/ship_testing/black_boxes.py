@@ -65,6 +65,7 @@ def make_box(
     node: BoxedNode = SHIP_ATTITUDE,
     node_ns: Callable[[int], int] = lambda ns: ns,
     lost: Callable[[int], bool] = lambda ns: False,
+    autosave_s: float = 0.0,
 ) -> BlackBox:
     """Eight seconds of a bag, with all that can happen to a node; the clock goes back at the end.
 
@@ -75,12 +76,13 @@ def make_box(
         node: what is put into it.
         node_ns: what the node's clock shows at a time of waiting, which is that of the bag; both ns since its start.
         lost: times of waiting, ns since the bag's start, at which nothing comes.
+        autosave_s: so often the node saves by itself; 0 for never.
     """
     name = node.adapter_class.node_name
     with read_bag(node.bag) as bag:
         suite = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
         (section,) = (parameters for node_name, parameters in suite.items() if node_name.endswith(name))
-        section["ros__parameters"][node.file_parameter] = str(saved_path)
+        section["ros__parameters"] |= {node.file_parameter: str(saved_path), "alignment_autosave_s": autosave_s}
         config = load_config(node.adapter_class.config_type, yaml.safe_dump(suite), name)
         files = NotedFiles()
         adapter = node.adapter_class(config, RosidlFactory(), files)

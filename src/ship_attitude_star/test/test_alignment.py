@@ -1,5 +1,6 @@
 """The alignment saved at the end of a voyage is the prior of the next one; a bad file is named, never half used."""
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,10 @@ from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.errors import BadInput
 from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_node.documents.saved_document import NotedFiles
+from ship_node.documents.saved_start import worse_in
 from ship_testing.adapter_runs import FACTORY, START_NS
-from ship_testing.small_voyage import FORE, clean_run, config, drive, new_adapter, voyage
+from ship_testing.small_voyage import FORE, INS, clean_run, config, drive, new_adapter, voyage
 
 DAY_NS = 86_400 * 10**9
 
@@ -262,3 +265,117 @@ def test_where_nothing_was_measured_there_is_nothing_to_save(tmp_path: Path) -> 
     told = adapter.service("save_alignment", START_NS)
     assert (told.success, "no star" in told.message) == (False, True)
     assert list(tmp_path.iterdir()) == []
+
+
+def self_saving(path: Path, period_s: float = 1.0, **changes: Any) -> ShipAttitudeAdapter:
+    return new_adapter(alignment_file=str(path), alignment_autosave_s=period_s, **changes)
+
+
+def known_better(path: Path) -> bytes:
+    """A saved alignment in which every sigma is a hundredth of what the voyage leaves."""
+    prior = clean_run().adapter.core.alignment_to_save()
+    return ALIGNMENT_FILE.save(path, dataclasses.replace(prior, covariance=prior.covariance * 1e-4))
+
+
+def test_a_node_saves_by_itself_once_a_period_what_the_service_would_save(tmp_path: Path) -> None:
+    path, asked = tmp_path / "alignment.yaml", tmp_path / "asked.yaml"
+    files = CountedFiles()
+    adapter = ShipAttitudeAdapter(config(alignment_file=str(path), alignment_autosave_s=1.0), FACTORY, files)
+    run = drive(adapter, voyage())
+    # Five seconds of ticks, the first of which starts the first period.
+    assert [use.path for use in files.uses if use.written] == [str(path)] * 4
+    until = [arrival for arrival in voyage() if arrival.receive_ns <= files.last_written_ns]
+    assert len(until) > 100
+    assert ALIGNMENT_FILE.load(path).time_ns < run.adapter.core.state.time_ns
+    ALIGNMENT_FILE.save(asked, drive(new_adapter(), until).adapter.core.alignment_to_save())
+    assert asked.read_bytes() == path.read_bytes()
+    # And nothing else is another because of it.
+    assert run.results() == clean_run().results()
+
+
+class CountedFiles(NotedFiles):
+    """Notes the uses, and when the last one was: at the tick of that time."""
+
+    last_written_ns = 0
+
+    def write(self, path: Path, content: bytes) -> None:
+        super().write(path, content)
+        period_ns = 1_000_000_000
+        first = next(iter(voyage())).receive_ns // 100_000_000 * 100_000_000 + 100_000_000
+        self.last_written_ns = first + len([use for use in self.uses if use.written]) * period_ns
+
+
+def test_nothing_is_saved_without_a_file_or_with_a_period_of_zero(tmp_path: Path) -> None:
+    path = tmp_path / "alignment.yaml"
+    drive(self_saving(path, 0.0), voyage())
+    run = drive(new_adapter(alignment_autosave_s=1.0), voyage())
+    assert not list(tmp_path.iterdir())
+    assert run.adapter.notices == []
+
+
+def test_an_attitude_that_no_star_has_aligned_is_not_saved(tmp_path: Path) -> None:
+    path = tmp_path / "alignment.yaml"
+    drive(self_saving(path), [arrival for arrival in voyage() if arrival.topic == INS])
+    assert not path.exists()
+
+
+def test_what_is_known_better_stays_and_people_are_told_why(tmp_path: Path) -> None:
+    path = tmp_path / "alignment.yaml"
+    adapter = self_saving(path)  # the better file comes while the node runs
+    better = known_better(path)
+    run = drive(adapter, voyage())
+    assert path.read_bytes() == better
+    (notice,) = [text for text in run.adapter.notices if "not saved by itself" in text]
+    assert str(path) in notice
+    assert "better; ~/save_alignment replaces it" in notice
+    level, text = alignment_text(run.adapter, run.now_ns)
+    assert (level, notice in text) == (1, True)
+    assert run.adapter.service("save_alignment", run.now_ns).success
+    assert path.read_bytes() != better
+
+
+def test_what_the_node_has_started_from_it_may_replace(tmp_path: Path) -> None:
+    path = tmp_path / "alignment.yaml"
+    known_better(path)
+    before_ns = ALIGNMENT_FILE.load(path).time_ns
+    drive(self_saving(path), voyage(8.0))
+    assert ALIGNMENT_FILE.load(path).time_ns > before_ns
+
+
+def test_after_a_reset_the_better_file_of_before_stays(tmp_path: Path) -> None:
+    path = tmp_path / "alignment.yaml"
+    adapter = drive(self_saving(path), voyage()).adapter
+    learned = path.read_bytes()
+    adapter.service("reset", START_NS)
+    drive(adapter, voyage(2.0))
+    assert path.read_bytes() == learned
+
+
+@pytest.mark.parametrize("changes", [{"serials": {"fore": "F2"}}, {"serials": {"fore": "F1", "starboard": "S7"}}])
+def test_the_alignment_of_another_sensor_is_not_lost(tmp_path: Path, changes: dict[str, Any]) -> None:
+    path, prior = tmp_path / "alignment.yaml", clean_run().adapter.core.alignment_to_save()
+    foreign = ALIGNMENT_FILE.save(path, dataclasses.replace(prior, covariance=prior.covariance * 1e4, **changes))
+    run = drive(self_saving(path), voyage())
+    assert path.read_bytes() == foreign
+    assert any("which is not configured here" in text for text in run.adapter.notices)
+
+
+def test_a_state_that_is_not_finite_is_not_saved(tmp_path: Path) -> None:
+    prior = clean_run().adapter.core.alignment_to_save()
+    broken = dataclasses.replace(prior, covariance=prior.covariance * np.nan)
+    assert worse_in(broken, prior)
+    assert worse_in(prior, prior) == ""
+    assert worse_in(prior, dataclasses.replace(prior, covariance=prior.covariance / 1.3)).endswith("better")
+
+
+def test_a_disk_that_takes_nothing_is_told_once_and_told_again_when_it_does(tmp_path: Path) -> None:
+    path = tmp_path / "folder" / "alignment.yaml"
+    (tmp_path / "folder").write_text("", encoding="utf-8")
+    adapter = self_saving(path)
+    halves = [a for a in voyage() if a.receive_ns < START_NS + 3 * 10**9], voyage()
+    drive(adapter, halves[0])
+    assert sum("cannot be written" in text for text in adapter.notices) == 1
+    (tmp_path / "folder").unlink()
+    drive(adapter, halves[1][len(halves[0]) :])
+    assert path.exists()
+    assert adapter.notices[-1] == f"alignment is saved again by itself to {path}"

@@ -92,6 +92,27 @@ def stamp_age() -> Any:
     )
 
 
+def autosave_period() -> Any:
+    """The parameter ``alignment_autosave_s`` of a node that learns: how often it saves what it has learned, s.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Node:
+        ...     alignment_autosave_s: float = autosave_period()
+        >>> Node().alignment_autosave_s
+        60.0
+    """
+    return parameter(
+        60.0,
+        doc="so often the node saves by itself what it has learned, while its output is VALID and the file it would"
+        " replace knows nothing better; 0 for never",
+        unit="s",
+        minimum=0.0,
+        maximum=86400.0,
+        live=True,
+    )
+
+
 def mapping_of(doc: str) -> Any:
     """A field of type ``dict[str, Dataclass]``, empty by default.
 

@@ -12,7 +12,7 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.outcome import Decision, Outcome, Status
-from ship_estimation.parameter_fields import parameter
+from ship_estimation.parameter_fields import autosave_period, parameter
 from ship_estimation.refusals import Reason, Refusal
 from ship_node.documents.saved_document import DISK, SavedFormat, section, stamp_ns
 from ship_node.documents.saved_start import SavedStart
@@ -30,6 +30,7 @@ FAST, JUDGED = "fast", "judged"
 @dataclass(frozen=True)
 class TinyConfig:
     max_age_s: float = parameter(10.0, doc="age", unit="s", minimum=0.1, maximum=100.0)
+    alignment_autosave_s: float = autosave_period()
     slow_topics_period_s: float = parameter(1.0, doc="period", unit="s", minimum=0.1, maximum=10.0, live=True)
 
 

@@ -6,6 +6,7 @@ import struct
 from dataclasses import replace
 
 import pytest
+import yaml
 from mcap.records import Attachment, Message, Metadata, Schema
 
 from ship_bags.mcap.bag_file import open_mcap
@@ -13,6 +14,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import message_store
 from ship_node.edge.messages_out import INTEGRITY_TYPE
+from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main
 from ship_simulation.inject_command import main as inject
 from ship_testing.black_boxes import BOX_FORMAT, OPTICAL_AXIS, SHIP_ATTITUDE, changed_copy, make_box
@@ -132,6 +134,33 @@ def test_the_saved_file_is_not_written_again(box, capsys):
     finally:
         path.with_suffix(".moved").rename(path)
     assert path.stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
+def test_what_a_node_saves_by_itself_is_replayed_and_not_written_again(tmp_path, capsys, node):
+    saved = tmp_path / "saved.yaml"
+    box = make_box(tmp_path / "box.mcap", saved, node=node, autosave_s=1.0).path
+    with read_bag(box) as bag:
+        assert len([name for name in bag.attachments if name.startswith("files/")]) > 6
+    saved.unlink()
+    code, out, _ = verify(capsys, box)
+    assert code == 0, out
+    assert "outputs are equal to the last bit" in out
+    assert "note" not in out
+    assert not saved.exists()
+
+
+def test_a_bag_replayed_or_checked_does_not_replace_what_a_ship_has_saved(tmp_path, capsys):
+    saved, suite = tmp_path / "alignment.yaml", tmp_path / "suite.yaml"
+    with read_bag(SHIP_ATTITUDE.bag) as bag:
+        attached = yaml.safe_load(bag.attachments["suite.yaml"].decode())
+    (section,) = attached.values()
+    section["ros__parameters"] |= {"alignment_file": str(saved), "alignment_autosave_s": 1.0}
+    suite.write_text(yaml.safe_dump(attached), encoding="utf-8")
+    assert main([str(SHIP_ATTITUDE.bag), "--out", str(tmp_path / "out.mcap"), "--config", str(suite)]) == 0
+    assert check_config([str(suite), str(SHIP_ATTITUDE.bag)]) == 0
+    capsys.readouterr()
+    assert not saved.exists()
 
 
 def nth(topic, number, change):

@@ -7,7 +7,7 @@ import numpy as np
 
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import GuardedInsConfig, InsErrorConfig
-from ship_estimation.parameter_fields import arcsec, mapping_of, parameter, section, stamp_age
+from ship_estimation.parameter_fields import arcsec, autosave_period, mapping_of, parameter, section, stamp_age
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import IntegrityConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -298,6 +298,7 @@ class OpticalAxisConfig:
         1.0, doc="period of budget, calibration, error and health topics", unit="s", minimum=0.1, maximum=60.0
     )
     calibration_file: str = parameter("", doc="file of the saved calibration, read at the start where it exists")
+    alignment_autosave_s: float = autosave_period()
     calibration_max_age_d: float = parameter(
         30.0, doc="a calibration older than this is a wider prior", unit="d", minimum=0.0, maximum=36500.0
     )

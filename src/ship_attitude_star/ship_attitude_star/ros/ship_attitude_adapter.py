@@ -164,7 +164,7 @@ class ShipAttitudeAdapter(ReportingAdapter):
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The attitude, the alignment at the start, the rates of the INS, conflicts with it, verdicts, clocks."""
-        told = [] if self.saved is None else self.saved.messages
+        told = self.saved_remarks()
         text = "; ".join(told) or "as configured or saved"
         return [
             attitude_status(self.latest, self.clock_jumps, self.start_warnings),

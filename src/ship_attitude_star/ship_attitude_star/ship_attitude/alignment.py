@@ -53,6 +53,15 @@ class AlignmentPrior:
     names: tuple[str, ...]
     covariance: FloatArray
 
+    def sigmas(self) -> dict[str, FloatArray]:
+        """Standard deviations by name, and of a star sensor by its serial number too: rad or s, shape (3,) or (1,)."""
+        known, first = {}, 0
+        for name in self.names:
+            serial = next((s for id_, s in self.serials.items() if name == f"star.{id_}.installation" and s), "")
+            part = slice(first, first := first + _width(name))
+            known[name + (f" of serial {serial}" if serial else "")] = np.sqrt(np.diagonal(self.covariance)[part])
+        return known
+
 
 def alignment_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> Alignment:
     """The named values of a state."""

@@ -8,7 +8,7 @@ from ship_attitude_star.sky.config import InertialConfig, SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
-from ship_estimation.parameter_fields import arcsec, degrees, mapping_of, parameter, section, stamp_age
+from ship_estimation.parameter_fields import arcsec, autosave_period, degrees, mapping_of, parameter, section, stamp_age
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import IntegrityConfig
 
@@ -176,6 +176,7 @@ class ShipAttitudeConfig(StarSensorsById):
         1.0, doc="period of budget, alignment, error and health topics", unit="s", minimum=0.1, maximum=60.0
     )
     alignment_file: str = parameter("", doc="file of the saved alignment, read at the start where it exists")
+    alignment_autosave_s: float = autosave_period()
     alignment_max_age_d: float = parameter(
         30.0, doc="an alignment older than this is a wider prior", unit="d", minimum=0.0, maximum=36500.0
     )

@@ -79,6 +79,16 @@ class DiskFiles:
             raise _plain(error.errno or errno.EIO, path) from error
 
 
+class UntouchedFiles(DiskFiles):
+    """The files themselves, read as they are and never changed: what is written is forgotten.
+
+    Whoever runs an adapter to see what it would do, as a replay does, must not replace what a ship has saved.
+    """
+
+    def write(self, path: Path, content: bytes) -> None:
+        """See :meth:`Files.write`: nothing happens."""
+
+
 class NotedFiles:
     """The files themselves, each use noted.
 
@@ -110,7 +120,7 @@ class NotedFiles:
         self.uses.append(FileUse(str(path), True, content))
 
 
-DISK = DiskFiles()
+DISK, UNTOUCHED = DiskFiles(), UntouchedFiles()
 
 
 @dataclass(frozen=True)
@@ -131,17 +141,19 @@ class SavedFormat(Generic[Content]):
     document: Callable[[Content], dict[str, Any]]
     content: Callable[[dict[str, Any]], Content]
 
-    def save(self, path: Path, content: Content, files: Files = DISK) -> None:
-        """Write a document; the file is either the old one or the new one, never a part.
+    def save(self, path: Path, content: Content, files: Files = DISK) -> bytes:
+        """Write a document; the file is either the old one or the new one, never a part. Returns what was written.
 
         Raises:
             BadInput: the file cannot be written.
         """
         whole = {"format": self.format, "version": self.version, **self.document(content)}
+        written = yaml.safe_dump(whole, sort_keys=False, width=110).encode()
         try:
-            files.write(path, yaml.safe_dump(whole, sort_keys=False, width=110).encode())
+            files.write(path, written)
         except OSError as error:
             raise BadInput(f"the {self.what} cannot be written: {error.strerror}", file=path) from error
+        return written
 
     def load(self, path: Path, files: Files = DISK) -> Content:
         """Read a document.
@@ -149,26 +161,37 @@ class SavedFormat(Generic[Content]):
         Raises:
             BadInput: names the file and what is wrong with it.
         """
+        return self.parsed(path, self.read_at(path, files))
+
+    def read_at(self, path: Path, files: Files = DISK) -> bytes:
+        """The bytes of a document.
+
+        Raises:
+            BadInput: the file cannot be read.
+        """
         try:
-            written = files.read(path)
+            return files.read(path)
         except OSError as error:
             raise self._unreadable(path, error) from error
-        return self._parsed(path, written)
 
-    def load_if_there(self, path: Path, files: Files = DISK) -> Content | None:
-        """As :meth:`load`; None where there is no such file."""
+    def written_at(self, path: Path, files: Files = DISK) -> bytes | None:
+        """As :meth:`read_at`; None where there is no such file."""
         try:
-            written = files.read(path)
+            return files.read(path)
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
             raise self._unreadable(path, error) from error
-        return self._parsed(path, written)
 
     def _unreadable(self, path: Path, error: OSError) -> BadInput:
         return BadInput(f"the {self.what} cannot be read: {error.strerror}", file=path)
 
-    def _parsed(self, path: Path, written: bytes) -> Content:
+    def parsed(self, path: Path, written: bytes) -> Content:
+        """What the bytes of a document say.
+
+        Raises:
+            BadInput: names the file and what is wrong with it.
+        """
         try:
             document = plain_data(str(path), written.decode())
         except UnicodeDecodeError as error:

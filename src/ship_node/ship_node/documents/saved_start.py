@@ -1,14 +1,20 @@
 """The saved document that a node starts from, and what people are told of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 from ship_bags.errors import BadInput
 from ship_node.documents.saved_document import Files, SavedFormat
 
+_WORSE = 1.1
+"""A sigma that is larger than another one by this factor is worse: by less it wavers with the stars in view."""
 
-class Dated(Protocol):
+
+class Saved(Protocol):
     """What a node starts from: an alignment, a calibration."""
 
     @property
@@ -16,8 +22,12 @@ class Dated(Protocol):
         """Stamp of the newest data in it, ns; 0 where there is none."""
         ...
 
+    def sigmas(self) -> Mapping[str, npt.NDArray[np.float64]]:
+        """Standard deviations of each quantity, in its own units, by a name that says of which device it is."""
+        ...
 
-Prior = TypeVar("Prior", bound=Dated)
+
+Prior = TypeVar("Prior", bound=Saved)
 
 
 class SavedStart(Generic[Prior]):
@@ -34,6 +44,7 @@ class SavedStart(Generic[Prior]):
     Attributes:
         notices: what a log should tell, until somebody has taken it.
         messages: what the core said of the content that it started from.
+        trouble: why the node does not save by itself at the moment; empty where it does.
         is_due: whether a content was read and the core has not been given it yet.
 
     Raises:
@@ -53,16 +64,26 @@ class SavedStart(Generic[Prior]):
         self._start_from, self._to_save, self._nothing = start_from, to_save, nothing
         self.notices: list[str] = []
         self.messages: list[str] = []
-        self._read = kind.load_if_there(Path(path), files) if path else None
+        self.trouble = ""
+        # The bytes of the file that the core's state has grown out of; None where it has grown out of none.
+        self._origin: bytes | None = None
+        self._saved_ns = 0
+        self._looked_ns: int | None = None
+        self._read = kind.written_at(Path(path), files) if path else None
+        self._content = None if self._read is None else kind.parsed(Path(path), self._read)
         self.is_due = self._read is not None
         if path and not self.is_due:
             self.notices.append(f"no {kind.what} at {path} yet: the filter starts as configured")
 
     def start(self, now_ns: int) -> None:
         """Give the core what was read when the node was made; its age is judged by the time now, ns."""
-        read, self._read, self.is_due = self._read, None, False
-        if read is not None:
-            self._give(read, now_ns)
+        content, self._content, self.is_due = self._content, None, False
+        if content is not None:
+            self._give(content, now_ns)
+
+    def restarted(self) -> None:
+        """Take note that the core has forgotten what it measured: the file may know more than the core now."""
+        self._origin, self._saved_ns, self._looked_ns = None, 0, None
 
     def save(self) -> str:
         """Write what the core has; returns what was done.
@@ -73,8 +94,30 @@ class SavedStart(Generic[Prior]):
         path, content = self._file(), self._to_save()
         if content is None:
             raise BadInput(self._nothing)
-        self._kind.save(path, content, self._files)
+        self._write(path, content)
         return f"{self._kind.what} saved to {path}"
+
+    def is_time(self, waiting_ns: int, period_s: float) -> bool:
+        """Whether the node should save by itself now: once a period of the time of waiting, never with one of 0."""
+        if not self._path or not period_s:
+            return False
+        if self._looked_ns is not None and waiting_ns < self._looked_ns + round(period_s * 1e9):
+            return False
+        is_first, self._looked_ns = self._looked_ns is None, waiting_ns
+        return not is_first
+
+    def save_by_itself(self) -> None:
+        """Write what the core has if it is newer than what was written last, and no worse than what the file holds.
+
+        What hinders it is :attr:`trouble`, and a notice when that changes.
+        """
+        try:
+            trouble = self._saved_unless_worse(self._file())
+        except BadInput as error:
+            trouble = str(error)
+        if trouble != self.trouble:
+            self.notices.append(trouble or f"{self._kind.what} is saved again by itself to {self._path}")
+        self.trouble = trouble
 
     def load(self, now_ns: int) -> str:
         """Read the file anew and start from it; returns what was done.
@@ -83,11 +126,30 @@ class SavedStart(Generic[Prior]):
             BadInput: no file is named, or it cannot be read.
         """
         path = self._file()
-        self._give(self._kind.load(path, self._files), now_ns)
+        self._read = self._kind.read_at(path, self._files)
+        self._give(self._kind.parsed(path, self._read), now_ns)
         return "; ".join([f"{self._kind.what} loaded from {path}", *self.messages])
+
+    def _saved_unless_worse(self, path: Path) -> str:
+        content = self._to_save()
+        if content is None or content.time_ns == self._saved_ns:
+            return ""
+        there = self._kind.written_at(path, self._files)
+        # What the core's state has grown out of, or is itself, it cannot be worse than.
+        if there is not None and there != self._origin:
+            worse = worse_in(content, self._kind.parsed(path, there))
+            if worse:
+                return f"{self._kind.what} not saved by itself: {path} knows {worse}; ~/save_alignment replaces it"
+        self._write(path, content)
+        return ""
+
+    def _write(self, path: Path, content: Prior) -> None:
+        self._origin, self._saved_ns = self._kind.save(path, content, self._files), content.time_ns
 
     def _give(self, content: Prior, now_ns: int) -> None:
         self.messages = self._start_from(content, now_ns)
+        # With remarks only a part of it was used, or with less trust than the file has.
+        self._origin, self._saved_ns = None if self.messages else self._read, content.time_ns
         told = f"{self._kind.what} {self._path}, {age_words(content.time_ns, now_ns)}"
         self.notices.append("; ".join([told, *self.messages]))
 
@@ -95,6 +157,20 @@ class SavedStart(Generic[Prior]):
         if not self._path:
             raise BadInput(f"parameter '{self._kind.what}_file' is empty: set it to the path of the file to use")
         return Path(self._path)
+
+
+def worse_in(content: Saved, there: Saved) -> str:
+    """The first quantity that a content knows worse than another one does, or not at all; empty where there is none."""
+    own = content.sigmas()
+    if not all(np.all(np.isfinite(sigma)) for sigma in own.values()):
+        return "finite numbers, and here are none"
+    for name, known in there.sigmas().items():
+        if name not in own:
+            return f"{name}, which is not configured here"
+        measured = known > 0.0
+        if not np.all(own[name][measured] <= _WORSE * known[measured]):
+            return f"{name} better"
+    return ""
 
 
 def age_words(time_ns: int, now_ns: int) -> str:

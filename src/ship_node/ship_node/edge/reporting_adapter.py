@@ -185,6 +185,7 @@ class ReportingAdapter(ABC):
         if self.saved is not None and self.saved.is_due:
             self.saved.start(now_ns)
         published = self.published(self.core.tick(now_ns, waiting_ns), now_ns, waiting_ns)
+        self._save_by_itself(waiting_ns)
         if self._slow_due_ns is None or waiting_ns >= self._slow_due_ns:
             self._slow_due_ns = waiting_ns + round(self.config.slow_topics_period_s * _SECOND_NS)
             try:
@@ -278,6 +279,15 @@ class ReportingAdapter(ABC):
         self._feeds = {feed.input.topic: feed for feed in self.table(self.config)}
         self._measured_by = {feed.measured_by or feed.source: feed for feed in self._feeds.values()}
 
+    def _save_by_itself(self, waiting_ns: int) -> None:
+        """Save what the core has learned, once a period, while it is sure of it."""
+        if self.saved is None or not self.saved.is_time(waiting_ns, self.config.alignment_autosave_s):
+            return
+        # A source in conflict, or excluded, may have led the state astray before it was refused.
+        in_doubt = self.conflicts or (self._told.report is not None and self._told.report.excluded)
+        if self.latest is not None and self.latest.status is Status.VALID and not in_doubt:
+            self.saved.save_by_itself()
+
     def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
         published = self.own_slow_topics(now_ns)
         self.budget_due = None  # no estimate has its budget told twice
@@ -306,6 +316,10 @@ class ReportingAdapter(ABC):
         message = messages_out.integrity(self.factory, report, self.quantities, self.integrity_frame, config)
         return [(self.integrity_topic, message)]
 
+    def saved_remarks(self) -> list[str]:
+        """What people must know of the saved document: of the start from it, and of what hinders a new one."""
+        return [] if self.saved is None else [*self.saved.messages, *filter(None, [self.saved.trouble])]
+
     def integrity_statuses(self) -> list[DiagnosticStatus]:
         """One status with the protection levels told last and the sources excluded."""
         known = self.latest is not None and self.latest.status is not Status.INVALID
@@ -321,6 +335,8 @@ class ReportingAdapter(ABC):
     def _restart(self, clock_jumped: bool) -> None:
         self.core.reset(clock_jumped)
         self.health.restart()
+        if self.saved is not None:
+            self.saved.restarted()
         self.latest, self.budget_due, self._slow_due_ns = None, None, None
         self._told = ToldLevels()
         self.conflicts.clear()

@@ -13,6 +13,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_factory import MessageFactory
 from ship_bags.parameter_yaml import full_name
 from ship_bags.topic_names import relative_topics
+from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.parameters.parameter_file import has_section, load_config, misfit
@@ -203,7 +204,7 @@ def suite_chain(
     found, adapters, configs, left_out = relative_topics(bag.topics, namespace), [], {}, []
     for kind in meant:
         config = suite_config(bag, kind, config_path, full_name(kind.node_name, namespace))
-        adapter = kind(config, factory)
+        adapter = kind(config, factory, UNTOUCHED)
         devices = [topic.topic for topic in adapter.inputs if topic.topic.startswith(_DEVICE_PREFIXES)]
         if kind is not meant[0] and not found.keys() & devices:
             wanted = ", ".join(devices) or "the devices that it needs"

@@ -18,6 +18,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.parameter_yaml import ParameterFile, anywhere, full_name
 from ship_bags.topic_names import relative_topics
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
+from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.parameter_file import has_section, misfit, read, unknown_sections
 from ship_replay.offline.adapter_chain import nodes_of
@@ -160,7 +161,7 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
             if not _put_right(values, problem, descriptions):
                 return None
     try:
-        adapter = adapter_class(config, RosbagsFactory())
+        adapter = adapter_class(config, RosbagsFactory(), UNTOUCHED)
         findings.warnings += [f"{path}: {warning}" for warning in adapter.start_warnings]
         return CheckedNode(file, config, adapter, frozenset(told))
     except ParameterError as problem:

@@ -66,6 +66,15 @@ class CalibrationPrior:
     values: FloatArray
     covariance: FloatArray
 
+    def sigmas(self) -> dict[str, FloatArray]:
+        """Standard deviations by name with the theodolite's and its telescope's, each rad or m, shape (1,)."""
+        telescope = f"{self.serial}, {self.telescope_id}"
+        sigma = np.sqrt(np.diagonal(self.covariance))
+        return {
+            f"{name} of theodolite '{telescope if name in _OF_TELESCOPE else self.serial}'": sigma[i : i + 1]
+            for i, name in enumerate(SAVED_NAMES)
+        }
+
 
 def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> Calibration:
     """The named values of a state; a flexure with value and sigma zero is left out."""

@@ -142,10 +142,9 @@ class OpticalAxisAdapter(ReportingAdapter):
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The pointing, the calibration, lights in conflict with the rest, verdicts."""
-        told = [] if self.saved is None else self.saved.messages
         return [
             pointing_status(self.latest, self.clock_jumps),
-            calibration_status(self.core.calibration(), told),
+            calibration_status(self.core.calibration(), self.saved_remarks()),
             *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.verdicts.statuses(),
