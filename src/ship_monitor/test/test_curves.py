@@ -73,14 +73,24 @@ def test_a_trail_is_the_same_however_it_is_fed_and_never_too_long(rate_hz: float
 
 
 def test_a_gap_is_left_open_once_and_the_line_goes_on_behind_it() -> None:
-    points = [point for point in samples(1.0, 60.0) if not 1020.0 < point.utc_ns * 1e-9 < 1030.0]
+    points = [point for point in samples(1.0, 60.0) if not 1020 * SECOND_NS < point.utc_ns < 1030 * SECOND_NS]
     for ends in ([len(points)], range(1, len(points) + 1)):
         trail = Trail(("value",), by="value")
         for end in ends:
             trail.follow(points[:end], rows)
         times, values = (np.asarray(trail.source.data[name]) for name in ("t", "value"))
-        assert list(times[np.isnan(values)]) == [1_030_000.0 - 1.0]
-        assert len(times) == len(points)  # all but the newest, and the gap
+        assert list(times[np.isnan(values)]) == [1_020_000.0 + 1.0, 1_030_000.0 - 1.0]
+        assert len(times) == len(points) + 1  # all but the newest, and the two ends of the gap
+        assert np.all(np.diff(times) > 0.0)
+
+
+def test_an_area_is_closed_in_a_gap() -> None:
+    points = [point for point in samples(1.0, 60.0) if not 1020 * SECOND_NS < point.utc_ns < 1030 * SECOND_NS]
+    trail = Trail(("value", "high"), by="value", filled=("high",))
+    trail.follow(points, lambda new: {**rows(new), "high": np.full(len(new), 9.0)})
+    times, high = (np.asarray(trail.source.data[name]) for name in ("t", "high"))
+    assert list(times[high == 0.0]) == [1_020_001.0, 1_029_999.0]
+    assert set(high) == {0.0, 9.0}
 
 
 def test_points_that_begin_anew_are_drawn_anew() -> None:

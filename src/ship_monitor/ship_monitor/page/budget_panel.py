@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import placed
-from ship_monitor.page.figures import ARCSEC, PanelBox, SideLabels, TimePlots, Trail, time_plot, words
+from ship_monitor.page.figures import ARCSEC, PanelBox, SideLabels, TimePlots, Trail, narrow_height, time_plot, words
 from ship_monitor.page.themes import FONT, Theme
 from ship_watch.history import KEPT_S, BudgetPoint, History
 from ship_watch.picture import ANGLES
@@ -74,11 +74,14 @@ class BudgetPanel:
 
     def _begin(self) -> None:
         """An empty plot: each source of error has a column of its own."""
-        self._trail = Trail((*(_column(source) for source in self._sources), "total"), by="total")
+        columns = [_column(source) for source in self._sources]
+        self._trail = Trail((*columns, "total"), by="total", filled=columns)
         self._figure = time_plot(self._theme, self._times, 210, self._height, has_axis=True)
+        self._figure.stylesheets = [*self._figure.stylesheets, narrow_height(180)]
         self._labels = SideLabels(self._theme, self._figure)
         self._peaks = ColumnDataSource({"x": [], "y": [], "text": []})
-        placing = {"text_baseline": "top", "x_offset": 5, "y_offset": 2, "level": "overlay"}
+        placing = {"text_baseline": "top", "x_offset": 4, "y_offset": 2, "level": "overlay"}
+        placing |= {"background_fill_color": self._theme.panel, "padding": 2}
         words(self._figure, self._peaks, text_color=self._theme.text, **placing)
         self._filled: list[object] = []
 
@@ -93,7 +96,8 @@ class BudgetPanel:
         if not np.isfinite(totals).any():
             self.box.say(f"{self.angle}: not known now")
             return
-        means = {source: float(np.nanmean(columns[_column(source)])) for source in self._sources}
+        known = np.isfinite(totals)
+        means = {source: float(np.mean(np.asarray(columns[_column(source)])[known])) for source in self._sources}
         bands = largest_sources(means, self._bands)
         if bands != self._bands:
             self._bands = bands
@@ -236,5 +240,6 @@ def _choice_css(theme: Theme) -> str:
         f":host{{margin:0 12px}}.bk-btn{{background:{theme.panel};color:{theme.second_text};font:13px {FONT};"
         f"border:1px solid {theme.border};padding:2px 9px;box-shadow:none}}"
         f".bk-btn:hover{{background:{theme.border};color:{theme.text}}}"
-        f".bk-btn.bk-active{{background:{theme.border};color:{theme.text};font-weight:bold}}"
+        f".bk-btn.bk-active{{background:{theme.border};color:{theme.text};font-weight:bold;"
+        f"border-color:{theme.second_text};box-shadow:none;outline:none}}"
     )

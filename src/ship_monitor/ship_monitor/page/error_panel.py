@@ -8,7 +8,7 @@ from bokeh.models import Range1d
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import fixed_step
-from ship_monitor.page.figures import PanelBox, SideLabels, TimePlots, Trail, hover, time_plot
+from ship_monitor.page.figures import BAND, PanelBox, SideLabels, TimePlots, Trail, band, hover, time_plot
 from ship_monitor.page.themes import Theme
 from ship_watch.history import ErrorPoint, History
 
@@ -67,10 +67,10 @@ class _ErrorRow:
         self._height = Range1d(-15.0, 15.0)
         self.figure = time_plot(theme, times, 116 if has_axis else 94, self._height, has_axis=has_axis)
         self._labels = SideLabels(theme, self.figure)
-        self._trail = Trail(("error", "sigma", "low", "high"), by="error")
+        self._trail = Trail(("error", "sigma", *BAND), by="error", filled=BAND[:2])
         source, colour = self._trail.source, theme.series[0]
         self.figure.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=0.18)
-        for edge in ("low", "high"):
+        for edge in BAND[2:]:
             self.figure.line("t", edge, source=source, line_color=colour, line_dash="dashed")
         line = self.figure.line("t", "error", source=source, line_color=theme.text, line_width=1.2)
         hover(theme, self.figure, "@error{+0.0}″, σ @sigma{0.0}″", [line])
@@ -95,4 +95,4 @@ class _ErrorRow:
     def _columns(self, points: Sequence[ErrorPoint]) -> dict[str, FloatArray]:
         error = np.array([point.error.get(self._channel, np.nan) for point in points], float)
         sigma = np.array([point.sigma.get(self._channel, np.nan) for point in points], float)
-        return {"error": error, "sigma": sigma, "low": -3.0 * sigma, "high": 3.0 * sigma}
+        return {"error": error, "sigma": sigma, **band(sigma)}

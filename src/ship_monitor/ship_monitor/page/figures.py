@@ -39,6 +39,9 @@ ARCSEC = 3600.0 * 180.0 / np.pi
 MS = 1e-6
 """Milliseconds, in which browsers count time, in a nanosecond."""
 
+BAND = ("low", "high", "edge_low", "edge_high")
+"""Columns of a band: the two that bound its area, and the two that its edges are drawn by."""
+
 NARROW = "@media (max-width: 700px)"
 """Small screens: one column, plots 180 px high."""
 
@@ -51,15 +54,17 @@ class Trail:
     Args:
         columns: names of its columns beside ``t``, the time in ms.
         by: the column whose least and largest values are kept.
+        filled: columns that bound areas. A browser fills across what is not known, so in a gap they are 0, not NaN.
 
     Attributes:
         source: what glyphs draw.
     """
 
-    def __init__(self, columns: Sequence[str], by: str) -> None:
+    def __init__(self, columns: Sequence[str], by: str, filled: Sequence[str] = ()) -> None:
         self.source = ColumnDataSource({name: np.empty(0) for name in ("t", *columns)})
-        self._by = by
+        self._by, self._filled = by, frozenset(filled)
         self._taken_ns: int | None = None
+        self._last_ns: int | None = None
 
     def follow(self, points: Sequence[Point], rows: Callable[[Sequence[Point]], Mapping[str, FloatArray]]) -> None:
         """Take what is new of the points; all of them where they begin anew.
@@ -69,7 +74,7 @@ class Trail:
             rows: makes the columns of some of them.
         """
         if self._taken_ns is not None and (not points or points[-1].utc_ns < self._taken_ns):
-            self._taken_ns = None
+            self._taken_ns = self._last_ns = None
             self.source.data = {name: np.empty(0) for name in self.source.data}
         new = newer(points, self._taken_ns)
         time_ns = np.array([point.utc_ns for point in new], np.int64)
@@ -78,11 +83,22 @@ class Trail:
             return
         columns: dict[str, FloatArray] = {"t": MS * time_ns.astype(float), **rows(new)}
         kept = thinned(time_ns, columns[self._by])
-        broken = gaps_before(time_ns[kept], self._taken_ns, usual_period_ns(points))
+        broken = gaps_before(time_ns[kept], self._last_ns, usual_period_ns(points))
         self._taken_ns = int(time_ns[over - 1])
-        shown = {name: np.insert(column[kept], broken, np.nan) for name, column in columns.items()}
-        shown["t"] = np.insert(columns["t"][kept], broken, columns["t"][kept][broken] - 1.0)
+        before = np.concatenate(([MS * (self._last_ns or 0)], columns["t"][kept]))[broken]
+        gaps = np.repeat(broken, 2)  # a row right after what was before it, and one right before what is behind it
+        shown = {}
+        for name, column in columns.items():
+            known = np.nan_to_num(column[kept]) if name in self._filled else column[kept]
+            shown[name] = np.insert(known, gaps, 0.0 if name in self._filled else np.nan)
+        shown["t"][np.isnan(shown["t"])] = np.column_stack([before + 1.0, columns["t"][kept][broken] - 1.0]).ravel()
+        self._last_ns = int(time_ns[kept[-1]])
         self.source.stream({name: column[-ROWS_KEPT:] for name, column in shown.items()}, rollover=ROWS_KEPT)
+
+
+def band(sigma: FloatArray) -> dict[str, FloatArray]:
+    """The columns of :data:`BAND`: ±3 sigma, for the area and for the lines at its edges."""
+    return {"low": -3.0 * sigma, "high": 3.0 * sigma, "edge_low": -3.0 * sigma, "edge_high": 3.0 * sigma}
 
 
 class TimePlots:
@@ -197,6 +213,11 @@ def tooltip_style(theme: Theme) -> InlineStyleSheet:
     return InlineStyleSheet(css=f":host{{{colours}}}")
 
 
+def narrow_height(height_px: int) -> InlineStyleSheet:
+    """Another height of a plot on a small screen."""
+    return InlineStyleSheet(css=f"{NARROW}{{:host{{height:{height_px}px !important}}}}")
+
+
 def words(made: figure, source: ColumnDataSource, **options: Any) -> None:
     """Words at places of a plot: columns ``x``, ``y`` and ``text`` of a source; ``options`` as of Bokeh's text."""
     made.text("x", "y", "text", source=source, text_font=value(FONT), text_font_size="13px", **options)
@@ -276,5 +297,5 @@ def _head_css(theme: Theme) -> str:
 def _panel_css(theme: Theme) -> str:
     return (
         f":host{{background:{theme.panel};border:1px solid {theme.border};border-radius:4px;min-width:0;"
-        "box-sizing:border-box;padding-bottom:6px;align-self:stretch}"
+        "box-sizing:border-box;padding-bottom:6px;align-self:stretch !important;height:auto !important}"
     )

@@ -12,8 +12,8 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import fixed_step, placed, signed
-from ship_monitor.page.figures import ARCSEC, MS, PanelBox, SideLabels, TimePlots, Trail, hover, time_plot
+from ship_monitor.page.curves import STEPS_ARCSEC, fixed_step, placed, signed
+from ship_monitor.page.figures import ARCSEC, BAND, MS, PanelBox, SideLabels, TimePlots, Trail, band, hover, time_plot
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, InnovationPoint
 from ship_watch.picture import Picture, Presence, SourceShown
@@ -51,8 +51,8 @@ class InnovationPanel:
         for name, row in self._rows.items():
             row.update(history.innovations[name], sources.get(name), picture.utc_ns)
         nothing = "" if self._rows else "no source is compared with a prediction yet. "
-        markers = "mean per exposure, ″: ● up, z  ■ right, x  ✕ refused"
-        self.box.say(nothing + (markers if has_truth else f"no truth here: the error is not known · {markers}"))
+        markers = "means, ″ · ● up, z · ■ right, x · ✕ refused"
+        self.box.say(nothing + (markers if has_truth else f"no truth here, so no error · {markers}"))
 
 
 class _SourceRow:
@@ -67,28 +67,29 @@ class _SourceRow:
         shade = {"fill_color": theme.caution_border, "fill_alpha": 0.14, "line_color": None}
         hatch = {"hatch_pattern": "right_diagonal_line", "hatch_color": theme.caution_border, "hatch_alpha": 0.25}
         self.figure.vstrip(x0="start", x1="end", source=self._out, **shade, **hatch, hatch_scale=14)
-        self._trails = [Trail(("value", "used", "refused", "low", "high"), by="value") for _ in AXES_DRAWN]
+        self._trails = [Trail(("value", "used", "refused", *BAND), by="value", filled=BAND[:2]) for _ in AXES_DRAWN]
         for trail, (marker, _), colour in zip(self._trails, _MARKERS, theme.series, strict=False):
             self._draw(trail, marker, colour)
 
     def _draw(self, trail: Trail, marker: str, colour: str) -> None:
         source, theme = trail.source, self._theme
         self.figure.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=0.13)
-        for edge in ("low", "high"):
+        for edge in BAND[2:]:
             self.figure.line("t", edge, source=source, line_color=colour, line_dash="dashed", line_alpha=0.5)
         dots = self.figure.scatter(
             "t",
             "used",
             source=source,
             marker=marker,
-            size=2.6,
-            line_color=None,
-            fill_color=colour,
+            size=2.8 if marker == "circle" else 3.6,
+            line_color=None if marker == "circle" else colour,
+            line_width=0.8,
+            fill_color=colour if marker == "circle" else None,
         )
         crosses = self.figure.scatter(
             "t", "refused", source=source, marker="x", size=6, line_color=theme.caution_border, line_width=1.5
         )
-        hover(theme, self.figure, "@value{+0.0}″, ±3σ to @high{0.0}″", [dots, crosses])
+        hover(theme, self.figure, "@value{+0.0}″, ±3σ to @edge_high{0.0}″", [dots, crosses])
 
     def update(self, points: Sequence[InnovationPoint], source: SourceShown | None, utc_ns: int) -> None:
         """Draw what is new of the source."""
@@ -99,11 +100,9 @@ class _SourceRow:
         step = fixed_step(_largest(lately))
         self._height.update(start=-step, end=step)
         self._labels.write(_side_texts([point for point in lately if utc_ns - point.utc_ns <= LATELY_NS], step))
-        text, is_out = source_line(self._name, source)
-        wider = f" · axis ±{step:g}″" if step > 15.0 else ""
-        self.figure.title.update(
-            text=text + wider, text_color=self._theme.caution_border if is_out else self._theme.text
-        )
+        text, is_out = source_line(self._name, source, step)
+        colour = self._theme.caution_border if is_out else self._theme.text
+        self.figure.title.update(text=text, text_color=colour)
         self.figure.title.text_font_style = "bold" if is_out else "normal"
         self._shade(source, utc_ns)
 
@@ -121,16 +120,23 @@ class _SourceRow:
         self._out.data = {"start": start, "end": end}
 
 
-def source_line(name: str, source: SourceShown | None) -> tuple[str, bool]:
-    """What stands above a source's plot, and whether it is out: the glyph, the word, and the verdict or the reason."""
+def source_line(name: str, source: SourceShown | None, step: float) -> tuple[str, bool]:
+    """What stands above a source's plot, and whether it is out: the glyph, the word, and the verdict or the reason.
+
+    Args:
+        name: of the source.
+        source: what is shown of it; None where nothing is.
+        step: half the height of the axis, arcsec, which is said where it is not the usual.
+    """
+    axis = f" · axis ±{step:g}″" if step > STEPS_ARCSEC[0] else ""
     if source is None:
-        return name, False
+        return name + axis, False
     if source.presence is Presence.OUT:
         off = f" · {source.disagreement}" if source.disagreement else ""
         sigmas = f" · residual {source.residual:.1f} σ" if np.isfinite(source.residual) else ""
-        return f"✕ {name}  OUT · {source.reason}{off}{sigmas}", True
+        return f"✕ {name}  OUT{axis} · {source.reason}{off}{sigmas}", True
     verdict = f" · {source.verdict.text}" if source.verdict and source.verdict.text else ""
-    return f"✓ {name}  {source.presence.value}{verdict}", False
+    return f"✓ {name}  {source.presence.value}{axis}{verdict}", False
 
 
 def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[str, FloatArray]:
@@ -145,8 +151,7 @@ def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[s
         "value": value,
         "used": np.where(used, value, np.nan),
         "refused": np.where(used, np.nan, value),
-        "low": -3.0 * sigma,
-        "high": 3.0 * sigma,
+        **band(sigma),
     }
 
 
@@ -155,7 +160,7 @@ def _largest(points: Sequence[InnovationPoint]) -> float:
     largest = 0.0
     for axes in AXES_DRAWN:
         columns = _columns(points, axes)
-        for column in ("value", "high"):
+        for column in ("value", "edge_high"):
             known = np.abs(columns[column][np.isfinite(columns[column])])
             largest = max(largest, float(np.quantile(known, 0.98)) if len(known) else 0.0)
     return largest

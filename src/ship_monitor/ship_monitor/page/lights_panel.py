@@ -6,7 +6,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_monitor.page.curves import fixed_step, signed
-from ship_monitor.page.figures import ARCSEC, PanelBox, ResidualBars, plot, words
+from ship_monitor.page.figures import ARCSEC, PanelBox, ResidualBars, narrow_height, plot, words
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, LightPoint
 from ship_watch.picture import Picture
@@ -30,6 +30,7 @@ class LightsPanel:
         self._theme = theme
         self._x, self._z = Range1d(-7.0, 7.0), Range1d(-7.0, 7.0)
         self.figure = plot(theme, 320, self._x, self._z, x_axis_label="x, mm on the detector", y_axis_label="z, mm")
+        self.figure.stylesheets = [*self.figure.stylesheets, narrow_height(180)]
         self._past = _source("x", "z", "alpha", "colour", "marker")
         self._now = _source("x", "y", "colour", "marker", "text", "ahead", "align")
         dots = {"size": 3, "line_color": "colour", "fill_color": None, "line_alpha": "alpha", "marker": "marker"}

@@ -64,8 +64,8 @@ class _SkyMap:
 
     def __init__(self, theme: Theme) -> None:
         self._theme = theme
-        self.figure = plot(theme, 320, Range1d(-1.32, 1.32), Range1d(-1.2, 1.2), match_aspect=True)
-        self.figure.update(min_border_left=4, outline_line_color=None)
+        self.figure = plot(theme, 320, Range1d(-1.32, 1.32), Range1d(-1.2, 1.2))
+        self.figure.update(sizing_mode="scale_width", aspect_ratio=1.1, min_border=0, outline_line_color=None)
         self.figure.axis.visible = False
         self.figure.grid.visible = False
         rings = {"line_color": [theme.second_text, theme.grid, theme.grid], "radius": [1.0, 2 / 3, 1 / 3]}

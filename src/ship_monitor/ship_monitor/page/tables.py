@@ -87,7 +87,9 @@ def input_row(shown: InputShown, guilty: Mapping[str, SourceShown]) -> str:
     )
     name = f"✕ {shown.topic}" if source else shown.topic
     row_class = " class=guilty" if source else ""
-    return f"<tr{row_class}><td>{escape(name)}" + "".join(f"<td class='{kind}'>{escape(text)}" for kind, text in cells)
+    return f"<tr{row_class}><td>{escape(name).replace('/', '/<wbr>')}" + "".join(
+        f"<td class='{kind}'>{escape(text)}" for kind, text in cells
+    )
 
 
 def reasons_text(reasons: Mapping[str, int]) -> str:
@@ -111,6 +113,6 @@ def _table(theme: Theme) -> Div:
         f"th{{font-weight:normal;border-top:none}}th,.time{{color:{theme.second_text};white-space:nowrap}}"
         ".n{text-align:right;white-space:nowrap;padding-right:18px}.reasons{width:45%}"
         f".guilty td{{color:{theme.caution_border};font-weight:bold}}"
-        f"{NARROW}{{.wide{{display:none}}.n{{padding-right:8px}}.reasons{{width:auto}}td,th{{overflow-wrap:anywhere}}}}"
+        f"{NARROW}{{.wide{{display:none}}.n{{padding-right:8px}}.reasons{{width:auto}}}}"
     )
     return Div(sizing_mode="stretch_width", stylesheets=[InlineStyleSheet(css=css)])
