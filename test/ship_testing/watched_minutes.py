@@ -54,7 +54,10 @@ def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool =
     history.budgets["ship/error_budget"] = deque(_budget(at_second) for at_second in at_s)
     for name, x, z in (("a", -5e-3, -4e-3), ("b", 3.6e-3, 5.0e-3)):
         history.lights[name] = deque(_lights(rng, x, z))
-    history.stars = {"fore": _stars(rng, 0.45, 0.92), "starboard": _stars(rng, 2.17, 0.85, KNOCK_RIGHT_ARCSEC)}
+    history.stars = {
+        "star.fore": _stars(rng, 0.45, 0.92),
+        "star.starboard": _stars(rng, 2.17, 0.85, KNOCK_RIGHT_ARCSEC),
+    }
     aligned = (("ins.north", 3.5), ("ins.up", 62.9), ("ins.east", 19.3), ("star.fore.azimuth", -2.5))
     history.alignment = (
         *(ParameterShown(name, value * ARCSEC, 0.6 * ARCSEC, "rad", True, 0.0) for name, value in aligned),

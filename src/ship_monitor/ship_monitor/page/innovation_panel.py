@@ -133,7 +133,7 @@ def source_line(name: str, source: SourceShown | None, step: float) -> tuple[str
         return name + axis, False
     if source.presence is Presence.OUT:
         off = f" · {source.disagreement}" if source.disagreement else ""
-        sigmas = f" · residual {source.residual:.1f} σ" if np.isfinite(source.residual) else ""
+        sigmas = f" · residual {abs(source.residual):.1f} σ" if np.isfinite(source.residual) else ""
         return f"✕ {name}  OUT{axis} · {source.reason}{off}{sigmas}", True
     verdict = f" · {source.verdict.text}" if source.verdict and source.verdict.text else ""
     return f"✓ {name}  {source.presence.value}{axis}{verdict}", False
@@ -156,13 +156,16 @@ def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[s
 
 
 def _largest(points: Sequence[InnovationPoint]) -> float:
-    """What the height of a plot must hold, arcsec: nearly all values and the band, of the axes that are drawn."""
+    """What the height of a plot must hold, arcsec: nearly all values, and the band where it is narrowest.
+
+    While another source is out, a prediction may be so uncertain that its band would leave nothing else to be seen.
+    """
     largest = 0.0
     for axes in AXES_DRAWN:
         columns = _columns(points, axes)
-        for column in ("value", "edge_high"):
+        for column, share in (("value", 0.98), ("edge_high", 0.1)):
             known = np.abs(columns[column][np.isfinite(columns[column])])
-            largest = max(largest, float(np.quantile(known, 0.98)) if len(known) else 0.0)
+            largest = max(largest, float(np.quantile(known, share)) if len(known) else 0.0)
     return largest
 
 

@@ -5,15 +5,19 @@ is in the middle, the horizon its rim, elevation even in between.
 """
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import erfa
 import numpy as np
 
 from ship_geometry.earth_orientation import OutsideEarthOrientation, earth_orientation_table
+from ship_geometry.frames import rotation_from_angles
 from ship_geometry.geodetic import GeodeticPosition, ecef_from_geodetic, rotation_horizon_from_ecef
 from ship_geometry.star_directions import RefreshedSky
 from ship_geometry.time_scales import tt_julian_date
+from ship_watch.history import ParameterShown
+from ship_watch.picture import AngleShown
 
 _AU_M = 149_597_870_700.0
 
@@ -33,6 +37,28 @@ def on_map(azimuth: float, elevation: float) -> tuple[float, float]:
     """
     radius = 1.0 - elevation / (0.5 * math.pi)
     return radius * math.sin(azimuth), radius * math.cos(azimuth)
+
+
+def boresight(name: str, alignment: Sequence[ParameterShown], angles: Sequence[AngleShown]) -> tuple[float, float]:
+    """Azimuth and elevation of a star sensor's boresight over the horizon, rad, from its installation and the attitude.
+
+    A sensor that tells its attitude and not its stars has no solution. NaN where one of the angles is not known.
+
+    Args:
+        name: of the source, "star.<id>".
+        alignment: states; the installation angles are among them.
+        angles: as shown; heading, pitch and roll are among them.
+    """
+    installed = {state.name: state.value for state in alignment}
+    shown = {angle.name: angle.value for angle in angles}
+    azimuth, elevation = (installed.get(f"{name}.{angle}", math.nan) for angle in ("azimuth", "elevation"))
+    deck = [shown.get(angle, math.nan) for angle in ("heading", "pitch", "roll")]
+    if not np.isfinite([azimuth, elevation, *deck]).all():
+        return math.nan, math.nan
+    # The installation's azimuth is from the bow to starboard: of a deck that heads North, in the horizon.
+    forward_d = rotation_from_angles(np.asarray(azimuth), np.asarray(elevation), np.asarray(0.0))[:, 0]
+    north, up, east = rotation_from_angles(*map(np.asarray, deck)) @ forward_d
+    return math.atan2(east, north) % (2.0 * math.pi), math.atan2(up, math.hypot(north, east))
 
 
 def moon_direction(utc_ns: int, latitude: float, longitude: float) -> tuple[float, float] | None:

@@ -9,7 +9,7 @@ import numpy as np
 from bokeh.models import Column, ColumnDataSource, InlineStyleSheet, Range1d
 
 from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, plot, words
-from ship_monitor.page.sky import moon_direction, on_map
+from ship_monitor.page.sky import boresight, moon_direction, on_map
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, StarsSeen
 from ship_watch.picture import Picture, Presence, SourceShown
@@ -49,12 +49,12 @@ class SkyPanel:
         """Draw the last exposures."""
         sources = {source.name: source for source in picture.sources}
         shown = [name for name, seen in sorted(history.stars.items()) if len(seen.u)]
-        shown = sorted(shown, key=lambda name: not _is_out(sources.get(f"star.{name}")))[:FIELDS_SHOWN]
+        shown = sorted(shown, key=lambda name: not _is_out(sources.get(name)))[:FIELDS_SHOWN]
         if shown != list(self._fields):
             self._fields = {name: self._fields.get(name) or _Field(self._theme) for name in shown}
             self._column.children = [field.figure for field in self._fields.values()]
         for name, field in self._fields.items():
-            field.update(name, history.stars[name], sources.get(f"star.{name}"), len(shown))
+            field.update(_short(name), history.stars[name], sources.get(name), len(shown))
         told = self._map.update(history, picture, sources)
         self.box.say(f"fields of view larger than they are · bars: residuals{told}")
 
@@ -65,7 +65,9 @@ class _SkyMap:
     def __init__(self, theme: Theme) -> None:
         self._theme = theme
         self.figure = plot(theme, 320, Range1d(-1.32, 1.32), Range1d(-1.2, 1.2))
-        self.figure.update(sizing_mode="scale_width", aspect_ratio=1.1, min_border=0, outline_line_color=None)
+        self.figure.update(
+            height=None, sizing_mode="scale_width", aspect_ratio=1.1, min_border=0, outline_line_color=None
+        )
         self.figure.axis.visible = False
         self.figure.grid.visible = False
         rings = {"line_color": [theme.second_text, theme.grid, theme.grid], "radius": [1.0, 2 / 3, 1 / 3]}
@@ -99,10 +101,13 @@ class _SkyMap:
         stars: dict[str, list[object]] = {"x": [], "y": [], "colour": [], "marker": []}
         names: dict[str, list[object]] = {"x": [], "y": [], "text": [], "colour": []}
         for name, seen in sorted(history.stars.items()):
-            if not math.isfinite(seen.azimuth + seen.elevation):
+            direction = (seen.azimuth, seen.elevation)
+            if not np.isfinite(direction).all():
+                direction = boresight(name, history.alignment, picture.angles)
+            if not np.isfinite(direction).all():
                 continue
-            x, y = on_map(seen.azimuth, seen.elevation)
-            is_bad = _is_out(sources.get(f"star.{name}")) or not seen.is_accepted
+            x, y = on_map(*direction)
+            is_bad = _is_out(sources.get(name)) or not seen.is_accepted
             colour, half = theme.caution_border if is_bad else theme.series[0], _FIELD_ON_MAP
             squares["xs"].append([x - half, x + half, x + half, x - half, x - half])
             squares["ys"].append([y - half, y - half, y + half, y + half, y - half])
@@ -113,7 +118,7 @@ class _SkyMap:
             stars["y"] += list(y + half * up)
             stars["colour"] += [colour if is_bad else theme.text] * len(seen.u)
             stars["marker"] += ["circle" if one and not is_bad else "x" for one in used]
-            _append(names, x + 1.4 * half, y, f"✕ {name}" if is_bad else name, colour)
+            _append(names, x + 1.4 * half, y, f"✕ {_short(name)}" if is_bad else _short(name), colour)
         heading = next((angle.value for angle in picture.angles if angle.name == "heading"), math.nan)
         bow = [on_map(heading, elevation) for elevation in (0.5 * math.pi, 0.0)] if math.isfinite(heading) else []
         self._bow.data = {"x": [x for x, _ in bow], "y": [y for _, y in bow]}
@@ -206,6 +211,11 @@ def places_in_field(seen: StarsSeen) -> tuple[np.ndarray, np.ndarray]:
 def _rounded(places: np.ndarray) -> float:
     """Side of a detector that holds places: no topic tells it, so the next multiple of 256 px."""
     return _FIELD_PX * max(1.0, math.ceil((float(np.max(places)) + 1.0) / _FIELD_PX)) if len(places) else _FIELD_PX
+
+
+def _short(name: str) -> str:
+    """A sensor's own name: that it is one of stars is plain here."""
+    return name.removeprefix("star.")
 
 
 def _is_out(source: SourceShown | None) -> bool:

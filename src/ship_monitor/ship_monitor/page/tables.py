@@ -71,7 +71,10 @@ def event_row(event: Event) -> str:
 
 
 def input_row(shown: InputShown, guilty: Mapping[str, SourceShown]) -> str:
-    """A row of the inputs: what its node refused and what the filter behind it refused are in one number."""
+    """A row of the inputs: what its node refused and what the filter behind it refused are in one number.
+
+    The row of a source that is to blame stands out, not that of one which only needs it.
+    """
     source = guilty.get(shown.topic)
     refused = shown.refused_60s
     reasons = reasons_text(shown.reasons)
@@ -86,7 +89,7 @@ def input_row(shown: InputShown, guilty: Mapping[str, SourceShown]) -> str:
         ("reasons", reasons),
     )
     name = f"✕ {shown.topic}" if source else shown.topic
-    row_class = " class=guilty" if source else ""
+    row_class = " class=guilty" if source and not source.because_of else ""
     return f"<tr{row_class}><td>{escape(name).replace('/', '/<wbr>')}" + "".join(
         f"<td class='{kind}'>{escape(text)}" for kind, text in cells
     )

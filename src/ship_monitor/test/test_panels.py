@@ -1,0 +1,201 @@
+"""What the panels say, from drawn minutes in which a star sensor is knocked."""
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bokeh.models import ColumnDataSource, Div
+
+from ship_geometry.rotations import ARCSEC
+from ship_monitor.page.alignment_panel import bars_arcsec, half_width, state_text
+from ship_monitor.page.innovation_panel import InnovationPanel, source_line
+from ship_monitor.page.panels import build_panels
+from ship_monitor.page.sky import boresight
+from ship_monitor.page.sky_panel import places_in_field, used_stars
+from ship_monitor.page.tables import event_row, input_row, reasons_text
+from ship_monitor.page.themes import THEMES
+from ship_testing.watched_minutes import KNOCKED_S, NOW_NS, watched_history, watched_picture
+from ship_watch.history import History, ParameterShown
+from ship_watch.picture import Event, InputShown, Presence
+
+PICTURE = watched_picture()
+GUILTY, GOOD = PICTURE.sources[0], PICTURE.sources[1]
+
+
+@pytest.fixture
+def panels():
+    return build_panels(THEMES["dusk"])
+
+
+def test_an_empty_suite_draws_empty_panels_that_say_so(panels) -> None:
+    panels.update(History(), replace(PICTURE, utc_ns=0, angles=(), sources=(), inputs=(), events=()))
+    texts = " ".join(div.text for div in panels.layout.select({"type": Div}))
+    for said in (
+        "no source is compared with a prediction yet",
+        "no truth here",
+        "no lights: there is no telescope",
+        "no error budget is told",
+        "no alignment and no calibration is told",
+        "no node tells of its inputs",
+        "nothing has changed yet",
+    ):
+        assert said in texts
+
+
+def test_without_truth_the_innovations_take_the_room_of_the_errors(panels) -> None:
+    panels.update(watched_history(has_truth=True), PICTURE)
+    assert panels._errors.box.layout.visible
+    assert "grid-column" not in panels._innovations.box.layout.styles
+    panels.update(watched_history(has_truth=False), PICTURE)
+    assert not panels._errors.box.layout.visible
+    assert panels._innovations.box.layout.styles["grid-column"] == "1 / -1"
+
+
+def test_a_knocked_sensor_is_shown_refused_off_and_shaded(panels) -> None:
+    panels.update(watched_history(), PICTURE)
+    row = panels._innovations._rows["star.starboard"]
+    right = row._trails[1].source.data
+    times, refused, used = (np.asarray(right[name]) for name in ("t", "refused", "used"))
+    knocked_ms = (NOW_NS - KNOCKED_S * 1e9) * 1e-6
+    assert np.nanmin(times[np.isfinite(refused)]) >= knocked_ms
+    assert np.nanmax(times[np.isfinite(used)]) <= knocked_ms
+    assert np.nanmean(refused) == pytest.approx(49.0, abs=2.0)
+    assert row._height.end == 60.0
+    assert row._out.data == {"start": [knocked_ms], "end": [NOW_NS * 1e-6]}
+    assert row.figure.title.text.startswith("✕ star.starboard  OUT · axis ±60″")
+    assert row.figure.title.text_color == THEMES["dusk"].caution_border
+    assert "■ right +49." in " ".join(row._labels._axis.major_label_overrides.values())
+
+
+def test_an_outage_that_is_over_stays_shaded_and_a_new_one_is_added(panels) -> None:
+    panel: InnovationPanel = panels._innovations
+    history = watched_history()
+    for now_s, since_s in ((0, -40), (5, -40), (10, None), (20, 15), (22, 15)):
+        source = replace(GUILTY, out_since_ns=NOW_NS + since_s * 10**9) if since_s else replace(GOOD, name=GUILTY.name)
+        panel.update(history, replace(PICTURE, utc_ns=NOW_NS + now_s * 10**9, sources=(source,)), has_truth=True)
+    now_ms = NOW_NS * 1e-6
+    out = panel._rows["star.starboard"]._out.data
+    assert out["start"] == pytest.approx([now_ms - 40e3, now_ms + 15e3])
+    assert out["end"] == pytest.approx([now_ms + 5e3, now_ms + 22e3])
+
+
+def test_a_band_that_says_nothing_does_not_hide_what_is_measured(panels) -> None:
+    history = watched_history()
+    wide = [
+        replace(p, sigma=p.sigma * (400.0 if p.utc_ns > NOW_NS - 20 * 10**9 else 1.0))
+        for p in history.innovations["lights"]
+    ]
+    history.innovations["lights"] = deque(wide)
+    panels.update(history, PICTURE)
+    assert panels._innovations._rows["lights"]._height.end == 15.0
+
+
+@pytest.mark.parametrize(
+    ("source", "step", "line"),
+    [
+        (GOOD, 15.0, ("✓ star.fore  IN · σ as stated (1.01)", False)),
+        (GOOD, 30.0, ("✓ star.fore  IN · axis ±30″ · σ as stated (1.01)", False)),
+        (replace(GOOD, verdict=None), 15.0, ("✓ star.fore  IN", False)),
+        (replace(GOOD, presence=Presence.OUT, reason="silent"), 15.0, ("✕ star.fore  OUT · silent", True)),
+        (
+            replace(GUILTY, name="star.fore"),
+            60.0,
+            ("✕ star.fore  OUT · axis ±60″ · 81 refused in a row · right +49″ · residual 8.1 σ", True),
+        ),
+        (None, 15.0, ("star.fore", False)),
+    ],
+)
+def test_the_verdict_or_the_reason_stands_above_the_plot(source, step, line) -> None:
+    assert source_line("star.fore", source, step) == line
+
+
+def test_what_is_new_is_streamed_and_a_second_look_sends_nothing(panels) -> None:
+    history = watched_history()
+    panels.update(history, PICTURE)
+    sent = []
+    for model in panels.layout.select({"type": ColumnDataSource}):
+        model.on_change("data", lambda name, old, new: sent.append(name))
+    panels._innovations.update(history, PICTURE, has_truth=True)
+    panels._errors.update(history)
+    assert len(sent) <= 1  # the shade of what is out, which grows
+
+
+def test_stars_that_were_not_used_are_told_apart_and_rows_count_downward() -> None:
+    seen = watched_history().stars["star.fore"]
+    seen = replace(
+        seen,
+        u=np.array([0.0, 1000.0]),
+        v=np.array([0.0, 2000.0]),
+        residual_right=np.array([1e-5, np.nan]),
+        residual_up=np.array([0.0, np.nan]),
+    )
+    assert list(used_stars(seen)) == [True, False]
+    across, up = places_in_field(seen)
+    assert (across[0], up[0]) == (-1.0, 1.0)  # the first column is left, the first row is up
+    assert across[1] == pytest.approx(2.0 * 1000.0 / 1024.0 - 1.0)
+    assert up[1] == pytest.approx(1.0 - 2.0 * 2000.0 / 2048.0)
+    assert list(used_stars(replace(seen, residual_right=np.empty(0), residual_up=np.empty(0)))) == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("installed_deg", "deck_deg", "expected_deg"),
+    [
+        ((0.0, 45.0), (30.0, 0.0, 0.0), (30.0, 45.0)),
+        ((90.0, 45.0), (300.0, 0.0, 0.0), (30.0, 45.0)),
+        ((0.0, 45.0), (10.0, 5.0, 0.0), (10.0, 50.0)),  # bow up
+        ((180.0, 45.0), (10.0, 5.0, 0.0), (190.0, 40.0)),
+        ((90.0, 45.0), (0.0, 0.0, 5.0), (90.0, 40.0)),  # port up: starboard goes down
+    ],
+)
+def test_a_sensor_that_tells_no_stars_looks_where_it_is_installed(installed_deg, deck_deg, expected_deg) -> None:
+    alignment = [
+        ParameterShown(f"star.aft.{name}", np.deg2rad(value), 0.0, "rad", True)
+        for name, value in zip(("azimuth", "elevation"), installed_deg, strict=True)
+    ]
+    angles = [
+        replace(PICTURE.angles[0], name=name, value=np.deg2rad(value))
+        for name, value in zip(("heading", "pitch", "roll"), deck_deg, strict=True)
+    ]
+    assert np.rad2deg(boresight("star.aft", alignment, angles)) == pytest.approx(expected_deg)
+    assert np.isnan(boresight("star.fore", alignment, angles)).all()
+    assert np.isnan(boresight("star.aft", alignment, angles[:2])).all()
+
+
+def test_states_are_told_from_their_nominal_values_with_two_sigma() -> None:
+    angle = ParameterShown("star.a.azimuth", 2 * np.pi - 1 * ARCSEC, 0.6 * ARCSEC, "rad", True, 1.5 * ARCSEC)
+    low, value, high = bars_arcsec([angle, replace(angle, unit="s"), replace(angle, nominal=float("nan"))])
+    assert (low[0], value[0], high[0]) == pytest.approx((-3.7, -2.5, -1.3), abs=1e-6)
+    assert np.isnan(value[1:]).all()
+    assert state_text(angle) == "−2.5 ± 1.2″"
+    assert state_text(replace(angle, is_observable=False)) == "(−2.5 ± 1.2″)"
+    assert state_text(ParameterShown("t", 3.5e-4, 2e-5, "s", True, 0.0)) == "+0.35 ± 0.04 ms"
+    assert state_text(ParameterShown("f", 0.100027, 5.5e-6, "m", True, 0.1)) == "+27 ± 11 µm"
+
+
+def test_the_axis_of_the_states_holds_all_values_and_most_bars() -> None:
+    value, reach = np.array([1.0, 2.0, 70.0, -3.0, 0.0]), np.array([5.0, 5.0, 2.0, 4000.0, 9.0])
+    assert half_width(value - reach, value, value + reach) == 120.0
+    nothing = np.full(2, np.nan)
+    assert half_width(nothing, nothing, nothing) == 30.0
+
+
+def test_the_guilty_input_stands_out_although_its_node_refused_nothing() -> None:
+    shown = InputShown("star/starboard/observations", 2.0, 0.1, 0.6, 0, 0, {})
+    row = input_row(shown, {shown.topic: GUILTY})
+    assert "class=guilty" in row
+    assert "<td class='n'>81" in row
+    assert "OUT: 81 refused in a row" in row
+    assert "guilty" not in input_row(shown, {})
+    assert "guilty" not in input_row(shown, {shown.topic: replace(GUILTY, because_of="ins")})
+
+
+def test_reasons_are_in_order_and_names_from_outside_are_only_text() -> None:
+    assert reasons_text({"gate": 9, "too_few_stars": 56, "late": 0}) == "too few stars 56, gate 9"
+    assert reasons_text({}) == "—"
+    assert reasons_text(dict.fromkeys("abcdef", 9)).endswith(", 2 more")
+    shown = InputShown("<script>alert(1)</script>", 2.0, 0.1, 0.6, 0, 0, {"<b>": 1})
+    assert "<script>" not in input_row(shown, {})
+    assert "&lt;b&gt;" in input_row(shown, {})
+    event = event_row(Event(NOW_NS, "mode", "theodolite/pointing", "<i>2 lights"))
+    assert event == "<tr><td class=time>12:00:07<td>theodolite/pointing: &lt;i&gt;2 lights"
