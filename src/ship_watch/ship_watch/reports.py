@@ -30,6 +30,7 @@ _REPORT_PERIOD_NS = 1_000_000_000.0
 class _Reporter:
     """One of the nodes that report on the topic: its last report. The message does not name the node."""
 
+    number: int
     stamp_ns: int
     heard_ns: int
     received: int
@@ -71,11 +72,13 @@ class TopicReports:
         self._level = 0
         self._has_come = False
         self._reporters: list[_Reporter] = []
-        self._refused: deque[tuple[int, int, dict[str, int]]] = deque()
+        self._nodes = 0
+        self._refused: deque[tuple[int, int, int, dict[str, int]]] = deque()
 
     def note(self, message: Any, now_ns: int) -> bool:
         """Take a report; the answer is whether it comes from a node that has started since the last one."""
         report = _Reporter(
+            0,
             ns_from_stamp(message.header.stamp),
             now_ns,
             int(message.received),
@@ -137,11 +140,17 @@ class TopicReports:
         """What is shown of the topic."""
         while self._refused and now_ns - self._refused[0][0] > WINDOW_NS:
             self._refused.popleft()
+        # Nodes that read the same messages refuse the same: of each number the largest of any node.
+        refused_by: dict[int, int] = {}
+        reasons_by: dict[tuple[int, str], int] = {}
+        for _, number, count, grown in self._refused:
+            refused_by[number] = refused_by.get(number, 0) + count
+            for word, more in grown.items():
+                reasons_by[number, word] = reasons_by.get((number, word), 0) + more
         reasons: dict[str, int] = {}
-        for _, _, grown in self._refused:
-            for word, count in grown.items():
-                reasons[word] = reasons.get(word, 0) + count
-        refused = sum(count for _, count, _ in self._refused)
+        for (_, word), count in reasons_by.items():
+            reasons[word] = max(reasons.get(word, 0), count)
+        refused = max(refused_by.values(), default=0)
         age_s = self.age_s(now_ns)
         return InputShown(self.topic, self.rate_hz, self._latency_s, age_s, int(self._level), refused, reasons)
 
@@ -177,13 +186,16 @@ class TopicReports:
         if before is None:
             is_new = bool(self._reporters)
             self._reporters = [known for known in self._reporters if report.heard_ns - known.heard_ns < _FORGOTTEN_NS]
+            self._nodes += 1
+            report.number = self._nodes
             self._reporters.append(report)
             return is_new, None
         if before.heard_ns < report.heard_ns:
             self._report_period_ns = min(max(float(report.heard_ns - before.heard_ns), 1e8), 1e10)
+        report.number = before.number
         grown = {word: n - before.reasons.get(word, 0) for word, n in report.reasons.items()}
         grown = {word: n for word, n in grown.items() if n > 0}
         if grown:
-            self._refused.append((report.heard_ns, report.rejected - before.rejected, grown))
+            self._refused.append((report.heard_ns, report.number, report.rejected - before.rejected, grown))
         self._reporters[self._reporters.index(before)] = report
         return False, before

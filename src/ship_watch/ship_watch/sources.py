@@ -38,6 +38,13 @@ _PUT_RIGHT = {Reason.LIGHT_CONFLICT: "names exchanged"}
 
 _NOTHING_USABLE = {"star": "no stars", "lights": "no lights", "reference": "invalid"}
 _UNUSABLE_PERIODS = 5.0
+
+STAR_INNOVATION = "star/innovation"
+"""There a star sensor is compared with itself, along other axes than by the filter."""
+
+_STAR_INVALID = 3
+"""Status of a StarHorizonAttitude without an attitude."""
+
 _NS = 1e-9
 
 
@@ -131,10 +138,7 @@ class SourceBook:
             return ""
         source, stamp_ns = self._source(name), ns_from_stamp(message.header.stamp)
         key = (topic, str(message.source))
-        streak = source.streaks.get(key)
-        if streak is None:
-            limits = self._limits.of_input(name)
-            streak = source.streaks[key] = Streak(limits.refusals, limits.accepted)
+        streak = self._streak(source, key)
         streak.note(stamp_ns, message, now_ns, source.period_ns())
         if message.accepted:
             self._note_use(source, topic, stamp_ns, message, now_ns)
@@ -143,6 +147,13 @@ class SourceBook:
         if len(message.components):
             source.judged_ns = now_ns
         return name
+
+    def note_solution(self, name: str, message: Any, now_ns: int) -> None:
+        """Take the solution of a star sensor: the innovations of the node that made it tell of refused stars alone."""
+        if name:
+            streak = self._streak(self._source(name), (STAR_INNOVATION, name))
+            is_used = message.status != _STAR_INVALID
+            streak.note_whole(ns_from_stamp(message.header.stamp), is_used, now_ns)
 
     def note_integrity(self, topic: str, message: Any, utc_ns: int) -> None:
         """Take an Integrity: the sources that it excludes are out, those that it excluded before are not."""
@@ -268,7 +279,14 @@ class SourceBook:
         if source.name == "lights":
             for light in {str(name).partition(" ")[0] for name in message.components}:
                 if streak := source.streaks.get((topic, f"light.{light}")):
-                    streak.accepted(stamp_ns)
+                    streak.note_whole(stamp_ns, True, now_ns)
+
+    def _streak(self, source: _Source, key: tuple[str, str]) -> Streak:
+        streak = source.streaks.get(key)
+        if streak is None:
+            limits = self._limits.of_input(source.name)
+            streak = source.streaks[key] = Streak(limits.refusals, limits.accepted)
+        return streak
 
     def _who(self, name: str) -> str:
         """The source of a name; the ship of a theodolite that reads no attitude of the ship is her INS."""

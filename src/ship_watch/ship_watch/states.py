@@ -7,6 +7,7 @@ UNSAFE: every comparison is written so that NaN fails it.
 """
 
 import math
+import re
 from dataclasses import dataclass
 
 from ship_estimation.outcome import Status
@@ -97,8 +98,11 @@ def _is_within(protection: Protection) -> bool:
 
 
 def _guilty(source: SourceShown | None) -> str:
-    """Few words for a source that is out: what stands before a colon suffices."""
-    return "" if source is None else f"{source.name} {source.reason.partition(':')[0]}"
+    """Few words for a source that is out; how many were refused is told where sources are listed."""
+    return "" if source is None else f"{source.name} {_RUN.sub('refused', source.reason)}"
+
+
+_RUN = re.compile(r"\d+ refused in a row")
 
 
 class HeldWord:

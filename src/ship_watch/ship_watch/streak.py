@@ -78,10 +78,12 @@ class Streak:
         self._insert(stamp_ns, accepted, revised, period_ns)
         self._decide()
 
-    def accepted(self, stamp_ns: int) -> None:
-        """Take note that a part of an exposure was used."""
-        self.is_judged = True
-        self._insert(stamp_ns, True, False, math.nan)
+    def note_whole(self, stamp_ns: int, is_used: bool, now_ns: int) -> None:
+        """Take note of what became of an exposure of which the refusals of some stars or lights were told."""
+        self.is_judged = self.is_judged or is_used
+        if not is_used:
+            self.refused_at_ns, self.reason = now_ns, Reason.TOO_FEW_STARS
+        self._insert(stamp_ns, is_used, False, math.nan)
         self._decide()
 
     def used_silently(self, now_ns: int, period_ns: float, used_since: int) -> None:

@@ -44,7 +44,7 @@ TOPICS = (
     WatchedTopic("theodolite/error_arcsec", MESSAGES + "PointingErrorArcsec", True),
     WatchedTopic("ship/alignment", MESSAGES + "AlignmentState", False),
     WatchedTopic("theodolite/calibration", MESSAGES + "TheodoliteCalibration", False),
-    WatchedTopic("star/<id>/solution", MESSAGES + "StarHorizonAttitude", False),
+    WatchedTopic("star/<id>/solution", MESSAGES + "StarHorizonAttitude", True),
     WatchedTopic("star/<id>/horizon_attitude", MESSAGES + "StarHorizonAttitude", False),
     WatchedTopic("star/<id>/observations", MESSAGES + "StarObservationArray", False),
     WatchedTopic("theodolite/beacons", MESSAGES + "BeaconImage", True),
@@ -79,7 +79,7 @@ def source_of_name(name: str) -> str:
     """The source that an innovation or a hypothesis calls by this name; empty where it is none."""
     first, _, rest = name.partition(".")
     if first in ("star", "reference") and rest:
-        return name
+        return "" if rest == "joint" else name  # the sensors together are no instrument
     if "/" in name:
         return source_of_topic(name) if name != "ship/attitude" else ""  # an output that failed bears its topic's name
     whole = {

@@ -20,9 +20,9 @@ from ship_watch.history_keeper import HistoryKeeper
 from ship_watch.limits import Limits
 from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
 from ship_watch.picture import ANGLES, AlertShown, AngleShown, Event, Picture, Presence, Priority, Safety, SourceShown
-from ship_watch.sources import SourceBook, blamed
+from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed
 from ship_watch.states import Claim, HeldWord, judged
-from ship_watch.topics import node_of, watched_topic
+from ship_watch.topics import node_of, source_of_topic, watched_topic
 
 STEP_NS = 100_000_000
 """How often words and events are judged, ns."""
@@ -131,11 +131,13 @@ class Watch:
 
     def _take_innovation(self, topic: str, message: Any, now_ns: int) -> None:
         source = self._book.note_innovation(topic, message, now_ns)
-        if source and topic != "star/innovation":  # there a sensor is compared with itself, along other axes
+        if source and topic != STAR_INNOVATION:
             self._keeper.note_innovation(source, message, now_ns)
 
     def _take_seen(self, topic: str, message: Any, now_ns: int) -> None:
         self._book.heard(topic, now_ns)
+        if topic.endswith("/solution"):
+            self._book.note_solution(source_of_topic(topic), message, now_ns)
         self._keeper.note_seen(topic, message, now_ns)
 
     def _take_integrity(self, topic: str, message: Any, now_ns: int) -> None:

@@ -13,6 +13,7 @@ from ship_watch.states import Claim, HeldWord, Protection, judged
 
 SECOND = 1_000_000_000
 KNOCKED = SourceShown("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, None, 0.1, 5.0, 81, 1, ())
+FLOAT = replace(KNOCKED, name="baselines", reason="a 81 refused in a row: not fixed")
 GOOD = Claim(
     topic="ship/attitude",
     is_heard=True,
@@ -48,6 +49,7 @@ def test_valid_within_its_limit_and_protected_is_safe() -> None:
         ({"protection": Protection(IntegrityState.UNAVAILABLE)}, "nothing checks it"),
         ({"protection": Protection(IntegrityState.UNAVAILABLE), "guilty": KNOCKED}, "star.bow excluded"),
         ({"protection": Protection(IntegrityState.MET, math.nan, 30.0)}, "nothing checks it"),
+        ({"accuracy_95": 6.0, "guilty": FLOAT}, "baselines a refused: not fixed"),
         ({"is_lessened": True, "hint": "one of two lights"}, "one of two lights"),
     ],
 )

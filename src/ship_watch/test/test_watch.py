@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_watch.limits import Limits
 from ship_watch.picture import ANGLES, Presence, Safety
@@ -233,3 +234,103 @@ def test_names_of_innovations_and_hypotheses_are_sources(name: str, source: str)
 )  # fmt: skip
 def test_topics_are_of_sources(topic: str, source: str) -> None:
     assert source_of_topic(topic) == source
+
+
+def refused(ns: int, source: str, reason: Reason) -> SimpleNamespace:
+    return SimpleNamespace(
+        header=stamp(ns), source=source, components=[], residual=[], sigma=[], nis=math.nan, gate=math.nan,
+        accepted=False, reason=int(reason), reason_text="",
+    )  # fmt: skip
+
+
+def solution(ns: int, status: int) -> SimpleNamespace:
+    return SimpleNamespace(
+        header=stamp(ns), sensor_id="bow", azimuth=1.0, elevation=0.8, status=status, star_count=6, rejected_count=2
+    )
+
+
+@pytest.mark.parametrize(("status", "presence"), [(0, Presence.IN), (1, Presence.IN), (3, Presence.OUT)])
+def test_single_stars_that_are_refused_put_no_sensor_out_that_gives_solutions(status: int, presence: Presence) -> None:
+    watch = heard(10.0)
+    for fifth in range(51, 80):
+        ns = UTC + fifth * SECOND // 5
+        for _ in range(2):
+            watch.take("star/innovation", refused(ns, "star.bow", Reason.MISIDENTIFIED), at(fifth / 5))
+        watch.take("star/innovation", refused(ns, "star.joint", Reason.MISIDENTIFIED), at(fifth / 5))
+        watch.take("star/bow/solution", solution(ns, status), at(fifth / 5))
+    sources = {source.name: source for source in watch.look(at(15.9)).sources}
+    assert sources["star.bow"].presence is presence
+    assert sources["star.bow"].reason == ("" if presence is Presence.IN else "29 refused in a row: too few stars")
+    assert "star.joint" not in sources
+
+
+def test_what_needs_a_source_that_is_out_does_not_bear_the_blame_also_while_it_comes_back() -> None:
+    watch = heard(10.0)
+    for fifth in range(51, 70):
+        ns, now = UTC + fifth * SECOND // 5, at(fifth / 5)
+        watch.take("input_health", health(ns, "ins/imu", 20 * fifth, 100.0, 0.1), now)
+        watch.take("input_health", health(ns, "star/bow/solution", fifth + 1), now)
+        if fifth <= 60:
+            watch.take("ship/integrity", integrity(ns, 2, ("ins",)), now)
+            watch.take("ship/innovation", refused(ns, "star.bow", Reason.GAP), now)
+    picture = watch.look(at(12.1))
+    assert [(source.name, source.reason, source.because_of) for source in picture.sources[:2]] == [
+        ("ins", "excluded", ""), ("star.bow", "needs ins", "ins")
+    ]  # fmt: skip
+    watch.take("ship/integrity", integrity(UTC + 13 * SECOND), at(12.2))
+    source = watch.look(at(12.3)).sources[0]
+    assert (source.name, source.presence, source.because_of) == ("star.bow", Presence.OUT, "ins")
+    for fifth in range(70, 80):
+        used_ns = UTC + fifth * SECOND // 5
+        used = refused(used_ns, "star.bow", Reason.NONE)
+        used.accepted = True
+        watch.take("ship/innovation", used, at(fifth / 5))
+        watch.take("input_health", health(used_ns, "star/bow/solution", fifth + 1), at(fifth / 5))
+        watch.take("input_health", health(used_ns, "ins/imu", 20 * fifth, 100.0, 0.1), at(fifth / 5))
+    outs = [(s.name, s.reason) for s in watch.look(at(15.7)).sources if s.presence is Presence.OUT]
+    assert outs == []
+
+
+def test_a_node_that_starts_again_is_an_event_once() -> None:
+    watch = heard(10.0)
+    for second in range(11, 15):
+        for topic in ("star/bow/solution", "reference/gyro/imu", "star/stern/solution"):
+            watch.take("input_health", health(UTC + second * SECOND, topic, 5 * (second - 11)), at(second))
+    told = [event.text for event in watch.look(at(15.0)).events if event.kind == "node"]
+    assert told == ["ship_attitude started"]
+
+
+def alert(state: int, priority: int = 1, raised_s: int = 0) -> SimpleNamespace:
+    time = stamp(UTC + raised_s * SECOND).stamp
+    return SimpleNamespace(
+        id=f"star.bow.{priority}", source="star.bow", text="star.bow out", unit="", instance=1, priority=priority,
+        state=state, value=math.nan, limit=math.nan, raised=time, changed=time,
+    )  # fmt: skip
+
+
+def test_alerts_are_shown_the_most_urgent_first_and_survive_a_bag_that_starts_over() -> None:
+    watch = heard(1.0)
+    array = SimpleNamespace(header=stamp(UTC), alerts=[alert(3, 0), alert(3, 2), alert(1, 1), alert(1, 2, 5)])
+    watch.take("ship/alerts", array, at(1.0))
+    shown = watch.look(at(1.1)).alerts or ()
+    assert [(one.priority, one.state) for one in shown] == [(2, 1), (2, 3), (1, 1), (0, 3)]
+    watch.start_anew()
+    assert watch.look(at(2.0)).alerts == shown
+    watch.take("ship/alerts", SimpleNamespace(header=stamp(UTC), alerts=[]), at(2.0))
+    assert watch.look(at(2.1)).alerts == ()
+    texts = [event.text for event in watch.look(at(2.1)).events if event.kind == "alert"]
+    assert "star.bow.2 is over" in texts
+
+
+def test_buffers_are_bounded_by_ten_minutes() -> None:
+    watch = Watch()
+    for second in range(1500):
+        ns = UTC + second * SECOND
+        watch.take("ship/attitude", attitude(ns), at(second))
+        told = refused(ns, "star.bow", Reason.NONE)
+        told.accepted, told.components, told.residual, told.sigma, told.nis = True, ["up"], [1e-6], [1e-6], 1.0
+        watch.take("ship/innovation", told, at(second))
+    points = watch.history.innovations["star.bow"]
+    assert (len(points), points[0].utc_ns) == (601, UTC + 899 * SECOND)
+    assert len(watch.history.ribbons) == 601
+    assert len(watch.look(at(1500)).events) <= 200

@@ -1,0 +1,126 @@
+"""Reports of nodes on a topic: how old its last message is, when it is silent, what was refused, who has started."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from ship_watch.reports import TopicReports
+
+SECOND = 1_000_000_000
+UTC = 1_404_906_607 * SECOND
+
+
+def report(
+    second: float, received: int, age_s: float = 0.2, rate_hz: float = 5.0, rejected: int = 0, **reasons: int
+) -> SimpleNamespace:
+    ns = UTC + round(second * SECOND)
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=ns // SECOND, nanosec=ns % SECOND)),
+        topic="star/bow/solution", received=received, accepted=received - rejected, rejected=rejected,
+        rate_hz=rate_hz, latency_s=0.1, age_s=age_s, level=0,
+        reasons=list(reasons), reason_counts=list(reasons.values()),
+    )  # fmt: skip
+
+
+def at(second: float) -> int:
+    return round(second * SECOND)
+
+
+def heard(seconds: int, **of_report: float) -> TopicReports:
+    reports = TopicReports("star/bow/solution")
+    for second in range(seconds + 1):
+        reports.note(report(second, 5 * second, **of_report), at(second))  # type: ignore[arg-type]
+    return reports
+
+
+def test_the_age_is_that_since_arrival_not_since_the_stamp() -> None:
+    reports = heard(10)
+    # Stamped 0.2 s ago, as messages arrive 0.1 s after their stamps.
+    assert reports.age_s(at(10.0)) == pytest.approx(0.1)
+    assert reports.age_s(at(10.9)) == pytest.approx(0.1)  # the next report is not due
+    assert reports.age_s(at(12.0)) == pytest.approx(2.1)
+
+
+def test_stamps_of_another_time_are_no_silence() -> None:
+    reports = TopicReports("ins/imu")
+    for second in range(11):
+        message = report(second, 100 * second, age_s=26_784_000.01, rate_hz=100.0)
+        message.latency_s = 26_784_000.0
+        reports.note(message, at(second))
+    assert reports.age_s(at(10.0)) == pytest.approx(0.01, abs=1e-6)
+    assert not reports.is_silent(at(10.9))
+
+
+def test_silent_after_two_seconds_or_three_periods() -> None:
+    reports = heard(10)
+    assert not reports.is_silent(at(11.8))
+    assert reports.is_silent(at(11.9))
+    slow = TopicReports("met/pressure")
+    for second in range(41):
+        slow.note(report(second, 1 + second // 4, age_s=0.1 + second % 4, rate_hz=0.25), at(second))
+    assert not slow.is_silent(at(51.9))
+    assert slow.is_silent(at(52.1))
+
+
+def test_a_ship_may_set_the_longest_silence_herself() -> None:
+    reports = heard(10)
+    assert not reports.is_silent(at(20.0), longest_s=30.0)
+    assert reports.is_silent(at(40.0), longest_s=30.0)
+
+
+def test_the_mean_rate_that_sinks_in_silence_does_not_lengthen_it() -> None:
+    reports = heard(10)
+    for second in range(11, 15):
+        reports.note(report(second, 50, age_s=second - 9.8, rate_hz=5.0 * (20 - second) / 20), at(second))
+    assert reports.period_ns() == pytest.approx(0.2e9)
+    assert reports.is_silent(at(11.9))
+
+
+def test_refused_messages_have_come_though_no_stamp_of_them_is_told() -> None:
+    reports = heard(10)
+    for second in range(11, 31):
+        told = report(second, 5 * second, age_s=second - 9.8, rejected=5 * (second - 10), excluded=5 * (second - 10))
+        reports.note(told, at(second))
+        assert not reports.is_silent(at(second + 0.9))
+    assert reports.shown(at(30.5)).refused_60s == 100
+    assert reports.shown(at(30.5)).reasons == {"excluded": 100}
+    assert reports.shown(at(89.0)).refused_60s == pytest.approx(10, abs=5)  # those of the last two seconds
+
+
+def test_two_nodes_that_read_one_topic_are_not_one_that_starts_again_and_again() -> None:
+    reports, started = TopicReports("ins/imu"), []
+    for second in range(60):
+        # The second one started 30 s after the first, and reports 0.4 s later; both refuse one message a second.
+        first = report(second, 5 * (second + 30), rejected=second, gate=second)
+        other = report(second + 0.4, 5 * second, rejected=second, gate=second)
+        started += [reports.note(first, at(second)), reports.note(other, at(second + 0.4))]
+    assert not any(started[2:])
+    assert reports.shown(at(59.4)).refused_60s == 59
+    assert reports.shown(at(59.4)).reasons == {"gate": 59}
+
+
+def test_a_node_that_starts_again_is_told_once() -> None:
+    reports = heard(10)
+    started = [reports.note(report(second, 5 * (second - 12)), at(second)) for second in range(13, 20)]
+    assert started == [True, False, False, False, False, False, False]
+    assert reports.shown(at(19.0)).refused_60s == 0
+
+
+def test_before_its_rate_is_known_a_topic_may_be_slow() -> None:
+    reports = TopicReports("met/pressure")
+    reports.note(report(0, 1, age_s=0.1, rate_hz=math.nan), at(0))
+    assert not reports.is_silent(at(4.9))
+    assert reports.is_silent(at(5.1))
+
+
+def test_never_heard() -> None:
+    reports = TopicReports("gnss/fix")
+    reports.note(report(0, 0, age_s=math.nan, rate_hz=math.nan), at(0))
+    assert math.isinf(reports.age_s(at(1.0)))
+    assert not reports.is_silent(at(100.0))
+    assert not reports.is_expected
+    told = report(6, 0, age_s=math.nan, rate_hz=math.nan)
+    told.level = 2
+    reports.note(told, at(6))
+    assert reports.is_expected
