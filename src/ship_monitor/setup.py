@@ -22,6 +22,7 @@ setup(
     entry_points={
         "console_scripts": [
             "monitor = ship_monitor.commands.monitor:main",
+            "alerts = ship_monitor.alerts.alert_node:main",
         ],
     },
 )

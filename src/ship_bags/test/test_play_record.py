@@ -512,6 +512,7 @@ def test_mend_21_a_recording_is_not_kept_awake_by_nodes_that_have_nothing_to_say
         *(("ship_msgs/msg/ShipAttitude", {"status": status}, status != 3) for status in range(4)),
         *(("ship_msgs/msg/OpticalAxisPointing", {"status": status}, status != 3) for status in range(4)),
         *((f"ship_msgs/msg/{name}", {}, False) for name in ("InputHealth", "AlignmentState", "ErrorBudget")),
+        ("ship_msgs/msg/AlertArray", {}, False),
         ("diagnostic_msgs/msg/DiagnosticArray", {}, False),
         ("rcl_interfaces/msg/Log", {}, False),
         ("rosgraph_msgs/msg/Clock", {}, False),

@@ -99,7 +99,8 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Con
             yield Condition(
                 f"{output}.silent", Priority.WARNING if never else Priority.ALARM, "",
                 f"{topic} never heard" if never else f"{topic} silent: {_listed(silent)}",
-                becomes_alarm=never, needs_start=never, under=above[:1] if never else (), lost=_lost(silent),
+                becomes_alarm=never, needs_start=never, is_blind=never,
+                under=above[:1] if never else (), lost=_lost(silent),
             )
             continue
         if members:

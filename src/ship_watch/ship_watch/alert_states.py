@@ -27,6 +27,8 @@ class Condition:
         unit: of both.
         becomes_alarm: whether a warning that nobody acknowledges becomes an alarm; otherwise it is repeated.
         needs_start: whether the situation may be nothing but a suite that is about to start.
+        is_blind: whether it only says that nothing was ever heard: an alert that is there, of before a restart, is not
+            changed by that.
         under: ids of situations that explain this one. While one of them is active, and not less urgent, this one is
             told by it and is no alert of its own.
         lost: what the situation takes away. When more is lost than a person has acknowledged, it is told anew.
@@ -41,6 +43,7 @@ class Condition:
     unit: str = ""
     becomes_alarm: bool = False
     needs_start: bool = False
+    is_blind: bool = False
     under: tuple[str, ...] = ()
     lost: frozenset[str] = frozenset()
 

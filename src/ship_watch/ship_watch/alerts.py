@@ -164,6 +164,8 @@ class AlertBook:
             del self._pending[condition.id]
             return [self._raise(condition, kept, now_ns, utc_ns)]
         kept.present_ns, kept.becomes_alarm = now_ns, condition.becomes_alarm
+        if condition.is_blind:
+            return []
         more, kept.lost = condition.lost - kept.lost, kept.lost | condition.lost
         if condition.priority > kept.alert.priority:
             what = f"was a {kept.alert.priority.name.lower()}, is a{_n(condition.priority)} now"

@@ -298,6 +298,17 @@ def test_restarted_book_keeps_alerts_and_acknowledgements() -> None:
     assert {alert.id: alert.instance for alert in again.book.alerts} == {"star.bow.out": 2, "ins.out": 1}
 
 
+def test_restarted_book_that_hears_nothing_changes_nothing() -> None:
+    """An alarm of before stays an alarm although the new process never heard what became silent."""
+    voyage = Voyage()
+    voyage.go(5.0, replace(OUT, priority=Priority.ALARM, text="silent"))
+    voyage.acknowledge("star.bow.out")
+    again = Voyage(AlertBook(TIMES, voyage.book.saved(), round(100.0 * S)), 100.0)
+    never = replace(OUT, text="never heard", needs_start=True, is_blind=True, becomes_alarm=True)
+    assert again.go(300.0, never) == []
+    assert again.states() == {"star.bow.out": "ALARM ACTIVE_ACKNOWLEDGED"}
+
+
 @pytest.mark.parametrize(
     "spoilt", [{"state": 7}, {"priority": 5}, {"text": 3}, {"instance": "2"}, {"colour": "red"}, {"changed_ns": None}]
 )

@@ -1,0 +1,146 @@
+"""The alerts of a suite from its messages, kept in a file, so that a node that dies loses none. No ROS."""
+
+import json
+import math
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ship_bags.errors import BadInput
+from ship_bags.stamps import NS_PER_S
+from ship_node.documents.saved_document import DISK, Files
+from ship_watch.alert_conditions import Machine, NodeStatus, conditions
+from ship_watch.alerts import AlertBook, AlertChange
+from ship_watch.functions import Branch, tree
+from ship_watch.limits import Limits
+from ship_watch.picture import AlertShown, Picture
+from ship_watch.watch import Watch
+
+LONGEST_PAUSE_NS = 5 * NS_PER_S
+"""Who did not look for longer has slept with the machine, and knows nothing of what happened meanwhile."""
+
+STATUS_AGE_NS = 5 * NS_PER_S
+"""What a node told of itself holds for so long; nodes tell it once a second."""
+
+_DISK_PERIOD_NS = 10 * NS_PER_S
+_FORMAT, _VERSION = "ship_alerts", 1
+
+
+class AlertKeeper:
+    """Watches a suite, raises its alerts and keeps them.
+
+    Args:
+        limits: of the ship.
+        state: file that the alerts are kept in; None for none. It is read now, where it is there.
+        now_ns: steady time.
+        say: told of trouble with the file or the disk, in one line.
+        files: how files are read and written.
+
+    Attributes:
+        picture: of the last look.
+    """
+
+    def __init__(
+        self, limits: Limits, state: Path | None, now_ns: int, say: Callable[[str], None], files: Files = DISK
+    ) -> None:
+        self._limits, self._state, self._say, self._files = limits, state, say, files
+        self._watch = Watch(limits)
+        self._statuses: dict[tuple[str, str], tuple[NodeStatus, int]] = {}
+        self._disk_free_gb, self._disk_looked_ns = math.nan, now_ns - _DISK_PERIOD_NS
+        self._looked_ns = now_ns
+        self._is_unsaved = False
+        self._book = self._read(now_ns)
+        self.picture: Picture = self._watch.look(now_ns)
+
+    @property
+    def alerts(self) -> tuple[AlertShown, ...]:
+        """All that are not NORMAL, the most urgent first."""
+        return self._book.alerts
+
+    def take(self, topic: str, message: Any, arrival_ns: int) -> None:
+        """Take one message by its topic relative to the namespace, with the steady time at which it came."""
+        self._watch.take(topic, message, arrival_ns)
+
+    def take_status(self, status: NodeStatus, arrival_ns: int) -> None:
+        """Take what a node told of itself."""
+        self._statuses[status.node, status.name] = status, arrival_ns
+
+    def start_anew(self, now_ns: int) -> None:
+        """The suite's time has gone back, or this machine slept: what was heard holds no more, the alerts go on."""
+        self._watch.start_anew()
+        self._statuses.clear()
+        self._book = AlertBook(self._limits.alerts, self._book.saved(), now_ns)
+        self._looked_ns = now_ns
+
+    def look(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
+        """What has changed.
+
+        Args:
+            now_ns: steady time.
+            clock_ns: UTC by the machine's clock, for as long as the suite tells none.
+        """
+        if now_ns - self._looked_ns > LONGEST_PAUSE_NS:
+            self.start_anew(now_ns)
+        self._looked_ns = now_ns
+        self.picture = self._watch.look(now_ns)
+        found = conditions(self.picture, self._limits, self._machine(now_ns))
+        return self._kept(self._book.take(found, now_ns, self._utc_ns(clock_ns)))
+
+    def acknowledge(self, id_: str, instance: int, clock_ns: int) -> tuple[AlertChange | None, str]:
+        """A person has seen an alert: what that changed, None for nothing, and in words."""
+        change, text = self._book.acknowledge(id_, instance, self._utc_ns(clock_ns))
+        if change is not None:
+            self._kept((change,))
+        return change, text
+
+    def silence(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
+        """A person wants no sound for a while."""
+        return self._kept(self._book.silence(now_ns, self._utc_ns(clock_ns)))
+
+    def tree(self) -> tuple[Branch, ...]:
+        """Which function is lost because of which input, as of the last look."""
+        return tree(self.picture, self._limits)
+
+    def _utc_ns(self, clock_ns: int) -> int:
+        return self.picture.utc_ns or clock_ns
+
+    def _machine(self, now_ns: int) -> Machine:
+        if self._limits.machine.disk_path and now_ns - self._disk_looked_ns >= _DISK_PERIOD_NS:
+            self._disk_looked_ns = now_ns
+            try:
+                self._disk_free_gb = shutil.disk_usage(self._limits.machine.disk_path).free / 1e9
+            except OSError as problem:
+                # A disk that is gone has no room.
+                self._disk_free_gb = 0.0
+                self._say(f"disk {self._limits.machine.disk_path}: {problem.strerror}")
+        fresh = [status for status, told_ns in self._statuses.values() if now_ns - told_ns <= STATUS_AGE_NS]
+        return Machine(tuple(fresh), self._disk_free_gb)
+
+    def _read(self, now_ns: int) -> AlertBook:
+        """The book that the file holds; an empty one where there is no file, or one that cannot be used."""
+        try:
+            if self._state is None:
+                return AlertBook(self._limits.alerts, (), now_ns)
+            document: dict[str, Any] = json.loads(self._files.read(self._state))
+            if (document["format"], document["version"]) != (_FORMAT, _VERSION):
+                raise ValueError(f"expected format {_FORMAT}, version {_VERSION}")
+            return AlertBook(self._limits.alerts, document["alerts"], now_ns)
+        except FileNotFoundError:
+            return AlertBook(self._limits.alerts, (), now_ns)
+        except (OSError, ValueError, TypeError, KeyError) as problem:
+            self._say(str(BadInput(f"alerts of before are not known: {problem}", file=self._state)))
+            return AlertBook(self._limits.alerts, (), now_ns)
+
+    def _kept(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:
+        """The changes, with the file written where there are any, or where it could not be written before."""
+        if self._state is not None and (changes or self._is_unsaved):
+            document = {"format": _FORMAT, "version": _VERSION, "alerts": self._book.saved()}
+            try:
+                self._files.write(self._state, json.dumps(document, indent=1).encode())
+                self._is_unsaved = False
+            except OSError as problem:
+                if not self._is_unsaved:
+                    self._say(f"{self._state}: alerts cannot be saved: {problem.strerror}; tried again at each look")
+                self._is_unsaved = True
+        return changes

@@ -1,0 +1,253 @@
+"""``alerts``: raises the alerts of a suite, publishes them and takes acknowledgements."""
+
+import argparse
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
+
+from ship_bags.command_line import EXIT_DONE, CommandParser
+from ship_bags.live.ros_process import command_node, on_end_signals, run_ros_command
+from ship_bags.message_factory import RosidlFactory
+from ship_bags.stamps import NS_PER_S
+from ship_monitor.alerts.alert_keeper import AlertKeeper
+from ship_monitor.live.reader import KEPT, TopicReader, steady_ns
+from ship_msgs.msg import AlertArray
+from ship_msgs.srv import AcknowledgeAlert
+from ship_node.edge.messages_out import (
+    DIAGNOSTICS_TOPIC,
+    DIAGNOSTICS_TYPE,
+    DiagnosticStatus,
+    Level,
+    diagnostic_array,
+)
+from ship_node.live.node_report import Guard
+from ship_watch.alert_conditions import NodeStatus
+from ship_watch.alerts import AlertChange
+from ship_watch.limits import Limits, read_limits
+from ship_watch.picture import AlertShown, Priority
+from ship_watch.topics import watched_topic
+
+ALERTS_TOPIC = "ship/alerts"
+LOOK_NS = NS_PER_S // 5
+"""How often the suite is looked at, ns."""
+
+_NAME = "alerts"
+_REPORT_NS = NS_PER_S
+_LEVELS = {Priority.CAUTION: Level.OK, Priority.WARNING: Level.WARN, Priority.ALARM: Level.ERROR}
+
+_DESCRIPTION = """\
+Raises alerts where the outputs and inputs of a suite are not within the limits of the ship, after IEC 62923-1: one
+alert of one situation, cautions, warnings and alarms, until they are over and acknowledged.
+
+It publishes ship/alerts (all alerts, latched, at every change) and, in /diagnostics, which function is lost because of
+which input. ~/acknowledge takes the id and the instance that a person has seen, ~/silence switches the sound off for a
+while. Alerts and acknowledgements outlive the node in a file.
+
+ROS arguments may follow after --ros-args (namespace of the suite, use_sim_time).
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of ``alerts``; returns the exit code."""
+    return run_ros_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog=_NAME,
+        example="./ros2run ship_monitor alerts --limits ship.yaml --ros-args -r __ns:=/demo",
+        description=_DESCRIPTION,
+        epilog="exit code: 0 ended by a signal; 2 bad input or usage",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--limits", type=Path, metavar="FILE", help="limits of the ship, YAML (defaults)")
+    parser.add_argument(
+        "--state",
+        type=Path,
+        metavar="FILE",
+        help="where alerts are kept for the next start (~/.ros/alerts_NAMESPACE.json; under use_sim_time nowhere, "
+        "for a bag that is played again is another voyage)",
+    )
+    return parser
+
+
+def _run(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
+    limits = read_limits(parsed.limits) if parsed.limits else Limits()
+    with command_node(_NAME, ros_arguments) as node:
+        state = parsed.state
+        if state is None and not node.get_parameter("use_sim_time").value:
+            state = default_state(node.get_namespace())
+        alerts = AlertNode(node, limits, state)
+        on_end_signals(alerts.stop)
+        alerts.run()
+    return EXIT_DONE
+
+
+def default_state(namespace: str) -> Path:
+    """Where the alerts of a namespace are kept: below ROS_HOME, as logs are."""
+    home = Path(os.environ.get("ROS_HOME") or "~/.ros").expanduser()
+    return home / f"{'_'.join(filter(None, ['alerts', *namespace.split('/')]))}.json"
+
+
+class AlertNode:
+    """The alerts of the suite in a node's namespace.
+
+    Args:
+        node: publishes and serves; :meth:`run` spins it.
+        limits: of the ship.
+        state: file that the alerts are kept in; None for none.
+    """
+
+    def __init__(self, node: Node, limits: Limits, state: Path | None) -> None:
+        self._node = node
+        self._factory = RosidlFactory()
+        self._guard = Guard(node.get_logger(), time.monotonic_ns)
+        self._reader = TopicReader("alerts_reader", node.get_namespace(), _wanted)
+        self._keeper = AlertKeeper(limits, state, steady_ns(), lambda text: node.get_logger().error(text))
+        latched = QoSProfile(
+            depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+        )
+        self._alerts = node.create_publisher(AlertArray, ALERTS_TOPIC, latched)
+        self._diagnostics = node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, 10)
+        node.create_service(AcknowledgeAlert, "~/acknowledge", self._acknowledge)
+        node.create_service(Trigger, "~/silence", self._silence)
+        self._is_stopped = False
+        kept = ", ".join(alert.id for alert in self._keeper.alerts)
+        node.get_logger().info(f"alerts of {self._reader.place}; kept in {state or 'no file'}: {kept or 'none'}")
+        self._publish()
+
+    def stop(self) -> None:
+        """End soon; for signal handlers."""
+        self._is_stopped = True
+
+    def run(self) -> None:
+        """Look at the suite again and again until it is stopped."""
+        executor = SingleThreadedExecutor(context=self._node.context)
+        executor.add_node(self._node)
+        next_look_ns = next_report_ns = steady_ns()
+        try:
+            while not self._is_stopped:
+                now_ns = steady_ns()
+                if now_ns >= next_look_ns:
+                    next_look_ns = now_ns + LOOK_NS
+                    self._guard.call("the suite", self._look)
+                if now_ns >= next_report_ns:
+                    next_report_ns = now_ns + _REPORT_NS
+                    self._guard.call("diagnostics", self._report)
+                executor.spin_once(timeout_sec=max(0, next_look_ns - steady_ns()) / NS_PER_S)
+        finally:
+            executor.shutdown()
+            self._reader.close()
+
+    def _look(self) -> None:
+        taken = self._reader.take()
+        if taken.is_anew:
+            self._keeper.start_anew(steady_ns())
+        for arrived in taken.messages:
+            if arrived.topic == DIAGNOSTICS_TOPIC:
+                self._guard.call(arrived.topic, self._take_statuses, arrived.message, arrived.arrival_ns)
+            else:
+                self._guard.call(arrived.topic, self._keeper.take, arrived.topic, arrived.message, arrived.arrival_ns)
+        self._tell(self._keeper.look(steady_ns(), time.time_ns()))
+
+    def _take_statuses(self, message: Any, arrival_ns: int) -> None:
+        namespaces = self._namespaces()
+        for status in message.status:
+            node, _, name = status.name.partition(": ")
+            where = namespaces.get(node, {self._node.get_namespace()})
+            if node == _NAME or self._node.get_namespace() not in where:
+                continue
+            # The messages themselves do not tell from which of two nodes of one name they are.
+            other = "" if len(where) == 1 else f" (this is the node of one of {', '.join(sorted(where))})"
+            values = {pair.key: pair.value for pair in status.values}
+            told = NodeStatus(node, name, status.level[0], status.message + other, values)
+            self._keeper.take_status(told, arrival_ns)
+
+    def _namespaces(self) -> dict[str, set[str]]:
+        """Namespaces of the nodes that tell their diagnostics, by their names: suites share the topic."""
+        found: dict[str, set[str]] = {}
+        for endpoint in self._node.get_publishers_info_by_topic(DIAGNOSTICS_TOPIC):
+            found.setdefault(endpoint.node_name, set()).add(endpoint.node_namespace)
+        return found
+
+    def _acknowledge(self, request: Any, response: Any) -> Any:
+        change, response.message = self._keeper.acknowledge(request.id, request.instance, time.time_ns())
+        response.success = change is not None
+        if change is None:
+            self._node.get_logger().info(f"not acknowledged: {response.message}")
+        else:
+            self._tell((change,))
+        return response
+
+    def _silence(self, _request: Any, response: Any) -> Any:
+        changes = self._keeper.silence(steady_ns(), time.time_ns())
+        self._tell(changes)
+        response.success, response.message = True, f"{len(changes)} silenced"
+        return response
+
+    def _tell(self, changes: Sequence[AlertChange]) -> None:
+        for change in changes:
+            alert = change.alert
+            line = f"{alert.priority.name} {alert.id} {alert.instance}: {alert.text}: {change.what}"
+            # Three calls, because a logger of rclpy lets a line of code keep the severity with which it first logged.
+            if alert.is_acknowledged or alert.priority is Priority.CAUTION:
+                self._node.get_logger().info(line)
+            elif alert.priority is Priority.WARNING:
+                self._node.get_logger().warning(line)
+            else:
+                self._node.get_logger().error(line)
+        if changes:
+            self._publish()
+
+    def _publish(self) -> None:
+        stamp_ns = self._keeper.picture.utc_ns or time.time_ns()
+        header = {"stamp": stamp_ns, "frame_id": ""}
+        alerts = [_fields(alert) for alert in self._keeper.alerts]
+        self._alerts.publish(self._factory.make("ship_msgs/msg/AlertArray", header=header, alerts=alerts))
+
+    def _report(self) -> None:
+        alerts = self._keeper.alerts
+        waiting = sum(not alert.is_acknowledged for alert in alerts)
+        text = f"{len(alerts)} alerts, {waiting} unacknowledged" + (f": {alerts[0].text}" if alerts else "")
+        level = max((_LEVELS[alert.priority] for alert in alerts), default=Level.OK)
+        statuses = [DiagnosticStatus("list", level, text), self._guard.status()]
+        statuses += [
+            DiagnosticStatus(f"functions/{branch.path}", Level(branch.level), branch.text)
+            for branch in self._keeper.tree()
+        ]
+        now_ns = self._node.get_clock().now().nanoseconds
+        self._diagnostics.publish(diagnostic_array(self._factory, now_ns, _NAME, statuses))
+
+
+def _wanted(topic: str, type_name: str) -> int:
+    """How many messages of a topic may wait between two looks; 0 for topics that are not needed."""
+    if topic == DIAGNOSTICS_TOPIC:
+        return KEPT if type_name == DIAGNOSTICS_TYPE else 0
+    row = watched_topic(topic, type_name) if topic != ALERTS_TOPIC else None
+    return 0 if row is None else KEPT if row.every else 1
+
+
+def _fields(alert: AlertShown) -> dict[str, Any]:
+    """The fields of a ship_msgs/Alert."""
+    return {
+        "id": alert.id,
+        "instance": alert.instance,
+        "priority": int(alert.priority),
+        "state": int(alert.state),
+        "source": alert.source,
+        "text": alert.text,
+        "value": alert.value,
+        "limit": alert.limit,
+        "unit": alert.unit,
+        "raised": alert.raised_ns,
+        "changed": alert.changed_ns,
+    }
+

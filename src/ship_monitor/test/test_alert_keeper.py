@@ -1,0 +1,172 @@
+"""The alerts of whole voyages with faults, read from bags; and that no alert is lost with the process that keeps it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ship_bags.stamps import NS_PER_S
+from ship_monitor.alerts.alert_keeper import AlertKeeper
+from ship_testing.watched_voyages import records, replayed
+from ship_watch.alert_conditions import NodeStatus
+from ship_watch.alert_states import AlertState
+from ship_watch.alerts import AlertChange
+from ship_watch.limits import Limits
+from ship_watch.picture import Priority
+
+LOOK_NS = NS_PER_S // 5
+CLOCK_NS = 1_700_000_000 * NS_PER_S
+
+INS_STEP = "step: {topic: ins/imu, kind: bias, start_s: 20.0, up_arcsec: 100.0}"
+KNOCK = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 40.0, right_arcsec: 50.0}"
+
+
+class Voyage:
+    """A voyage as the keeper saw it, looked at five times a second; times are s after the first message."""
+
+    def __init__(self, path: Path, state: Path | None = None, acknowledge: bool = False) -> None:
+        self.changes: list[tuple[float, AlertChange]] = []
+        self.said: list[str] = []
+        keeper: AlertKeeper | None = None
+        start_ns = due_ns = 0
+        for time_ns, topic, message in records(path):
+            if keeper is None:
+                start_ns = due_ns = time_ns
+                keeper = AlertKeeper(Limits(), state, time_ns, self.said.append)
+            while due_ns <= time_ns:
+                for change in keeper.look(due_ns, CLOCK_NS):
+                    self.changes.append(((due_ns - start_ns) / NS_PER_S, change))
+                    if acknowledge:
+                        keeper.acknowledge(change.alert.id, change.alert.instance, CLOCK_NS)
+                due_ns += LOOK_NS
+            keeper.take(topic, message, time_ns)
+        assert keeper is not None
+        self.keeper, self.end_ns = keeper, due_ns
+
+    def first(self, id_: str) -> tuple[float, AlertChange]:
+        """When an alert was told first, and how."""
+        return next((time_s, change) for time_s, change in self.changes if change.alert.id == id_)
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Outputs of the demo voyage with a step of the INS and a star sensor that is knocked."""
+    return replayed(tmp_path_factory.mktemp("faulty"), "demo", f"{INS_STEP}, {KNOCK}")[1]
+
+
+def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
+    """The INS steps by 100″ at 20 s, a star sensor is knocked by 50″ at 40 s: two alerts of two sources."""
+    voyage = Voyage(faulty)
+    time_s, ins = voyage.first("ins.out")
+    assert 20.0 <= time_s <= 22.0
+    assert (ins.alert.priority, ins.alert.source) == (Priority.ALARM, "ins")
+    assert ins.alert.text.startswith("ins out: ")
+    assert "heading lost" in ins.alert.text
+    time_s, star = voyage.first("star.starboard.out")
+    assert 40.0 <= time_s <= 42.0
+    assert star.alert.priority is Priority.WARNING
+    blamed = {change.alert.source for time_s, change in voyage.changes if 20.0 <= time_s < 60.0}
+    assert blamed == {"ins", "star.starboard", ""}
+    assert not [change for _, change in voyage.changes if "fore" in change.alert.id]
+
+
+def test_what_the_faults_take_away_is_told_with_them(faulty: Path) -> None:
+    """While a source that takes an angle away is out, no alert of the output stands beside that of the source."""
+    voyage = Voyage(faulty)
+    told: set[str] = set()
+    for time_s, change in voyage.changes:
+        (told.add if change.alert.state in (1, 2, 3) else told.discard)(change.alert.id)
+        if 20.6 <= time_s <= 25.0:
+            assert told == {"ins.out"}
+
+
+def test_clean_voyage_blames_no_source(tmp_path: Path) -> None:
+    """Without faults only the gap in the stars that the scenario has, and the accuracy, are told; no single source."""
+    voyage = Voyage(replayed(tmp_path, "demo")[1])
+    assert {change.alert.id for _, change in voyage.changes} <= {"attitude.degraded", "stars.out"}
+    assert all(change.alert.priority is not Priority.ALARM for _, change in voyage.changes)
+    assert all(change.what != "raised" or time_s >= 10.0 for time_s, change in voyage.changes)
+
+
+def test_lost_keeper_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
+    """Killed at any moment and started anew from the file: the same alerts, acknowledged or not, none raised again."""
+    state = tmp_path / "alerts.json"
+    for acknowledge in (False, True):
+        state.unlink(missing_ok=True)
+        before = Voyage(faulty, state, acknowledge)
+        assert before.keeper.alerts
+        again = AlertKeeper(Limits(), state, before.end_ns, before.said.append)
+        assert repr(again.alerts) == repr(before.keeper.alerts)
+        states = {alert.id: alert.state for alert in again.alerts}
+        # Nothing is heard for nine seconds after the start: nothing is called over, nothing is raised twice.
+        for tenth in range(90):
+            assert again.look(before.end_ns + tenth * NS_PER_S // 10, CLOCK_NS) == ()
+        assert {alert.id: alert.state for alert in again.alerts} == states
+        assert before.said == []
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", '{"format": "ship_alerts", "version": 9, "alerts": []}', "\0"])
+def test_spoilt_file_is_said_and_nothing_is_lost_by_it(tmp_path: Path, content: str) -> None:
+    """One plain line that names the file; the node goes on and writes a good one."""
+    state = tmp_path / "alerts.json"
+    state.write_text(content)
+    said: list[str] = []
+    keeper = AlertKeeper(Limits(), state, 0, said.append)
+    assert len(said) == 1
+    assert str(state) in said[0]
+    assert "\n" not in said[0]
+    for second in range(20):
+        keeper.look(second * NS_PER_S, CLOCK_NS)
+    assert [alert.id for alert in keeper.alerts] == ["attitude.silent"]
+    assert json.loads(state.read_text())["alerts"][0]["id"] == "attitude.silent"
+
+
+def test_full_disk_is_said_once_and_tried_again(tmp_path: Path) -> None:
+    """The file cannot be written: alerts go on, and are saved when it can."""
+    state = tmp_path / "folder" / "alerts.json"
+    said: list[str] = []
+    keeper = AlertKeeper(Limits(), state, 0, said.append)
+    state.parent.write_text("a file in the place of the folder")
+    for tenth in range(150):
+        keeper.look(tenth * NS_PER_S // 10, CLOCK_NS)
+    assert len(said) == 1
+    assert [alert.id for alert in keeper.alerts] == ["attitude.silent"]
+    state.parent.unlink()
+    keeper.look(151 * NS_PER_S // 10, CLOCK_NS)
+    assert json.loads(state.read_text())["alerts"][0]["state"] == AlertState.ACTIVE_UNACKNOWLEDGED
+
+
+def test_machine_that_slept_raises_no_false_alarm(faulty: Path) -> None:
+    """An hour of sleep is no silence of the suite: nothing is told for ten seconds, in which it comes back."""
+    voyage = Voyage(faulty)
+    before = voyage.keeper.alerts
+    later_ns = voyage.end_ns + 3600 * NS_PER_S
+    for tenth in range(90):
+        assert voyage.keeper.look(later_ns + tenth * NS_PER_S // 10, CLOCK_NS) == ()
+    assert repr(voyage.keeper.alerts) == repr(before)
+
+
+def test_what_a_node_says_of_itself_holds_for_as_long_as_it_says_it() -> None:
+    """A black box that ended is a warning; when the node is gone, so is what it said."""
+    keeper = AlertKeeper(Limits(), None, 0, lambda _: None)
+    ended = NodeStatus("ship_attitude", "black box", 2, "box.mcap: writing ended: No space left on device")
+    for second in range(8):
+        keeper.take_status(ended, second * NS_PER_S)
+        keeper.look(second * NS_PER_S, CLOCK_NS)
+    assert [alert.id for alert in keeper.alerts] == ["ship_attitude.box"]
+    states = set()
+    for second in range(8, 30):
+        keeper.look(second * NS_PER_S, CLOCK_NS)
+        states |= {alert.state for alert in keeper.alerts if alert.id == "ship_attitude.box"}
+    assert states == {AlertState.ACTIVE_UNACKNOWLEDGED, AlertState.RECTIFIED_UNACKNOWLEDGED}
+
+
+def test_disk_that_fills_up_is_told(tmp_path: Path) -> None:
+    """Held against the disk of this machine: more is wanted than any has; and a disk that is not there."""
+    machine = Limits().machine
+    for path in (tmp_path, tmp_path / "gone"):
+        limits = Limits(machine=type(machine)(disk_path=str(path), disk_free_gb=1e6))
+        keeper = AlertKeeper(limits, None, 0, lambda _: None)
+        for tenth in range(5):
+            keeper.look(tenth * LOOK_NS, CLOCK_NS)
+        assert [alert.id for alert in keeper.alerts] == ["disk.full"]

@@ -1,0 +1,211 @@
+"""The alert node over DDS, as a process of its own: raised, acknowledged, killed and started anew."""
+
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import Trigger
+
+from ship_bags.stamps import stamp_fields
+from ship_monitor.alerts.alert_node import default_state, main
+from ship_msgs.msg import Alert, AlertArray, ShipAttitude
+from ship_msgs.srv import AcknowledgeAlert
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+START = "import sys; from ship_monitor.alerts.alert_node import main; sys.exit(main())"
+
+
+class Ship:
+    """A suite in the namespace demo that gives a good attitude, and a person who watches its alerts."""
+
+    def __init__(self):
+        self.context = Context()
+        rclpy.init(context=self.context)
+        self.node = Node("ship_attitude", context=self.context, namespace="demo")
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.attitudes = self.node.create_publisher(ShipAttitude, "ship/attitude", 10)
+        self.diagnostics = self.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.heard, self.told = [], {}
+        self.node.create_subscription(AlertArray, "ship/alerts", self.heard.append, LATCHED)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_statuses, 100)
+        self.acknowledger = self.node.create_client(AcknowledgeAlert, "alerts/acknowledge")
+        self.silencer = self.node.create_client(Trigger, "alerts/silence")
+        self.box_level = None
+
+    def _take_statuses(self, message):
+        self.told |= {status.name: status for status in message.status}
+
+    def sail(self, seconds=0.1, sigma_arcsec=0.5, is_silent=False):
+        """Let time pass, with or without attitudes at 20 Hz."""
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            if not is_silent:
+                message = ShipAttitude(heading=1.0, star_age_s=0.1)
+                message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(time.time_ns())
+                variance = (sigma_arcsec * 4.848e-6) ** 2
+                message.covariance = [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance]
+                self.attitudes.publish(message)
+            if self.box_level is not None:
+                text, values = "writing ended: No space left on device", [KeyValue(key="bytes", value="1")]
+                name = "ship_attitude: black box"
+                status = DiagnosticStatus(level=self.box_level, name=name, message=text, values=values)
+                self.diagnostics.publish(DiagnosticArray(status=[status]))
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def alerts(self):
+        """The alerts of the last message by id; None before the first."""
+        return {alert.id: alert for alert in self.heard[-1].alerts} if self.heard else None
+
+    def call(self, client, request):
+        """The answer of a service."""
+        answer = client.call_async(request)
+        self.executor.spin_until_future_complete(answer, 10.0)
+        return answer.result()
+
+    def acknowledge(self, id_, instance):
+        """What the node answers."""
+        return self.call(self.acknowledger, AcknowledgeAlert.Request(id=id_, instance=instance))
+
+    def stop(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def ship():
+    ship = Ship()
+    yield ship
+    ship.stop()
+
+
+@pytest.fixture
+def start(tmp_path, monkeypatch):
+    """Starts the node; what is still running at the end is ended."""
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    started = []
+
+    def begin(*arguments):
+        command = [sys.executable, "-c", START, *arguments, "--ros-args", "-r", "__ns:=/demo"]
+        log = (tmp_path / f"{len(started)}.txt").open("w+")
+        process = subprocess.Popen(command, stderr=log, stdout=log, text=True)
+        process.log_path = tmp_path / f"{len(started)}.txt"
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        if process.poll() is None:
+            process.terminate()
+            process.wait(10)
+
+
+def states(alerts):
+    return {id_: (alert.priority, alert.state) for id_, alert in (alerts or {}).items()}
+
+
+UNACKNOWLEDGED, ACKNOWLEDGED = Alert.ACTIVE_UNACKNOWLEDGED, Alert.ACTIVE_ACKNOWLEDGED
+
+
+def test_alert_is_raised_acknowledged_and_outlives_its_node(ship, start, until, tmp_path):
+    """Silence is an alarm; the wrong instance is refused; killed with -9 and started anew, all is as it was."""
+    limits, state = tmp_path / "limits.yaml", tmp_path / "alerts.json"
+    limits.write_text("alerts: {clear_after_s: 1.0}\n")
+    named = ("--limits", str(limits), "--state", str(state))
+    node = start(*named)
+
+    def sailing(found, **how):
+        def look():
+            ship.sail(0.2, **how)
+            return found(ship.alerts())
+
+        return until(look, 30.0)
+
+    sailing(lambda alerts: alerts is not None and ship.acknowledger.service_is_ready())
+    # Without ship/integrity the attitude is a caution, which nobody needs to acknowledge.
+    sailing(lambda alerts: states(alerts) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)})
+    sailing(lambda alerts: "attitude.silent" in alerts, is_silent=True)
+    silent = ship.alerts()["attitude.silent"]
+    assert (silent.priority, silent.state, silent.instance) == (Alert.ALARM, UNACKNOWLEDGED, 1)
+    assert silent.text == "ship/attitude silent: heading and tilt lost"
+    assert abs(silent.raised.sec - time.time()) < 20.0
+
+    wrong = ship.acknowledge("attitude.silent", 2)
+    assert not wrong.success
+    assert "instance 1 now, not 2" in wrong.message
+    unknown = ship.acknowledge("attitude.silence", 1)
+    assert not unknown.success
+    assert "attitude.silent" in unknown.message
+    assert ship.call(ship.silencer, Trigger.Request()).message == "1 silenced"
+    sailing(lambda alerts: alerts["attitude.silent"].state == Alert.ACTIVE_SILENCED, is_silent=True)
+    right = ship.acknowledge("attitude.silent", 1)
+    assert (right.success, right.message) == (True, "'attitude.silent' acknowledged")
+    sailing(lambda alerts: alerts["attitude.silent"].state == ACKNOWLEDGED, is_silent=True)
+
+    node.kill()
+    node.wait(10)
+    ship.heard.clear()
+    again = start(*named)
+    # The first message that the new node gives holds the alert with its acknowledgement.
+    sailing(lambda alerts: alerts is not None, is_silent=True)
+    first = {alert.id: (alert.priority, alert.state, alert.instance) for alert in ship.heard[0].alerts}
+    assert first["attitude.silent"] == (Alert.ALARM, ACKNOWLEDGED, 1)
+    sailing(lambda alerts: "attitude.silent" not in alerts)
+    assert states(ship.alerts()) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)}
+    assert json.loads(state.read_text())["format"] == "ship_alerts"
+
+    again.terminate()
+    assert again.wait(10) == 0
+    log = node.log_path.read_text()
+    assert "ALARM attitude.silent 1: ship/attitude silent: heading and tilt lost: raised" in log
+    assert "attitude.silent 1: ship/attitude silent: heading and tilt lost: acknowledged" in log
+    assert "not acknowledged: 'attitude.silent' is instance 1 now, not 2" in log
+
+
+def test_diagnostics_are_heard_and_told_as_a_tree(ship, start, until, tmp_path):
+    """A node's black box that ended is a warning; the functions stand in /diagnostics with what is lost."""
+    start("--state", str(tmp_path / "alerts.json"))
+
+    def look():
+        ship.sail(0.2, sigma_arcsec=20.0)
+        return "ship_attitude.box" in (ship.alerts() or {})
+
+    ship.box_level = DiagnosticStatus.ERROR
+    until(look, 30.0)
+    assert ship.alerts()["ship_attitude.box"].priority == Alert.WARNING
+    name = "alerts: functions/heading within 5″"
+    until(lambda: (ship.sail(0.2, sigma_arcsec=20.0), ship.told.get(name))[1], 10.0)
+    lost = ship.told[name]
+    assert lost.level == DiagnosticStatus.ERROR
+    assert lost.message.startswith("lost, ")
+    assert "39.2″ of 5″" in lost.message
+    assert ship.told["alerts: callbacks"].level == DiagnosticStatus.OK
+
+
+def test_mistake_in_the_limits_ends_it_at_once(tmp_path, capsys):
+    """One line with file, line, key and what was expected; exit code 2."""
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("tilt_arcsec: 3.0\nhedding_arcsec: 5.0\n")
+    assert main(["--limits", str(limits)]) == 2
+    told = capsys.readouterr().err
+    assert f"{limits}:2: parameter 'hedding_arcsec' is unknown" in told
+    assert "did you mean 'heading_arcsec'?" in told
+    assert told.count("\n") == 1
+
+
+def test_each_namespace_has_a_file_of_its_own(monkeypatch, tmp_path):
+    """Two suites on one machine do not mix."""
+    monkeypatch.setenv("ROS_HOME", str(tmp_path))
+    names = [default_state(namespace) for namespace in ("/", "/demo", "/fleet/demo")]
+    assert names == [tmp_path / "alerts.json", tmp_path / "alerts_demo.json", tmp_path / "alerts_fleet_demo.json"]
