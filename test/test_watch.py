@@ -14,6 +14,8 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import ns_from_stamp
 from ship_testing.watched_voyages import BAGS, Watched, records, replayed, watched
+from ship_watch.alert_conditions import conditions
+from ship_watch.limits import Limits
 from ship_watch.picture import Presence, Safety
 from ship_watch.watch import Watch
 
@@ -104,6 +106,8 @@ def test_lights_that_bear_each_others_names_are_told_though_they_are_put_right(t
     exchanged = [time_s for time_s, text in told if text == "lights IN, names exchanged"]
     assert len(exchanged) == 1
     assert 25.0 < exchanged[0] <= 27.0
+    (alert,) = (found for found in conditions(theodolite.at_s[28.0], Limits()) if found.source == "lights")
+    assert alert.text == "lights: names exchanged, put right"
     assert words_between(theodolite, 26.0, 33.0) == {Safety.SAFE}
 
 

@@ -30,6 +30,8 @@ class Watched:
         out: source → the times at which it went out, s.
         back: source → the times at which it came in again, s.
         seen: source → the pictures of it when it went out.
+        guilty: the time at which a source went out by a fault of its own, s, and its name.
+        at_s: the picture of each whole second.
     """
 
     watch: Watch
@@ -39,6 +41,7 @@ class Watched:
     back: dict[str, list[float]] = field(default_factory=dict)
     seen: dict[str, list[Any]] = field(default_factory=dict)
     guilty: list[tuple[float, str]] = field(default_factory=list)
+    at_s: dict[float, Picture] = field(default_factory=dict)
 
     def events(self, kind: str) -> list[tuple[float, str]]:
         """(time, text) of all events of a kind, the oldest first."""
@@ -90,6 +93,9 @@ def watched(*paths: Path) -> Watched:
 
 
 def _note(seen: Watched, picture: Picture, before: dict[str, Presence], time_s: float) -> dict[str, Presence]:
+    """Take a picture; the answer is the presence of each source in it."""
+    if abs(time_s - round(time_s)) < 1e-6:
+        seen.at_s[float(round(time_s))] = picture
     for source in picture.sources:
         was = before.get(source.name, Presence.IN)
         if source.presence is Presence.OUT and was is not Presence.OUT:

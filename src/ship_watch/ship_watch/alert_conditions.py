@@ -114,7 +114,10 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Con
 
 
 def _sources_out(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:
-    """Sources that are out by a fault of their own; all star sensors out for one reason are one situation."""
+    """Sources that are out by a fault of their own; all star sensors out for one reason are one situation.
+
+    A source that is used although something in it had to be put right is told, too.
+    """
     guilty = _guilty(picture)
     stars = [source for source in picture.sources if source.name.startswith("star.")]
     stars_out = [source for source in guilty if source.name.startswith("star.")]
@@ -126,6 +129,10 @@ def _sources_out(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable
         yield _out(
             f"{source.name}.out", source.name, source, [one for one in shown if one.because_of == source.name], under
         )
+    for source in picture.sources:
+        if source.presence is Presence.IN and source.disagreement:
+            text = f"{source.name}: {source.disagreement}, put right"
+            yield Condition(f"{source.name}.mended", Priority.CAUTION, source.name, text)
 
 
 def _unreported(picture: Picture) -> Iterable[Condition]:

@@ -60,6 +60,7 @@ CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
     ("gnss.out", "caution"): (picture(out("gnss", "silent")), None),
     ("weather.out", "caution"): (picture(out("weather", "silent")), None),
     ("SOURCE.unreported", "warning"): (picture(out("star.bow", "not reported", because_of="its node")), None),
+    ("SOURCE.mended", "caution"): (picture(source("lights", disagreement="names exchanged")), None),
     ("SOURCE.rate", "caution"): (picture(source("gnss", rate_hz=1.0)), None),
     ("stars.old", "caution"): (picture(ages_s={"stars": 31.0, "lights": 0.5}), None),
     ("lights.old", "caution"): (picture(ages_s={"stars": 0.5, "lights": 31.0}), None),
@@ -87,7 +88,7 @@ def pattern(id_: str) -> str:
     """The id as the table writes it."""
     if re.fullmatch(r"(star|reference)\..+\.out", id_):
         return id_.partition(".")[0] + ".ID.out"
-    if id_.endswith((".unreported", ".rate")):
+    if id_.endswith((".unreported", ".mended", ".rate")):
         return "SOURCE." + id_.rpartition(".")[2]
     return re.sub(r"^ship_attitude\.(?!out)", "NODE.", id_)
 

@@ -145,7 +145,7 @@ def _source_row(source: SourceShown) -> dict[str, str]:
     return {
         "name": source.name,
         "presence": source.presence.value,
-        "sub": source.reason if source.presence is Presence.OUT else verdict,
+        "sub": source.reason if source.presence is Presence.OUT else source.disagreement or verdict,
         "age": words.age(source.age_s) if source.presence is not Presence.OFF else "",
     }
 
