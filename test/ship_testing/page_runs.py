@@ -46,7 +46,7 @@ class SetPictures:
 
 
 @contextlib.contextmanager
-def served(source: SetPictures | None = None, port: int = 0, build_panels: object = None) -> Iterator[PageServer]:
+def served(source: SetPictures | None = None, port: int = 0) -> Iterator[PageServer]:
     """A server that runs until the end of the ``with`` statement."""
     shown = SetPictures() if source is None else source
     made: Queue[PageServer | BaseException] = Queue()
@@ -54,7 +54,7 @@ def served(source: SetPictures | None = None, port: int = 0, build_panels: objec
     def run() -> None:
         asyncio.set_event_loop(asyncio.new_event_loop())
         try:
-            server = PageServer(page_maker(lambda: shown, build_panels, "day"), "127.0.0.1", port, lambda: None)
+            server = PageServer(page_maker(lambda: shown, "day"), "127.0.0.1", port, lambda: None)
         except BaseException as problem:
             made.put(problem)
             raise

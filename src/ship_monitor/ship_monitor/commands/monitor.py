@@ -57,7 +57,7 @@ def _run(parsed: argparse.Namespace) -> int:
     limits = Limits() if parsed.limits is None else read_limits(parsed.limits)
     watch = LiveWatch("monitor", parsed.namespace, limits)
     try:
-        make = page_maker(lambda: watch, None, parsed.theme)
+        make = page_maker(lambda: watch, parsed.theme)
         server = PageServer(make, parsed.address, parsed.port, watch.tick)
         on_end_signals(server.stop)
         print(f"monitor: {server.address} ({watch.place})", flush=True)

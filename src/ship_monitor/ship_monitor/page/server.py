@@ -107,7 +107,8 @@ class PageServer:
             if problem.errno == errno.EADDRINUSE:
                 raise BadInput(f"port {port} of {host} is in use: give another one with --port") from problem
             raise BadInput(f"cannot listen on {host}, port {port}: {problem.strerror}") from problem
-        logging.getLogger("bokeh").setLevel(logging.WARNING)
+        # A browser that has gone is no news; and Bokeh would say it once for each value that was on its way.
+        logging.getLogger("bokeh").setLevel(logging.ERROR)
         name = f"[{host}]" if ":" in host else host
         self.address = f"http://{name}:{sockets[0].getsockname()[1]}/"
         self._loop = IOLoop(make_current=True)

@@ -146,6 +146,7 @@ const monitor = (() => {
   function draw(model) {
     text(at("utc"), model.utc);
     text(at("label"), model.label);
+    at("paused").hidden = !model.is_paused;
     // An alert is more urgent than that something was never heard.
     alertLine(model.waiting && !model.alert.state
       ? { ...model.alert, icon: "", text: model.waiting, sub: model.place } : model.alert);
@@ -191,17 +192,20 @@ const monitor = (() => {
   function mark(name) {
     marked = marked === name ? "" : name;
     if (last !== null) sources(last.sources);
-    tell({ source: marked });
   }
-  // What the person chose goes to the server's model of this page alone: the plots follow it.
-  let choice = { angle: "heading", source: "", paused: false, plots: true }, chosen = null;
-  function tell(change) {
+  // What the person chose goes to the server's model of this page alone: the plots follow it. Each telling differs from
+  // the one before by its turn, so that the same wish can be told twice.
+  let choice = { angle: "", paused: false, seen: false }, chosen = null, turn = 0;
+  function tell(change, live = false) {
     choice = { ...choice, ...change };
-    if (chosen) chosen.data = Object.fromEntries(Object.entries(choice).map(([name, value]) => [name, [value]]));
+    if (!chosen) return;
+    turn += 1;
+    chosen.data = Object.fromEntries(Object.entries({ ...choice, live, turn }).map(([name, value]) => [name, [value]]));
   }
   function pause() {
-    tell({ paused: !choice.paused });
-    at("paused").hidden = !choice.paused;
+    const isLive = at("paused").hidden;
+    at("paused").hidden = !isLive;
+    tell({ paused: isLive }, !isLive);
   }
 
   document.addEventListener("keydown", (event) => {
@@ -210,7 +214,9 @@ const monitor = (() => {
     if (event.key === " ") { event.preventDefault(); pause(); }
   });
   at("alert").onclick = () => { if (last && last.alert.all.length) at("alerts").hidden = !at("alerts").hidden; };
-  at("plots-wanted").onclick = () => { document.body.classList.add("plots"); tell({ plots: true }); };
+  at("plots-wanted").onclick = () => { document.body.classList.add("plots"); };
+  new IntersectionObserver((seen) => tell({ seen: seen.at(-1).isIntersecting }), { rootMargin: "-8px" })
+    .observe(at("panels"));
   for (const each of document.querySelectorAll("#tiles .tile:not(.ages)")) {
     each.onclick = () => { tell({ angle: each.id }); at("panels").scrollIntoView({ block: "start" }); };
     each.onpointermove = (event) => {
@@ -238,7 +244,7 @@ const monitor = (() => {
     connected(source) {
       linked = true;
       chosen = source;
-      if (matchMedia(PHONE).matches) tell({ plots: false });
+      tell({});
     },
   };
 })();
