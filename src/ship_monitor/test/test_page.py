@@ -8,6 +8,7 @@ from ship_testing import browser as browser_module
 from ship_testing import pictures
 from ship_testing.browser import Browser
 from ship_testing.page_runs import SetPictures, served
+from ship_testing.watched_minutes import watched_history, watched_picture
 from ship_watch.picture import Safety
 
 pytestmark = pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
@@ -237,3 +238,46 @@ def test_the_first_paint_waits_for_no_script_of_bokeh(browser, page):
     sent = browser.evaluate("performance.getEntriesByType('navigation')[0].responseEnd")
     print(f"page there after {sent:.0f} ms, painted {painted:.0f} ms, bokeh there {loaded:.0f} ms")
     assert painted - sent < 1000.0
+
+
+# Bokeh draws into shadow roots: what is inside all of them.
+INSIDE = """(() => {
+  const found = [], look = (root) => root.querySelectorAll('*').forEach((each) => {
+    found.push(each);
+    if (each.shadowRoot) look(each.shadowRoot);
+  });
+  look(document.querySelector('#panels'));
+  return found;
+})()"""
+TITLES = [
+    *("Innovations by source", "Error inside", "Sky", "Lights on the detector", "Error budget", "Events"),
+    *("Alignment and calibration", "Inputs"),
+]
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("theme", ["dusk", "night"])
+def test_all_panels_below_are_drawn_when_they_come_into_sight(browser, source, page, theme, size, tmp_path):
+    source.set(watched_picture(), watched_history())
+    browser.open(f"{page}?theme={theme}", *SIZES[size])
+    browser.until("monitor.isLinked()")
+    assert browser.evaluate(f"{INSIDE}.filter((each) => each.tagName === 'CANVAS').length") == 0, "they rest"
+    if size == "phone":
+        browser.evaluate("document.querySelector('#plots-wanted').click()")
+    browser.evaluate("document.querySelector('#panels').scrollIntoView()")
+    for title in TITLES:
+        browser.until(f"{INSIDE}.some((each) => each.tagName === 'B' && each.textContent.startsWith('{title}'))")
+    drawn = f"{INSIDE}.filter((each) => each.tagName === 'CANVAS' && each.width > 100 && each.height > 50).length"
+    assert browser.until(f"{drawn} >= 10 && {drawn}") >= 10
+    browser.photograph(tmp_path / f"panels_{theme}_{size}.png", whole=True)
+    assert browser.problems == []
+    assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), "wider than the window"
+
+
+def test_a_click_on_a_tile_shows_its_budget(browser, source, page):
+    source.set(watched_picture(), watched_history())
+    browser.open(page)
+    browser.until("monitor.isLinked()")
+    browser.evaluate("document.querySelector('#roll').click()")
+    said = f"{INSIDE}.some((each) => each.tagName === 'SPAN' && each.textContent.startsWith('roll, '))"
+    browser.until(said)

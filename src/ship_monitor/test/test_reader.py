@@ -1,49 +1,25 @@
 """The reader of topics against publishers of its own domain."""
 
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
 from ship_bags.errors import BadInput
+from ship_bags.stamps import NS_PER_S
 from ship_monitor.live import reader as reader_module
 from ship_monitor.live.reader import KEPT, TopicReader, steady_ns
 from ship_msgs.msg import AlertArray, Innovation, ShipAttitude
+from ship_testing.publishing_ship import PublishingShip, attitude
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class Ship:
-    """Publishes what a suite would."""
-
-    def __init__(self, namespace="demo"):
-        self.context = Context()
-        rclpy.init(context=self.context)
-        self.node = Node("suite", context=self.context, namespace=namespace)
-        self.publishers = {}
-
-    def say(self, topic, message, qos=10):
-        if topic not in self.publishers:
-            self.publishers[topic] = self.node.create_publisher(type(message), topic, qos)
-        self.publishers[topic].publish(message)
-
-    def heard_by(self, reader, until, *topics):
-        """Wait until the reader's subscriptions have met the publishers."""
-        until(lambda: reader.take() and all(self.publishers[topic].get_subscription_count() for topic in topics))
-
-    def stop(self):
-        self.node.destroy_node()
-        self.context.try_shutdown()
-
-
 @pytest.fixture
 def ship():
-    ship = Ship()
+    ship = PublishingShip()
     yield ship
     ship.stop()
 
@@ -61,12 +37,6 @@ def reader():
     reader.close()
 
 
-def attitude(seconds, status=ShipAttitude.VALID):
-    message = ShipAttitude(status=status)
-    message.header.stamp.sec = seconds
-    return message
-
-
 def drained(reader, until, topic, count=1):
     """Messages of a topic once there are so many."""
     found = []
@@ -82,7 +52,7 @@ def drained(reader, until, topic, count=1):
 def test_of_a_stream_the_newest_and_of_other_topics_every_message(ship, reader, until):
     ship.say("ins/imu", Imu())
     ship.say("ship/innovation", Innovation())
-    ship.heard_by(reader, until, "ins/imu", "ship/innovation")
+    ship.heard(until, reader.take, "ins/imu", "ship/innovation")
     reader.take()
     for number in range(50):
         imu = Imu()
@@ -103,7 +73,7 @@ def test_of_a_stream_the_newest_and_of_other_topics_every_message(ship, reader, 
 
 def test_arrivals_lie_between_two_looks_and_in_order(ship, reader, until):
     ship.say("ship/innovation", Innovation())
-    ship.heard_by(reader, until, "ship/innovation")
+    ship.heard(until, reader.take, "ship/innovation")
     before_ns = steady_ns()
     for number in range(5):
         ship.say("ship/innovation", Innovation(nis=float(number)))
@@ -120,17 +90,17 @@ def test_a_topic_that_keeps_its_last_message_gives_it_to_a_reader_that_comes_lat
 
 def test_a_publisher_that_comes_again_is_heard_again(reader, until):
     for namespace in ("demo", "demo"):
-        ship = Ship(namespace)
-        ship.say("ship/attitude", attitude(5))
-        ship.heard_by(reader, until, "ship/attitude")
-        ship.say("ship/attitude", attitude(6))
+        ship = PublishingShip(namespace)
+        ship.say("ship/attitude", attitude(5 * NS_PER_S))
+        ship.heard(until, reader.take, "ship/attitude")
+        ship.say("ship/attitude", attitude(6 * NS_PER_S))
         assert drained(reader, until, "ship/attitude")
         ship.stop()
 
 
 def test_a_topic_that_begins_to_keep_its_last_message_is_taken_anew(ship, reader, until):
     ship.say("ship/alerts", AlertArray())
-    ship.heard_by(reader, until, "ship/alerts")
+    ship.heard(until, reader.take, "ship/alerts")
     ship.node.destroy_publisher(ship.publishers.pop("ship/alerts"))
     ship.say("ship/alerts", AlertArray(), LATCHED)
     assert drained(reader, until, "ship/alerts")
@@ -138,22 +108,22 @@ def test_a_topic_that_begins_to_keep_its_last_message_is_taken_anew(ship, reader
 
 @pytest.mark.parametrize(("shift_s", "is_anew"), [(-60, True), (60, False), (-2, False)])
 def test_outputs_that_go_back_are_those_of_another_voyage(ship, reader, until, shift_s, is_anew):
-    ship.say("ship/attitude", attitude(1000))
-    ship.heard_by(reader, until, "ship/attitude")
-    ship.say("ship/attitude", attitude(1000))
+    ship.say("ship/attitude", attitude(1000 * NS_PER_S))
+    ship.heard(until, reader.take, "ship/attitude")
+    ship.say("ship/attitude", attitude(1000 * NS_PER_S))
     drained(reader, until, "ship/attitude")
-    ship.say("ship/attitude", attitude(1000 + shift_s))
+    ship.say("ship/attitude", attitude((1000 + shift_s) * NS_PER_S))
     taken = until(lambda: (taken := reader.take()).messages and taken)
     assert taken.is_anew is is_anew
     assert taken.messages[-1].message.header.stamp.sec == 1000 + shift_s
 
 
 def test_the_time_of_an_invalid_attitude_is_no_jump(ship, reader, until):
-    ship.say("ship/attitude", attitude(1000))
-    ship.heard_by(reader, until, "ship/attitude")
-    ship.say("ship/attitude", attitude(1000))
+    ship.say("ship/attitude", attitude(1000 * NS_PER_S))
+    ship.heard(until, reader.take, "ship/attitude")
+    ship.say("ship/attitude", attitude(1000 * NS_PER_S))
     drained(reader, until, "ship/attitude")
-    ship.say("ship/attitude", attitude(10, ShipAttitude.INVALID))
+    ship.say("ship/attitude", attitude(10 * NS_PER_S, ShipAttitude.INVALID))
     taken = until(lambda: (taken := reader.take()).messages and taken)
     assert not taken.is_anew
 
@@ -163,7 +133,7 @@ def test_a_clock_that_goes_back_starts_anew_and_what_came_before_is_dropped(ship
     clock.clock.sec = 100
     ship.say("/clock", clock)
     ship.say("ship/innovation", Innovation())
-    ship.heard_by(reader, until, "/clock", "ship/innovation")
+    ship.heard(until, reader.take, "/clock", "ship/innovation")
     ship.say("/clock", clock)
     until(lambda: reader.is_played and reader.take() and "/clock" in reader._latest_ns)
     ship.say("ship/innovation", Innovation(nis=1.0))
@@ -177,29 +147,29 @@ def test_a_clock_that_goes_back_starts_anew_and_what_came_before_is_dropped(ship
 
 def test_the_place_names_another_namespace_in_which_there_is_a_suite(reader, until):
     assert reader.place.startswith("namespace /demo, domain ")
-    other = Ship("voyage")
-    other.say("ship/attitude", attitude(1))
+    other = PublishingShip("voyage")
+    other.say("ship/attitude", attitude(1 * NS_PER_S))
     until(lambda: reader.take() and "there is one in /voyage" in reader.place)
     other.stop()
 
 
 def test_truth_on_the_network_means_that_the_ship_is_simulated(ship, reader, until):
-    ship.say("ship/attitude", attitude(1))
-    ship.heard_by(reader, until, "ship/attitude")
+    ship.say("ship/attitude", attitude(1 * NS_PER_S))
+    ship.heard(until, reader.take, "ship/attitude")
     assert not reader.is_simulated
-    ship.say("truth/attitude", attitude(1))
+    ship.say("truth/attitude", attitude(1 * NS_PER_S))
     until(lambda: reader.take() and reader.is_simulated)
 
 
 def test_after_a_sleep_of_the_machine_it_takes_part_anew(ship, reader, until, monkeypatch):
-    ship.say("ship/attitude", attitude(1))
-    ship.heard_by(reader, until, "ship/attitude")
+    ship.say("ship/attitude", attitude(1 * NS_PER_S))
+    ship.heard(until, reader.take, "ship/attitude")
     former = reader._node
     monkeypatch.setattr(reader_module, "_asleep_ns", lambda: 3600 * 10**9)
     reader.take()
     assert reader._node is not former
-    ship.heard_by(reader, until, "ship/attitude")
-    ship.say("ship/attitude", attitude(2))
+    ship.heard(until, reader.take, "ship/attitude")
+    ship.say("ship/attitude", attitude(2 * NS_PER_S))
     assert drained(reader, until, "ship/attitude")[-1].message.header.stamp.sec == 2
 
 

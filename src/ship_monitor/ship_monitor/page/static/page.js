@@ -233,6 +233,7 @@ const monitor = (() => {
 
   return {
     limits,
+    isLinked: () => linked && !lost,
     show(model) {
       last = model;
       heardMs = performance.now();

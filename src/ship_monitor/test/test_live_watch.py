@@ -1,0 +1,91 @@
+"""A suite that is watched live: it comes, goes, comes again, and its time goes back."""
+
+import pytest
+
+from ship_bags.stamps import NS_PER_S
+from ship_monitor.live.live_watch import LiveWatch, messages_wanted
+from ship_monitor.live.reader import KEPT
+from ship_testing.publishing_ship import PublishingShip, attitude
+from ship_watch.limits import Limits
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+
+START_NS = 1_700_000_000 * NS_PER_S
+
+
+@pytest.fixture
+def watch():
+    watch = LiveWatch("monitor", "demo", Limits())
+    yield watch
+    watch.close()
+
+
+@pytest.fixture
+def ship():
+    ship = PublishingShip()
+    yield ship
+    ship.stop()
+
+
+def heading(watch):
+    watch.tick()
+    return next(each for each in watch.look().angles if each.name == "heading")
+
+
+def sail(ship, watch, until, time_ns=START_NS):
+    """Publish attitudes until the watch shows one."""
+    times = iter(range(time_ns, time_ns + 1000 * NS_PER_S, NS_PER_S // 50))
+
+    def look():
+        ship.say("ship/attitude", attitude(next(times)))
+        return (shown := heading(watch)) and not shown.is_old and shown
+
+    return until(look)
+
+
+def test_before_anything_is_heard_it_waits_and_says_where(watch):
+    watch.tick()
+    assert watch.look().waiting_for == "ship/attitude"
+    assert watch.place.startswith("namespace /demo, domain ")
+    assert (watch.name, watch.label) == ("demo", "LIVE")
+
+
+def test_a_suite_that_comes_later_is_shown(watch, ship, until):
+    heading(watch)
+    assert sail(ship, watch, until).value == 1.0
+    assert watch.look().waiting_for == ""
+
+
+def test_what_has_ended_becomes_old_by_itself_and_is_shown_again_when_it_comes_back(watch, until):
+    for start_ns in (START_NS, START_NS + 100 * NS_PER_S):
+        ship = PublishingShip()
+        sail(ship, watch, until, start_ns)
+        ship.stop()
+        until(lambda: heading(watch).is_old)
+
+
+def test_when_time_goes_back_everything_begins_anew(watch, ship, until):
+    sail(ship, watch, until)
+    ship.say("ship/attitude", attitude(START_NS - 3600 * NS_PER_S))
+    until(lambda: heading(watch).stamp_ns < START_NS)
+    assert all(event.utc_ns < START_NS for event in watch.look().events)
+
+
+def test_a_played_bag_with_the_truth_is_no_live_ship(watch, ship, until):
+    sail(ship, watch, until)
+    assert watch.label == "LIVE"
+    ship.say("truth/attitude", attitude(START_NS))
+    until(lambda: heading(watch) and watch.label == "SIMULATED")
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name", "count"),
+    [
+        ("ship/attitude", "ship_msgs/msg/ShipAttitude", 1),
+        ("ship/innovation", "ship_msgs/msg/Innovation", KEPT),
+        ("ship/attitude", "std_msgs/msg/String", 0),
+        ("ins/imu", "sensor_msgs/msg/Imu", 0),
+    ],
+)
+def test_of_outputs_the_newest_of_refusals_each_of_fast_inputs_none(topic, type_name, count):
+    assert messages_wanted(topic, type_name) == count

@@ -1,0 +1,43 @@
+"""The executable ``monitor``: what it refuses in one line."""
+
+import socket
+
+import pytest
+
+from ship_monitor.commands.monitor import main
+
+
+@pytest.mark.live
+@pytest.mark.xdist_group("dds")
+def test_a_port_in_use_is_one_line_and_bad_input(capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert main(["--port", str(port)]) == 2
+    assert capsys.readouterr().err == f"monitor: port {port} of 127.0.0.1 is in use: give another one with --port\n"
+
+
+@pytest.mark.live
+@pytest.mark.xdist_group("dds")
+def test_what_is_no_namespace_is_one_line_and_bad_input(capsys):
+    assert main(["--namespace", "a b"]) == 2
+    assert capsys.readouterr().err.startswith("monitor: '/a b' is not a namespace of ROS")
+
+
+def test_an_unknown_key_of_the_limits_is_one_line_with_file_and_key(tmp_path, capsys):
+    path = tmp_path / "limits.yaml"
+    path.write_text("heading_arcsecs: 5.0\n", encoding="utf-8")
+    assert main(["--limits", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert str(path) in said
+    assert "heading_arcsecs" in said
+
+
+@pytest.mark.parametrize("arguments", [["--port", "70000"], ["--port", "x"], ["--theme", "white"]])
+def test_bad_usage_ends_with_2(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -1,0 +1,43 @@
+"""A node that publishes what a suite would, in a context of its own."""
+
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+
+from ship_bags.stamps import stamp_fields
+from ship_msgs.msg import ShipAttitude
+
+
+class PublishingShip:
+    """Publishes messages; topics are made with their first one."""
+
+    def __init__(self, namespace: str = "demo") -> None:
+        self.context = Context()
+        rclpy.init(context=self.context)
+        self.node = Node("suite", context=self.context, namespace=namespace)
+        self.publishers: dict[str, Any] = {}
+
+    def say(self, topic: str, message: Any, qos: Any = 10) -> None:
+        """Publish a message."""
+        if topic not in self.publishers:
+            self.publishers[topic] = self.node.create_publisher(type(message), topic, qos)
+        self.publishers[topic].publish(message)
+
+    def heard(self, until: Callable[[Callable[[], Any]], Any], look: Callable[[], Any], *topics: str) -> None:
+        """Wait until somebody's subscriptions have met the publishers, while he looks."""
+        until(lambda: look() and all(self.publishers[topic].get_subscription_count() for topic in topics))
+
+    def stop(self) -> None:
+        """Leave the network."""
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+def attitude(time_ns: int, status: int = ShipAttitude.VALID, variance: float = 1e-12) -> ShipAttitude:
+    """An attitude with heading 1 rad."""
+    message = ShipAttitude(status=status, heading=1.0, covariance=[variance if i % 4 == 0 else 0.0 for i in range(9)])
+    message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(time_ns)
+    return message
