@@ -23,6 +23,7 @@ setup(
         "console_scripts": [
             "monitor = ship_monitor.commands.monitor:main",
             "alerts = ship_monitor.alerts.alert_node:main",
+            "monitor_terminal = ship_monitor.commands.monitor_terminal:main",
         ],
     },
 )

@@ -1,5 +1,6 @@
 """A running suite, watched: what the reader of topics takes goes to a watch, which gives the picture."""
 
+from ship_monitor.live.acknowledge import acknowledge
 from ship_monitor.live.reader import KEPT, TopicReader, steady_ns
 from ship_watch.history import History
 from ship_watch.limits import Limits
@@ -64,6 +65,10 @@ class LiveWatch:
     def place(self) -> str:
         """Where it listens, in words."""
         return self._reader.place
+
+    def acknowledge(self, alert_id: str, instance: int) -> str:
+        """Acknowledge one instance of an alert, and say in words what came of it. It may wait for seconds."""
+        return acknowledge(self._reader.context, self._reader.namespace, alert_id, instance)
 
     def controls(self) -> None:
         """There are none: time goes as it goes."""

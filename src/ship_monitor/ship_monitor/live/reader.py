@@ -142,6 +142,11 @@ class TopicReader:
         others = [f"/{name}" for name in self._elsewhere if f"/{name}" != self.namespace]
         return f"{where}; there is one in {', '.join(others)}" if others else where
 
+    @property
+    def context(self) -> Context:
+        """The context of its node, for another node beside it; a new one after the machine has slept."""
+        return self._context
+
     def close(self) -> None:
         """Leave the network."""
         self._node.destroy_node()

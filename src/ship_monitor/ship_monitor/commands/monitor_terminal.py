@@ -1,0 +1,71 @@
+"""``monitor_terminal``: a suite in a terminal, over ssh."""
+
+import argparse
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ship_bags.command_line import CommandParser, run_command
+from ship_bags.errors import BadInput
+from ship_monitor.live.live_watch import LiveWatch
+from ship_monitor.page.themes import THEMES
+from ship_monitor.terminal.app import TerminalApp
+from ship_watch.limits import Limits, read_limits
+
+_DESCRIPTION = """\
+Shows a suite in a terminal of 80 by 24 or more, as over ssh: heading, pitch, roll, azimuth and elevation with their
+95 % accuracy; SAFE, CAUTION or UNSAFE; the sources, OUT first, the events, the alerts. Unlike the page it can
+acknowledge alerts. Key ? says what the words mean. Colours are not needed (NO_COLOR=1 leaves them out). A terminal
+whose locale is not UTF-8 gets ASCII: deg for °, " for ″, +- for ±. ROS_DOMAIN_ID says in which domain it listens.
+"""
+_EPILOG = "exit code: 0 left by key q; 130 by Ctrl-C, SIGTERM or SIGHUP; 2 bad input or usage, or no terminal"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of ``monitor_terminal``; returns the exit code."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="monitor_terminal",
+        example="./ros2run ship_monitor monitor_terminal --namespace demo --limits limits.yaml --theme night",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the suite (none)")
+    parser.add_argument("--limits", type=Path, metavar="FILE", help="YAML file with the limits of the ship (defaults)")
+    parser.add_argument("--theme", choices=tuple(THEMES), default="day", help="colours to begin with (day)")
+    parser.add_argument(
+        "--characters",
+        choices=("auto", "utf8", "ascii"),
+        default="auto",
+        help="what the terminal shows (auto: by locale)",
+    )
+    return parser
+
+
+def _run(parsed: argparse.Namespace) -> int:
+    limits = Limits() if parsed.limits is None else read_limits(parsed.limits)
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise BadInput("stdin or stderr is no terminal; over ssh use ssh -t")
+    is_ascii = parsed.characters == "ascii" or (parsed.characters == "auto" and not shows_utf8(os.environ))
+    suite = LiveWatch("monitor_terminal", parsed.namespace, limits)
+    try:
+        exit_code = TerminalApp(suite, parsed.theme, is_ascii=is_ascii).run()
+    finally:
+        suite.close()
+    # None: textual ended by itself, after an exception that it has shown.
+    return 1 if exit_code is None else exit_code
+
+
+def shows_utf8(environment: Mapping[str, str]) -> bool:
+    """Whether the locale of an environment says that the terminal shows UTF-8.
+
+    Python itself sets LC_CTYPE to C.UTF-8 where the locale is C (PEP 538), and that says nothing of the terminal.
+    """
+    ctype = environment.get("LC_CTYPE", "")
+    named = environment.get("LC_ALL") or (ctype if ctype != "C.UTF-8" else "") or environment.get("LANG", "")
+    return "utf" in named.lower()

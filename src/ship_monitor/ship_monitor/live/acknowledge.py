@@ -1,0 +1,38 @@
+"""An alert acknowledged, by the service of the node of the alerts."""
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+from ship_msgs.srv import AcknowledgeAlert
+
+SERVICE = "alerts/acknowledge"
+"""Relative name of the service."""
+
+_FOUND_WITHIN_S = 2.0
+_ANSWERED_WITHIN_S = 3.0
+
+
+def acknowledge(context: Context, namespace: str, alert_id: str, instance: int) -> str:
+    """Acknowledge one instance of an alert, and say in words what came of it. It waits for the answer.
+
+    The node that asks shares the context, and with it the DDS participant: two participants in one process can lock
+    each other up.
+    """
+    node = rclpy.create_node("acknowledge", namespace=namespace, context=context, use_global_arguments=False)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        client = node.create_client(AcknowledgeAlert, SERVICE)
+        if not client.wait_for_service(timeout_sec=_FOUND_WITHIN_S):
+            return f"not acknowledged: no service {client.service_name}; is the node of the alerts running?"
+        answer = client.call_async(AcknowledgeAlert.Request(id=alert_id, instance=instance))
+        executor.spin_until_future_complete(answer, timeout_sec=_ANSWERED_WITHIN_S)
+        response = answer.result() if answer.done() else None
+        if response is None:
+            return f"not acknowledged: {client.service_name} has not answered for {_ANSWERED_WITHIN_S:.0f} s"
+        done = f"acknowledged {alert_id}" if response.success else f"not acknowledged {alert_id}"
+        return f"{done}: {response.message}" if response.message else done
+    finally:
+        executor.shutdown()
+        node.destroy_node()

@@ -1,0 +1,222 @@
+"""The terminal view as a program: draws twice a second, and listens to the keys."""
+
+import asyncio
+import math
+import signal
+import time
+from collections.abc import Callable
+from typing import ClassVar, Protocol
+
+from rich.segment import Segment
+from rich.style import Style
+from textual.app import App, ComposeResult
+from textual.binding import Binding, BindingType
+from textual.strip import Strip
+from textual.widget import Widget
+
+from ship_bags.command_line import EXIT_INTERRUPTED
+from ship_monitor.page.themes import THEMES, Theme
+from ship_monitor.terminal.details import details, help_page
+from ship_monitor.terminal.pen import Line, Look
+from ship_monitor.terminal.screen import View, choices, screen, shown_alert
+from ship_watch.picture import Picture
+
+TAKE_S = 0.25
+DRAW_S = 0.5
+NOTE_S = 5.0
+
+
+class Suite(Protocol):
+    """What the terminal shows: a suite on the network."""
+
+    @property
+    def label(self) -> str:
+        """LIVE, BAG or SIMULATED."""
+
+    @property
+    def name(self) -> str:
+        """Namespace of the suite."""
+
+    @property
+    def place(self) -> str:
+        """Where it is listened, in words."""
+
+    def tick(self) -> None:
+        """Take what has come."""
+
+    def look(self) -> Picture:
+        """The picture of this moment."""
+
+    def acknowledge(self, alert_id: str, instance: int) -> str:
+        """Acknowledge one instance of an alert, and say in words what came of it. It may wait for seconds."""
+
+
+class _Lines(Widget):
+    """Lines of text over the whole terminal."""
+
+    DEFAULT_CSS = "_Lines { width: 100%; height: 100%; }"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._lines: tuple[Line, ...] = ()
+        self._styles: dict[Look, Style] = {}
+
+    def show(self, lines: tuple[Line, ...], styles: dict[Look, Style]) -> None:
+        """Draw lines from now on."""
+        if (lines, styles) != (self._lines, self._styles):
+            self._lines, self._styles = lines, styles
+            self.refresh()
+
+    def render_line(self, y: int) -> Strip:
+        """One row, as textual asks for it."""
+        if y >= len(self._lines):
+            return Strip.blank(self.size.width, self._styles.get(Look.TEXT))
+        return Strip([Segment(text, self._styles[look]) for text, look in self._lines[y]])
+
+
+class TerminalApp(App[int]):
+    """The terminal view of one suite.
+
+    Args:
+        suite: what is shown.
+        theme_name: theme to begin with.
+        is_ascii: whether the terminal shows ASCII alone.
+    """
+
+    ENABLE_COMMAND_PALETTE = False
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("a", "acknowledge"),
+        Binding("enter", "toggle_page('details')"),
+        Binding("question_mark", "toggle_page('help')"),
+        Binding("escape", "go_back"),
+        Binding("up", "choose(-1)"),
+        Binding("down", "choose(1)"),
+        Binding("t", "next_theme"),
+        Binding("p", "pause"),
+        Binding("q", "leave(0)"),
+        Binding("ctrl+c", f"leave({EXIT_INTERRUPTED})", priority=True),
+    ]
+
+    def __init__(self, suite: Suite, theme_name: str = "day", *, is_ascii: bool = False) -> None:
+        super().__init__()
+        self._suite, self._theme_name, self._is_ascii = suite, theme_name, is_ascii
+        self._drawing = _Lines()
+        self._picture: Picture | None = None
+        self._paused_s = math.nan
+        self._page = self._chosen = self._note = ""
+        self._note_until_s = 0.0
+
+    def compose(self) -> ComposeResult:
+        """One widget fills the terminal."""
+        yield self._drawing
+
+    def on_mount(self) -> None:
+        """Begin to draw, and end as a program does that is told to."""
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            loop.add_signal_handler(number, self.exit, EXIT_INTERRUPTED)
+        self.set_interval(TAKE_S, self._suite.tick)
+        self.set_interval(DRAW_S, self.draw)
+        self.draw()
+
+    def on_resize(self) -> None:
+        """The terminal has another size, which is known after this."""
+        self.call_after_refresh(self.draw)
+
+    def draw(self) -> None:
+        """Show what is so now; paused, the picture of then with the alerts of now."""
+        now, now_s = self._suite.look(), time.monotonic()
+        if self._picture is None or math.isnan(self._paused_s):
+            self._picture = now
+        view = View(
+            width=self.size.width,
+            height=self.size.height,
+            name=self._suite.name,
+            label=self._suite.label,
+            place=self._suite.place,
+            theme=self._theme_name,
+            paused_s=now_s - self._paused_s,
+            chosen=self._chosen,
+            note=self._note if now_s < self._note_until_s else "",
+            is_ascii=self._is_ascii,
+        )
+        if self._page == "help":
+            lines = help_page(self._picture, view)
+        elif self._page == "details":
+            lines = details(self._picture, now.alerts, view)
+        else:
+            lines = screen(self._picture, now.alerts, view)
+        self._drawing.show(lines, styles_of(THEMES[self._theme_name]))
+
+    def action_toggle_page(self, page: str) -> None:
+        """Open a page, or go back from it."""
+        self._page = "" if self._page else page
+        self.draw()
+
+    def action_go_back(self) -> None:
+        """Back to the first screenful; there, nothing is chosen any more."""
+        self._page, self._chosen = "", self._chosen if self._page else ""
+        self.draw()
+
+    def action_choose(self, step: int) -> None:
+        """Choose the next angle or source."""
+        if self._picture is None:
+            return
+        names = choices(self._picture)
+        place = names.index(self._chosen) + step if self._chosen in names else 0 if step > 0 else len(names) - 1
+        self._chosen = names[place % len(names)] if names else ""
+        self.draw()
+
+    def action_next_theme(self) -> None:
+        """The next of day, dusk and night."""
+        names = tuple(THEMES)
+        self._theme_name = names[(names.index(self._theme_name) + 1) % len(names)]
+        self.draw()
+
+    def action_pause(self) -> None:
+        """Let the picture stand still, or go on."""
+        self._paused_s = time.monotonic() if math.isnan(self._paused_s) else math.nan
+        self.draw()
+
+    def action_leave(self, exit_code: int) -> None:
+        """End."""
+        self.exit(exit_code)
+
+    def action_acknowledge(self) -> None:
+        """Acknowledge the alert of the alert line, the instance that is shown."""
+        alert = shown_alert(self._suite.look().alerts)
+        if alert is None or alert.is_acknowledged:
+            self._say("there is nothing to acknowledge")
+            return
+        self._say(f"acknowledging {alert.id} ...")
+        self.run_worker(self._ask(lambda: self._suite.acknowledge(alert.id, alert.instance)))
+
+    async def _ask(self, question: Callable[[], str]) -> None:
+        self._say(await asyncio.to_thread(question))
+
+    def _say(self, note: str) -> None:
+        self._note, self._note_until_s = note, time.monotonic() + NOTE_S
+        self.draw()
+
+
+def styles_of(theme: Theme) -> dict[Look, Style]:
+    """How each look is drawn in a theme. What is reversed stays so on a terminal without colours."""
+
+    def style(colour: str, *, bold: bool = False, strike: bool = False, reverse: bool = False) -> Style:
+        return Style(color=colour, bgcolor=theme.background, bold=bold, strike=strike, reverse=reverse)
+
+    return {
+        Look.TEXT: style(theme.text),
+        Look.SECOND: style(theme.second_text),
+        Look.STRONG: style(theme.text, bold=True),
+        Look.SAFE: style(theme.safe),
+        # Reversed: the colour becomes the fill.
+        Look.CAUTION: Style(color=theme.caution_fill, bgcolor=theme.caution_word, reverse=True),
+        Look.UNSAFE: Style(color=theme.unsafe_fill, bgcolor=theme.unsafe_word, reverse=True, bold=True),
+        Look.OLD: style(theme.old, strike=True),
+        Look.OUT: style(theme.caution_border, bold=True),
+        Look.ALARM: style(theme.alarm, bold=True),
+        Look.WARNING: style(theme.warning, bold=True),
+        Look.NOTICE: style(theme.caution, bold=True),
+        Look.MARKED: style(theme.text, reverse=True),
+    }

@@ -1,0 +1,106 @@
+"""What the terminal tells of one thing alone: an angle, a source, the alerts; and the page of help."""
+
+import math
+
+from ship_geometry.rotations import ARCSEC
+from ship_monitor.terminal.pen import Line, Look, Pen, Span
+from ship_monitor.terminal.screen import View, alert_spans, event_lines, input_line, reasons_text, source_line, top_bar
+from ship_watch import words
+from ship_watch.picture import AlertShown, AngleShown, Picture, SourceShown
+
+_BACK = " Enter or Escape: back   a acknowledge   t theme   p pause   q quit"
+
+_HELP = """\
+ SAFE      the value is fresh and its 95 % accuracy within the ship's limit
+ CAUTION   over the limit up to 3 times; or its integrity cannot be told
+ UNSAFE    do not use it: over 3 times the limit, invalid, or old
+ OLD 12 s  nothing newer came for so long; struck through, dashes after 60 s
+
+ + IN      the source takes part        x OUT  it does not, and why
+ - OFF     it is not configured         σ as stated (1.01): its accuracy is true
+
+ /!\\ ALARM: act at once   (!) WARNING: act soon   [!] CAUTION: know of it
+ UNACK: nobody has acknowledged it   OVER, UNACK: it is over, nobody has
+
+ up, down  choose an angle or a source; Escape: none
+ Enter     details of what is chosen; of nothing: all alerts, all inputs
+ a         acknowledge the alert of the second line
+ t         theme: day, dusk, night (red light)
+ p         pause: the picture stands still, alerts go on
+ q         quit"""
+
+
+def help_page(picture: Picture, view: View) -> tuple[Line, ...]:
+    """What the words and keys mean."""
+    texts = [Span(text, Look.TEXT) for text in _HELP.splitlines()]
+    return _page(picture, view, "help", [view.pen.line(text) for text in texts])
+
+
+def details(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
+    """All that is known of what the view has chosen; where nothing is, the alerts and the inputs."""
+    for angle in picture.angles:
+        if angle.name == view.chosen:
+            return _page(picture, view, angle.name, _of_angle(angle, picture, view.pen))
+    for source in picture.sources:
+        if source.name == view.chosen:
+            return _page(picture, view, source.name, _of_source(source, picture, view.pen))
+    return _page(picture, view, "alerts", _of_alerts(alerts, picture, view.pen))
+
+
+def _page(picture: Picture, view: View, title: str, body: list[Line]) -> tuple[Line, ...]:
+    pen = view.pen
+    rows = [top_bar(picture, view), pen.rule(title), *body][: max(view.height - 1, 0)]
+    rows += [pen.line()] * (view.height - 1 - len(rows))
+    keys = Span(f" {view.note}", Look.STRONG) if view.note else Span(_BACK, Look.SECOND)
+    return (*rows, pen.line(keys))[-view.height :]
+
+
+def _row(pen: Pen, name: str, text: str) -> Line:
+    return pen.line(Span(f" {pen.cell(name, 18)}", Look.SECOND), Span(text, Look.TEXT))
+
+
+def _of_angle(angle: AngleShown, picture: Picture, pen: Pen) -> list[Line]:
+    known = math.isfinite(angle.value) and not (angle.is_old and angle.age_s > words.DASHES_AFTER_S)
+    value = f"{math.degrees(angle.value):.6f}°" if known else words.NO_VALUE
+    rows = {
+        "value": f"{value}  OLD {words.age(angle.age_s)}" if angle.is_old else value,
+        "state": f"{angle.safety.name}  {angle.reason}",
+        "to blame": angle.because_of or words.NO_VALUE,
+        "since": words.date_and_clock(angle.since_ns),
+        "95 % accuracy": words.angle_size(angle.accuracy_95),
+        "sigma": f"{angle.accuracy_95 / 1.96 / ARCSEC:.2f}″" if math.isfinite(angle.accuracy_95) else words.NO_VALUE,
+        "protection level": words.angle_size(angle.protection_level),
+        "limit": words.limit_size(angle.limit),
+        "time of the value": words.date_and_clock(angle.stamp_ns),
+        "arrived before": words.age(angle.age_s),
+    }
+    made = [_row(pen, name, text) for name, text in rows.items()]
+    return [*made, pen.rule("events"), *event_lines(picture, pen, 200, angle.name)]
+
+
+def _of_source(source: SourceShown, picture: Picture, pen: Pen) -> list[Line]:
+    verdict = source.verdict
+    residual = f"{source.residual:.1f} σ" if math.isfinite(source.residual) else words.NO_VALUE
+    rows = {
+        "reason": source.reason or words.NO_VALUE,
+        "disagreement": source.disagreement or words.NO_VALUE,
+        "residual": residual,
+        "out since": words.date_and_clock(source.out_since_ns) if source.out_since_ns else words.NO_VALUE,
+        "because of": source.because_of or words.NO_VALUE,
+        "refused in a row": str(source.refused),
+        "its sigma": (verdict.text or f"{verdict.degrees} degrees of freedom") if verdict else words.NO_VALUE,
+    }
+    inputs = []
+    for each in picture.inputs:
+        if each.topic in source.topics:
+            inputs += [input_line(each, pen), _row(pen, "   refused for", reasons_text(each) or words.NO_VALUE)]
+    made = [source_line(source, pen, is_chosen=False), *(_row(pen, name, text) for name, text in rows.items())]
+    made += [pen.rule("inputs"), *inputs]
+    return [*made, pen.rule("events"), *event_lines(picture, pen, 200, source.name)]
+
+
+def _of_alerts(alerts: tuple[AlertShown, ...] | None, picture: Picture, pen: Pen) -> list[Line]:
+    none = "no alerts" if alerts is not None else "no alert node is heard"
+    made = [pen.line(*alert_spans(alert, pen, pen.width - 24)) for alert in alerts or ()]
+    made = made or [pen.line(Span(f" {none}", Look.SECOND))]
+    return [*made, pen.rule("inputs"), *(input_line(each, pen) for each in picture.inputs)]

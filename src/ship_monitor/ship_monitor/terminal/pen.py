@@ -1,0 +1,103 @@
+"""Text in the cells of a terminal: what may be written there, cut and padded to its place.
+
+A wide character takes two cells, a combining one none. Names and texts come from the network: what could control the
+terminal never reaches it.
+"""
+
+import enum
+import unicodedata
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rich.cells import cell_len, set_cell_size
+
+_IN_ASCII = {"°": "deg", "″": '"', "±": "+-", "σ": "sigma", "→": "->", "…": "~", "²": "2", "×": "x"}
+_IN_ASCII |= dict.fromkeys("−—─·", "-")
+_ZERO_WIDTH = ("Mn", "Me", "Cf")
+
+
+class Look(enum.Enum):
+    """What a piece of text is; the theme gives it a colour. Those that matter most differ without colours, too."""
+
+    TEXT = enum.auto()
+    SECOND = enum.auto()
+    STRONG = enum.auto()
+    SAFE = enum.auto()
+    CAUTION = enum.auto()
+    """Reversed."""
+    UNSAFE = enum.auto()
+    """Reversed and bold."""
+    OLD = enum.auto()
+    """Struck through."""
+    OUT = enum.auto()
+    ALARM = enum.auto()
+    WARNING = enum.auto()
+    NOTICE = enum.auto()
+    """An alert of the priority caution."""
+    MARKED = enum.auto()
+    """Reversed: chosen, or paused."""
+
+
+class Span(NamedTuple):
+    """A piece of a line that looks alike."""
+
+    text: str
+    look: Look
+
+
+Line = tuple[Span, ...]
+"""One row of the terminal; its spans fill the width exactly."""
+
+
+@dataclass(frozen=True)
+class Pen:
+    """Writes lines of one width.
+
+    Attributes:
+        width: columns of the terminal.
+        is_ascii: whether the terminal shows nothing but ASCII: "deg" for °, '"' for ″, "+-" for ±.
+    """
+
+    width: int
+    is_ascii: bool = False
+
+    def clean(self, text: str) -> str:
+        """Text that a terminal shows as it is: nothing that controls it, nothing of no width."""
+        kept = (char if char.isprintable() else "?" for char in text if unicodedata.category(char) not in _ZERO_WIDTH)
+        if not self.is_ascii:
+            return "".join(kept)
+        return "".join(_IN_ASCII.get(char, char if char.isascii() else "?") for char in kept)
+
+    def cell(self, text: str, width: int, *, to_right: bool = False) -> str:
+        """Text in so many cells: cut with an ellipsis, or padded on the right (on the left with ``to_right``)."""
+        text = self.clean(text)
+        if cell_len(text) > width:
+            return set_cell_size(set_cell_size(text, max(width - 1, 0)).rstrip() + self.clean("…"), width)
+        padding = " " * (width - cell_len(text))
+        return padding + text if to_right else text + padding
+
+    def length(self, text: str) -> int:
+        """How many cells a text takes."""
+        return cell_len(self.clean(text))
+
+    def line(self, *spans: Span) -> Line:
+        """A row of spans, cut or padded to the whole width."""
+        room, made = self.width, []
+        for span in spans:
+            text = self.clean(span.text)
+            if cell_len(text) > room:
+                text = self.cell(text, room)
+            room -= cell_len(text)
+            if text:
+                made.append(Span(text, span.look))
+        return (*made, Span(" " * room, Look.TEXT)) if room else tuple(made)
+
+    def rule(self, *titles: str) -> Line:
+        """A horizontal line with titles in it: ── sources ── 7 of 8 in ─────."""
+        text = "".join(f"── {title} " for title in titles)
+        return self.line(Span(text + "─" * max(self.width - self.length(text), 0), Look.SECOND))
+
+
+def plain_text(line: Line) -> str:
+    """A line without its looks."""
+    return "".join(span.text for span in line)

@@ -1,0 +1,261 @@
+"""A picture as the rows of a terminal: who is to blame in five seconds, at 80 columns by 24 rows.
+
+Everything that matters stands in words, so that it reads without colours. More rows and columns are used where they are
+there; where there are too few, one line says the worst.
+"""
+
+import math
+from dataclasses import dataclass
+
+from ship_monitor.terminal.pen import Line, Look, Pen, Span
+from ship_watch import words
+from ship_watch.picture import AlertShown, AngleShown, InputShown, Picture, Presence, Priority, Safety, SourceShown
+
+LEAST_WIDTH, LEAST_HEIGHT = 64, 15
+"""Below this there is one line."""
+
+EVENTS_WANTED = 6
+KEYS = " a acknowledge   Enter details   t theme   p pause   ? help   q quit"
+
+_MARKS = {Safety.SAFE: "+", Safety.CAUTION: "!", Safety.UNSAFE: "x"}
+_LOOKS = {Safety.SAFE: Look.SAFE, Safety.CAUTION: Look.CAUTION, Safety.UNSAFE: Look.UNSAFE}
+_ALERT_MARKS = {Priority.ALARM: "/!\\", Priority.WARNING: "(!)", Priority.CAUTION: "[!]"}
+_ALERT_LOOKS = {Priority.ALARM: Look.ALARM, Priority.WARNING: Look.WARNING, Priority.CAUTION: Look.NOTICE}
+# Alert.state of ship_msgs.
+_ALERT_STATES = {1: "UNACK", 2: "SILENCED", 3: "ack", 4: "OVER, UNACK"}
+_SOURCE_MARKS = {Presence.IN: "+", Presence.OUT: "x", Presence.OFF: "-"}
+
+
+@dataclass(frozen=True)
+class View:
+    """How a picture is looked at.
+
+    Attributes:
+        width: columns of the terminal.
+        height: rows of it.
+        name: of the suite: its namespace.
+        label: LIVE, BAG or SIMULATED.
+        place: where it is listened, in words, for who waits.
+        theme: name of the theme.
+        paused_s: for how long the picture has stood still; NaN while it does not.
+        chosen: name of the angle or source that is chosen; empty for none.
+        note: what was done last, shown instead of the keys; empty for nothing.
+        is_ascii: whether the terminal shows ASCII alone.
+    """
+
+    width: int
+    height: int
+    name: str
+    label: str
+    place: str
+    theme: str
+    paused_s: float = math.nan
+    chosen: str = ""
+    note: str = ""
+    is_ascii: bool = False
+
+    @property
+    def pen(self) -> Pen:
+        """A pen as wide as the terminal."""
+        return Pen(self.width, self.is_ascii)
+
+
+def screen(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
+    """The first screenful: exactly ``view.height`` lines, each as wide as the view.
+
+    Args:
+        picture: what is shown; while the view is paused, one of the past.
+        alerts: those of now, also while the view is paused; None where no alert node was heard.
+        view: how it is looked at.
+    """
+    pen = view.pen
+    if view.width < LEAST_WIDTH or view.height < LEAST_HEIGHT:
+        return _filled([_one_line(picture, view)], view)
+    top = [top_bar(picture, view), _alert_line(alerts, pen), *_waiting(picture, view), pen.rule()]
+    middle = [*_angles(picture, view), pen.rule(), _ages(picture, pen)]
+    room = view.height - len(top) - len(middle) - 3
+    source_rows = min(len(picture.sources), max(room - 2, 1))
+    input_rows = len(picture.inputs) if room - source_rows >= len(picture.inputs) + 1 + EVENTS_WANTED else 0
+    bottom = [_sources_rule(picture, pen), *_sources(picture, view, source_rows)]
+    if input_rows:
+        bottom += [pen.rule("inputs"), *(input_line(each, pen) for each in picture.inputs)]
+    bottom.append(pen.rule("events"))
+    event_rows = view.height - len(top) - len(middle) - len(bottom) - 1
+    bottom += event_lines(picture, pen, max(event_rows, 0))
+    keys = pen.line(Span(f" {view.note}", Look.STRONG) if view.note else Span(KEYS, Look.SECOND))
+    return (*_filled([*top, *middle, *bottom], view)[: view.height - 1], keys)
+
+
+def shown_alert(alerts: tuple[AlertShown, ...] | None) -> AlertShown | None:
+    """The alert of the alert line: the most urgent that nobody has acknowledged, else the most urgent."""
+    return min(alerts or (), key=lambda alert: alert.is_acknowledged, default=None)
+
+
+def choices(picture: Picture) -> tuple[str, ...]:
+    """Names of what can be chosen, downward."""
+    return (*(angle.name for angle in picture.angles), *(source.name for source in picture.sources))
+
+
+def top_bar(picture: Picture, view: View) -> Line:
+    """Whose picture it is, of when, and whether it stands still."""
+    pen = view.pen
+    is_paused = not math.isnan(view.paused_s)
+    left = [Span(" ", Look.TEXT), Span(view.name, Look.STRONG), Span(f"  {view.label}  {view.theme}", Look.SECOND)]
+    if is_paused:
+        left += [Span("  ", Look.TEXT), Span(f" PAUSED {words.age(view.paused_s)} ago ", Look.MARKED)]
+    right = f"{words.clock(picture.utc_ns)} UTC "
+    room = max(view.width - pen.length(right), 0)
+    return pen.line(*Pen(room, view.is_ascii).line(*left), Span(right, Look.STRONG))
+
+
+def alert_spans(alert: AlertShown, pen: Pen, text_width: int) -> list[Span]:
+    """Icon, priority, text, time and state of an alert."""
+    look = _ALERT_LOOKS[alert.priority]
+    head = f" {_ALERT_MARKS[alert.priority]} {alert.priority.name} "
+    text = pen.cell(alert.text or alert.id, max(text_width - len(head), 1))
+    state = pen.cell(_ALERT_STATES.get(alert.state, ""), 12)
+    state_look = Look.TEXT if alert.is_acknowledged else Look.STRONG
+    return [Span(head + text, look), Span(f" {words.clock(alert.raised_ns)}  ", Look.SECOND), Span(state, state_look)]
+
+
+def source_line(source: SourceShown, pen: Pen, *, is_chosen: bool) -> Line:
+    """A source: in or out, its age and rate, and what is said of it."""
+    is_out = source.presence is Presence.OUT
+    verdict = source.verdict.text if source.verdict is not None else ""
+    told = [source.reason, source.disagreement] if is_out else [source.disagreement, verdict]
+    if is_out and source.because_of:
+        told.append(f"because of {source.because_of}")
+    rate = f"{source.rate_hz:7.1f} Hz" if math.isfinite(source.rate_hz) else " " * 10
+    name = f"{'>' if is_chosen else ' '}{_SOURCE_MARKS[source.presence]} {pen.cell(source.name, 16)}"
+    middle = f" {pen.cell(words.age(source.age_s), 8, to_right=True)} {rate}   "
+    look = Look.OUT if is_out else Look.TEXT
+    return pen.line(
+        Span(name, Look.MARKED if is_chosen else look),
+        Span(f" {source.presence.value:3}", look),
+        Span(middle, Look.SECOND),
+        Span(", ".join(filter(None, told)), look if is_out else Look.SECOND),
+    )
+
+
+def input_line(shown: InputShown, pen: Pen) -> Line:
+    """An input topic: its rate, latency and age, and what was refused."""
+    latency = f"{shown.latency_s:7.3f} s" if math.isfinite(shown.latency_s) else f"{words.NO_VALUE:>9}"
+    rate = f"{shown.rate_hz:7.1f} Hz" if math.isfinite(shown.rate_hz) else f"{words.NO_VALUE:>10}"
+    numbers = f"{rate} {latency} {pen.cell(words.age(shown.age_s), 8, to_right=True)}"
+    look = Look.OUT if shown.level else Look.TEXT
+    return pen.line(
+        Span(f"   {pen.cell(shown.topic, 30)}", look),
+        Span(f"{numbers}  {shown.refused_60s:4d} refused  {reasons_text(shown)}", Look.SECOND),
+    )
+
+
+def reasons_text(shown: InputShown) -> str:
+    """Why messages of an input were refused, and how many: "gate 9, misidentified 4"."""
+    return ", ".join(f"{name} {count}" for name, count in sorted(shown.reasons.items()) if count)
+
+
+def event_lines(picture: Picture, pen: Pen, room: int, subject: str = "") -> list[Line]:
+    """The newest events, all or those of one subject."""
+    events = [event for event in picture.events if not subject or event.subject == subject]
+    return [
+        pen.line(
+            Span(f" {words.clock(event.utc_ns)}  ", Look.SECOND),
+            Span(event.text if event.kind == "alert" else f"{event.kind}: {event.text}", Look.TEXT),
+        )
+        for event in events[:room]
+    ]
+
+
+def _filled(lines: list[Line], view: View) -> tuple[Line, ...]:
+    empty = view.pen.line()
+    return (*lines, *[empty] * (view.height - len(lines)))[: view.height]
+
+
+def _one_line(picture: Picture, view: View) -> Line:
+    """The worst of all, where there is no room for more."""
+    worst = max(picture.angles, key=lambda angle: angle.safety, default=None)
+    told = f"waiting for {picture.waiting_for}" if picture.waiting_for else ""
+    if worst is not None and not told:
+        alike = [angle.name for angle in picture.angles if angle.safety is worst.safety]
+        told = "all SAFE" if worst.safety is Safety.SAFE else f"{worst.safety.name} {', '.join(alike)}"
+    look = Look.TEXT if worst is None else _LOOKS[worst.safety]
+    small = f"  {words.clock(picture.utc_ns)}  too small: {LEAST_WIDTH} by {LEAST_HEIGHT} needed"
+    return view.pen.line(Span(told, look), Span(small, Look.SECOND))
+
+
+def _waiting(picture: Picture, view: View) -> list[Line]:
+    if not picture.waiting_for:
+        return []
+    told = f" waiting for {picture.waiting_for}: {view.place}"
+    return [view.pen.line(Span(told, Look.MARKED))]
+
+
+def _alert_line(alerts: tuple[AlertShown, ...] | None, pen: Pen) -> Line:
+    alert = shown_alert(alerts)
+    if alerts is None or alert is None:
+        return pen.line(Span(" no alerts" if alerts is not None else " no alert node is heard", Look.SECOND))
+    unacknowledged = sum(not each.is_acknowledged for each in alerts)
+    active = sum(each.state != 4 for each in alerts)
+    counts = f"{unacknowledged} unack, {active} active "
+    return pen.line(*alert_spans(alert, pen, pen.width - 24 - len(counts)), Span(counts, Look.TEXT))
+
+
+def _angles(picture: Picture, view: View) -> list[Line]:
+    header = f"{'':11}{'value':18}{'95 %':>10}{'limit':>7}  {'state':11} why"
+    return [view.pen.line(Span(header, Look.SECOND)), *(_angle(angle, picture, view) for angle in picture.angles)]
+
+
+def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
+    pen = view.pen
+    number, sense = words.reading(angle)
+    # Signs below each other, numbers of one kind too: 034.39, 0.1, +68.74.
+    value = pen.cell(f"{pen.clean(number):>8} {sense}", 18)
+    accuracy = pen.cell(words.accuracy(angle), 10, to_right=True)
+    limit = pen.cell(words.limit_size(angle.limit), 7, to_right=True)
+    is_pointing = angle.name in ("azimuth", "elevation")
+    why = angle.reason or (picture.pointing_by if is_pointing else "")
+    is_chosen = view.chosen == angle.name
+    name = f"{'>' if is_chosen else ' '}{angle.name.upper():10}"
+    return pen.line(
+        Span(name, Look.MARKED if is_chosen else Look.TEXT),
+        Span(value, Look.OLD if angle.is_old else Look.STRONG),
+        Span(accuracy, Look.STRONG if angle.is_old else Look.TEXT),
+        Span(f"{limit}  ", Look.SECOND),
+        Span(f"{_MARKS[angle.safety]} {angle.safety.name:7} ", _LOOKS[angle.safety]),
+        Span(f"  {why}", Look.TEXT if angle.reason else Look.SECOND),
+    )
+
+
+def _ages(picture: Picture, pen: Pen) -> Line:
+    ages = "   ".join(f"{name} {words.age(age_s)}" for name, age_s in picture.ages_s.items())
+    horizon = f"       horizon {picture.horizon}" if picture.horizon else ""
+    return pen.line(Span(" ages   ", Look.SECOND), Span(ages, Look.TEXT), Span(horizon, Look.SECOND))
+
+
+def _sources_rule(picture: Picture, pen: Pen) -> Line:
+    configured = [source for source in picture.sources if source.presence is not Presence.OFF]
+    present = sum(source.presence is Presence.IN for source in configured)
+    return pen.rule("sources", f"{present} of {len(configured)} in")
+
+
+def _sources(picture: Picture, view: View, room: int) -> list[Line]:
+    """The sources that fit, with the chosen one among them; the last row says what the others are."""
+    sources = picture.sources
+    shown = room if len(sources) <= room else max(room - 1, 0)
+    chosen = next((place for place, source in enumerate(sources) if source.name == view.chosen), 0)
+    first = max(0, chosen - shown + 1) if shown else 0
+    window = sources[first : first + shown]
+    made = [source_line(source, view.pen, is_chosen=source.name == view.chosen) for source in window]
+    hidden = [*sources[:first], *sources[first + shown :]]
+    counts = {
+        each: sum(source.presence is each for source in hidden) for each in (Presence.OUT, Presence.IN, Presence.OFF)
+    }
+    told = [
+        f"{count} more {each.value if each is Presence.OUT else each.value.lower()}"
+        for each, count in counts.items()
+        if count
+    ]
+    if told:
+        look = Look.OUT if counts[Presence.OUT] else Look.SECOND
+        made.append(view.pen.line(Span(f"   {', '.join(told)}", look)))
+    return made

@@ -1,0 +1,156 @@
+"""The keys of the terminal view, by textual's own pilot."""
+
+import asyncio
+import dataclasses
+
+import pytest
+
+from ship_monitor.page.themes import THEMES
+from ship_monitor.terminal.app import TerminalApp, _Lines, styles_of
+from ship_monitor.terminal.pen import Look, plain_text
+from ship_testing.knocked_picture import WARNING, picture
+
+
+class Suite:
+    """A suite of one picture, which notes what is asked of it."""
+
+    label, name, place = "LIVE", "demo", "namespace /demo, domain 7"
+
+    def __init__(self):
+        self.picture = picture()
+        self.acknowledged = []
+        self.ticks = 0
+
+    def tick(self):
+        self.ticks += 1
+
+    def look(self):
+        return self.picture
+
+    def acknowledge(self, alert_id, instance):
+        self.acknowledged.append((alert_id, instance))
+        return f"acknowledged {alert_id}"
+
+
+def rows(app):
+    return [plain_text(line).rstrip() for line in app.query_one(_Lines)._lines]
+
+
+def run(use, size=(80, 24)):
+    """Runs an app without a terminal; `use` presses keys."""
+
+    async def session():
+        suite = Suite()
+        app = TerminalApp(suite)
+        async with app.run_test(size=size) as pilot:
+            await pilot.pause()
+            await use(app, pilot, suite)
+        return app
+
+    return asyncio.run(session())
+
+
+def test_a_acknowledges_the_instance_that_is_shown():
+    async def use(app, pilot, suite):
+        await pilot.press("a")
+        await app.workers.wait_for_complete()
+        assert suite.acknowledged == [("star.starboard.out", 2)]
+        assert rows(app)[-1] == " acknowledged star.starboard.out"
+        suite.picture = picture(alerts=(dataclasses.replace(WARNING, state=3),))
+        await pilot.press("a")
+        assert suite.acknowledged == [("star.starboard.out", 2)]
+        assert rows(app)[-1] == " there is nothing to acknowledge"
+
+    run(use)
+
+
+def test_enter_tells_details_of_what_is_chosen_and_goes_back():
+    async def use(app, pilot, suite):
+        first = rows(app)
+        await pilot.press("down", "enter")
+        assert rows(app)[1].startswith("── heading ─")
+        await pilot.press("enter")
+        assert rows(app)[4].startswith(">HEADING")
+        await pilot.press("up", "enter")
+        assert rows(app)[1].startswith("── weather ─")
+        await pilot.press("escape", "escape")
+        assert rows(app) == first
+        await pilot.press("enter")
+        assert rows(app)[1].startswith("── alerts ─")
+
+    run(use)
+
+
+def test_p_holds_the_picture_and_says_so():
+    async def use(app, pilot, suite):
+        await pilot.press("p")
+        held = rows(app)[4]
+        suite.picture = picture(angles=(), alerts=())
+        app.draw()
+        assert "PAUSED" in rows(app)[0]
+        assert rows(app)[4] == held
+        assert rows(app)[1] == " no alerts"
+        await pilot.press("p")
+        assert "PAUSED" not in rows(app)[0]
+        assert rows(app)[4] != held
+
+    run(use)
+
+
+def test_t_goes_through_the_themes():
+    async def use(app, pilot, suite):
+        names = []
+        for _ in range(4):
+            names.append(rows(app)[0].split()[2])
+            await pilot.press("t")
+        assert names == ["day", "dusk", "night", "day"]
+
+    run(use)
+
+
+@pytest.mark.parametrize(("key", "code"), [("q", 0), ("ctrl+c", 130)])
+def test_keys_that_end_it(key, code):
+    async def use(app, pilot, suite):
+        await pilot.press(key)
+
+    assert run(use).return_value == code
+
+
+def test_question_mark_helps():
+    async def use(app, pilot, suite):
+        await pilot.press("question_mark")
+        assert any("SAFE" in row for row in rows(app))
+        await pilot.press("question_mark")
+        assert rows(app)[4].startswith(" HEADING")
+
+    run(use)
+
+
+def test_another_size_is_used_at_once():
+    async def use(app, pilot, suite):
+        await pilot.resize_terminal(40, 10)
+        await pilot.pause()
+        assert rows(app)[0].startswith("CAUTION heading, roll")
+        await pilot.resize_terminal(100, 40)
+        await pilot.pause()
+        assert len(rows(app)) == 40
+
+    run(use)
+
+
+def test_it_takes_messages_while_it_draws():
+    async def use(app, pilot, suite):
+        await pilot.pause(0.6)
+        assert suite.ticks >= 1
+
+    run(use)
+
+
+@pytest.mark.parametrize("theme", THEMES.values(), ids=THEMES.keys())
+def test_each_look_has_a_style_and_the_urgent_ones_differ_without_colour(theme):
+    styles = styles_of(theme)
+    assert set(styles) == set(Look)
+    attributes = {look: (style.bold, style.reverse, style.strike) for look, style in styles.items()}
+    assert len({attributes[look] for look in (Look.TEXT, Look.CAUTION, Look.UNSAFE, Look.OLD)}) == 4
+    assert attributes[Look.CAUTION][1]
+    assert attributes[Look.UNSAFE][1]

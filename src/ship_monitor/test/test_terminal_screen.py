@@ -1,0 +1,231 @@
+"""What a watch officer reads over ssh: pictures as lines, without textual."""
+
+import dataclasses
+import math
+import unicodedata
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ship_monitor.terminal.details import details, help_page
+from ship_monitor.terminal.pen import Look, Pen, plain_text
+from ship_monitor.terminal.screen import View, choices, screen, shown_alert
+from ship_testing.knocked_picture import INPUT, KNOCKED, NOON_NS, WARNING, angle, picture, source
+from ship_watch.picture import ANGLES, Event, Priority, Safety
+
+VIEW = View(80, 24, "demo", "LIVE", "namespace /demo, domain 7", "day")
+
+
+def drawn(shown, view=VIEW, alerts=...):
+    return screen(shown, shown.alerts if alerts is ... else alerts, view)
+
+
+def texts(shown, view=VIEW, alerts=...):
+    return [plain_text(line).rstrip() for line in drawn(shown, view, alerts)]
+
+
+def row_of(lines, start):
+    return next(line for line in lines if line[1:].startswith(start))
+
+
+def cells(text):
+    """Cells of a text as Unicode says (East Asian Width), not as the library that drew it."""
+    return sum(2 if unicodedata.east_asian_width(char) in "WF" else 1 for char in text)
+
+
+def test_the_screen_of_the_design():
+    assert texts(picture()) == [
+        " demo  LIVE  day                                                   12:00:07 UTC",
+        " (!) WARNING star.starboard out        12:00:07  UNACK       1 unack, 1 active",
+        "─" * 80,
+        "           value                   95 %  limit  state       why",
+        " HEADING    034.39° true          ±4.2″     5″  ! CAUTION   one star source",
+        " PITCH         0.1° bow down      ±2.8″     3″  + SAFE",
+        " ROLL          2.1° port down     ±3.7″     3″  ! CAUTION   over the limit",
+        " AZIMUTH    359.88°               ±4.9″    10″  + SAFE      2 lights",
+        " ELEVATION  +68.74°               ±5.3″    10″  + SAFE      2 lights",
+        "─" * 80,
+        " ages   stars 0.5 s   lights 0.6 s   ins 0.1 s       horizon geodetic",
+        "── sources ── 7 of 8 in " + "─" * 56,
+        " x star.starboard   OUT    0.6 s     2.0 Hz   81 refused in a row, right +49″",
+        " + star.fore        IN     0.1 s    20.0 Hz   σ as stated (1.01)",
+        " + ins              IN     0.1 s    20.0 Hz",
+        " + lights           IN     0.1 s    20.0 Hz",
+        " + encoder          IN     0.1 s    20.0 Hz",
+        " + baselines        IN     0.1 s    20.0 Hz",
+        " + gnss             IN     0.1 s    20.0 Hz",
+        " + weather          IN     0.1 s    20.0 Hz",
+        "── events " + "─" * 70,
+        " 12:00:07  state: roll SAFE → CAUTION, over the limit",
+        " 12:00:07  WARNING star.starboard out: 5 refused in a row, residual 8.1 σ",
+        " a acknowledge   Enter details   t theme   p pause   ? help   q quit",
+    ]
+
+
+@pytest.mark.parametrize(("word", "look"), [("SAFE", Look.SAFE), ("CAUTION", Look.CAUTION), ("UNSAFE", Look.UNSAFE)])
+def test_each_word_stands_as_a_word_with_its_look(word, look):
+    shown = picture(angles=(angle("heading", safety=Safety[word]),))
+    spans = [span for line in drawn(shown) for span in line if word in span.text.split() and "HEADING" not in span.text]
+    assert [span.look for span in spans if "→" not in span.text] == [look]
+
+
+def test_an_old_value_is_struck_through_and_has_its_age():
+    old = angle("heading", is_old=True, age_s=12.0, safety=Safety.UNSAFE, reason="ship/attitude silent")
+    lines = drawn(picture(angles=(old,)))
+    heading = lines[4]
+    assert [span.text.strip() for span in heading if span.look is Look.OLD] == ["034.39° true"]
+    assert "OLD 12 s" in plain_text(heading)
+    very_old = dataclasses.replace(old, age_s=754.0)
+    assert texts(picture(angles=(very_old,)))[4].split()[:5] == ["HEADING", "—", "true", "OLD", "13"]
+
+
+def test_a_suite_that_was_never_heard_is_waited_for_by_name():
+    nothing = picture(
+        utc_ns=0,
+        angles=tuple(
+            angle(name, value=math.nan, reason="no data", age_s=math.inf, is_old=True, safety=Safety.UNSAFE)
+            for name in ANGLES[:3]
+        ),
+        ages_s={"stars": math.inf},
+        sources=(),
+        alerts=None,
+        inputs=(),
+        events=(),
+        waiting_for="ship/attitude",
+    )
+    lines = texts(nothing)
+    assert lines[0].endswith("--:--:-- UTC")
+    assert lines[1:3] == [" no alert node is heard", " waiting for ship/attitude: namespace /demo, domain 7"]
+    assert row_of(lines, "HEADING").split() == ["HEADING", "—", "true", "—", "5″", "x", "UNSAFE", "no", "data"]
+
+
+def test_sources_beyond_the_room_are_counted():
+    many = picture(sources=(KNOCKED, *(source(f"reference.number_{place}") for place in range(20))))
+    lines = texts(many)
+    assert lines[12].startswith(" x star.starboard")
+    assert " 14 more in" in "\n".join(lines)
+    assert len([line for line in lines if " reference." in line]) + 14 == 20
+    all_out = picture(sources=tuple(dataclasses.replace(KNOCKED, name=f"star.s{place}") for place in range(20)))
+    assert any("13 more OUT" in line for line in texts(all_out))
+
+
+@pytest.mark.parametrize("chosen", [f"reference.number_{place}" for place in range(20)])
+def test_the_chosen_source_is_in_sight(chosen):
+    many = picture(sources=(KNOCKED, *(source(f"reference.number_{place}") for place in range(20))))
+    assert any(line.startswith(f">+ {chosen[:15]}") for line in texts(many, dataclasses.replace(VIEW, chosen=chosen)))
+
+
+def test_more_room_is_used():
+    wide = texts(picture(), dataclasses.replace(VIEW, width=120, height=50))
+    assert len(wide) == 50
+    assert "attitude_conflict 72, gate 9" in "\n".join(wide)
+
+
+@pytest.mark.parametrize(("width", "height"), [(63, 24), (80, 14), (20, 3), (1, 1)])
+def test_where_there_is_too_little_room_one_line_says_the_worst(width, height):
+    lines = texts(picture(), dataclasses.replace(VIEW, width=width, height=height))
+    assert not any(lines[1:])
+    assert lines[0].startswith("CAUTION heading, roll"[: width - 1])
+
+
+def test_a_terminal_in_a_window_of_tmux_has_one_row_less():
+    lines = texts(picture(), dataclasses.replace(VIEW, height=23))
+    assert len(lines) == 23
+    assert any("star.starboard" in line and "OUT" in line for line in lines)
+    assert lines[-1].startswith(" a acknowledge")
+
+
+def test_paused_is_said_and_alerts_go_on():
+    alarm = dataclasses.replace(WARNING, priority=Priority.ALARM, text="heading lost")
+    lines = texts(picture(), dataclasses.replace(VIEW, paused_s=12.0), alerts=(alarm,))
+    assert "PAUSED 12 s ago" in lines[0]
+    assert lines[1].startswith(" /!\\ ALARM heading lost")
+
+
+def test_the_alert_that_nobody_has_acknowledged_is_shown_first():
+    acknowledged = dataclasses.replace(WARNING, id="first", priority=Priority.ALARM, state=3)
+    assert shown_alert((acknowledged, WARNING)) == WARNING
+    assert shown_alert((acknowledged,)) == acknowledged
+    assert shown_alert(None) is None
+    assert "1 unack, 2 active" in texts(picture(alerts=(acknowledged, WARNING)))[1]
+
+
+def test_details_tell_all_digits():
+    def page(chosen):
+        view = dataclasses.replace(VIEW, chosen=chosen)
+        return "\n".join(plain_text(line).rstrip() for line in details(picture(), (WARNING,), view))
+
+    assert "34.392000°" in page("heading")
+    assert "2.14″" in page("heading")  # 4.2″ / 1.96
+    assert "2026-05-01 12:00:07.000" in page("star.starboard")
+    assert "attitude_conflict 72, gate 9" in page("star.starboard")
+    assert "(!) WARNING star.starboard out" in page("")
+
+
+def test_without_utf8_every_character_is_ascii_and_every_meaning_stays():
+    view = dataclasses.replace(VIEW, is_ascii=True)
+    lines = texts(picture(), view)
+    assert all(line.isascii() for line in lines)
+    assert row_of(lines, "HEADING").split()[:5] == ["HEADING", "034.39deg", "true", '+-4.2"', '5"']
+    assert row_of(lines, "PITCH").split()[:4] == ["PITCH", "0.1deg", "bow", "down"]
+    assert all(plain_text(line).isascii() for line in help_page(picture(), view))
+
+
+def test_names_from_the_network_cannot_control_the_terminal():
+    evil = dataclasses.replace(WARNING, text="\x1b[2J\x1b]0;title\x07 fire\r\n\u202eright to left\u0301")
+    for line in drawn(picture(alerts=(evil,), sources=(dataclasses.replace(KNOCKED, name="\x1b[31m" * 9),))):
+        assert all(char.isprintable() for char in plain_text(line))
+
+
+WIDE = st.text(alphabet=st.sampled_from("aß漢字ｆ🚢\u0301\x1b\t\n−″σ─ "), max_size=60)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    name=WIDE,
+    told=WIDE,
+    number=st.floats(),
+    other=st.floats(),
+    width=st.integers(0, 200),
+    height=st.integers(1, 60),
+    chosen=st.sampled_from(("", "heading", "x", "lights")),
+    is_ascii=st.booleans(),
+    safety=st.sampled_from(Safety),
+    is_old=st.booleans(),
+    count=st.integers(0, 30),
+)
+def test_every_line_is_exactly_as_wide_as_the_terminal(
+    name, told, number, other, width, height, chosen, is_ascii, safety, is_old, count
+):
+    changed = {
+        "value": number,
+        "accuracy_95": other,
+        "age_s": abs(other),
+        "safety": safety,
+        "reason": told,
+        "is_old": is_old,
+    }
+    shown = picture(
+        angles=tuple(angle(each, **changed) for each in ANGLES),
+        sources=tuple(source(f"{name}{place}", reason=told, rate_hz=number, age_s=other) for place in range(count)),
+        alerts=(dataclasses.replace(WARNING, text=told),),
+        inputs=(dataclasses.replace(INPUT, topic=name, latency_s=number, age_s=other, reasons={told: 10**9}),) * count,
+        events=(Event(NOON_NS, "state", name, told),) * count,
+        waiting_for=told,
+    )
+    view = dataclasses.replace(
+        VIEW, width=width, height=height, name=name, place=told, chosen=chosen, is_ascii=is_ascii
+    )
+    for lines in (screen(shown, shown.alerts, view), details(shown, shown.alerts, view), help_page(shown, view)):
+        assert len(lines) == height
+        assert {cells(plain_text(line)) for line in lines} <= {width}
+
+
+@given(WIDE, st.integers(0, 90), st.booleans(), st.booleans())
+def test_a_cell_is_as_wide_as_it_is_told(text, width, to_right, is_ascii):
+    assert cells(Pen(90, is_ascii).cell(text, width, to_right=to_right)) == width
+
+
+def test_what_can_be_chosen_goes_downward():
+    assert choices(picture())[:6] == (*ANGLES, "star.starboard")
