@@ -250,4 +250,3 @@ def _fields(alert: AlertShown) -> dict[str, Any]:
         "raised": alert.raised_ns,
         "changed": alert.changed_ns,
     }
-

@@ -29,6 +29,7 @@ class AlignmentPanel:
         self.figure = plot(theme, 320, self._x, self._rows, x_axis_label="estimate − nominal, ″; bar ±2σ")
         self.figure.ygrid.grid_line_color = None
         self.figure.min_border_left = 176
+        self.figure.xaxis.ticker.desired_num_ticks = 3
         self._values = SideLabels(theme, self.figure)
         self._source = ColumnDataSource({name: [] for name in ("row", "value", "low", "high", "fill", "dash")})
         self.figure.line([0.0, 0.0], [-1e3, 1e3], line_color=theme.second_text)

@@ -167,7 +167,7 @@ def time_plot(theme: Theme, times: TimePlots, height: int, y_range: Range1d, *, 
         milliseconds="%H:%M:%S", seconds="%H:%M:%S", minsec="%H:%M:%S", minutes="%H:%M", hourmin="%H:%M", hours="%H:%M"
     )
     made.xaxis.update(formatter=clock, visible=has_axis)
-    made.xaxis.ticker.desired_num_ticks = 5
+    made.xaxis.ticker.desired_num_ticks = 4
     made.min_border_right = _SIDE_PX
     return made
 
@@ -215,7 +215,9 @@ def tooltip_style(theme: Theme) -> InlineStyleSheet:
 
 def narrow_height(height_px: int) -> InlineStyleSheet:
     """Another height of a plot on a small screen."""
-    return InlineStyleSheet(css=f"{NARROW}{{:host{{height:{height_px}px !important}}}}")
+    return InlineStyleSheet(
+        css=f"{NARROW}{{:host{{height:{height_px}px !important;flex-basis:{height_px}px !important}}}}"
+    )
 
 
 def words(made: figure, source: ColumnDataSource, **options: Any) -> None:

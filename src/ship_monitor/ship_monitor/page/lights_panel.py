@@ -32,7 +32,7 @@ class LightsPanel:
         self.figure = plot(theme, 320, self._x, self._z, x_axis_label="x, mm on the detector", y_axis_label="z, mm")
         self.figure.stylesheets = [*self.figure.stylesheets, narrow_height(180)]
         self._past = _source("x", "z", "alpha", "colour", "marker")
-        self._now = _source("x", "y", "colour", "marker", "text", "ahead", "align")
+        self._now = _source("x", "y", "colour", "marker", "text", "ahead", "align", "over", "base")
         dots = {"size": 3, "line_color": "colour", "fill_color": None, "line_alpha": "alpha", "marker": "marker"}
         self.figure.scatter("x", "z", source=self._past, **dots)
         self._bars = ResidualBars(theme, self.figure, BAR_STEPS_ARCSEC)
@@ -49,8 +49,8 @@ class LightsPanel:
             x_offset="ahead",
             text_align="align",
             text_color=theme.text,
-            y_offset=-14,
-            text_baseline="bottom",
+            y_offset="over",
+            text_baseline="base",
         )
         self.box = PanelBox(theme, "Lights on the detector", [self.figure])
 
@@ -95,7 +95,7 @@ class LightsPanel:
             point = points[-1]
             text = f"light {name}  x {signed(ARCSEC * point.residual_x)}″  z {signed(ARCSEC * point.residual_z)}″"
             text = text if math.isfinite(point.residual_x) else f"light {name}"
-            is_right = 1e3 * point.x > 0.2 * half
+            is_right, is_high = 1e3 * point.x > 0.2 * half, 1e3 * point.z > 0.5 * half
             row = {
                 "x": 1e3 * point.x,
                 "y": 1e3 * point.z,
@@ -104,6 +104,8 @@ class LightsPanel:
                 "text": text if point.is_used else f"✕ {text} refused",
                 "ahead": 12 if is_right else -12,
                 "align": "right" if is_right else "left",
+                "over": 14 if is_high else -14,
+                "base": "top" if is_high else "bottom",
             }
             for key, value in row.items():
                 now[key].append(value)

@@ -1,0 +1,173 @@
+"""The panels as a browser draws them: headless Chromium, a page of nothing else, minutes that go on."""
+
+import asyncio
+import contextlib
+import threading
+from dataclasses import replace
+from io import BytesIO
+from queue import Queue
+
+import matplotlib.image
+import numpy as np
+import pytest
+from bokeh.application import Application
+from bokeh.application.handlers import FunctionHandler
+from bokeh.server.server import Server
+
+from ship_monitor.page.panels import build_panels
+from ship_monitor.page.themes import THEMES
+from ship_testing import browser as browser_module
+from ship_testing.browser import Browser
+from ship_testing.watched_minutes import NOW_NS, watched_history, watched_picture
+
+pytestmark = pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
+
+FIND = """
+const found = (type) => {
+    const views = [];
+    const walk = (view) => {
+        if (view.model.type === type) views.push(view);
+        for (const each of view.child_views ?? []) walk(each);
+    };
+    for (const root of Bokeh.index) walk(root);
+    return views;
+};
+"""
+"""JavaScript: the views of all models of a type."""
+
+
+class Minutes:
+    """Drawn minutes that go on by one measurement of each kind at each update."""
+
+    def __init__(self) -> None:
+        self.history, self.picture = watched_history(), watched_picture()
+
+    def go_on(self) -> None:
+        """One second more."""
+        second = 1_000_000_000
+        self.picture = replace(self.picture, utc_ns=self.picture.utc_ns + second)
+        for points in (
+            *self.history.innovations.values(),
+            *self.history.errors.values(),
+            *self.history.budgets.values(),
+        ):
+            points.append(replace(points[-1], utc_ns=points[-1].utc_ns + second))
+
+
+@contextlib.contextmanager
+def served(theme):
+    """Address of a page that holds the panels alone, and the panels."""
+    told: Queue = Queue()
+    minutes = Minutes()
+
+    def fill(document):
+        panels = build_panels(THEMES[theme])
+        document.add_root(panels.layout)
+        document.config.notify_connection_status = False
+        panels.update(minutes.history, minutes.picture)
+
+        def go_on():
+            minutes.go_on()
+            panels.update(minutes.history, minutes.picture)
+
+        document.add_periodic_callback(go_on, 400)
+        told.put(panels)
+
+    def run():
+        asyncio.set_event_loop(asyncio.new_event_loop())
+        server = Server({"/": Application(FunctionHandler(fill))}, port=0, address="127.0.0.1")
+        server.start()
+        told.put(server)
+        server.io_loop.start()
+        server.stop()
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    server = told.get(timeout=20.0)
+    try:
+        yield f"http://127.0.0.1:{server.port}/", told
+    finally:
+        server.io_loop.add_callback(server.io_loop.stop)
+        thread.join(20.0)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    browser = Browser()
+    yield browser
+    browser.close()
+
+
+def opened(browser, address, theme, width):
+    browser.open(address, width, 1800)
+    browser.evaluate(
+        f"document.body.style.background = '{THEMES[theme].background}'; document.body.style.margin = 0;"
+        """document.head.insertAdjacentHTML("beforeend", '<meta name="viewport" content="width=device-width">')"""
+    )
+    browser.until("typeof Bokeh !== 'undefined' && Bokeh.documents.length === 1 && Bokeh.documents[0].is_idle")
+
+
+def evaluated(browser, expression):
+    return browser.evaluate(f"(() => {{ {FIND} return {expression}; }})()")
+
+
+@pytest.mark.parametrize("theme", list(THEMES))
+@pytest.mark.parametrize("width", [1280, 390])
+def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_path):
+    with served(theme) as (address, _):
+        opened(browser, address, theme, width)
+        browser.wait(lambda: evaluated(browser, "found('Figure').length") == 14, "all plots")
+        browser.photograph(tmp_path / f"{theme}_{width}.png", whole=True)
+        assert browser.problems == []
+        assert browser.evaluate("document.documentElement.scrollWidth") <= width
+        heights = evaluated(browser, "found('Figure').map((each) => each.el.offsetHeight)")
+        assert width > 700 or sorted(heights)[-4:-2] == [180, 180]  # below them the map and the states, a row for each
+        pixels = matplotlib.image.imread(BytesIO((tmp_path / f"{theme}_{width}.png").read_bytes()))[..., :3]
+    assert len(np.unique(pixels.reshape(-1, 3)[::7], axis=0)) > 30, "nothing is drawn"
+    if theme == "night":  # red light alone: a quarter of the red in the hue of its text, and what rounding adds
+        assert np.all(pixels[..., 1:].max(axis=-1) <= 0.26 * pixels[..., 0] + 0.02)
+
+
+def test_new_points_are_streamed_and_the_time_goes_on(browser):
+    with served("day") as (address, _):
+        opened(browser, address, "day", 1280)
+        count = "Math.max(...found('Figure')[0].model.renderers.map((each) => each.data_source.get_length() ?? 0))"
+        end = "found('Figure')[0].model.x_range.end"
+        first = evaluated(browser, f"[{count}, {end}]")
+        browser.wait(lambda: evaluated(browser, end) >= first[1] + 2000, "two seconds more")
+        assert evaluated(browser, count) <= 1200
+        assert browser.problems == []
+
+
+def test_a_drag_zooms_the_time_of_all_plots_and_a_double_click_returns(browser):
+    with served("day") as (address, told):
+        opened(browser, address, "day", 1280)
+        panels = told.get(timeout=20.0)
+        ranges = (
+            "[...new Set(found('Figure').map((each) => each.model.x_range).filter((range) => range.end > 1e12))].length"
+        )
+        assert evaluated(browser, ranges) == 1
+        left, top, width, height = evaluated(
+            browser,
+            "((box) => [box.left, box.top, box.width, box.height])(found('Figure')[0].el.getBoundingClientRect())",
+        )
+        x, y = left + 0.3 * width, top + 0.6 * height
+        mouse(browser, "mousePressed", x, y)
+        mouse(browser, "mouseMoved", x + 60.0, y)
+        mouse(browser, "mouseReleased", x + 60.0, y)
+        browser.wait(lambda: panels.times.is_paused, "paused")
+        shown_ms = panels.times.range.end - panels.times.range.start
+        assert 20e3 < shown_ms < 300e3
+        before = panels.times.range.end
+        browser.wait(lambda: panels.times._latest[1] > before, "time goes on")
+        assert panels.times.range.end == before
+        for count in (1, 2):
+            mouse(browser, "mousePressed", x, y, count)
+            mouse(browser, "mouseReleased", x, y, count)
+        browser.wait(lambda: not panels.times.is_paused, "live again")
+        assert panels.times.range.end - panels.times.range.start == pytest.approx(600e3)
+        assert panels.times.range.end >= NOW_NS * 1e-6
+
+
+def mouse(browser, kind, x, y, count=1):
+    browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=count)
