@@ -11,7 +11,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,8 @@ from ship_simulation.suite.suite import optical_axis_configuration, star_attitud
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.optical_axis.core import OpticalAxisCore
+from tools.bench_monitor import monitor_cost
+from tools.bench_rows import Row, process_cpu_s
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "demo.mcap"
@@ -49,34 +50,6 @@ MOST_SOLUTION_RATIO = 150.0 / 46.0
 
 MOST_INTEGRITY_RATIO = 1.6
 """Of the filter's step with the estimates without each source, and without them."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One result.
-
-    Attributes:
-        name: what was measured.
-        value: the figure, in ``unit``.
-        unit: its unit; "x" is a ratio.
-        greatest: bound that the value must not exceed; None where it is only shown.
-    """
-
-    name: str
-    value: float
-    unit: str
-    greatest: float | None = None
-
-    @property
-    def met(self) -> bool:
-        """Whether the bound holds."""
-        return self.greatest is None or self.value <= self.greatest
-
-    @property
-    def line(self) -> str:
-        """The row for people."""
-        bound = "" if self.greatest is None else f"   at most {self.greatest:g}: {'met' if self.met else 'NOT MET'}"
-        return f"{self.name:<64}{self.value:10.3f} {self.unit}{bound}"
 
 
 def black_box_cost() -> list[Row]:
@@ -216,6 +189,7 @@ BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
     "black_box": black_box_cost,
     "star_solution": star_solution,
     "integrity": integrity_cost,
+    "monitor": monitor_cost,
 }
 
 
@@ -245,15 +219,9 @@ def _bench(options: argparse.Namespace) -> int:
 def _node_cpu_s(folder: Path, parameters: dict[str, str]) -> float:
     """Processor time that the node spends on the demo bag, its start left out."""
     with LiveRun(BAG, ShipAttitudeAdapter, "ship_attitude_star", folder, parameters) as run:
-        begin_s = _process_cpu_s(run.node.pid)
+        begin_s = process_cpu_s(run.node.pid)
         run.play(RATE)
-        return _process_cpu_s(run.node.pid) - begin_s
-
-
-def _process_cpu_s(pid: int) -> float:
-    """Processor time of a process so far, all its threads, user and system."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return process_cpu_s(run.node.pid) - begin_s
 
 
 if __name__ == "__main__":

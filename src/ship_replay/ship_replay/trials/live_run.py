@@ -47,6 +47,7 @@ class LiveRun:
         recorded_path: the recorded bag.
         played_topics: inputs of the node and truth, as in the bag.
         node: the node's process.
+        environment: of the processes, with the domain that they have to themselves.
         observer: a node beside them, for services and more.
 
     Raises:
@@ -69,7 +70,7 @@ class LiveRun:
         with read_bag(bag_path) as bag:
             self._plan(bag, adapter_class)
         domain_id = free_domain_id()
-        self._environment = live_environment(domain_id, folder / "ros")
+        self.environment = live_environment(domain_id, folder / "ros")
         with contextlib.ExitStack() as stack:
             self.observer = stack.enter_context(GraphObserver(domain_id))
             own = [item for name, value in (parameters or {}).items() for item in ("-p", f"{name}:={value}")]
@@ -152,7 +153,7 @@ class LiveRun:
         self._outputs = [output.topic for output in adapter.outputs if not output.topic.startswith("/")]
 
     def _start(self, command: Sequence[str], name: str) -> LiveProcess:
-        return LiveProcess(command, self._folder / f"{name}.log", self._environment)
+        return LiveProcess(command, self._folder / f"{name}.log", self.environment)
 
     def _start_recorder(self, stack: contextlib.ExitStack) -> LiveProcess:
         """Start the recorder once the node is there; both are connected when this returns."""

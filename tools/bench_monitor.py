@@ -1,0 +1,154 @@
+"""What the live page costs the estimator that it watches: processor time and latency, with pages open and without.
+
+The same bag is played through the live node without a monitor, with one that nobody looks at, and with three pages
+open. A page is what the server sees of a browser: a session over the websocket, which takes every update. Drawing it is
+the work of the watch officer's own computer.
+"""
+
+import asyncio
+import contextlib
+import struct
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.client import pull_session
+from rclpy.qos import QoSProfile
+
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_bags.live.installed_types import installed_class
+from ship_replay.trials.live_process import LiveProcess
+from ship_replay.trials.live_run import LiveFailure, LiveRun, executable
+from tools.bench_rows import Row, process_cpu_s
+
+BAG = Path(__file__).resolve().parents[1] / "bags" / "demo.mcap"
+RATE = 5.0
+"""Seconds of the bag per second: its 20 INS samples a second come at 100 Hz."""
+ROUNDS = 3
+PAGES = 3
+MOST_WITH_PAGES = 1.1
+MOST_WITH_MONITOR = 1.25
+MOST_OF_A_CORE = 0.15
+_PAGE_PORT = 5061
+_START_S = 30.0
+_SAMPLE, _ATTITUDE = "ins/imu", "ship/attitude"
+_TYPES = {_SAMPLE: "sensor_msgs/msg/Imu", _ATTITUDE: "ship_msgs/msg/ShipAttitude"}
+
+
+@dataclass
+class Cost:
+    """What runs of one kind took.
+
+    Attributes:
+        node_s: processor time of the node over the bag, s, a run each.
+        latency_s: median of the time from a sample's publication to that of its attitude, s, a run each.
+        monitor: processor time of the monitor over the time that passed, a run each.
+    """
+
+    node_s: list[float] = field(default_factory=list)
+    latency_s: list[float] = field(default_factory=list)
+    monitor: list[float] = field(default_factory=list)
+
+
+def monitor_cost() -> list[Row]:
+    """The node alone, watched by nobody's monitor, and with three pages open, by turns."""
+    alone, watched, looked_at = Cost(), Cost(), Cost()
+    with tempfile.TemporaryDirectory() as name:
+        for number in range(ROUNDS):
+            for cost, pages in ((alone, None), (watched, 0), (looked_at, PAGES)):
+                folder = Path(name) / f"{number}_{pages}"
+                _add_run(cost, folder, pages)
+    return [
+        Row("node over the demo bag, no monitor, processor time", min(alone.node_s), "s"),
+        Row("its latency: median", 1e3 * min(alone.latency_s), "ms"),
+        Row("ratio: processor time with a monitor", min(watched.node_s) / min(alone.node_s), "x"),
+        *_rows("three pages / no page", looked_at, watched, MOST_WITH_PAGES),
+        *_rows("three pages / no monitor", looked_at, alone, MOST_WITH_MONITOR),
+        Row("monitor with three pages, of a core", min(looked_at.monitor), "x", MOST_OF_A_CORE),
+    ]
+
+
+def _rows(what: str, one: Cost, other: Cost, most: float) -> list[Row]:
+    # The least of several: what else the machine does only adds.
+    return [
+        Row(f"ratio: node's processor time, {what}", min(one.node_s) / min(other.node_s), "x", most),
+        Row(f"ratio: latency, {what}", min(one.latency_s) / min(other.latency_s), "x", most),
+    ]
+
+
+def _add_run(cost: Cost, folder: Path, pages: int | None) -> None:
+    """Play the bag once; ``pages`` None is no monitor at all."""
+    with LiveRun(BAG, ShipAttitudeAdapter, "ship_attitude_star", folder) as run, contextlib.ExitStack() as stack:
+        published = _publication_times(run)
+        monitor = stack.enter_context(_monitor(run, folder)) if pages is not None else None
+        if pages:
+            stack.enter_context(_open_pages(pages))
+        begin_s, node_s = time.monotonic(), process_cpu_s(run.node.pid)
+        monitor_s = process_cpu_s(monitor.pid) if monitor else 0.0
+        run.play(RATE, watch=lambda _: run.observer.executor.spin_once(timeout_sec=0.0))
+        run.observer.spin_until(lambda: False, timeout_s=5.0)
+        cost.node_s.append(process_cpu_s(run.node.pid) - node_s)
+        if monitor:
+            cost.monitor.append((process_cpu_s(monitor.pid) - monitor_s) / (time.monotonic() - begin_s))
+    sample, attitude = published[_SAMPLE], published[_ATTITUDE]
+    told = sorted(sample.keys() & attitude.keys())
+    if not told:
+        raise LiveFailure("no attitude was heard that belongs to an INS sample")
+    cost.latency_s.append(1e-9 * float(np.median([attitude[stamp] - sample[stamp] for stamp in told])))
+
+
+def _publication_times(run: LiveRun) -> dict[str, dict[tuple[int, int], int]]:
+    """Topic → stamp → when DDS took the message from its publisher, ns: later reading does not change it."""
+    published: dict[str, dict[tuple[int, int], int]] = {topic: {} for topic in _TYPES}
+    for topic, type_name in _TYPES.items():
+
+        def take(data: bytes, info: dict[str, Any], times: dict[tuple[int, int], int] = published[topic]) -> None:
+            times[struct.unpack_from("<iI", data, 4)] = info["source_timestamp"]
+
+        kind, qos = installed_class(type_name), QoSProfile(depth=20_000)
+        run.observer.node.create_subscription(kind, topic, take, qos, raw=True)
+    return published
+
+
+@contextlib.contextmanager
+def _monitor(run: LiveRun, folder: Path) -> Iterator[LiveProcess]:
+    command = [*executable("ship_monitor", "monitor"), "--port", str(_PAGE_PORT)]
+    with LiveProcess(command, folder / "monitor.log", run.environment) as monitor:
+        deadline_s = time.monotonic() + _START_S
+        while "http://" not in monitor.log():
+            if monitor.exit_code is not None or time.monotonic() > deadline_s:
+                raise LiveFailure(f"the monitor did not start; its log:\n{monitor.log()}")
+            time.sleep(0.1)
+        yield monitor
+
+
+@contextlib.contextmanager
+def _open_pages(count: int) -> Iterator[None]:
+    """Sessions that take all updates, in a thread of their own."""
+    ended, opened = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        asyncio.set_event_loop(asyncio.new_event_loop())
+        sessions = [pull_session(url=f"http://127.0.0.1:{_PAGE_PORT}/") for _ in range(count)]
+        opened.set()
+        while not ended.is_set():
+            for session in sessions:
+                session.force_roundtrip()
+            ended.wait(0.2)
+        for session in sessions:
+            session.close()
+
+    thread = threading.Thread(target=hold, daemon=True)
+    thread.start()
+    if not opened.wait(_START_S):
+        raise LiveFailure("the monitor's pages could not be opened")
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
