@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from bench_monitor import monitor_cost
+from bench_rows import Row, process_cpu_s
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
@@ -35,8 +37,6 @@ from ship_simulation.suite.suite import optical_axis_configuration, star_attitud
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.optical_axis.core import OpticalAxisCore
-from tools.bench_monitor import monitor_cost
-from tools.bench_rows import Row, process_cpu_s
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "demo.mcap"

@@ -7,6 +7,7 @@ the work of the watch officer's own computer.
 
 import asyncio
 import contextlib
+import re
 import struct
 import tempfile
 import threading
@@ -17,18 +18,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bokeh.client import pull_session
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from tornado.httpclient import AsyncHTTPClient
+from tornado.websocket import websocket_connect
 
+from bench_rows import Row, process_cpu_s
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.live.installed_types import installed_class
 from ship_replay.trials.live_process import LiveProcess
 from ship_replay.trials.live_run import LiveFailure, LiveRun, executable
-from tools.bench_rows import Row, process_cpu_s
 
 BAG = Path(__file__).resolve().parents[1] / "bags" / "demo.mcap"
-RATE = 5.0
-"""Seconds of the bag per second: its 20 INS samples a second come at 100 Hz."""
+RATE = 3.0
+"""Seconds of the bag per second: its 20 INS samples a second come at 60 Hz. A node that fell behind
+would tell nothing of the monitor."""
 ROUNDS = 3
 PAGES = 3
 MOST_WITH_PAGES = 1.1
@@ -90,8 +93,8 @@ def _add_run(cost: Cost, folder: Path, pages: int | None) -> None:
             stack.enter_context(_open_pages(pages))
         begin_s, node_s = time.monotonic(), process_cpu_s(run.node.pid)
         monitor_s = process_cpu_s(monitor.pid) if monitor else 0.0
-        run.play(RATE, watch=lambda _: run.observer.executor.spin_once(timeout_sec=0.0))
-        run.observer.spin_until(lambda: False, timeout_s=5.0)
+        run.play(RATE, watch=lambda _: _serve(run, 0.1))
+        _serve(run, 1.0)
         cost.node_s.append(process_cpu_s(run.node.pid) - node_s)
         if monitor:
             cost.monitor.append((process_cpu_s(monitor.pid) - monitor_s) / (time.monotonic() - begin_s))
@@ -102,6 +105,10 @@ def _add_run(cost: Cost, folder: Path, pages: int | None) -> None:
     cost.latency_s.append(1e-9 * float(np.median([attitude[stamp] - sample[stamp] for stamp in told])))
 
 
+def _serve(run: LiveRun, duration_s: float) -> None:
+    run.observer.spin_until(lambda: False, duration_s)
+
+
 def _publication_times(run: LiveRun) -> dict[str, dict[tuple[int, int], int]]:
     """Topic → stamp → when DDS took the message from its publisher, ns: later reading does not change it."""
     published: dict[str, dict[tuple[int, int], int]] = {topic: {} for topic in _TYPES}
@@ -110,7 +117,8 @@ def _publication_times(run: LiveRun) -> dict[str, dict[tuple[int, int], int]]:
         def take(data: bytes, info: dict[str, Any], times: dict[tuple[int, int], int] = published[topic]) -> None:
             times[struct.unpack_from("<iI", data, 4)] = info["source_timestamp"]
 
-        kind, qos = installed_class(type_name), QoSProfile(depth=20_000)
+        kind = installed_class(type_name)
+        qos = QoSProfile(depth=4_000, reliability=ReliabilityPolicy.BEST_EFFORT)
         run.observer.node.create_subscription(kind, topic, take, qos, raw=True)
     return published
 
@@ -129,26 +137,31 @@ def _monitor(run: LiveRun, folder: Path) -> Iterator[LiveProcess]:
 
 @contextlib.contextmanager
 def _open_pages(count: int) -> Iterator[None]:
-    """Sessions that take all updates, in a thread of their own."""
-    ended, opened = threading.Event(), threading.Event()
-
-    def hold() -> None:
-        asyncio.set_event_loop(asyncio.new_event_loop())
-        sessions = [pull_session(url=f"http://127.0.0.1:{_PAGE_PORT}/") for _ in range(count)]
-        opened.set()
-        while not ended.is_set():
-            for session in sessions:
-                session.force_roundtrip()
-            ended.wait(0.2)
-        for session in sessions:
-            session.close()
-
-    thread = threading.Thread(target=hold, daemon=True)
+    """Pages as the server sees them: each asked for, and its updates taken, in a thread of their own."""
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
-    if not opened.wait(_START_S):
-        raise LiveFailure("the monitor's pages could not be opened")
+    pages = [asyncio.run_coroutine_threadsafe(_hold_page(), loop) for _ in range(count)]
     try:
         yield
+        if ended := [page.exception() for page in pages if page.done()]:
+            raise LiveFailure(f"a page lost its server: {ended[0]}")
     finally:
-        ended.set()
+        for page in pages:
+            page.cancel()
+        loop.call_soon_threadsafe(loop.stop)
         thread.join()
+
+
+async def _hold_page() -> None:
+    """Take every update of a new session, as long as the server sends any."""
+    answer = await AsyncHTTPClient().fetch(f"http://127.0.0.1:{_PAGE_PORT}/")
+    token = re.search(r'"token":"([^"]+)"', answer.body.decode())
+    if token is None:
+        raise LiveFailure("the page names no session")
+    url = f"ws://127.0.0.1:{_PAGE_PORT}/ws"
+    connection = await websocket_connect(url, subprotocols=["bokeh", token.group(1)])
+    updates = 0
+    while await connection.read_message() is not None:
+        updates += 1
+    raise LiveFailure(f"the session ended after {updates} messages")
