@@ -21,15 +21,22 @@ INS_STEP = "step: {topic: ins/imu, kind: bias, start_s: 20.0, up_arcsec: 100.0}"
 KNOCK = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 40.0, right_arcsec: 50.0}"
 
 
+THEODOLITE = (
+    "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 10.0, end_s: 16.0}, "
+    "swap: {topic: theodolite/beacons, kind: swap, start_s: 25.0, end_s: 33.0}, "
+    "silent: {topic: theodolite/encoder, kind: drop, start_s: 60.0, end_s: 66.0}"
+)
+
+
 class Voyage:
     """A voyage as the keeper saw it, looked at five times a second; times are s after the first message."""
 
-    def __init__(self, path: Path, state: Path | None = None, acknowledge: bool = False) -> None:
+    def __init__(self, *paths: Path, state: Path | None = None, acknowledge: bool = False) -> None:
         self.changes: list[tuple[float, AlertChange]] = []
         self.said: list[str] = []
         keeper: AlertKeeper | None = None
         start_ns = due_ns = 0
-        for time_ns, topic, message in records(path):
+        for time_ns, topic, message in records(*paths):
             if keeper is None:
                 start_ns = due_ns = time_ns
                 keeper = AlertKeeper(Limits(), state, time_ns, self.said.append)
@@ -70,6 +77,23 @@ def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
     assert not [change for _, change in voyage.changes if "fore" in change.alert.id]
 
 
+def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
+    """A baseline that floats at 10 s, lights that bear each other's names from 25 s, encoders silent from 60 s."""
+    voyage = Voyage(*replayed(tmp_path, "theodolite", THEODOLITE))
+    for start_s, id_, source, priority in (
+        (10.0, "baselines.out", "baselines", Priority.CAUTION),
+        (25.0, "lights.mended", "lights", Priority.CAUTION),
+        (60.0, "encoder.out", "encoder", Priority.ALARM),
+    ):
+        time_s, change = voyage.first(id_)
+        # Two seconds after what the filter could know; silence of the encoder itself is two seconds.
+        assert start_s < time_s <= start_s + 2.0 + 2 * LOOK_NS / NS_PER_S
+        assert (change.alert.source, change.alert.priority) == (source, priority)
+    blamed = {change.alert.source for time_s, change in voyage.changes if time_s < 79.0}
+    assert blamed <= {"baselines", "lights", "encoder", ""}
+    assert "pointing lost" in voyage.first("encoder.out")[1].alert.text
+
+
 def test_what_the_faults_take_away_is_told_with_them(faulty: Path) -> None:
     """While a source that takes an angle away is out, no alert of the output stands beside that of the source."""
     voyage = Voyage(faulty)
@@ -93,7 +117,7 @@ def test_lost_keeper_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
     state = tmp_path / "alerts.json"
     for acknowledge in (False, True):
         state.unlink(missing_ok=True)
-        before = Voyage(faulty, state, acknowledge)
+        before = Voyage(faulty, state=state, acknowledge=acknowledge)
         assert before.keeper.alerts
         again = AlertKeeper(Limits(), state, before.end_ns, before.said.append)
         assert repr(again.alerts) == repr(before.keeper.alerts)

@@ -14,6 +14,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
+from ship_bags.commands.record import main as record
+from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import stamp_fields
 from ship_monitor.alerts.alert_node import default_state, main
 from ship_msgs.msg import Alert, AlertArray, ShipAttitude
@@ -209,3 +211,38 @@ def test_each_namespace_has_a_file_of_its_own(monkeypatch, tmp_path):
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     names = [default_state(namespace) for namespace in ("/", "/demo", "/fleet/demo")]
     assert names == [tmp_path / "alerts.json", tmp_path / "alerts_demo.json", tmp_path / "alerts_fleet_demo.json"]
+
+
+def test_alerts_are_in_the_recording(start, tmp_path):
+    """Each state of each alert is a message of the bag, also those of before the recorder heard the node."""
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("alerts: {start_s: 4.0, escalate_after_s: 3.0}\n")
+    start("--limits", str(limits), "--state", str(tmp_path / "alerts.json"))
+    bag = tmp_path / "voyage.mcap"
+    assert record(["--out", str(bag), "--duration-s", "14"]) == 0
+    with read_bag(bag) as recorded:
+        messages = [each.decode() for each in recorded.records(["/demo/ship/alerts"])]
+    told = [[(alert.id, alert.priority, alert.state) for alert in message.alerts] for message in messages]
+    warning, alarm = (("attitude.silent", priority, UNACKNOWLEDGED) for priority in (Alert.WARNING, Alert.ALARM))
+    assert [warning] in told
+    assert told[-1] == [alarm]
+
+
+def test_diagnostics_of_another_suite_are_not_this_ones(ship, start, until, tmp_path):
+    """A node of another namespace tells of its black box on the same topic: no alert of this suite."""
+    stranger = Node("star_attitude", context=ship.context, namespace="other")
+    diagnostics = stranger.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    start("--state", str(tmp_path / "alerts.json"))
+    ship.box_level = DiagnosticStatus.ERROR
+    name = "star_attitude: black box"
+
+    def look():
+        diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(level=b"\x02", name=name, message="ended")]))
+        ship.sail(0.2)
+        return "ship_attitude.box" in (ship.alerts() or {})
+
+    until(look, 30.0)
+    for _ in range(10):
+        look()
+    assert not [id_ for id_ in ship.alerts() if id_.startswith("star_attitude")]
+    stranger.destroy_node()

@@ -80,7 +80,7 @@ class AlertBook:
     def alerts(self) -> tuple[AlertShown, ...]:
         """All that are not NORMAL, the most urgent first: unacknowledged before acknowledged, alarms before others."""
         told = [kept.alert for kept in self._kept.values() if kept.alert.state != AlertState.NORMAL]
-        return tuple(sorted(told, key=lambda one: (one.is_acknowledged, -one.priority, -one.raised_ns, one.id)))
+        return tuple(sorted(told, key=lambda alert: alert.urgency))
 
     def saved(self) -> list[dict[str, Any]]:
         """The book as plain values for a file, the counts of instances of alerts that are over among them."""

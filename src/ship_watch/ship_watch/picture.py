@@ -144,6 +144,11 @@ class AlertShown:
         """Whether nobody needs to acknowledge it any more."""
         return self.state in (0, 3)
 
+    @property
+    def urgency(self) -> tuple[bool, int, int, str]:
+        """Its place in a list: unacknowledged before acknowledged, then by priority, then the newest first."""
+        return self.is_acknowledged, -self.priority, -self.raised_ns, self.id
+
 
 @dataclass(frozen=True)
 class InputShown:

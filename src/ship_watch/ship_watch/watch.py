@@ -159,7 +159,7 @@ class Watch:
                 self._tell("alert", alert.id, text, alert.changed_ns)
         for name, _ in before:
             self._tell("alert", name, f"{name} is over", ns_from_stamp(message.header.stamp))
-        self._alerts = tuple(sorted(alerts, key=_urgency))
+        self._alerts = tuple(sorted(alerts, key=lambda alert: alert.urgency))
 
     def _note_time(self, stamp_ns: int, now_ns: int) -> None:
         """The suite's time is that of its newest output, plus what has passed since."""
@@ -320,8 +320,3 @@ def _alert(alert: Any) -> AlertShown:
         raised_ns=ns_from_stamp(alert.raised),
         changed_ns=ns_from_stamp(alert.changed),
     )
-
-
-def _urgency(alert: AlertShown) -> tuple[int, bool, int, str]:
-    """The most urgent first: by priority, unacknowledged before acknowledged, the newest first."""
-    return -alert.priority, alert.is_acknowledged, -alert.raised_ns, alert.id

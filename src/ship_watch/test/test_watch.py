@@ -313,7 +313,7 @@ def test_alerts_are_shown_the_most_urgent_first_and_survive_a_bag_that_starts_ov
     array = SimpleNamespace(header=stamp(UTC), alerts=[alert(3, 0), alert(3, 2), alert(1, 1), alert(1, 2, 5)])
     watch.take("ship/alerts", array, at(1.0))
     shown = watch.look(at(1.1)).alerts or ()
-    assert [(one.priority, one.state) for one in shown] == [(2, 1), (2, 3), (1, 1), (0, 3)]
+    assert [(one.priority, one.state) for one in shown] == [(2, 1), (1, 1), (2, 3), (0, 3)]
     watch.start_anew()
     assert watch.look(at(2.0)).alerts == shown
     watch.take("ship/alerts", SimpleNamespace(header=stamp(UTC), alerts=[]), at(2.0))
