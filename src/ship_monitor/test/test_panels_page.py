@@ -117,6 +117,8 @@ def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_pa
     with served(theme) as (address, _):
         opened(browser, address, theme, width)
         browser.wait(lambda: evaluated(browser, "found('Figure').length") == 14, "all plots")
+        point_at(browser, "found('Figure')[4]")  # the error of pitch: what is told under the pointer is seen as well
+        browser.until("document.querySelector('.bk-Tooltip')?.checkVisibility()")
         browser.photograph(tmp_path / f"{theme}_{width}.png", whole=True)
         assert browser.problems == []
         assert browser.evaluate("document.documentElement.scrollWidth") <= width
@@ -167,6 +169,14 @@ def test_a_drag_zooms_the_time_of_all_plots_and_a_double_click_returns(browser):
         browser.wait(lambda: not panels.times.is_paused, "live again")
         assert panels.times.range.end - panels.times.range.start == pytest.approx(600e3)
         assert panels.times.range.end >= NOW_NS * 1e-6
+
+
+def point_at(browser, view):
+    """Move the pointer across the middle of a plot."""
+    box = f"((box) => [box.left + box.width / 2, box.top + box.height / 2])({view}.el.getBoundingClientRect())"
+    x, y = evaluated(browser, box)
+    for step in range(-10, 1):
+        browser.call("Input.dispatchMouseEvent", type="mouseMoved", x=x + step, y=y, button="none")
 
 
 def mouse(browser, kind, x, y, count=1):

@@ -13,6 +13,7 @@ from bokeh.models import (
     DatetimeTickFormatter,
     Div,
     FixedTicker,
+    GlobalInlineStyleSheet,
     HoverTool,
     InlineStyleSheet,
     LinearAxis,
@@ -150,7 +151,6 @@ def plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **option
         min_border_top=4,
         min_border_bottom=4,
         sizing_mode="stretch_width",
-        stylesheets=[tooltip_style(theme)],
         **options,
     )
     made.title.update(text_color=theme.text, text_font=FONT, text_font_size="13px", text_font_style="normal")
@@ -203,14 +203,19 @@ def hover(theme: Theme, made: figure, html: str, renderers: list[Any]) -> None:
     """Show a point's figures under the pointer; ``html`` names columns as ``@column{0.0}``."""
     body = f'<div style="color:{theme.text};font:13px {FONT}">@t{{%H:%M:%S}} {html}</div>'
     made.add_tools(
-        HoverTool(tooltips=body, formatters={"@t": "datetime"}, renderers=renderers, point_policy="snap_to_data")
+        HoverTool(
+            tooltips=body,
+            formatters={"@t": "datetime"},
+            renderers=renderers,
+            show_arrow=False,
+            point_policy="snap_to_data",
+        )
     )
 
 
-def tooltip_style(theme: Theme) -> InlineStyleSheet:
-    """Tooltips in the colours of the theme; without it they are white."""
-    colours = f"--background-color:{theme.background};--color:{theme.text};--divider-color:{theme.border}"
-    return InlineStyleSheet(css=f":host{{{colours}}}")
+def tooltip_style(theme: Theme) -> GlobalInlineStyleSheet:
+    """Tooltips in the colours of the theme, for the whole page, where Bokeh puts them; without it they are white."""
+    return GlobalInlineStyleSheet(css=f".bk-Tooltip{{background:{theme.background};border-color:{theme.border}}}")
 
 
 def narrow_height(height_px: int) -> InlineStyleSheet:

@@ -8,7 +8,7 @@ from bokeh.models import Column, InlineStyleSheet
 from ship_monitor.page.alignment_panel import AlignmentPanel
 from ship_monitor.page.budget_panel import BudgetPanel
 from ship_monitor.page.error_panel import ErrorPanel, has_truth
-from ship_monitor.page.figures import NARROW, TimePlots
+from ship_monitor.page.figures import NARROW, TimePlots, tooltip_style
 from ship_monitor.page.innovation_panel import InnovationPanel
 from ship_monitor.page.lights_panel import LightsPanel
 from ship_monitor.page.sky_panel import SkyPanel
@@ -48,7 +48,7 @@ class Panels:
                 self._inputs.box.layout,
             ],
             sizing_mode="stretch_width",
-            stylesheets=[InlineStyleSheet(css=_GRID_CSS)],
+            stylesheets=[InlineStyleSheet(css=_GRID_CSS), tooltip_style(theme)],
         )
 
     def update(self, history: History, picture: Picture) -> None:
