@@ -1,13 +1,21 @@
 """``suite`` with the real nodes over DDS: brought up from a file, kept running, apart from another suite."""
 
+import itertools
+import os
 import re
 import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
+import yaml
 
 from ship_bags.live.ros_process import executable
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bags.stamps import ns_from_stamp
+from ship_msgs.msg import ShipAttitude
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
@@ -99,3 +107,53 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
         assert alpha.end(signal.SIGTERM) == 0
         assert beta.exit_code is None
         assert observer.node.count_publishers("/beta/theodolite/pointing") == 1
+
+
+def test_a_node_that_is_killed_is_back_within_two_seconds_with_its_last_saved_alignment(tmp_path, domain, monkeypatch):
+    # As the suite sets it for its own: shared memory is no quicker after a kill, and the observer's gap is measured.
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    saved, path = tmp_path / "alignment.yaml", tmp_path / "suite.yaml"
+    with read_bag(DEMO) as bag:
+        attached = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
+    attached["/**/ship_attitude"]["ros__parameters"] |= {"alignment_file": str(saved), "alignment_autosave_s": 1.0}
+    path.write_text(yaml.safe_dump(attached), encoding="utf-8")
+    heard: list[tuple[int, int]] = []
+    command = suite(path, "--bag", DEMO)
+    environment = live_environment(domain, tmp_path)
+    with GraphObserver(domain) as observer, LiveProcess(command, tmp_path / "suite.log", environment) as process:
+        observer.node.create_subscription(
+            ShipAttitude,
+            "/ship/attitude",
+            lambda m: heard.append((ns_from_stamp(m.header.stamp), m.status)) if m.status != m.INVALID else None,
+            1000,
+        )
+        # Saved at least twice, so that something was learned.
+        assert observer.spin_until(lambda: saved.exists() and len(heard) > 500, 60.0), process.log()
+        assert re.search(r"no alignment at", process.log())
+        os.kill(node_of(process.pid, "ship_attitude"), signal.SIGKILL)
+        killed_s = time.monotonic()
+        assert observer.spin_until(lambda: process.log().count("needs ins/imu") == 2, 30.0), process.log()
+        back_s = time.monotonic() - killed_s
+        # DDS connects the new one to its peers; nobody here can hurry that.
+        assert observer.spin_until(lambda: ", 0 min old" in process.log(), 30.0), process.log()
+        assert observer.spin_until(lambda: gap_ns(heard) > 100_000_000, 30.0), process.log()
+        assert process.end(signal.SIGTERM) == 0
+        log = process.log()
+    print(f"back after {back_s:.2f} s, gap in ship/attitude {gap_ns(heard) * 1e-9:.2f} s of data")
+    assert back_s < 2.0, log  # a second of the bag is one of the clock on the wall
+    assert "signal 9, SIGKILL; started again at once (1 of 5)" in log
+    assert f"alignment {saved}, 0 min old" in log
+
+
+def node_of(suite_pid, name):
+    """Process id of a node of a suite."""
+    children = Path(f"/proc/{suite_pid}/task/{suite_pid}/children").read_text().split()
+    programs = {int(child): Path(f"/proc/{child}/cmdline").read_text().split("\0")[1] for child in children}
+    (pid,) = [child for child, program in programs.items() if program.endswith(f"/{name}")]
+    return pid
+
+
+def gap_ns(heard):
+    """The longest time between two attitudes, by their stamps."""
+    stamps = sorted({stamp for stamp, _ in heard})
+    return max(later - earlier for earlier, later in itertools.pairwise(stamps))

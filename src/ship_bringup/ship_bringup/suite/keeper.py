@@ -20,6 +20,7 @@ from types import FrameType
 from typing import IO
 
 from ship_bags.command_line import EXIT_DONE
+from ship_bringup.suite.dds_ports import QUICK_TO_CONNECT, HeldPorts, ports_of
 from ship_bringup.suite.restarts import Restarts, end_words, failure_of
 
 _END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
@@ -62,6 +63,7 @@ class _Kept:
     started_s: float = 0.0
     due_s: float | None = None
     rest: bytes = field(default=b"")
+    ports: frozenset[int] = frozenset()
 
     @property
     def is_alive(self) -> bool:
@@ -87,6 +89,7 @@ class Keeper:
         self._ending = False
         self._kill_due_s: float | None = None
         self._failure = EXIT_DONE
+        self._held_ports = HeldPorts()
 
     def run(self) -> int:
         """Start the programs and keep them; returns the exit code of the first that failed for good, or 0."""
@@ -100,10 +103,12 @@ class Keeper:
                     self._end_step_by_step()
             finally:
                 self._kill_all()
+                self._held_ports.close()
         return self._failure
 
     def _start(self, kept: _Kept) -> None:
         kept.due_s, kept.started_s, kept.rest = None, time.monotonic(), b""
+        kept.ports = frozenset()
         parent = os.getpid()
 
         def end_with_parent() -> None:
@@ -117,7 +122,7 @@ class Keeper:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            env=QUICK_TO_CONNECT | os.environ | {"PYTHONUNBUFFERED": "1"},
             start_new_session=True,
             preexec_fn=end_with_parent,  # noqa: PLW1509 - there are no threads here
         )
@@ -148,6 +153,9 @@ class Keeper:
             lines, kept.rest = [*lines, kept.rest], b""
         for line in lines:
             self._say(kept.program.name, line.decode("utf-8", errors="replace").rstrip("\r"))
+        if not kept.ports and kept.process is not None:
+            # Who has something to say has a node, which will have these ports until it ends.
+            kept.ports = ports_of(kept.process.pid)
         if not data:
             self._selector.unregister(pipe)
         return bool(data)
@@ -178,6 +186,7 @@ class Keeper:
             when = "at once" if delay_s == 0.0 else f"in {delay_s:.0f} s"
             self._say(_SUITE, f"{how}; started again {when} ({kept.restarts.in_a_row} of {kept.restarts.most})")
             kept.due_s = time.monotonic() + delay_s
+            self._held_ports.hold(kept.ports)
             return
         failure = failure_of(code)
         self._failure = self._failure or failure
