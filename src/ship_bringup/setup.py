@@ -21,6 +21,8 @@ setup(
     entry_points={
         "console_scripts": [
             "suite = ship_bringup.commands.suite:main",
+            "call = ship_bringup.commands.call:main",
+            "param = ship_bringup.commands.param:main",
         ],
     },
 )

@@ -1,0 +1,187 @@
+"""A running node that is asked something: found by its name, its services called, its parameters read and set."""
+
+import contextlib
+import difflib
+import os
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import Parameter, ParameterDescriptor, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.task import Future
+
+from ship_bags.errors import BadInput
+from ship_bags.live.ros_process import command_node
+from ship_bags.parameter_yaml import full_name
+
+_POLL_S = 0.05
+
+
+@contextlib.contextmanager
+def asked_node(asker_name: str, name: str, timeout_s: float) -> Iterator["AskedNode"]:
+    """A node of the network, asked by a node of ours that ends with the ``with`` statement.
+
+    Args:
+        asker_name: what our node is called.
+        name: see :class:`AskedNode`.
+        timeout_s: the same.
+
+    Raises:
+        BadInput: the same.
+    """
+    # No two that ask at the same time have one name.
+    with command_node(f"{asker_name}_{os.getpid()}", []) as asker:
+        executor = SingleThreadedExecutor()
+        executor.add_node(asker)
+        yield AskedNode(asker, name, timeout_s, lambda seconds: executor.spin_once(timeout_sec=seconds))
+        executor.shutdown()
+
+
+class AskedNode:
+    """A node of the network.
+
+    Attributes:
+        name: with its namespace.
+
+    Args:
+        asker: a node of ours.
+        name: the node's name; with its namespace, or without where it has none.
+        timeout_s: so long is waited for the node, and for each of its answers.
+        wait: serves the callbacks of `asker` for so many seconds.
+
+    Raises:
+        BadInput: there is no such node; the text names those that are there, the nearest first.
+    """
+
+    def __init__(self, asker: Node, name: str, timeout_s: float, wait: Callable[[float], None]) -> None:
+        self._asker, self._timeout_s, self._wait = asker, timeout_s, wait
+        self._namespace, _, self._bare_name = ("/" + name.strip("/")).rpartition("/")
+        self.name = full_name(self._bare_name, self._namespace)
+        if not self._until(lambda: self.name in self._nodes()):
+            others = sorted(self._nodes() - {full_name(asker.get_name(), asker.get_namespace())})
+            raise BadInput(unknown("node", self.name, others))
+        # Services of a node that is known already may still be on their way to us.
+        self._until(lambda: bool(self.services()))
+
+    def services(self) -> dict[str, str]:
+        """Name without that of the node → type, of its own services; those of its parameters aside."""
+        found = self._asker.get_service_names_and_types_by_node(self._bare_name, self._namespace or "/")
+        own = {name.removeprefix(f"{self.name}/"): types[0] for name, types in found}
+        return {name: kind for name, kind in own.items() if not kind.startswith(("rcl_", "type_description"))}
+
+    def call(self, service: str, kind: Any, **fields: Any) -> Any:
+        """The answer of a service.
+
+        Args:
+            service: its name without that of the node.
+            kind: class of its type.
+            fields: of the request.
+
+        Raises:
+            BadInput: it does not answer.
+        """
+        client = self._asker.create_client(kind, f"{self.name}/{service}")
+        if not self._until(client.service_is_ready):
+            raise BadInput(f"node {self.name} has no service '{service}', or is just ending")
+        answer: Future = client.call_async(kind.Request(**fields))
+        if not self._until(answer.done):
+            raise BadInput(f"{self.name}/{service} does not answer within {self._timeout_s:g} s")
+        return answer.result()
+
+    def parameter_names(self) -> list[str]:
+        """Names of its parameters in order."""
+        answer: ListParameters.Response = self.call("list_parameters", ListParameters)
+        return sorted(answer.result.names)
+
+    def described(self, names: Sequence[str]) -> list[tuple[ParameterDescriptor, ParameterValue]]:
+        """Description and value of some parameters."""
+        told: DescribeParameters.Response = self.call(
+            "describe_parameters", DescribeParameters, names=list(names)
+        )
+        read: GetParameters.Response = self.call(
+            "get_parameters", GetParameters, names=list(names)
+        )
+        return list(zip(told.descriptors, read.values, strict=True))
+
+    def set_parameter(self, name: str, value: ParameterValue) -> str:
+        """Set one; returns why it was refused, empty where it was not."""
+        answer: SetParametersAtomically.Response = self.call(
+            "set_parameters_atomically",
+            SetParametersAtomically,
+            parameters=[Parameter(name=name, value=value)],
+        )
+        return "" if answer.result.successful else str(answer.result.reason)
+
+    def _nodes(self) -> set[str]:
+        return {full_name(name, namespace) for name, namespace in self._asker.get_node_names_and_namespaces()}
+
+    def _until(self, condition: Callable[[], bool]) -> bool:
+        deadline_s = time.monotonic() + self._timeout_s
+        while not condition():
+            if time.monotonic() >= deadline_s:
+                return False
+            self._wait(_POLL_S)
+        return True
+
+
+def unknown(what: str, name: str, known: Collection[str]) -> str:
+    """That a name is unknown, in words: what it may have been meant for, and what there is."""
+    bare = {each.rpartition("/")[2]: each for each in known}
+    nearest = difflib.get_close_matches(name, known, 1) or [
+        bare[each] for each in difflib.get_close_matches(name.rpartition("/")[2], bare, 1)
+    ]
+    meant = f"did you mean '{nearest[0]}'? There are" if nearest else "there are"
+    return f"no {what} '{name}': {meant} {', '.join(sorted(known)) or 'none'}"
+
+
+def value_from_text(text: str, like: ParameterValue) -> ParameterValue:
+    """A value of the same type as another one; lists have commas between their elements.
+
+    Raises:
+        ValueError: the text is no such value; says what was expected.
+    """
+    kind, value = like.type, ParameterValue(type=like.type)
+    if kind == ParameterType.PARAMETER_BOOL:
+        value.bool_value = _switch(text)
+    elif kind == ParameterType.PARAMETER_INTEGER:
+        value.integer_value = _number(int, text, "a whole number")
+    elif kind == ParameterType.PARAMETER_DOUBLE:
+        value.double_value = _number(float, text, "a number")
+    elif kind == ParameterType.PARAMETER_STRING:
+        value.string_value = text
+    elif kind == ParameterType.PARAMETER_DOUBLE_ARRAY:
+        value.double_array_value = [_number(float, part, "numbers with commas between") for part in text.split(",")]
+    elif kind == ParameterType.PARAMETER_STRING_ARRAY:
+        value.string_array_value = text.split(",")
+    else:
+        raise ValueError("a value that this command can set: number, text, true or false")
+    return value
+
+
+def text_of(value: ParameterValue) -> str:
+    """A value for people, as :func:`value_from_text` reads it."""
+    plain = parameter_value_to_python(value)
+    if isinstance(plain, bool):
+        return str(plain).lower()
+    if isinstance(plain, str):
+        return plain or "''"
+    if plain is None or isinstance(plain, (int, float)):
+        return str(plain)
+    return ",".join(str(part) for part in plain)
+
+
+def _switch(text: str) -> bool:
+    if text.lower() not in ("true", "false"):
+        raise ValueError("true or false")
+    return text.lower() == "true"
+
+
+def _number(kind: type, text: str, expected: str) -> Any:
+    try:
+        return kind(text)
+    except ValueError as problem:
+        raise ValueError(expected) from problem

@@ -1,0 +1,79 @@
+"""``param``: the parameters of a running node, where ``ros2 param`` is not installed."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from rcl_interfaces.msg import ParameterDescriptor, ParameterValue
+
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput, one_line
+from ship_bags.live.ros_process import positive
+from ship_bringup.asked_node import asked_node, text_of, unknown, value_from_text
+from ship_estimation.parameter_rows import in_columns
+
+_DESCRIPTION = """\
+Lists the parameters of a running node with their values, units and meanings (* may be changed while it runs); with
+NAME shows one, and with VALUE sets it. The node itself judges the value and says what it refuses.
+"""
+_EPILOG = "exit code: 0 done; 1 the node refuses the value; 2 bad input or usage, or no such node or parameter"
+_TIMEOUT_S = 5.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of ``param``; returns the exit code."""
+    parser = CommandParser(
+        prog="param",
+        example="./ros2run ship_bringup param /ship_attitude gate.probability 0.999",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("node", metavar="NODE", help="its name, with its namespace: /demo/ship_attitude")
+    parser.add_argument("name", metavar="NAME", nargs="?", help="dotted name of a parameter")
+    parser.add_argument("value", metavar="VALUE", nargs="?", help="its new value; a list has commas in it")
+    parser.add_argument(
+        "--timeout", type=positive, default=_TIMEOUT_S, metavar="S", help=f"wait so many seconds ({_TIMEOUT_S:g})"
+    )
+    return run_command(parser, _param, arguments)
+
+
+def _param(parsed: argparse.Namespace) -> int:
+    with asked_node("param", parsed.node, parsed.timeout) as node:
+        names = node.parameter_names()
+        if parsed.name is not None and parsed.name not in names:
+            raise BadInput(f"node {node.name}: {unknown('parameter', parsed.name, names)}")
+        shown = [parsed.name] if parsed.name is not None else names
+        rows = list(zip(shown, node.described(shown), strict=True))
+        if parsed.value is None:
+            print("\n".join(in_columns([_row(name, *described) for name, described in rows])))
+            return EXIT_DONE
+        was = rows[0][1][1]
+        try:
+            value = value_from_text(parsed.value, was)
+        except ValueError as problem:
+            raise BadInput(f"parameter '{parsed.name}' is {text_of(was)}: expected {problem}") from problem
+        refused = node.set_parameter(parsed.name, value)
+    if refused:
+        print(f"param: refused: {one_line(refused)}", file=sys.stderr)
+        return EXIT_BOUND_NOT_MET
+    print(f"{parsed.name} = {text_of(value)}, was {text_of(was)}")
+    return EXIT_DONE
+
+
+def _row(name: str, descriptor: ParameterDescriptor, value: ParameterValue) -> tuple[str, ...]:
+    """Name, value, range and meaning with the unit, as the node describes it."""
+    bounds = [*descriptor.floating_point_range, *descriptor.integer_range]
+    allowed = f"[{_bound(bounds[0].from_value)}, {_bound(bounds[0].to_value)}]" if bounds else ""
+    live = "" if descriptor.read_only else "*"
+    meaning = ": ".join(filter(None, [descriptor.description, descriptor.additional_constraints]))
+    return name + live, text_of(value), allowed, meaning
+
+
+def _bound(value: float) -> str:
+    """A bound of a range; the greatest numbers there are mean none."""
+    return ("-inf" if value < 0 else "inf") if abs(value) >= sys.maxsize else f"{value:g}"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

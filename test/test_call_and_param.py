@@ -1,0 +1,126 @@
+"""``call`` and ``param`` against a real node and the alerts: done, refused, and names that are not there."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+from rcl_interfaces.msg import ParameterType, ParameterValue
+
+from ship_bags.live.ros_process import executable
+from ship_bringup.asked_node import text_of, unknown, value_from_text
+from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+
+ROOT = Path(__file__).parents[1]
+NODE = "/alpha/ship_attitude"
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory):
+    """A suite of one node in the namespace alpha, and the alert node."""
+    folder = tmp_path_factory.mktemp("asked")
+    domain = free_domain_id()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        environment = live_environment(domain, folder)
+        names = "--ros-args", "-r", "__ns:=/alpha"
+        file = str(ROOT / "examples" / "two_sensors.yaml")
+        suite = [*executable("ship_bringup", "suite"), file, "--namespace", "alpha"]
+        alerts = [*executable("ship_monitor", "alerts"), "--state", str(folder / "alerts.json"), *names]
+        with (
+            GraphObserver(domain) as observer,
+            LiveProcess(suite, folder / "suite.log", environment) as process,
+            LiveProcess(alerts, folder / "alerts.log", environment),
+        ):
+            assert observer.wait_for({"/alpha/ship/attitude": 1, "/alpha/ship/alerts": 1}, timeout_s=60), process.log()
+            yield environment
+
+
+def asked(environment, command, *arguments):
+    """(exit code, stdout, stderr)."""
+    ended = subprocess.run(
+        [*executable("ship_bringup", command), *arguments, "--timeout", "15"],
+        env=environment, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    return ended.returncode, ended.stdout, ended.stderr
+
+
+def test_services_are_listed_and_called(environment):
+    assert asked(environment, "call", NODE) == (0, "load_alignment\nreset\nsave_alignment\n", "")
+    assert asked(environment, "call", NODE, "reset") == (0, "done: the filter starts anew\n", "")
+    code, said, _ = asked(environment, "call", NODE, "save_alignment")
+    assert code == 1
+    assert said.startswith("not done: parameter 'alignment_file' is empty")
+
+
+def test_an_alert_is_acknowledged_by_its_id_and_instance(environment):
+    code, listed, _ = asked(environment, "call", "/alpha/alerts")
+    assert code == 0
+    assert listed == "acknowledge id=<string> instance=<uint32>\nsilence\n"
+    code, said, _ = asked(environment, "call", "/alpha/alerts", "acknowledge", "id=there.is.none", "instance=7")
+    assert code == 1
+    assert said.startswith("not done: ")
+    code, _, told = asked(environment, "call", "/alpha/alerts", "acknowledge", "id=x")
+    assert (code, told) == (2, "call: service 'acknowledge' needs instance=<uint32>\n")
+    code, _, told = asked(environment, "call", "/alpha/alerts", "acknowledge", "id=x", "instance=one")
+    assert (code, told) == (2, "call: field 'instance' of service 'acknowledge': 'one' is no uint32\n")
+
+
+def test_a_name_that_is_not_there_is_answered_with_the_nearest(environment):
+    code, _, told = asked(environment, "call", "/alpha/ship_atitude", "reset")
+    assert (code, told.count("\n")) == (2, 1)
+    assert told.startswith(f"call: no node '/alpha/ship_atitude': did you mean '{NODE}'? There are ")
+    code, _, told = asked(environment, "call", NODE, "restet")
+    assert (code, "did you mean 'reset'?" in told) == (2, True)
+    code, _, told = asked(environment, "param", NODE, "gate.probabilty")
+    assert (code, "did you mean 'gate.probability'?" in told) == (2, True)
+
+
+def test_parameters_are_listed_with_units_read_and_set(environment):
+    code, listed, _ = asked(environment, "param", NODE)
+    assert code == 0
+    assert re.search(r"^  alignment_max_age_d +30\.0 +\[0, 36500\] +.*\[d\]$", listed, re.MULTILINE)
+    assert re.search(r"^  star_sensors\.fore\.azimuth_deg +0\.0 ", listed, re.MULTILINE)
+    set_ = asked(environment, "param", NODE, "gate.probability", "0.999")
+    assert set_ == (0, "gate.probability = 0.999, was 0.9999\n", "")
+    assert re.match(r"  gate\.probability\* +0\.999 ", asked(environment, "param", NODE, "gate.probability")[1])
+
+
+def test_what_the_node_refuses_is_said_in_its_words(environment):
+    code, _, told = asked(environment, "param", NODE, "gate.probability", "7")
+    assert (code, told.count("\n")) == (1, 1)
+    assert told.startswith("param: refused: parameter 'gate.probability' = 7.0 is out of its range [0.5, ")
+    code, _, told = asked(environment, "param", NODE, "lag_s", "3")
+    assert (code, told.startswith("param: refused: parameter 'lag_s' cannot be changed")) == (1, True)
+    code, _, told = asked(environment, "param", NODE, "gate.probability", "high")
+    assert code == 2
+    assert re.fullmatch(r"param: parameter 'gate\.probability' is .*: expected a number\n", told)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True), "true"),
+        (ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=-3), "-3"),
+        (ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=2.5), "2.5"),
+        (ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="a,b c"), "a,b c"),
+        (ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[1.0, 2.5]), "1.0,2.5"),
+        (ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=["a", "b"]), "a,b"),
+    ],
+)
+def test_a_value_is_written_as_it_is_read(value, text):
+    assert text_of(value) == text
+    assert value_from_text(text, value) == value
+
+
+@pytest.mark.parametrize(("kind", "text"), [("BOOL", "yes"), ("INTEGER", "1.5"), ("DOUBLE", ""), ("BYTE_ARRAY", "1")])
+def test_a_text_that_is_no_such_value_is_refused(kind, text):
+    with pytest.raises(ValueError, match=r"true|number|can set"):
+        value_from_text(text, ParameterValue(type=getattr(ParameterType, f"PARAMETER_{kind}")))
+
+
+def test_nothing_near_is_not_guessed():
+    assert unknown("node", "/x", []) == "no node '/x': there are none"
+    assert unknown("node", "/x", ["/optical_axis"]) == "no node '/x': there are /optical_axis"
