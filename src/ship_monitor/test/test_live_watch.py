@@ -1,5 +1,7 @@
 """A suite that is watched live: it comes, goes, comes again, and its time goes back."""
 
+import time
+
 import pytest
 
 from ship_bags.stamps import NS_PER_S
@@ -69,6 +71,18 @@ def test_when_time_goes_back_everything_begins_anew(watch, ship, until):
     ship.say("ship/attitude", attitude(START_NS - 3600 * NS_PER_S))
     until(lambda: heading(watch).stamp_ns < START_NS)
     assert all(event.utc_ns < START_NS for event in watch.look().events)
+
+
+def test_who_looks_after_a_busy_second_sees_no_silence(watch, ship, until):
+    sail(ship, watch, until)
+    stamp_ns = heading(watch).stamp_ns
+    # Two seconds in which nobody looks, while the ship goes on; an attitude is old after one.
+    for number in range(1, 101):
+        ship.say("ship/attitude", attitude(stamp_ns + number * NS_PER_S // 50))
+        time.sleep(0.02)
+    watch.tick()
+    watch.look()
+    assert not [event for event in watch.look().events if "silent" in event.text]
 
 
 def test_a_played_bag_with_the_truth_is_no_live_ship(watch, ship, until):

@@ -1,14 +1,26 @@
-"""A running suite, watched: what the reader of topics takes goes to a watch, which gives the picture."""
+"""A running suite, watched: what the reader of topics takes goes to a watch, which gives the picture.
+
+Topics are read in a thread of their own, at its own pace. Whoever draws may be busy for a second; without the thread,
+the newest message after such a second would look like the end of a silence.
+"""
+
+import logging
+import threading
+from queue import Empty, SimpleQueue
 
 from ship_monitor.live.acknowledge import acknowledge
-from ship_monitor.live.reader import KEPT, TopicReader, steady_ns
+from ship_monitor.live.reader import KEPT, Taken, TopicReader, steady_ns
 from ship_watch.history import History
 from ship_watch.limits import Limits
 from ship_watch.picture import Picture
 from ship_watch.topics import watched_topic
 from ship_watch.watch import Watch
 
+TAKE_PERIOD_S = 0.2
+"""How often topics are read, s."""
+
 _PICTURE_NS = 200_000_000
+_END_S = 5.0
 
 
 class LiveWatch:
@@ -28,21 +40,43 @@ class LiveWatch:
         self._watch = Watch(limits)
         self._picture: Picture | None = None
         self._picture_ns = 0
+        self._waiting: SimpleQueue[Taken] = SimpleQueue()
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._read, name="topics", daemon=True)
+        self._thread.start()
 
     def tick(self) -> None:
-        """Take what has come. Called some times a second, whether anybody looks or not: nothing is kept for longer."""
-        taken = self._reader.take()
-        if taken.is_anew:
-            self._watch.start_anew()
-        for arrived in taken.messages:
-            self._watch.take(arrived.topic, arrived.message, arrived.arrival_ns)
+        """Watch what has come. Called some times a second, whether anybody looks or not."""
+        while True:
+            try:
+                taken = self._waiting.get_nowait()
+            except Empty:
+                return
+            if taken.is_anew:
+                self._watch.start_anew()
+            for arrived in taken.messages:
+                self._watch.take(arrived.topic, arrived.message, arrived.arrival_ns)
 
     def look(self) -> Picture:
         """The picture of this moment; those who look at nearly the same time share one."""
         now_ns = steady_ns()
         if self._picture is None or now_ns - self._picture_ns > _PICTURE_NS:
+            # What has come already comes before what is judged by now.
+            self.tick()
+            now_ns = steady_ns()
             self._picture, self._picture_ns = self._watch.look(now_ns), now_ns
         return self._picture
+
+    def _read(self) -> None:
+        """Read until the end. What goes wrong is said; what is not read becomes old by itself."""
+        while not self._is_over.wait(TAKE_PERIOD_S):
+            try:
+                taken = self._reader.take()
+            except Exception:
+                logging.getLogger(__name__).exception("topics are not read")
+                continue
+            if taken.is_anew or taken.messages:
+                self._waiting.put(taken)
 
     @property
     def history(self) -> History:
@@ -75,6 +109,8 @@ class LiveWatch:
 
     def close(self) -> None:
         """Leave the network."""
+        self._is_over.set()
+        self._thread.join(_END_S)
         self._reader.close()
 
 

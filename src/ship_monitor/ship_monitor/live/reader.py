@@ -85,6 +85,7 @@ class TopicReader:
 
     Attributes:
         domain_id: ROS domain it listens in.
+        is_played: whether somebody sets the time, as the player of a bag does.
         namespace: with its slash in front; "/" for none.
 
     Args:
@@ -102,6 +103,7 @@ class TopicReader:
         self._name, self._wants = name, wants
         self._asleep_ns = self._last_take_ns = self._next_discovery_ns = 0
         self._latest_ns: dict[str, int] = {}
+        self.is_played = False
         self._open()
 
     def take(self) -> Taken:
@@ -129,11 +131,6 @@ class TopicReader:
     def is_simulated(self) -> bool:
         """Whether the suite's truth is on the network, which no real ship has."""
         return any(topic.startswith(TRUTH_PREFIX) for topic in self._present)
-
-    @property
-    def is_played(self) -> bool:
-        """Whether somebody sets the time, as the player of a bag does."""
-        return bool(self._node.count_publishers(CLOCK_TOPIC))
 
     @property
     def place(self) -> str:
@@ -184,7 +181,8 @@ class TopicReader:
         names = self._node.get_topic_names_and_types()
         ending = "/" + _OUTPUTS[0]
         self._elsewhere = tuple(sorted(name[1 : -len(ending)] for name, _ in names if name.endswith(ending)))
-        self._present = set()
+        self.is_played = bool(self._node.count_publishers(CLOCK_TOPIC))
+        present = set()
         for topic, types in names:
             relative = topic if topic in _ABSOLUTE else relative_topic(topic, self.namespace)
             if relative is None:
@@ -195,12 +193,13 @@ class TopicReader:
             publishers = self._node.get_publishers_info_by_topic(topic)
             if not publishers:
                 continue
-            self._present.add(relative)
+            present.add(relative)
             type_name = publishers[-1].topic_type
             if depths.get(type_name):
                 durability = {each.qos_profile.durability for each in publishers}
                 is_latched = durability == {DurabilityPolicy.TRANSIENT_LOCAL}
                 self._subscribe(topic, relative, type_name, depths[type_name], is_latched)
+        self._present = present
 
     def _subscribe(self, topic: str, relative: str, type_name: str, depth: int, is_latched: bool) -> None:
         heard = self._heard.get(topic)
