@@ -1,5 +1,6 @@
 """Garbage of the right type for any field of any message."""
 
+import array
 import contextlib
 import functools
 from typing import Any
@@ -58,6 +59,10 @@ def garbage(value: Any, name: str, rng: np.random.Generator) -> Any:
     if isinstance(value, np.ndarray):
         chosen = rng.random(value.size) < rng.choice([0.2, 1.0])
         return np.where(chosen, [a_number(rng, v) for v in value.tolist()], value)
+    if isinstance(value, array.array) and value.typecode == "d":
+        return [float(number) for number in garbage(np.array(value), name, rng)]
+    if isinstance(value, array.array):
+        return rng.integers(0, 5, rng.integers(0, 4)).tolist()
     if name == "sec":
         return int(rng.choice([0, -1, -(2**31), 2**31 - 1, value - 1, value + 1, value - 3]))
     if name == "nanosec":

@@ -159,8 +159,11 @@ class HistoryKeeper:
 
     def note_budget(self, topic: str, message: Any) -> None:
         """Take an ErrorBudget."""
-        parts = np.asarray(message.covariances, dtype=float).reshape(-1, 3, 3)
         names = [str(name) for name in message.sources]
+        parts = np.asarray(message.covariances, dtype=float)
+        if parts.size != 9 * len(names):
+            return
+        parts = parts.reshape(-1, 3, 3)
         covariances = dict(zip(names, parts, strict=False))
         output = SHIP_ATTITUDE.topic if topic.startswith("ship/") else POINTING.topic
         is_ship, by_angle = output == SHIP_ATTITUDE.topic, {}

@@ -3,6 +3,8 @@
 import math
 from typing import Any, ClassVar
 
+import numpy as np
+
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
 from ship_watch.limits import Limits
@@ -72,14 +74,11 @@ class OutputHeard:
         self._integrity_ns = now_ns
         places = {str(name): place for place, name in enumerate(message.quantities)}
         state = _INTEGRITY_STATES.get(int(message.state))
+        levels, limits = list(map(float, message.protection_level)), list(map(float, message.alert_limit))
         self._protection = {
-            angle: Protection(
-                state,
-                float(message.protection_level[places[quantity]]),
-                float(message.alert_limit[places[quantity]]),
-            )
+            angle: Protection(state, levels[places[quantity]], limits[places[quantity]])
             for angle, quantity in self.quantities.items()
-            if quantity in places
+            if places.get(quantity, math.inf) < min(len(levels), len(limits))
         }
 
     def note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
@@ -176,7 +175,7 @@ class PointingHeard(OutputHeard):
         azimuth, elevation = float(message.azimuth), float(message.elevation)
         self.values = {"azimuth": azimuth, "elevation": elevation}
         self.accuracies_95 = {
-            "azimuth": _accuracy_95(message.covariance[0]) * abs(math.cos(elevation)),
+            "azimuth": _accuracy_95(message.covariance[0]) * abs(float(np.cos(elevation))),
             "elevation": _accuracy_95(message.covariance[4]),
         }
         before = self.by

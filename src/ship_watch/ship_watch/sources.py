@@ -33,7 +33,7 @@ _NEEDS: dict[Reason, dict[str, tuple[str, ...]]] = {
 _SAYS_SO_ITSELF = {(Reason.GAP, "encoder"), (Reason.GAP, "ship_attitude"), (Reason.NO_FIX, "gnss")}
 """Reason and source where the device itself says that it has no value."""
 
-_PUT_RIGHT = {Reason.LIGHT_CONFLICT: "names exchanged"}
+_PUT_RIGHT = {int(Reason.LIGHT_CONFLICT): "names exchanged"}
 """Reason of a measurement that was used → what was put right in it."""
 
 _NOTHING_USABLE = {"star": "no stars", "lights": "no lights", "reference": "invalid"}
@@ -274,7 +274,7 @@ class SourceBook:
         if message.reason != Reason.REVISED:
             source.window.add(now_ns, float(message.nis), degrees)
         source.used_ns = now_ns
-        if word := _PUT_RIGHT.get(Reason(message.reason)):
+        if word := _PUT_RIGHT.get(int(message.reason)):
             source.put_right, source.put_right_ns = word, now_ns
         if source.name == "lights":
             for light in {str(name).partition(" ")[0] for name in message.components}:

@@ -13,6 +13,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_watch.history import History
@@ -92,7 +94,8 @@ class Watch:
             taker = self._takers[topic] = self._taker(topic)
         if taker is not None:
             self._judge_until(arrival_ns)
-            taker(message, arrival_ns)
+            with np.errstate(all="ignore"):  # what makes no sense becomes NaN, which no gate lets through
+                taker(message, arrival_ns)
 
     def _taker(self, topic: str) -> Callable[[Any, int], None] | None:
         """What takes the messages of a topic; None where it is not watched."""
@@ -151,7 +154,7 @@ class Watch:
             self._tell_start(node_of(str(message.topic)), ns_from_stamp(message.header.stamp))
 
     def _take_alerts(self, message: Any, now_ns: int) -> None:
-        alerts = [_alert(alert) for alert in message.alerts]
+        alerts = [_alert(alert) for alert in message.alerts if alert.priority in _PRIORITIES]
         before = {(alert.id, alert.instance): alert.state for alert in self._alerts or ()}
         for alert in alerts:
             if before.pop((alert.id, alert.instance), None) != alert.state:
@@ -303,6 +306,7 @@ class Watch:
 
 
 _NUMBER = re.compile(r"\d+ ")
+_PRIORITIES = {int(priority) for priority in Priority}
 _ALERT_WORDS = {0: "over", 1: "raised", 2: "silenced", 3: "acknowledged", 4: "rectified, not acknowledged"}
 
 

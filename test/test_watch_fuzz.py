@@ -1,0 +1,77 @@
+"""Garbage in any field of any watched message: nothing is raised, no NaN is SAFE, and a fresh start is fresh."""
+
+import importlib
+import math
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_msgs.msg import Alert, AlertArray
+from ship_testing.garbage import paths, spoil
+from ship_testing.watched_voyages import replayed
+from ship_watch.picture import Safety
+from ship_watch.topics import watched_topic
+from ship_watch.watch import Watch
+
+SECONDS = 20
+COPIES = 3
+
+
+def kind_of(type_name: str) -> Any:
+    """The class of a message type."""
+    package, _, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def heard(*bags: Path) -> list[tuple[int, str, Any]]:
+    """(log time, topic, rclpy message) of the first seconds of bags; attitudes and pointings at 10 Hz."""
+    found = []
+    for path in bags:
+        with read_bag(path) as bag:
+            wanted = [topic for topic, type_name in bag.topics.items() if watched_topic(topic, type_name)]
+            kinds, last = {topic: kind_of(bag.topics[topic]) for topic in wanted}, dict.fromkeys(wanted, 0)
+            for record in bag.records(wanted):
+                if record.log_time_ns > (bag.start_ns or 0) + SECONDS * 1_000_000_000:
+                    break
+                if record.log_time_ns - last[record.topic] >= 100_000_000 or "innovation" in record.topic:
+                    last[record.topic] = record.log_time_ns
+                    message = deserialize_message(record.data, kinds[record.topic])
+                    found.append((record.log_time_ns, record.topic, message))
+    alert = Alert(id="star.bow.out", instance=1, priority=1, state=1, source="star.bow", text="star.bow out")
+    found += [(time_ns, "ship/alerts", AlertArray(alerts=[alert])) for time_ns, _, _ in found[::50]]
+    return sorted(found, key=lambda entry: entry[0])
+
+
+@pytest.mark.parametrize("bag", ["demo", "theodolite"])
+def test_no_message_whatsoever_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None:
+    rng, watch = np.random.default_rng([12, len(bag)]), Watch()
+    given, out = replayed(tmp_path, bag)
+    voyage = heard(out, given) if bag == "theodolite" else heard(out)
+    tried = 0
+    for time_ns, topic, message in voyage:
+        watch.take(topic, message, time_ns)
+        pickled, fields = pickle.dumps(message), paths(message)
+        for _ in range(COPIES):
+            bad = pickle.loads(pickled)
+            spoil(bad, fields, rng)
+            watch.take(topic, bad, time_ns)
+            tried += 1
+        if tried % 30 == 0:
+            for angle in watch.look(time_ns).angles:
+                sound = math.isfinite(angle.value) and angle.accuracy_95 <= 3.0 * angle.limit and not angle.is_old
+                assert sound or angle.safety is Safety.UNSAFE
+    assert tried > 2000
+    watch.take("ship/alerts", AlertArray(), voyage[-1][0])  # alerts are what outlives a fresh start
+    watch.start_anew()
+    fresh = Watch()
+    for time_ns, topic, message in voyage:
+        watch.take(topic, message, time_ns)
+        fresh.take(topic, message, time_ns)
+    end_ns = voyage[-1][0]
+    assert repr(watch.look(end_ns)) == repr(fresh.look(end_ns))  # NaN and NaN are told alike
+    assert repr(watch.history) == repr(fresh.history)
