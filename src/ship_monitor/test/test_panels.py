@@ -34,7 +34,6 @@ def test_an_empty_suite_draws_empty_panels_that_say_so(panels) -> None:
     for said in (
         "no source is compared with a prediction yet",
         "no truth here",
-        "no lights: there is no telescope",
         "no error budget is told",
         "no alignment and no calibration is told",
         "no node tells of its inputs",
@@ -50,6 +49,33 @@ def test_without_truth_the_innovations_take_the_room_of_the_errors(panels) -> No
     panels.update(watched_history(has_truth=False), PICTURE)
     assert not panels._errors.box.layout.visible
     assert panels._innovations.box.layout.styles["grid-column"] == "1 / -1"
+
+
+def test_without_a_telescope_the_sky_takes_the_room_of_the_lights(panels) -> None:
+    history = watched_history()
+    panels.update(replace(history, lights={}), PICTURE)
+    assert not panels._lights.box.layout.visible
+    assert panels._sky.box.layout.styles["grid-column"] == "1 / -1"
+    panels.update(history, PICTURE)
+    assert panels._lights.box.layout.visible
+    assert "grid-column" not in panels._sky.box.layout.styles
+
+
+def test_the_height_of_errors_is_that_of_now_and_a_start_is_cut_off(panels) -> None:
+    history = watched_history(length_s=50.0)
+    points = history.errors["ship/error_arcsec"]
+    history.errors["ship/error_arcsec"] = deque(
+        replace(point, sigma=dict.fromkeys(point.sigma, 60.0)) if index < 25 else point
+        for index, point in enumerate(points)
+    )
+    panels.update(history, PICTURE)
+    heights = {key[1]: row._height.end for key, row in panels._errors._rows.items()}
+    assert heights == {"heading": 15.0, "pitch": 15.0, "roll": 15.0, "azimuth_cos_elevation": 15.0, "elevation": 15.0}
+    history.errors["ship/error_arcsec"] = deque(replace(point, sigma={"roll": 8.0}) for point in points)
+    panels.update(history, PICTURE)
+    row = panels._errors._rows[("ship/error_arcsec", "roll")]
+    assert row._height.end == 30.0
+    assert row.figure.title.text == "roll · axis ±30″"
 
 
 def test_a_knocked_sensor_is_shown_refused_off_and_shaded(panels) -> None:

@@ -79,8 +79,14 @@ class BudgetPanel:
         self._figure = time_plot(self._theme, self._times, 210, self._height, has_axis=True)
         self._figure.stylesheets = [*self._figure.stylesheets, narrow_height(180)]
         self._labels = SideLabels(self._theme, self._figure)
-        self._peaks = ColumnDataSource({"x": [], "y": [], "text": []})
-        placing = {"text_baseline": "top", "x_offset": 4, "y_offset": 2, "level": "overlay"}
+        self._peaks = ColumnDataSource({"x": [], "y": [], "text": [], "align": [], "ahead": []})
+        placing = {
+            "text_align": "align",
+            "x_offset": "ahead",
+            "text_baseline": "top",
+            "y_offset": 2,
+            "level": "overlay",
+        }
         placing |= {"background_fill_color": self._theme.panel, "padding": 2}
         words(self._figure, self._peaks, text_color=self._theme.text, **placing)
         self._filled: list[object] = []
@@ -109,10 +115,13 @@ class BudgetPanel:
         self._figure.yaxis[0].major_label_overrides = {tick**2: f"{tick:g}″" for tick in ticks}
         times = np.asarray(columns["t"], float)
         found = peaks(times, totals, top)
+        is_late = [at > self._times.range.end - 0.3e3 * KEPT_S for at, _ in found]  # no room for words to the right
         self._peaks.data = {
             "x": [at for at, _ in found],
             "y": [top**2] * len(found),
             "text": [f"to {math.sqrt(height):.1f}″ ↑" for _, height in found],
+            "align": ["right" if late else "left" for late in is_late],
+            "ahead": [-4 if late else 4 for late in is_late],
         }
         last = {source: variances_arcsec2([points[-1]], self.angle, (source,))[0, 0] for source in self._sources}
         self._labels.write(band_labels(last, self._bands, top**2))

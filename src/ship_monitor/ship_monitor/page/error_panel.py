@@ -22,7 +22,10 @@ CHANNELS: Mapping[tuple[str, str], str] = {
 """Topic and channel → what a plot is called."""
 
 LATELY_NS = 60_000_000_000
-"""Figures beside a plot, and its height, are of so long, ns."""
+"""Figures beside a plot are of so long, ns."""
+
+NOW_NS = 15_000_000_000
+"""The height of a plot holds what came within so long, ns: what was before may be cut off, as at a start."""
 
 
 def has_truth(history: History) -> bool:
@@ -79,18 +82,25 @@ class _ErrorRow:
         """Draw what is new; the answer is half the height of the axis, arcsec."""
         self._trail.follow(points, self._columns)
         newest_ns = points[-1].utc_ns
-        lately = self._columns([point for point in reversed(points) if newest_ns - point.utc_ns <= LATELY_NS])
-        error, sigma = (column[np.isfinite(column)] for column in (lately["error"], lately["sigma"]))
+        minute = [point for point in reversed(points) if newest_ns - point.utc_ns <= LATELY_NS]
+        error, sigma = self._known(minute)
         rms = float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
         mean_sigma = float(np.mean(sigma)) if len(sigma) else float("nan")
+        now, sigma_now = self._known([point for point in minute if newest_ns - point.utc_ns <= NOW_NS])
         largest = max(
-            (float(np.quantile(np.abs(some), 0.98)) for some in (error, 3.0 * sigma) if len(some)), default=0.0
+            (float(np.quantile(np.abs(some), 0.9)) for some in (now, 3.0 * sigma_now) if len(some)), default=0.0
         )
         step = fixed_step(largest)
         self._height.update(start=-step, end=step)
         self.figure.title.text = self._title + (f" · axis ±{step:g}″" if step > 15.0 else "")
         self._labels.write({0.35 * step: f"rms {rms:.1f}″", -0.35 * step: f"σ {mean_sigma:.1f}″"})
         return step
+
+    def _known(self, points: Sequence[ErrorPoint]) -> tuple[FloatArray, FloatArray]:
+        """Errors and sigmas that are known."""
+        columns = self._columns(points)
+        error, sigma = columns["error"], columns["sigma"]
+        return error[np.isfinite(error)], sigma[np.isfinite(sigma)]
 
     def _columns(self, points: Sequence[ErrorPoint]) -> dict[str, FloatArray]:
         error = np.array([point.error.get(self._channel, np.nan) for point in points], float)

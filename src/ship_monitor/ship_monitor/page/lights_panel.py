@@ -65,10 +65,8 @@ class LightsPanel:
             for source in (self._past, self._now, self._bar):
                 source.data = {name: [] for name in source.data}
             self._bars.draw(*(np.empty(0),) * 4, self._theme.text)
-            self.figure.visible = bool(history.lights)
-            self.box.say("no light seen in the last 60 s" if history.lights else "no lights: there is no telescope")
+            self.box.say("no light seen in the last 60 s")
             return
-        self.figure.visible = True
         places = [1e3 * abs(place) for points in shown.values() for point in points for place in (point.x, point.z)]
         half = fixed_step(1.05 * max(places), STEPS_MM)
         for side in (self._x, self._z):

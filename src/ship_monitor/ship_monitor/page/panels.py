@@ -65,6 +65,9 @@ class Panels:
         self._innovations.update(history, picture, has_truth=is_simulated)
         if is_simulated:
             self._errors.update(history)
+        has_telescope = bool(history.lights)
+        self._lights.box.layout.visible = has_telescope
+        self._sky.box.layout.styles = {} if has_telescope else _WHOLE_WIDTH
         self._sky.update(history, picture)
         self._lights.update(history, picture)
         self.budget.update(history)

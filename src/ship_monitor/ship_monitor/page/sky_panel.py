@@ -66,7 +66,12 @@ class _SkyMap:
         self._theme = theme
         self.figure = plot(theme, 320, Range1d(-1.32, 1.32), Range1d(-1.2, 1.2))
         self.figure.update(
-            height=None, sizing_mode="scale_width", aspect_ratio=1.1, min_border=0, outline_line_color=None
+            height=None,
+            sizing_mode="scale_width",
+            aspect_ratio=1.1,
+            max_width=440,
+            min_border=0,
+            outline_line_color=None,
         )
         self.figure.axis.visible = False
         self.figure.grid.visible = False
