@@ -201,7 +201,7 @@ class SourceBook:
             streak.used_silently(now_ns, source.period_ns(), used - source.used_at_refusal.get(key, 0))
             if streak.is_out and (worst is None or streak.refused > worst[1].refused):
                 worst = key[1], streak
-        since_ns = worst[1].out_since_ns if worst else 0
+        since_ns = min(worst[1].out_since_ns, now_ns + utc_offset_ns) if worst else 0  # stamps may be of the future
         if source.excluded_since:
             return _Fault("excluded", since_ns or min(source.excluded_since.values()))
         if worst is not None:

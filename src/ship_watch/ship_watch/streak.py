@@ -37,7 +37,7 @@ NO_DISAGREEMENT = Disagreement("", math.nan)
 
 
 class Streak:
-    """The measurements of one source at one node, in the order of their stamps.
+    """The measurements of one source at one node, in the order in which they were told.
 
     Of some sources (star sensors, lights) each measurement is told; of others (the INS, encoders) only those refused.
 
@@ -107,9 +107,13 @@ class Streak:
         return disagreement(self._off) if self._off else NO_DISAGREEMENT
 
     def _insert(self, stamp_ns: int, accepted: bool, revised: bool, period_ns: float) -> None:
+        """Put a verdict behind those that were told before, whatever its stamp: that may be what is wrong."""
         verdicts = self._verdicts
-        if verdicts and stamp_ns <= verdicts[-1][0]:
-            self._correct(stamp_ns, accepted, revised)
+        known = next((place for place in range(len(verdicts) - 1, -1, -1) if verdicts[place][0] == stamp_ns), None)
+        if known is not None:
+            self._correct(known, accepted, revised)
+            return
+        if revised:
             return
         if accepted:
             self.refused = 0
@@ -123,19 +127,13 @@ class Streak:
         if len(verdicts) > self._kept:
             del verdicts[0]
 
-    def _correct(self, stamp_ns: int, accepted: bool, revised: bool) -> None:
+    def _correct(self, place: int, accepted: bool, revised: bool) -> None:
         """A further word on a stamp: a measurement was used if any part of it was, unless it is judged anew."""
         verdicts = self._verdicts
-        for place, (known_ns, known) in enumerate(verdicts):
-            if known_ns == stamp_ns:
-                verdicts[place] = (stamp_ns, accepted if revised else accepted or known)
-                break
-            if known_ns > stamp_ns:
-                verdicts.insert(place, (stamp_ns, accepted))
-                break
+        stamp_ns, known = verdicts[place]
+        verdicts[place] = (stamp_ns, accepted if revised else accepted or known)
         run = self._last_in_a_row(False)
         self.refused = max(run, self.refused) if run == len(verdicts) else run
-        del verdicts[: -self._kept]
 
     def _decide(self) -> None:
         if self.refused >= self._out_after and not self.is_out:

@@ -37,6 +37,10 @@ EVENTS_KEPT = 200
 SETTLED_NS = 3 * NS_PER_S
 """Nodes that were running when the watch began have all reported after this, ns."""
 
+CLOCK_MET_NS = NS_PER_S // 10
+CLOCK_DOUBT_NS = 5 * NS_PER_S
+"""The time of the suite is set anew where no output came within a tenth of a second of it for so long, ns."""
+
 BACK_NS = NS_PER_S
 """An output that is so much older than the one before it begins anew: a bag in a loop, ns."""
 
@@ -74,7 +78,7 @@ class Watch:
         self._words = {name: HeldWord(self.limits.better_after_s) for name in ANGLES}
         self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
         self._presence: dict[str, tuple[Presence, str]] = {}
-        self._newest_ns, self._utc_offset_ns = 0, 0
+        self._newest_ns, self._utc_offset_ns, self._offset_met_ns = 0, 0, 0
         self._first_ns: int | None = None
         self._judged_ns: int | None = None
 
@@ -165,9 +169,16 @@ class Watch:
         self._alerts = tuple(sorted(alerts, key=lambda alert: alert.urgency))
 
     def _note_time(self, stamp_ns: int, now_ns: int) -> None:
-        """The suite's time is that of its newest output, plus what has passed since."""
-        if stamp_ns > self._newest_ns:
-            self._newest_ns, self._utc_offset_ns = stamp_ns, stamp_ns - now_ns
+        """The suite's time is that of the output with the least delay, plus what has passed since.
+
+        Where all outputs are behind that for some seconds, one stamp was wrong, or the clock was set.
+        """
+        offset_ns = stamp_ns - now_ns
+        if offset_ns > self._utc_offset_ns or not self._newest_ns or now_ns - self._offset_met_ns > CLOCK_DOUBT_NS:
+            self._utc_offset_ns, self._offset_met_ns = offset_ns, now_ns
+        elif offset_ns > self._utc_offset_ns - CLOCK_MET_NS:
+            self._offset_met_ns = now_ns
+        self._newest_ns = max(self._newest_ns, stamp_ns)
 
     # -- what it comes to -----------------------------------------------------------------------------------
 

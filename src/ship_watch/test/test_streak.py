@@ -134,3 +134,24 @@ def test_one_star_that_is_off_is_named() -> None:
 
 def test_angles_for_people() -> None:
     assert [angle_text(value * ARCSEC) for value in (48.6, -120.0, 7200.0)] == ["+49″", "−120″", "+2.0°"]
+
+
+def test_stamps_from_the_future_do_not_keep_a_source_out_when_its_clock_is_right_again() -> None:
+    streak = Streak(5, 10)
+    n = run(streak, "+" * 10)
+    for i in range(n, n + 10):
+        told = innovation(False, Reason.FUTURE)
+        streak.note((3700 + i) * SECOND, told, 100 * SECOND + i * PERIOD, PERIOD)
+    assert streak.is_out
+    run(streak, "+" * 10, n + 10)
+    assert not streak.is_out
+
+
+def test_what_arrives_out_of_order_is_counted_as_it_comes() -> None:
+    streak = Streak(5, 10)
+    run(streak, "+", -1)
+    for i in (0, 2, 1, 4, 3, 6, 5):
+        stamp = 100 * SECOND + i * PERIOD
+        streak.note(stamp, innovation(False), stamp, PERIOD)
+    assert streak.refused == 7
+    assert streak.is_out

@@ -334,3 +334,10 @@ def test_buffers_are_bounded_by_ten_minutes() -> None:
     assert (len(points), points[0].utc_ns) == (601, UTC + 899 * SECOND)
     assert len(watch.history.ribbons) == 601
     assert len(watch.look(at(1500)).events) <= 200
+
+
+def test_one_stamp_of_another_year_does_not_set_the_time_for_long() -> None:
+    watch = heard(10.0)
+    watch.take("input_health", health(UTC + 10**17, "ins/imu", 1000, 100.0, 0.1), at(10.05))
+    go_on(watch, 10.1, 17.0)
+    assert watch.look(at(17.0)).utc_ns == UTC + 17 * SECOND
