@@ -106,6 +106,17 @@ def test_an_outage_that_is_over_stays_shaded_and_a_new_one_is_added(panels) -> N
     assert out["end"] == pytest.approx([now_ms + 5e3, now_ms + 22e3])
 
 
+def test_an_outage_is_forgotten_where_the_time_goes_back_before_it(panels) -> None:
+    history = watched_history()
+    panels.update(history, PICTURE)
+    out = panels._innovations._rows["star.starboard"]._out
+    for seconds, spans in ((20, [(-40.0, -20.0)]), (60, [])):
+        earlier = replace(PICTURE, utc_ns=NOW_NS - seconds * 10**9, sources=(GOOD,))
+        panels.update(history, earlier)
+        ends = [(start - NOW_NS * 1e-6) * 1e-3 for name in ("start", "end") for start in out.data[name]]
+        assert ends == pytest.approx([end for span in zip(*spans, strict=True) for end in span])
+
+
 def test_a_band_that_says_nothing_does_not_hide_what_is_measured(panels) -> None:
     history = watched_history()
     wide = [

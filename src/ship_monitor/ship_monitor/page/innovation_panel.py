@@ -107,17 +107,17 @@ class _SourceRow:
         self._shade(source, utc_ns)
 
     def _shade(self, source: SourceShown | None, utc_ns: int) -> None:
-        """The times for which it was out: the last one grows as long as it is."""
-        start, end = list(self._out.data["start"]), list(self._out.data["end"])
-        if source is None or source.presence is not Presence.OUT or not source.out_since_ns:
-            return
-        since = MS * source.out_since_ns
-        if start and start[-1] == since:
-            end[-1] = MS * utc_ns
-        else:
-            keeps = [index for index, begun in enumerate(start) if begun < since]
-            start, end = [*(start[index] for index in keeps), since], [*(end[index] for index in keeps), MS * utc_ns]
-        self._out.data = {"start": start, "end": end}
+        """The times for which it was out: the last one grows as long as it is. What is yet to come is not known."""
+        now = MS * utc_ns
+        spans = [
+            (start, min(end, now))
+            for start, end in zip(self._out.data["start"], self._out.data["end"], strict=True)
+            if start < now
+        ]
+        if source is not None and source.presence is Presence.OUT and source.out_since_ns:
+            since = MS * source.out_since_ns
+            spans = [*(span for span in spans if span[0] < since), (since, now)]
+        self._out.data = {"start": [start for start, _ in spans], "end": [end for _, end in spans]}
 
 
 def source_line(name: str, source: SourceShown | None, step: float) -> tuple[str, bool]:
