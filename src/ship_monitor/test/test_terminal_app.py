@@ -5,6 +5,7 @@ import dataclasses
 
 import pytest
 
+from ship_monitor.commands.monitor_terminal import shows_utf8
 from ship_monitor.page.themes import THEMES
 from ship_monitor.terminal.app import TerminalApp, _Lines, styles_of
 from ship_monitor.terminal.pen import Look, plain_text
@@ -154,3 +155,19 @@ def test_each_look_has_a_style_and_the_urgent_ones_differ_without_colour(theme):
     assert len({attributes[look] for look in (Look.TEXT, Look.CAUTION, Look.UNSAFE, Look.OLD)}) == 4
     assert attributes[Look.CAUTION][1]
     assert attributes[Look.UNSAFE][1]
+
+
+@pytest.mark.parametrize(
+    ("environment", "shows"),
+    [
+        ({"LANG": "de_DE.UTF-8"}, True),
+        ({"LANG": "C.utf8"}, True),
+        ({"LANG": "de_DE.UTF-8", "LC_ALL": "C"}, False),
+        ({"LANG": "de_DE.ISO-8859-1"}, False),
+        ({}, False),
+        ({"LC_CTYPE": "C.UTF-8"}, False),  # set by Python itself (PEP 538)
+        ({"LC_CTYPE": "en_GB.UTF-8", "LANG": "C"}, True),
+    ],
+)
+def test_the_locale_says_whether_the_terminal_shows_utf8(environment, shows):
+    assert shows_utf8(environment) is shows

@@ -147,7 +147,7 @@ def tree(picture: Picture, limits: Limits) -> tuple[Branch, ...]:
 
 def _source_branch(path: str, function: FunctionShown, source: SourceShown) -> Branch:
     if source.presence is Presence.IN:
-        return Branch(f"{path}/{source.name}", 0, "in")
+        return Branch(f"{path}/{source.name}", 0, ", ".join(filter(None, ["in", source.disagreement])))
     parts = [f"out: {source.reason}", source.disagreement]
     is_cause = source.name == function.because_of and function.safety is not None
     if is_cause:

@@ -1,9 +1,11 @@
 """``monitor_terminal``: a suite in a terminal, over ssh."""
 
 import argparse
+import contextlib
 import os
 import sys
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from ship_bags.command_line import CommandParser, run_command
@@ -52,13 +54,31 @@ def _run(parsed: argparse.Namespace) -> int:
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise BadInput("stdin or stderr is no terminal; over ssh use ssh -t")
     is_ascii = parsed.characters == "ascii" or (parsed.characters == "auto" and not shows_utf8(os.environ))
-    suite = LiveWatch("monitor_terminal", parsed.namespace, limits)
-    try:
-        exit_code = TerminalApp(suite, parsed.theme, is_ascii=is_ascii).run()
-    finally:
-        suite.close()
+    with _terminal_alone():
+        suite = LiveWatch("monitor_terminal", parsed.namespace, limits)
+        try:
+            exit_code = TerminalApp(suite, parsed.theme, is_ascii=is_ascii).run()
+        finally:
+            suite.close()
     # None: textual ended by itself, after an exception that it has shown.
     return 1 if exit_code is None else exit_code
+
+
+@contextlib.contextmanager
+def _terminal_alone() -> Iterator[None]:
+    """Keep for the end what libraries write to stderr meanwhile: ROS and DDS would write across the picture."""
+    terminal_fd, drawn_on = os.dup(2), sys.__stderr__
+    with tempfile.TemporaryFile() as kept, os.fdopen(terminal_fd, "w", encoding="utf-8", closefd=False) as terminal:
+        os.dup2(kept.fileno(), 2)
+        sys.__stderr__ = terminal  # type: ignore[misc]  # there textual draws
+        try:
+            yield
+        finally:
+            sys.__stderr__ = drawn_on  # type: ignore[misc]
+            os.dup2(terminal_fd, 2)
+            kept.seek(0)
+            sys.stderr.write(kept.read().decode(errors="replace"))
+    os.close(terminal_fd)
 
 
 def shows_utf8(environment: Mapping[str, str]) -> bool:

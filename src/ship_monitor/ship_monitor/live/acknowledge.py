@@ -31,8 +31,9 @@ def acknowledge(context: Context, namespace: str, alert_id: str, instance: int) 
         response = answer.result() if answer.done() else None
         if response is None:
             return f"not acknowledged: {client.service_name} has not answered for {_ANSWERED_WITHIN_S:.0f} s"
-        done = f"acknowledged {alert_id}" if response.success else f"not acknowledged {alert_id}"
-        return f"{done}: {response.message}" if response.message else done
+        if response.success:
+            return str(response.message) or f"{alert_id} acknowledged"
+        return f"not acknowledged: {response.message}"
     finally:
         executor.shutdown()
         node.destroy_node()

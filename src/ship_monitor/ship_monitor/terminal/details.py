@@ -1,6 +1,7 @@
 """What the terminal tells of one thing alone: an angle, a source, the alerts; and the page of help."""
 
 import math
+from textwrap import wrap
 
 from ship_geometry.rotations import ARCSEC
 from ship_monitor.terminal.pen import Line, Look, Pen, Span
@@ -101,6 +102,10 @@ def _of_source(source: SourceShown, picture: Picture, pen: Pen) -> list[Line]:
 
 def _of_alerts(alerts: tuple[AlertShown, ...] | None, picture: Picture, pen: Pen) -> list[Line]:
     none = "no alerts" if alerts is not None else "no alert node is heard"
-    made = [pen.line(*alert_spans(alert, pen, pen.width - 24)) for alert in alerts or ()]
+    made: list[Line] = []
+    for alert in alerts or ():
+        made.append(pen.line(*alert_spans(alert, pen, pen.width - 24)))
+        whole = wrap(pen.clean(alert.text), max(pen.width - 6, 1))
+        made += [pen.line(Span(f"     {part}", Look.TEXT)) for part in whole]
     made = made or [pen.line(Span(f" {none}", Look.SECOND))]
     return [*made, pen.rule("inputs"), *(input_line(each, pen) for each in picture.inputs)]

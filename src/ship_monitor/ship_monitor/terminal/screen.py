@@ -88,7 +88,7 @@ def screen(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) 
 
 def shown_alert(alerts: tuple[AlertShown, ...] | None) -> AlertShown | None:
     """The alert of the alert line: the most urgent that nobody has acknowledged, else the most urgent."""
-    return min(alerts or (), key=lambda alert: alert.is_acknowledged, default=None)
+    return min(alerts or (), key=lambda alert: alert.urgency, default=None)
 
 
 def choices(picture: Picture) -> tuple[str, ...]:
@@ -209,7 +209,7 @@ def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
     pen = view.pen
     number, sense = words.reading(angle)
     # Signs below each other, numbers of one kind too: 034.39, 0.1, +68.74.
-    value = pen.cell(f"{pen.clean(number):>8} {sense}", 18)
+    value = pen.cell(f"{pen.clean(number):>8} {'' if number == words.NO_VALUE else sense}", 18)
     accuracy = pen.cell(words.accuracy(angle), 10, to_right=True)
     limit = pen.cell(words.limit_size(angle.limit), 7, to_right=True)
     is_pointing = angle.name in ("azimuth", "elevation")

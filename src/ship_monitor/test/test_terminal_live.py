@@ -1,0 +1,75 @@
+"""The terminal view as an executable in a real terminal (tmux), while a ship publishes."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+
+import pytest
+
+from ship_bags.stamps import NS_PER_S
+from ship_testing.publishing_ship import PublishingShip, attitude
+
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.xdist_group("dds"),
+    pytest.mark.skipif(shutil.which("tmux") is None, reason="tmux is not installed"),
+]
+
+START_NS = 1_777_636_807 * NS_PER_S
+COMMAND = "import sys; from ship_monitor.commands.monitor_terminal import main; sys.exit(main())"
+
+
+class Terminal:
+    """A terminal of 80 by 24 with the view in it."""
+
+    def __init__(self, *arguments, language="C.UTF-8"):
+        self._tmux = ["tmux", "-L", f"ship_monitor_{os.getpid()}", "-f", os.devnull]
+        view = f'{sys.executable} -c "{COMMAND}" {" ".join(arguments)}; echo EXIT CODE $?; exec sleep 60'
+        self._call("new-session", "-d", "-x", "80", "-y", "24", f"LANG={language} LC_ALL={language} {view}")
+        self._call("set", "-g", "status", "off")
+
+    def _call(self, *arguments):
+        return subprocess.run([*self._tmux, *arguments], check=True, capture_output=True, text=True).stdout
+
+    def press(self, key):
+        self._call("send-keys", key)
+
+    def rows(self):
+        return self._call("capture-pane", "-p").splitlines()
+
+    def close(self):
+        self._call("kill-server")
+
+
+@pytest.fixture(params=["C.UTF-8", "C"])
+def terminal(request):
+    terminal = Terminal("--namespace", "demo", language=request.param)
+    yield terminal
+    terminal.close()
+
+
+def test_it_waits_shows_greys_shows_again_and_leaves(terminal, until):
+    until(lambda: any("waiting for ship/attitude: namespace /demo, domain" in row for row in terminal.rows()))
+    for start_ns in (START_NS, START_NS + 600 * NS_PER_S):
+        ship, times = PublishingShip(), iter(range(start_ns, start_ns + 600 * NS_PER_S, NS_PER_S // 50))
+
+        def is_current(ship=ship, times=times):
+            for _ in range(10):
+                ship.say("ship/attitude", attitude(next(times)))
+                time.sleep(0.02)
+            return any(row.startswith(" HEADING") and "057.30" in row and "OLD" not in row for row in terminal.rows())
+
+        until(is_current)  # a heading of 1 rad
+        ship.stop()
+        until(lambda: any(row.startswith(" HEADING") and "OLD" in row and "UNSAFE" in row for row in terminal.rows()))
+    terminal.press("q")
+    until(lambda: "EXIT CODE 0" in terminal.rows())
+
+
+def test_without_a_terminal_it_says_so():
+    command = [sys.executable, "-c", COMMAND]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == ["monitor_terminal: stdin or stderr is no terminal; over ssh use ssh -t"]

@@ -1,0 +1,193 @@
+"""A voyage with faults, from the bag to the eyes: page, terminal, alerts and diagnostics name the right source, soon.
+
+Times are seconds of the data after the first message of the bag, so that a loaded machine judges alike. ``KNOWN_S`` is
+when the filter could know of a fault: at the first wrong measurement, or at the first that is missing.
+"""
+
+import json
+import math
+import os
+import socket
+import time
+from pathlib import Path
+
+import pytest
+
+from ship_bags.live.ros_process import executable
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_monitor.alerts.alert_keeper import AlertKeeper
+from ship_monitor.live.live_watch import LiveWatch
+from ship_monitor.live.reader import KEPT, TopicReader
+from ship_monitor.page.shown import shown
+from ship_monitor.terminal.pen import plain_text
+from ship_monitor.terminal.screen import View, screen, shown_alert
+from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+from ship_simulation.inject_command import main as inject
+from ship_testing.watched_voyages import BAGS, records, replayed
+from ship_watch.history import History
+from ship_watch.limits import Limits
+from ship_watch.picture import Picture, Presence
+from ship_watch.watch import Watch
+
+FAULTS = {
+    "demo": (
+        "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 15.0, end_s: 20.0, right_arcsec: 50.0}, "
+        "step: {topic: ins/imu, kind: bias, start_s: 28.0, up_arcsec: 100.0}, "
+        "silent: {topic: star/fore/horizon_attitude, kind: drop, start_s: 38.0, end_s: 44.0}"
+    ),
+    "theodolite": (
+        "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 10.0, end_s: 14.0}, "
+        "swap: {topic: theodolite/beacons, kind: swap, start_s: 20.0, end_s: 25.0}, "
+        "silent: {topic: theodolite/encoder, kind: drop, start_s: 31.0, end_s: 36.0}"
+    ),
+}
+KNOWN_S = {
+    "demo": {"star.starboard": 15.117, "ins": 28.0, "star.fore": 38.033},
+    "theodolite": {"baselines": 10.0, "lights": 20.0, "encoder": 31.0},
+}
+END_S = {"demo": 43.0, "theodolite": 35.0}
+WITHIN_S = 2.0
+# A silence is one after 2 s without a message (three periods, at least 2 s): nobody can know of it before. Then it is
+# told at the next looks: alerts after 0.2 s (AlertTimes.raise_after_s) and a look of 0.2 s.
+SILENT_WITHIN_S = 2.5
+SILENT = ("star.fore", "encoder")
+LOOK_NS = NS_PER_S // 5
+OUTPUTS = ("picture", "page", "terminal", "alerts", "diagnostics")
+
+
+class Named:
+    """When each output named each source as one that is out, or that an alert is about, for the first time."""
+
+    def __init__(self, bag: str, start_ns: int) -> None:
+        self._bag, self._start_ns = bag, start_ns
+        self.first_s: dict[tuple[str, str], float] = {}
+
+    def seconds(self, utc_ns: int) -> float:
+        """Seconds since the first message of the bag."""
+        return (utc_ns - self._start_ns) / NS_PER_S
+
+    def note(self, output: str, source: str, utc_ns: int) -> None:
+        """An output names a source at a time of the data."""
+        self.first_s.setdefault((output, source), self.seconds(utc_ns))
+
+    def note_picture(self, picture: Picture, history: History) -> None:
+        """What a picture says, as it is, as the page writes it, and as the lines of a terminal."""
+        page = shown(picture, history, "LIVE", "")
+        lines = screen(picture, picture.alerts, View(80, 24, "ship", "LIVE", "", "day"))
+        rows = [plain_text(line) for line in lines]
+        for source in picture.sources:
+            told = source.reason or source.disagreement
+            if source.because_of or not told or source.presence is Presence.OFF:
+                continue
+            self.note("picture", source.name, picture.utc_ns)
+            if any(source.name in row and told[:20] in row for row in rows):
+                self.note("terminal", source.name, picture.utc_ns)
+            texts = json.dumps(page["sources"], ensure_ascii=False)
+            if source.name in texts and told in texts:
+                self.note("page", source.name, picture.utc_ns)
+
+    def note_branch(self, path: str, text: str, utc_ns: int) -> None:
+        """What an entry of the tree of functions says; a source that is OUT because it needs another is not named."""
+        if text != "in" and "needs" not in text and "/" in path:
+            self.note("diagnostics", path.rpartition("/")[2], utc_ns)
+
+    def check(self) -> None:
+        """Every output named every source after its fault and soon, and nobody else before them."""
+        told = {(output, source): known_s for source, known_s in KNOWN_S[self._bag].items() for output in OUTPUTS}
+        for (output, source), known_s in told.items():
+            within_s = SILENT_WITHIN_S if source in SILENT else WITHIN_S
+            first_s = self.first_s.get((output, source), math.inf)
+            assert known_s <= first_s <= known_s + within_s, (output, source, self.first_s)
+        # What is wrong is all that is named; the attitude that the alerts speak of is no source.
+        assert {source for _, source in self.first_s} <= {*KNOWN_S[self._bag], "", "attitude"}, self.first_s
+
+
+@pytest.mark.parametrize("bag", FAULTS)
+def test_all_outputs_name_the_right_source_in_what_was_replayed(bag: str, tmp_path: Path) -> None:
+    given, replayed_path = replayed(tmp_path, bag, FAULTS[bag])
+    paths = (given, replayed_path) if bag == "theodolite" else (replayed_path,)
+    with read_bag(given) as played:
+        start_ns = played.start_ns or 0
+    watch, keeper, named = Watch(Limits()), AlertKeeper(Limits(), None, start_ns, print), Named(bag, start_ns)
+    due_ns = start_ns
+    for time_ns, topic, message in records(*paths):
+        if time_ns > start_ns + END_S[bag] * NS_PER_S:
+            break
+        while due_ns <= time_ns:
+            keeper.look(due_ns, due_ns)
+            named.note_picture(watch.look(due_ns), watch.history)
+            for alert in keeper.alerts:
+                named.note("alerts", alert.source, due_ns)
+            for branch in keeper.tree():
+                named.note_branch(branch.path, branch.text, due_ns)
+            due_ns += LOOK_NS
+        watch.take(topic, message, time_ns)
+        keeper.take(topic, message, time_ns)
+    named.check()
+
+
+class LiveSuite:
+    """A suite brought up with one command and a bag played into it, and who watches it."""
+
+    def __init__(self, bag: Path, folder: Path) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        command = [*executable("ship_bringup", "suite"), "--bag", str(bag), "--monitor", "--port", str(port)]
+        domain = int(os.environ["ROS_DOMAIN_ID"])
+        self.process = LiveProcess(command, folder / "suite.log", live_environment(domain, folder / "ros"))
+        self.watch = LiveWatch("watcher", "", Limits())
+        self.diagnostics = TopicReader("statuses", "", lambda topic, _: KEPT if topic == "/diagnostics" else 0)
+
+    def close(self) -> None:
+        """End all; who listens leaves first."""
+        self.watch.close()
+        self.diagnostics.close()
+        self.process.end()
+
+    def look(self, named: Named) -> Picture:
+        """Take what has come, and note what it names."""
+        self.watch.tick()
+        picture = self.watch.look()
+        if picture.utc_ns:
+            named.note_picture(picture, self.watch.history)
+        for alert in picture.alerts or ():
+            named.note("alerts", alert.source, alert.raised_ns)
+        for arrived in self.diagnostics.take().messages:
+            for status in arrived.message.status:
+                node, _, path = status.name.partition(": functions/")
+                if node == "alerts":
+                    named.note_branch(path, status.message, ns_from_stamp(arrived.message.header.stamp))
+        return picture
+
+
+@pytest.mark.live
+@pytest.mark.xdist_group("dds")
+@pytest.mark.parametrize("bag", FAULTS)
+def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain_id()))
+    faulty = tmp_path / "faulty.mcap"
+    (tmp_path / "faults.yaml").write_text(f"faults: {{{FAULTS[bag]}}}\n")
+    files = ["--faults", str(tmp_path / "faults.yaml"), "--out", str(faulty), "--seed", "1"]
+    assert inject([str(BAGS / f"{bag}.mcap"), *files]) == 0
+    with read_bag(faulty) as played:
+        named = Named(bag, played.start_ns or 0)
+    suite = LiveSuite(faulty, tmp_path)
+    acknowledged = ""
+    try:
+        deadline_s = time.monotonic() + 240.0
+        while not (picture := suite.look(named)).utc_ns or named.seconds(picture.utc_ns) < END_S[bag]:
+            assert suite.process.exit_code is None, suite.process.log()
+            assert time.monotonic() < deadline_s, suite.process.log()
+            alert = shown_alert(picture.alerts)
+            if alert is not None and not alert.is_acknowledged and not acknowledged:
+                acknowledged = suite.watch.acknowledge(alert.id, alert.instance)
+            time.sleep(0.1)
+    finally:
+        suite.close()
+    assert "acknowledged" in acknowledged
+    assert "not acknowledged" not in acknowledged
+    assert any("acknowledged" in event.text for event in picture.events if event.kind == "alert")
+    named.check()
