@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray
 
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
@@ -90,7 +91,7 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
 
     def started(name, bag):
-        command = suite("--bag", bag, "--namespace", name, "--loop")
+        command = suite("--bag", bag, "--namespace", name, "--loop", "0")
         return LiveProcess(command, tmp_path / f"{name}.log", environment)
 
     with GraphObserver(domain) as observer, started("alpha", DEMO) as alpha, started("beta", THEODOLITE) as beta:
@@ -157,3 +158,32 @@ def gap_ns(heard):
     """The longest time between two attitudes, by their stamps."""
     stamps = sorted({stamp for stamp, _ in heard})
     return max(later - earlier for earlier, later in itertools.pairwise(stamps))
+
+
+def test_every_status_that_the_nodes_tell_has_one_place_in_the_aggregator_file(tmp_path, domain):
+    """Of the nodes of two examples, which are all there are, and of the alerts."""
+    names: set[str] = set()
+    environment = live_environment(domain, tmp_path)
+    stars = suite(ROOT / "examples" / "three_sensors.yaml", "--namespace", "stars", "--box", tmp_path)
+    lights = suite(ROOT / "examples" / "theodolite.yaml", "--namespace", "lights")
+    alerts = [*executable("ship_monitor", "alerts"), "--state", str(tmp_path / "alerts.json")]
+    with (
+        GraphObserver(domain) as observer,
+        LiveProcess(stars, tmp_path / "stars.log", environment),
+        LiveProcess(lights, tmp_path / "lights.log", environment),
+        LiveProcess(alerts, tmp_path / "alerts.log", environment),
+    ):
+        observer.node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda m: names.update(status.name for status in m.status), 1000
+        )
+        wanted = {f"{node}: black box" for node in ("ship_attitude", "star_attitude")}
+        wanted |= {"optical_axis: pointing", "optical_axis: parameters", "alerts: list"}
+        assert observer.spin_until(lambda: wanted <= names, 60.0), (tmp_path / "stars.log").read_text()
+        observer.spin_until(lambda: False, 3.0)  # what comes once a second, three times
+    text = (ROOT / "src" / "ship_bringup" / "config" / "diagnostic_aggregator.yaml").read_text(encoding="utf-8")
+    exact = re.findall(r'"([^"]*)"', " ".join(re.findall(r"^ *name: (.*)$", text, re.MULTILINE)))
+    prefixes = re.findall(r'"([^"]*)"', " ".join(re.findall(r"^ *startswith: (.*)$", text, re.MULTILINE)))
+    assert len(names) > 30
+    for name in names:
+        places = exact.count(name) + sum(name.startswith(prefix) for prefix in prefixes)
+        assert places == 1, name

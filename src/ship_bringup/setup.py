@@ -1,4 +1,6 @@
 # The same lines stand in the setup.py of every package: colcon builds each package from its own file alone.
+from glob import glob
+
 from setuptools import find_packages, setup
 
 package_name = "ship_bringup"
@@ -10,6 +12,11 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
+        (f"share/{package_name}/launch", glob("launch/*")),
+        # Those of examples/ are links there: one text, whether it is read in the repository or where it is installed.
+        (f"share/{package_name}/config", glob("config/*")),
+        (f"share/{package_name}/layouts", glob("layouts/*")),
+        (f"share/{package_name}/systemd", glob("systemd/*")),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

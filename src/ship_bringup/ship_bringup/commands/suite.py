@@ -52,7 +52,9 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--rate", type=positive, default=1.0, metavar="R", help="with --bag: seconds of the bag per second (1)"
     )
-    parser.add_argument("--loop", action="store_true", help="with --bag: play it again and again")
+    parser.add_argument(
+        "--loop", type=_count, default=1, metavar="N", help="with --bag: play it N times, 0 without end (1)"
+    )
     parser.add_argument("--use-sim-time", action="store_true", help="the nodes go by /clock, which somebody else sets")
     parser.add_argument("--monitor", action="store_true", help="start live page and alerts of ship_monitor, too")
     parser.add_argument(

@@ -27,7 +27,7 @@ class SuiteOptions:
         namespace: of all its nodes and topics, without slashes at its ends; empty for none.
         bag: is played into it; None for real sensors.
         rate: seconds of the bag per second.
-        loop: whether the bag is played without end.
+        loop: how often the bag is played; 0 without end.
         monitor: whether page and alerts are started too.
         box: folder that takes a black box of each node; None for none.
         use_sim_time: whether the nodes go by /clock although no bag is played here.
@@ -38,7 +38,7 @@ class SuiteOptions:
     namespace: str = ""
     bag: Path | None = None
     rate: float = 1.0
-    loop: bool = False
+    loop: int = 1
     monitor: bool = False
     box: Path | None = None
     use_sim_time: bool = False
@@ -148,5 +148,5 @@ def _player(path: Path, chain: AdapterChain, options: SuiteOptions) -> Program:
     played |= {relative: name for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
     moved = [f"{name}:={options.topic(relative)}" for relative, name in played.items()]
     command = [*executable("ship_bags", "play"), str(path), "--rate", str(options.rate)]
-    command += ["--loop", "0" if options.loop else "1", "--topics", *played.values(), "--remap", *moved]
+    command += ["--loop", str(options.loop), "--topics", *played.values(), "--remap", *moved]
     return Program("play", (*command, "--ros-args", *_names(options)), Role.PLAYER)

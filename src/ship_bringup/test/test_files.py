@@ -1,0 +1,202 @@
+"""Launch, parameter, aggregator and service files: all that they name exists, and the XML is what launch accepts.
+
+The grammar is that of ``launch_xml``, ``launch`` and ``launch_ros`` of Jazzy: which attributes the parsers of their
+actions take (``launch/actions/*.py``, ``launch_ros/actions/*.py``, methods ``parse``), and which substitutions exist.
+"""
+
+import configparser
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ship_bringup.commands import suite as suite_command
+from ship_replay.commands.replay import ADAPTERS
+from ship_replay.preflight.check_config import Findings, check_file
+
+PACKAGE = Path(__file__).parents[1]
+SOURCES, ROOT = PACKAGE.parent, PACKAGE.parents[1]
+LAUNCH_FILES = sorted((PACKAGE / "launch").glob("*.xml"))
+
+CONDITIONS = {"if", "unless"}
+PROCESS = {
+    "name", "output", "respawn", "respawn_delay", "respawn_max_retries", "cwd", "env", "launch-prefix", "on_exit",
+    "sigkill_timeout", "sigterm_timeout", "shell", "emulate_tty", *CONDITIONS,
+}  # fmt: skip
+GRAMMAR = {  # tag: (attributes taken, attributes that must be there, children)
+    "launch": ({"version"}, set(), {"arg", "group", "node", "executable", "let", "include"}),
+    "arg": ({"name", "default", "description"}, {"name"}, {"choice"}),
+    "let": ({"name", "value", *CONDITIONS}, {"name", "value"}, set()),
+    "group": ({"scoped", "forwarding", *CONDITIONS}, set(), {"push_ros_namespace", "node", "executable", "let"}),
+    "push_ros_namespace": ({"namespace", *CONDITIONS}, {"namespace"}, set()),
+    "executable": ({"cmd", *PROCESS}, {"cmd"}, {"env"}),
+    "node": ({"pkg", "exec", "args", "ros_args", "namespace", *PROCESS}, {"pkg", "exec"}, {"param", "remap", "env"}),
+    "param": ({"name", "value", "type", "from", "allow_substs"}, set(), {"param"}),
+    "remap": ({"from", "to"}, {"from", "to"}, set()),
+}
+SUBSTITUTIONS = {"var": 1, "find-pkg-share": 1, "exec-in-pkg": 2}
+NOT_OURS = {("diagnostic_aggregator", "aggregator_node")}
+
+
+def executables():
+    """(package, executable) of all packages here."""
+    return {
+        (path.parent.name, name)
+        for path in SOURCES.glob("*/setup.py")
+        for name in re.findall(r'"(\w+) = [\w.]+:\w+"', path.read_text(encoding="utf-8"))
+    }
+
+
+@pytest.fixture(params=LAUNCH_FILES, ids=lambda path: path.name)
+def launch(request):
+    return ET.parse(request.param).getroot()
+
+
+def texts(root):
+    return [value for element in root.iter() for value in element.attrib.values()]
+
+
+def test_there_is_a_launch_file_for_each_purpose():
+    assert [path.name for path in LAUNCH_FILES] == ["replay.launch.xml", "suite.launch.xml"]
+
+
+def test_every_tag_and_attribute_is_one_that_launch_takes(launch):
+    assert launch.tag == "launch"
+    for element in launch.iter():
+        taken, needed, children = GRAMMAR[element.tag]
+        assert set(element.attrib) <= taken, element.attrib
+        assert needed <= set(element.attrib), element.attrib
+        assert {child.tag for child in element} <= children, element.tag
+        assert not (element.text or "").strip()
+        if element.tag == "param":
+            assert ("from" in element.attrib) != ("name" in element.attrib)
+            assert ("name" in element.attrib) == ("value" in element.attrib)
+            assert element.get("type", "str") in ("bool", "int", "float", "str")
+
+
+def test_every_substitution_exists_and_every_variable_is_declared(launch):
+    declared = [element.get("name") for element in launch.iter() if element.tag in ("arg", "let")]
+    assert len([e for e in launch if e.tag == "arg"]) == len({e.get("name") for e in launch if e.tag == "arg"})
+    for text in texts(launch):
+        for inner in re.findall(r"\$\(([^)]*)\)", text):
+            name, *arguments = inner.split()
+            assert len(arguments) == SUBSTITUTIONS[name], text
+            if name == "var":
+                assert arguments[0] in declared, text
+        assert "$" not in re.sub(r"\$\(([^)]*)\)", "", text)
+
+
+def test_every_argument_is_used_and_says_what_it_is_for(launch):
+    used = " ".join(texts(launch))
+    for element in launch.iter("arg"):
+        assert f"$(var {element.get('name')})" in used
+        assert len(element.get("description", "")) > 10
+
+
+def test_every_executable_exists(launch):
+    known = executables() | NOT_OURS
+    named = [(node.get("pkg"), node.get("exec")) for node in launch.iter("node")]
+    found = [pair for text in texts(launch) for pair in re.findall(r"exec-in-pkg (\w+) (\w+)", text)]
+    named += [(package, name) for name, package in found]
+    assert named
+    assert set(named) <= known
+
+
+def test_every_parameter_and_file_that_is_named_exists(launch):
+    nodes = {adapter.node_name for adapter in ADAPTERS} | {"alerts"}
+    for node in launch.iter("node"):
+        names = {param.get("name") for param in node.iter("param")} - {None}
+        assert names <= {"use_sim_time", "black_box"}
+        assert not names or node.get("exec") in nodes
+    for text in texts(launch):
+        for path in re.findall(r"\$\(find-pkg-share ship_bringup\)/(\S+)", text):
+            assert (PACKAGE / path).is_file()
+
+
+def test_every_option_of_the_suite_that_is_named_exists(launch, capsys):
+    with pytest.raises(SystemExit):
+        suite_command.main(["--help"])
+    shown = capsys.readouterr().out
+    for text in texts(launch):
+        if "exec-in-pkg suite" in text:
+            for option in re.findall(r"--[\w-]+", text):
+                assert f"  {option} " in shown, option
+
+
+def test_the_parameter_files_are_those_of_the_examples_and_good():
+    names = {path.name for path in (ROOT / "examples").glob("*.yaml")}
+    files = [path for path in (PACKAGE / "config").glob("*.yaml") if path.name != "diagnostic_aggregator.yaml"]
+    assert {path.name for path in files} == names
+    for path in files:
+        assert path.resolve() == ROOT / "examples" / path.name
+        findings = Findings()
+        assert check_file(path, ADAPTERS, findings)
+        assert findings.errors == []
+
+
+def test_all_files_are_installed():
+    share = next(iter((ROOT / "install" / "ship_bringup" / "share").glob("ship_bringup")), None)
+    if share is None:
+        pytest.skip("nothing is installed here: this runs over another installation")
+    for folder in ("launch", "config", "systemd"):
+        for path in (PACKAGE / folder).iterdir():
+            assert (share / folder / path.name).read_bytes() == path.read_bytes()
+
+
+def test_the_service_never_starts_again_what_bad_input_has_ended():
+    unit = configparser.RawConfigParser(strict=False)
+    unit.optionxform = str
+    unit.read(PACKAGE / "systemd" / "ship-suite@.service")
+    service = unit["Service"]
+    assert service["RestartPreventExitStatus"] == "2"
+    assert service["KillMode"] == "mixed"
+    _, package, executable, file, *options = service["ExecStart"].split()
+    assert (package, executable) in executables()
+    assert (file, options) == ("/etc/ship/%i.yaml", ["--namespace", "%i", "--monitor"])
+
+
+# -- aggregator ---------------------------------------------------------------------------------------------------
+
+ANALYZERS = "diagnostic_aggregator/GenericAnalyzer", "diagnostic_aggregator/AnalyzerGroup"
+OPTIONS = {"type", "path", "name", "startswith", "find_and_remove_prefix"}
+
+
+def analyzers(group):
+    """The generic analyzers of a group and of those in it."""
+    for one in group.values():
+        assert one["type"] in ANALYZERS
+        if one["type"] == ANALYZERS[1]:
+            assert set(one) == {"type", "path", "analyzers"}
+            yield from analyzers(one["analyzers"])
+        else:
+            assert set(one) <= OPTIONS
+            assert one.get("find_and_remove_prefix", one.get("startswith")) == one.get("startswith")
+            yield one
+
+
+def tree():
+    document = yaml.safe_load((PACKAGE / "config" / "diagnostic_aggregator.yaml").read_text(encoding="utf-8"))
+    (section,) = document.values()
+    parameters = section["ros__parameters"]
+    assert isinstance(parameters.pop("path"), str)
+    return list(analyzers(parameters))
+
+
+def told_names():
+    """Names of statuses as the code makes them; '{}' stands for the name of a source or topic."""
+    files = [path for path in SOURCES.glob("*/*/**/*.py") if "test" not in path.parts]
+    code = "\n".join(path.read_text(encoding="utf-8") for path in files)
+    made = re.findall(r'(?:DiagnosticStatus\(\s*|    name = )f?"([a-z][^"]*)"', code)
+    return {re.sub(r"\{[^}]*\}", "{}", name) for name in made}
+
+
+def test_every_name_in_the_aggregator_file_is_told_by_a_node():
+    bare = told_names()
+    for analyzer in tree():
+        for name in analyzer.get("name", []):
+            assert name.partition(": ")[2] in bare, name
+        for prefix in analyzer.get("startswith", []):
+            rest = prefix.partition(": ")[2]
+            assert any(name.startswith(rest) for name in bare), prefix
