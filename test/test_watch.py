@@ -93,6 +93,21 @@ def test_two_faults_at_a_time_are_told_apart(tmp_path: Path) -> None:
     assert [source.name for source in picture.sources if source.presence is Presence.OUT] == ["star.starboard"]
 
 
+def test_what_only_makes_it_worse_is_not_blamed_for_an_output_that_is_gone(tmp_path: Path) -> None:
+    """A FLOAT baseline, and then no encoder: before that is known to be silent nobody is blamed, then the encoder."""
+    faults = (
+        "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 12.0, end_s: 25.0}, "
+        "quiet: {topic: theodolite/encoder, kind: drop, start_s: 20.0, end_s: 25.0}"
+    )
+    seen = watched(replayed(tmp_path, "theodolite", faults)[1])
+    azimuth = {second: next(a for a in seen.at_s[second].angles if a.name == "azimuth") for second in (18.0, 23.0)}
+    assert (azimuth[18.0].safety, azimuth[18.0].reason) == (Safety.CAUTION, "baselines a refused: not fixed")
+    assert (azimuth[23.0].safety, azimuth[23.0].reason) == (Safety.UNSAFE, "encoder silent")
+    became = [text for time_s, text in seen.events("state") if 20.0 < time_s < 22.0 and "azimuth" in text]
+    assert len(became) == 1
+    assert "baselines" not in became[0]
+
+
 def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: Watched) -> None:
     assert 10.0 < theodolite.out["baselines"][0] <= 12.0
     assert theodolite.seen["baselines"][0].reason == "a 5 refused in a row: not fixed"

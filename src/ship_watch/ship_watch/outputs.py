@@ -61,6 +61,10 @@ class OutputHeard:
         longest_ns = self._longest_age_ns + (_INVALID_PERIOD_NS if self.status is Status.INVALID else 0)
         return self._arrived_ns is None or now_ns - self._arrived_ns >= longest_ns
 
+    def is_claimed(self, now_ns: int) -> bool:
+        """Whether there is an output at all: it is not old, and not INVALID."""
+        return self.status not in (None, Status.INVALID) and not self.is_old(now_ns)
+
     def protection(self, angle: str, now_ns: int) -> Protection:
         """What the last Integrity says of an angle; nothing where that is too old."""
         if self._integrity_ns is None or now_ns - self._integrity_ns > self._integrity_age_ns:

@@ -89,7 +89,7 @@ def judged(claim: Claim) -> tuple[Safety, str]:
         return Safety.CAUTION, "integrity not told"
     if state is IntegrityState.UNAVAILABLE or not math.isfinite(protection.level):
         return Safety.CAUTION, guilty or claim.hint or "nothing checks it"
-    return (Safety.CAUTION, claim.hint) if claim.is_lessened else (Safety.SAFE, "")
+    return (Safety.CAUTION, guilty or claim.hint) if claim.is_lessened else (Safety.SAFE, "")
 
 
 def _is_within(protection: Protection) -> bool:

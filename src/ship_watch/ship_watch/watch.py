@@ -46,6 +46,9 @@ BACK_NS = NS_PER_S
 
 _SHIP_SOURCES = ("ins", "star", "reference", "gnss", "weather")
 _POINTING_SOURCES = ("encoder", "lights", "baselines", "ship_attitude")
+_SHIP_NEEDS = ("ins", "star", "reference")
+_POINTING_NEEDS = ("encoder", "ship_attitude")
+"""Without these there is no output at all; without the others it is only worse."""
 
 
 class Watch:
@@ -187,9 +190,9 @@ class Watch:
         self._judge_until(now_ns)
         sources = self._book.shown(now_ns, self._utc_offset_ns)
         words = self._judged(sources, now_ns)
+        guilty = {name: self._guilty(name, sources, now_ns) for name in words}
         shown = [
-            self._shown(name, *self._words[name].shown(*words[name], now_ns), self._guilty(name, sources), now_ns)
-            for name in words
+            self._shown(name, *self._words[name].shown(*words[name], now_ns), guilty[name], now_ns) for name in words
         ]
         return Picture(
             utc_ns=now_ns + self._utc_offset_ns if self._newest_ns else 0,
@@ -236,16 +239,17 @@ class Watch:
         """Word and reason of each angle at this moment, held by nothing."""
         has_pointing = self._pointing.is_heard or self._book.has_theodolite()
         return {
-            name: judged(self._claim(name, self._guilty(name, sources), now_ns))
+            name: judged(self._claim(name, self._guilty(name, sources, now_ns), now_ns))
             for name in ANGLES
             if has_pointing or name in ANGLES[:3]
         }
 
-    @staticmethod
-    def _guilty(name: str, sources: list[SourceShown]) -> SourceShown | None:
+    def _guilty(self, name: str, sources: list[SourceShown], now_ns: int) -> SourceShown | None:
         """The source that is to blame where an angle is not SAFE; None where none is known."""
-        ship = blamed(sources, _SHIP_SOURCES)
-        return ship if name in ANGLES[:3] else blamed(sources, _POINTING_SOURCES) or ship
+        ship = blamed(sources, _SHIP_SOURCES if self._attitude.is_claimed(now_ns) else _SHIP_NEEDS)
+        if name in ANGLES[:3]:
+            return ship
+        return blamed(sources, _POINTING_SOURCES if self._pointing.is_claimed(now_ns) else _POINTING_NEEDS) or ship
 
     def _claim(self, name: str, guilty: SourceShown | None, now_ns: int) -> Claim:
         output, beacons = self._output(name), self._book.beacon_count()
