@@ -77,6 +77,13 @@ def test_whatever_is_unknown_can_be_sent(value):
     assert told["angles"]["heading"]["age_s"] is None
 
 
+def test_without_a_theodolite_lights_have_no_age():
+    assert [name for name, _ in shown(replace(WELL, angles=WELL.angles[:3]), History(), "LIVE", "")["ages"]] == [
+        "stars",
+        "ins",
+    ]
+
+
 def test_who_waits_is_told_for_what_and_where():
     told = shown(replace(WELL, waiting_for="ship/attitude"), History(), "LIVE", "namespace /demo, domain 3")
     assert (told["waiting"], told["place"]) == ("waiting for ship/attitude", "namespace /demo, domain 3")

@@ -35,6 +35,7 @@ def shown(picture: Picture, history: History, label: str, place: str) -> dict[st
         label: LIVE, BAG or SIMULATED, as the source of the pictures says now.
         place: where it was listened, for a page that waits.
     """
+    has_lights = any(angle.name in _OF_THEODOLITE for angle in picture.angles)
     waiting = f"waiting for {picture.waiting_for}" if picture.waiting_for else ""
     return {
         "label": label,
@@ -43,7 +44,7 @@ def shown(picture: Picture, history: History, label: str, place: str) -> dict[st
         "place": place if waiting else "",
         "alert": _alert_line(picture.alerts),
         "angles": {angle.name: _tile(angle) for angle in picture.angles},
-        "ages": [[name, words.age(age_s)] for name, age_s in picture.ages_s.items()],
+        "ages": [[name, words.age(age_s)] for name, age_s in picture.ages_s.items() if name != "lights" or has_lights],
         "foot": _foot(picture),
         "sources": _sources(picture.sources),
         "ribbons": _ribbons(history, picture),
