@@ -38,6 +38,7 @@ class AlignmentPanel:
         )
         self.figure.scatter("value", "row", source=self._source, size=8, fill_color="fill", line_color=theme.text)
         self._theme = theme
+        self.figure.yaxis[0].ticker = FixedTicker(ticks=[])
         self.box = PanelBox(theme, "Alignment and calibration", [self.figure])
 
     def update(self, history: History) -> None:
@@ -61,7 +62,7 @@ class AlignmentPanel:
             "fill": [self._theme.text if state.is_observable else self._theme.panel for state in states],
             "dash": ["solid" if state.is_observable else "dashed" for state in states],
         }
-        self.figure.yaxis[0].ticker = FixedTicker(ticks=list(range(count)))
+        self.figure.yaxis[0].ticker.ticks = list(range(count))
         self.figure.yaxis[0].major_label_overrides = {row: state.name for row, state in enumerate(states)}
         self._values.write({row: state_text(state) for row, state in enumerate(states)})
         hidden = [state.name for state in states if not state.is_observable]

@@ -79,6 +79,15 @@ class Page:
         if self._panels is not None and self._is_seen and not self._is_paused:
             self._panels.update(self._source.history, self._picture)
 
+    def _make_panels(self) -> None:
+        """Make the panels, draw what there is, and only then show them: Bokeh looks through all models once then.
+
+        A browser would otherwise speak of models that drawing has replaced since, which the document knows no more.
+        """
+        self._panels = build_panels(self._theme)
+        self._panels.update(self._source.history, self._picture)
+        self._below.children = [self._panels.layout]
+
     def _text(self) -> str:
         source = self._source
         self._picture = source.look()
@@ -91,8 +100,7 @@ class Page:
         choice = {name: values[0] for name, values in chosen.items()}
         self._is_seen, self._is_paused = bool(choice["seen"]), bool(choice["paused"])
         if self._panels is None and self._is_seen:
-            self._panels = build_panels(self._theme)
-            self._below.children = [self._panels.layout]
+            self._make_panels()
         if self._panels is not None:
             if choice["live"]:
                 self._panels.times.go_live()

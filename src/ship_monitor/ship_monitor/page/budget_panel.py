@@ -77,6 +77,7 @@ class BudgetPanel:
         columns = [_column(source) for source in self._sources]
         self._trail = Trail((*columns, "total"), by="total", filled=columns)
         self._figure = time_plot(self._theme, self._times, 210, self._height, has_axis=True)
+        self._figure.yaxis[0].ticker = FixedTicker(ticks=[])
         self._figure.stylesheets = [*self._figure.stylesheets, narrow_height(180)]
         self._labels = SideLabels(self._theme, self._figure)
         self._peaks = ColumnDataSource({"x": [], "y": [], "text": [], "align": [], "ahead": []})
@@ -111,7 +112,7 @@ class BudgetPanel:
         top = top_of_axis(totals)
         self._height.end = top**2
         ticks = root_ticks(top)
-        self._figure.yaxis[0].ticker = FixedTicker(ticks=[tick**2 for tick in ticks])
+        self._figure.yaxis[0].ticker.ticks = [tick**2 for tick in ticks]
         self._figure.yaxis[0].major_label_overrides = {tick**2: f"{tick:g}″" for tick in ticks}
         times = np.asarray(columns["t"], float)
         found = peaks(times, totals, top)
