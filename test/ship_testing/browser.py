@@ -62,8 +62,9 @@ class Browser:
         return result["result"].get("value")
 
     def until(self, expression: str, limit_s: float = 30.0) -> Any:
-        """The value of an expression once it is true."""
-        return self.wait(lambda: self.evaluate(expression), expression, limit_s)
+        """The value of an expression once it is true; between two pages it cannot be asked, which is not yet either."""
+        guarded = f"(() => {{ try {{ return {expression} }} catch {{ return null }} }})()"
+        return self.wait(lambda: self.evaluate(guarded), expression, limit_s)
 
     def wait(self, look: Callable[[], Any], what: str, limit_s: float = 30.0) -> Any:
         """What a function returns once that is true; the browser is listened to meanwhile."""
