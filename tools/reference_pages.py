@@ -19,6 +19,7 @@ from ship_estimation.parameters import ParameterDescription, describe
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.usage import topic_rows, usage_text
 from ship_simulation.scenario.scenario import Scenario
+from ship_watch.limits import Limits
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ROOT = Path(__file__).parents[1]
@@ -53,6 +54,25 @@ SCENARIO_HEAD = f"""# Keys of a scenario
 
 What `simulate` reads, nested at the dots; `<id>` is any name. Units are in the names.
 [bags/README.md](../../bags/README.md) tells what is drawn from it, and which scenarios are there.
+
+{_WRITTEN}
+"""
+
+LIMITS_HEAD = f"""# Limits of a ship
+
+What page, terminal, alerts and report hold a suite against: a YAML file that a ship has for herself, given with
+`--limits FILE`. What the file does not name keeps its default. An unknown key or a value out of its range is one line
+with file, line, key and what was expected.
+
+`<id>` is a source or a kind of sources: `ins`, `star`, `reference`, `lights`, `encoder`, `baselines`, `ship_attitude`,
+`gnss`, `weather`, or one of several, as `star_bow` for `star.bow`. A source takes the limits of its own name, else
+those of its kind, else `every_input`.
+
+    heading_arcsec: 8.0
+    every_input: {{refusals: 10}}
+    inputs:
+      star_bow: {{rate_hz: 2.0}}
+    machine: {{disk_path: /data, disk_free_gb: 50}}
 
 {_WRITTEN}
 """
@@ -94,6 +114,11 @@ def scenario_page() -> str:
     """Every key of a scenario."""
     rows = "".join(_parameter_row(key) for key in describe(Scenario))
     return SCENARIO_HEAD + _PARAMETER_COLUMNS.replace("parameter", "key") + rows
+
+
+def limits_page() -> str:
+    """Every limit that a ship may set."""
+    return LIMITS_HEAD + _PARAMETER_COLUMNS.replace("parameter", "key") + "".join(map(_parameter_row, describe(Limits)))
 
 
 def _parameter_row(parameter: ParameterDescription) -> str:
@@ -226,6 +251,7 @@ def _cut(shown: str) -> str:
 PAGES: dict[str, Callable[[], str]] = {
     "parameters": parameters_page,
     "scenario": scenario_page,
+    "limits": limits_page,
     "messages": messages_page,
     "topics": topics_page,
     "executables": executables_page,

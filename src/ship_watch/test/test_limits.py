@@ -71,3 +71,12 @@ def test_kinds_of_inputs_are_refused_as_angles() -> None:
     for kind in INPUT_KINDS:
         with pytest.raises(KeyError):
             Limits().of_angle(kind)
+
+
+def test_example_of_the_page_is_read() -> None:
+    """What docs/reference/limits.md shows is a file of limits."""
+    page = (Path(__file__).parents[3] / "docs/reference/limits.md").read_text(encoding="utf-8")
+    shown = "\n".join(line[4:] for line in page.splitlines() if line.startswith("    "))
+    limits = read_limits(shown)
+    assert (limits.heading_arcsec, limits.of_input("star.bow").rate_hz) == (8.0, 2.0)
+    assert (limits.machine.disk_path, limits.machine.disk_free_gb) == ("/data", 50.0)
