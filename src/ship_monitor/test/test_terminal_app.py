@@ -147,6 +147,21 @@ def test_it_takes_messages_while_it_draws():
     run(use)
 
 
+def test_a_message_that_cannot_be_watched_ends_nothing():
+    async def use(app, pilot, suite):
+        def fail():
+            suite.ticks += 1
+            raise ValueError("7 is not a priority")
+
+        suite.tick = fail
+        await pilot.pause(0.7)
+        assert suite.ticks >= 2
+        assert rows(app)[-1] == " a message is passed over: ValueError: 7 is not a priority"
+        assert rows(app)[4].startswith(" HEADING")
+
+    run(use)
+
+
 @pytest.mark.parametrize("theme", THEMES.values(), ids=THEMES.keys())
 def test_each_look_has_a_style_and_the_urgent_ones_differ_without_colour(theme):
     styles = styles_of(theme)

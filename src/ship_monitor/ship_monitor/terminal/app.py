@@ -115,13 +115,20 @@ class TerminalApp(App[int]):
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGHUP):
             loop.add_signal_handler(number, self.exit, EXIT_INTERRUPTED)
-        self.set_interval(TAKE_S, self._suite.tick)
+        self.set_interval(TAKE_S, self._take)
         self.set_interval(DRAW_S, self.draw)
         self.draw()
 
     def on_resize(self) -> None:
         """The terminal has another size, which is known after this."""
         self.call_after_refresh(self.draw)
+
+    def _take(self) -> None:
+        """Take what has come. What cannot be watched is said and passed over: the others go on."""
+        try:
+            self._suite.tick()
+        except Exception as problem:
+            self._say(f"a message is passed over: {type(problem).__name__}: {problem}")
 
     def draw(self) -> None:
         """Show what is so now; paused, the picture of then with the alerts of now."""

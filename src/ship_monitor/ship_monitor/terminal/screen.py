@@ -218,7 +218,8 @@ def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
     name = f"{'>' if is_chosen else ' '}{angle.name.upper():10}"
     return pen.line(
         Span(name, Look.MARKED if is_chosen else Look.TEXT),
-        Span(value, Look.OLD if angle.is_old else Look.STRONG),
+        Span(value.rstrip(), Look.OLD if angle.is_old else Look.STRONG),
+        Span(" " * (len(value) - len(value.rstrip())), Look.TEXT),
         Span(accuracy, Look.STRONG if angle.is_old else Look.TEXT),
         Span(f"{limit}  ", Look.SECOND),
         Span(f"{_MARKS[angle.safety]} {angle.safety.name:7} ", _LOOKS[angle.safety]),
