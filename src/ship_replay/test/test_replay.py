@@ -37,7 +37,7 @@ class TinyAdapter:
     config_type = TinyConfig
     calls = ()
 
-    def __init__(self, config, factory):
+    def __init__(self, config, factory, files=None):
         self.config, self.factory = config, factory
         self.inputs = (
             InputTopic("ins/imu", "sensor_msgs/msg/Imu", required=True, depth=100),
