@@ -200,7 +200,8 @@ def _nodes(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable[Condition
         if status.name not in _NODE_STATUSES or status.level < _ERROR:
             continue
         ending, priority = _NODE_STATUSES[status.name]
-        lost = int(status.values.get("lost", "0"))
+        told = status.values.get("lost", "")
+        lost = int(told) if told.isdecimal() else 0
         if ending == "box" and 0 < lost <= limits.machine.box_lost:
             continue
         value = (float(lost), float(limits.machine.box_lost), "entries") if lost else (math.nan, math.nan, "")

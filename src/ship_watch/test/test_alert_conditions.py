@@ -185,6 +185,7 @@ def test_box_may_lose_what_the_limits_allow() -> None:
     assert conditions(picture(), patient, node("black box", lost="12")) == []
     assert len(conditions(picture(), patient, node("black box", lost="21"))) == 1
     assert len(conditions(picture(), patient, node("black box"))) == 1
+    assert len(conditions(picture(), patient, node("black box", lost="many"))) == 1
 
 
 def test_tree_names_the_input_that_takes_a_function_away() -> None:
