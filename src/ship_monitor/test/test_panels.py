@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bokeh.document import Document
 from bokeh.models import ColumnDataSource, Div
 
 from ship_geometry.rotations import ARCSEC
@@ -156,6 +157,25 @@ def test_what_is_new_is_streamed_and_a_second_look_sends_nothing(panels) -> None
     panels._innovations.update(history, PICTURE, has_truth=True)
     panels._errors.update(history)
     assert len(sent) <= 1  # the shade of what is out, which grows
+
+
+def test_a_document_is_not_looked_through_while_only_points_are_new(panels, monkeypatch) -> None:
+    # Bokeh looks through all models where one comes or goes, which takes 50 ms and more for each browser.
+    history = watched_history()
+    panels.update(history, PICTURE)
+    document = Document()
+    document.add_root(panels.layout)
+    looks = []
+    recompute = type(document.models).recompute
+    monkeypatch.setattr(type(document.models), "recompute", lambda self: (looks.append(1), recompute(self)))
+    for second in range(1, 4):
+        for points in (*history.innovations.values(), *history.errors.values(), *history.budgets.values()):
+            points.append(replace(points[-1], utc_ns=points[-1].utc_ns + 10**9))
+        panels.update(history, replace(PICTURE, utc_ns=NOW_NS + second * 10**9))
+    assert looks == []
+    panels.budget.choose("roll")
+    panels.update(history, PICTURE)
+    assert 1 <= len(looks) <= 3  # not at each band
 
 
 def test_stars_that_were_not_used_are_told_apart_and_rows_count_downward() -> None:

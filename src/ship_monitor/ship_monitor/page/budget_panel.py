@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import placed
-from ship_monitor.page.figures import ARCSEC, PanelBox, SideLabels, TimePlots, Trail, narrow_height, time_plot, words
+from ship_monitor.page.figures import (
+    ARCSEC,
+    PanelBox,
+    SideLabels,
+    TimePlots,
+    Trail,
+    models_at_once,
+    narrow_height,
+    time_plot,
+    words,
+)
 from ship_monitor.page.themes import FONT, Theme
 from ship_watch.history import KEPT_S, BudgetPoint, History
 from ship_watch.picture import ANGLES
@@ -108,7 +118,8 @@ class BudgetPanel:
         bands = largest_sources(means, self._bands)
         if bands != self._bands:
             self._bands = bands
-            self._stack()
+            with models_at_once(self._figure):
+                self._stack()
         top = top_of_axis(totals)
         self._height.end = top**2
         ticks = root_ticks(top)

@@ -7,7 +7,7 @@ import numpy as np
 from bokeh.models import Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import fixed_step
+from ship_monitor.page.curves import fixed_step, newer
 from ship_monitor.page.figures import BAND, PanelBox, SideLabels, TimePlots, Trail, band, hover, time_plot
 from ship_monitor.page.themes import Theme
 from ship_watch.history import ErrorPoint, History
@@ -82,11 +82,10 @@ class _ErrorRow:
         """Draw what is new; the answer is half the height of the axis, arcsec."""
         self._trail.follow(points, self._columns)
         newest_ns = points[-1].utc_ns
-        minute = [point for point in reversed(points) if newest_ns - point.utc_ns <= LATELY_NS]
-        error, sigma = self._known(minute)
+        error, sigma = self._known(newer(points, newest_ns - LATELY_NS))
         rms = float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
         mean_sigma = float(np.mean(sigma)) if len(sigma) else float("nan")
-        now, sigma_now = self._known([point for point in minute if newest_ns - point.utc_ns <= NOW_NS])
+        now, sigma_now = self._known(newer(points, newest_ns - NOW_NS))
         largest = max(
             (float(np.quantile(np.abs(some), 0.9)) for some in (now, 3.0 * sigma_now) if len(some)), default=0.0
         )

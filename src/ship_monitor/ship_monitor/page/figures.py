@@ -1,11 +1,13 @@
 """Figures and panels in the colours of a theme: no toolbar, no legend, drag zooms the time of all, nothing is white."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from html import escape
 from typing import Any
 
 import numpy as np
 from bokeh.core.properties import value
+from bokeh.model import Model
 from bokeh.models import (
     BoxZoomTool,
     Column,
@@ -223,6 +225,12 @@ def narrow_height(height_px: int) -> InlineStyleSheet:
     return InlineStyleSheet(
         css=f"{NARROW}{{:host{{height:{height_px}px !important;flex-basis:{height_px}px !important}}}}"
     )
+
+
+def models_at_once(layout: Model) -> AbstractContextManager[None]:
+    """While many models come or go: a document looks through all that it has after each, or once at the end of this."""
+    made: AbstractContextManager[None] = nullcontext() if layout.document is None else layout.document.models.freeze()
+    return made
 
 
 def words(made: figure, source: ColumnDataSource, **options: Any) -> None:

@@ -6,13 +6,12 @@ is out, its plot is shaded.
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import islice
 
 import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import STEPS_ARCSEC, fixed_step, placed, signed
+from ship_monitor.page.curves import STEPS_ARCSEC, fixed_step, newer, placed, signed
 from ship_monitor.page.figures import ARCSEC, BAND, MS, PanelBox, SideLabels, TimePlots, Trail, band, hover, time_plot
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, InnovationPoint
@@ -93,13 +92,12 @@ class _SourceRow:
 
     def update(self, points: Sequence[InnovationPoint], source: SourceShown | None, utc_ns: int) -> None:
         """Draw what is new of the source."""
-        told = [point for point in points if point.axes] if any(not point.axes for point in points) else points
         for trail, axes in zip(self._trails, AXES_DRAWN, strict=True):
-            trail.follow(told, partial(_columns, axes=axes))
-        lately = list(islice((point for point in reversed(told) if utc_ns - point.utc_ns <= 6 * LATELY_NS), 600))
+            trail.follow(points, partial(_columns, axes=axes))
+        lately = newer(points, utc_ns - 6 * LATELY_NS)
         step = fixed_step(_largest(lately))
         self._height.update(start=-step, end=step)
-        self._labels.write(_side_texts([point for point in lately if utc_ns - point.utc_ns <= LATELY_NS], step))
+        self._labels.write(_side_texts(newer(points, utc_ns - LATELY_NS), step))
         text, is_out = source_line(self._name, source, step)
         colour = self._theme.caution_border if is_out else self._theme.text
         self.figure.title.update(text=text, text_color=colour)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
-from ship_monitor.page.curves import fixed_step, signed
+from ship_monitor.page.curves import fixed_step, newer, signed
 from ship_monitor.page.figures import ARCSEC, PanelBox, ResidualBars, narrow_height, plot, words
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, LightPoint
@@ -59,7 +59,7 @@ class LightsPanel:
         shown = {
             name: lately
             for name, points in sorted(history.lights.items())
-            if (lately := [point for point in points if 0 <= picture.utc_ns - point.utc_ns <= SHOWN_NS])
+            if (lately := newer(points, picture.utc_ns - SHOWN_NS))
         }
         if not shown:
             for source in (self._past, self._now, self._bar):
