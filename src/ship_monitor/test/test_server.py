@@ -7,7 +7,7 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_monitor.page.server import PageServer
-from ship_testing.page_runs import served
+from ship_testing.page_runs import SetPictures, served
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +65,18 @@ def test_what_is_not_there_is_said_on_black(page):
     status, text = get(page, "/nothing")
     assert status == 404
     assert "background:#000000" in text
+
+
+def test_a_page_that_cannot_be_drawn_is_not_white_and_is_tried_again():
+    source = SetPictures()
+    source.fails = True
+    with served(source) as page:
+        status, text = get(page, "/?theme=night")
+        assert status == 200
+        assert "background:#000000" in text[:120]
+        assert 'http-equiv="refresh"' in text
+        source.fails = False
+        assert "034.39" in get(page, "/?theme=night")[1]
 
 
 def test_another_site_is_refused_and_an_ssh_tunnel_is_not(page):

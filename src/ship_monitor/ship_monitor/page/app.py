@@ -1,6 +1,7 @@
 """One page for each browser: the template, the texts of its first screenful, and the panels below."""
 
 import json
+import logging
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -22,6 +23,12 @@ STATIC = Path(__file__).with_name("static")
 
 SCRIPTS = ("bokeh", "bokeh-widgets")
 """Those of Bokeh's scripts that the page needs: four of six megabytes are for others."""
+
+_TRIED_AGAIN = """\
+<!doctype html><html style="background:{{ theme.background }};color:{{ theme.text }}">
+<meta http-equiv="refresh" content="2"><title>monitor</title>
+<p>The page cannot be drawn now; it is tried again. The log of the monitor says why.</p></html>
+"""
 
 TEXTS_PERIOD_MS = 500
 PLOTS_EVERY = 2
@@ -120,7 +127,14 @@ def page_maker(open_source: Callable[[], PictureSource], default_theme: str) -> 
         arguments = document.session_context.request.arguments
         named = (value.decode("utf-8", "replace") for value in arguments.get("theme", ()))
         theme = THEMES[next((name for name in named if name in THEMES), default_theme)]
-        Page(document, theme, open_source())
+        try:
+            Page(document, theme, open_source())
+        except Exception:
+            # Bokeh's own answer is an empty white page.
+            logging.getLogger(__name__).exception("a page cannot be drawn")
+            document.clear()
+            document.template = get_env().from_string(_TRIED_AGAIN)
+            document.template_variables["theme"] = theme
 
     return make
 
