@@ -13,8 +13,9 @@ PYTEST_ARGS ?=
 VOYAGES ?= 1000
 HOURS ?= 100
 FAULT_ARGS ?=
+PORT ?= 5006
 
-.PHONY: help setup test lint demo bags bench campaign faults hours kills stanford clean
+.PHONY: help setup test lint demo watch bags bench campaign faults hours kills stanford clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -30,6 +31,9 @@ lint: setup ## style, types, directions of imports
 
 demo: setup ## a simulated voyage from bag to report
 	@$(RUN) python tools/demo.py
+
+watch: setup ## a simulated voyage again and again, live, and its page in the browser; PORT=5007 for another port
+	@$(RUN) exec python tools/watch.py --port $(PORT)
 
 bags: setup ## the bags in bags/, from their scenarios
 	@$(RUN) python tools/make_bags.py

@@ -1,0 +1,52 @@
+"""``make watch``: the voyage is made, sailed live and shown; Ctrl-C ends all; a port that is taken is said."""
+
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+
+ROOT = Path(__file__).parents[1]
+START_S = 120.0
+
+
+def watch(port):
+    return [sys.executable, str(ROOT / "tools" / "watch.py"), "--port", str(port)]
+
+
+def test_the_page_of_the_voyage_is_there_and_all_ends_with_ctrl_c(tmp_path):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    environment = live_environment(free_domain_id(), tmp_path)
+    with LiveProcess(watch(port), tmp_path / "watch.log", environment) as process:
+        address, deadline_s = f"http://127.0.0.1:{port}/", time.monotonic() + START_S
+        while not all(words in process.log() for words in ("attitude: VALID", "pointing: VALID", address)):
+            assert process.exit_code is None, process.log()
+            assert time.monotonic() < deadline_s, process.log()
+            time.sleep(0.2)
+        with urllib.request.urlopen(address, timeout=20.0) as page:
+            assert page.status == 200
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        # Three nodes, the alerts, the page and the player.
+        assert len(children) == 6
+        assert process.end() == 0, process.log()
+    assert not [child for child in children if Path(f"/proc/{child}").exists()]
+
+
+def test_a_port_in_use_is_one_line():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        ended = subprocess.run(watch(port), capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    told = f"watch: port {port} of 127.0.0.1: Address already in use: name another, make watch PORT=5007\n"
+    assert ended.stderr == told
