@@ -84,7 +84,7 @@ def test_what_the_other_commands_of_a_page_name_is_there(page: Path) -> None:
             own = words[3 : words.index("--ros-args")] if "--ros-args" in words else words[3:]
             assert [word for word in own if word.startswith("--") and word not in help_text] == []
         else:
-            assert words[:1] in ([], ["cd"], ["export"])
+            assert words[:1] in ([], ["cd"], ["export"], ["ssh"])
 
 
 def wait_until_it_listens(process: LiveProcess) -> None:

@@ -198,7 +198,7 @@ def test_history_holds_what_plots_draw(theodolite: Watched) -> None:
     assert set(history.lights) == {"a", "b"}
     used = [point for point in history.lights["b"] if point.is_used]
     assert len(used) > 300
-    assert all(math.isfinite(point.residual_x) for point in used)
+    assert all(math.isfinite(point.x_residual) for point in used)
     assert all(abs(point.x) < 0.02 and abs(point.z) < 0.02 for point in used)
     assert [point.utc_ns for point in used] == sorted(point.utc_ns for point in used)
     assert len(history.ribbons) == pytest.approx(120, abs=2)

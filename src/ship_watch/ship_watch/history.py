@@ -85,8 +85,8 @@ class LightPoint:
     utc_ns: int
     x: float
     z: float
-    residual_x: float
-    residual_z: float
+    x_residual: float
+    z_residual: float
     is_used: bool
 
 

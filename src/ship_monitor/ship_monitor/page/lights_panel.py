@@ -91,8 +91,8 @@ class LightsPanel:
         now: dict[str, list[object]] = {name: [] for name in self._now.data}
         for index, (name, points) in enumerate(shown.items()):
             point = points[-1]
-            text = f"light {name}  x {signed(ARCSEC * point.residual_x)}″  z {signed(ARCSEC * point.residual_z)}″"
-            text = text if math.isfinite(point.residual_x) else f"light {name}"
+            text = f"light {name}  x {signed(ARCSEC * point.x_residual)}″  z {signed(ARCSEC * point.z_residual)}″"
+            text = text if math.isfinite(point.x_residual) else f"light {name}"
             is_right, is_high = 1e3 * point.x > 0.2 * half, 1e3 * point.z > 0.5 * half
             row = {
                 "x": 1e3 * point.x,
@@ -109,7 +109,7 @@ class LightsPanel:
                 now[key].append(value)
         self._now.data = now
         last = [points[-1] for points in shown.values()]
-        residuals = (np.array([point.residual_x for point in last]), np.array([point.residual_z for point in last]))
+        residuals = (np.array([point.x_residual for point in last]), np.array([point.z_residual for point in last]))
         step = self._bars.draw(np.array(now["x"]), np.array(now["y"]), *residuals, self._theme.text)
         self._bar.data = {"x": [-0.95 * half], "y": [-0.93 * half], "text": [f"{step:g}″"]}
 
