@@ -52,6 +52,8 @@ WITHIN_S = 2.0
 # told at the next looks: alerts after 0.2 s (AlertTimes.raise_after_s) and a look of 0.2 s.
 SILENT_WITHIN_S = 2.5
 SILENT = ("star.fore", "encoder")
+# Live, the time of the data goes on while a process waits for a core that others use.
+LIVE_LATE_S = 1.5
 LOOK_NS = NS_PER_S // 5
 OUTPUTS = ("picture", "page", "terminal", "alerts", "diagnostics")
 
@@ -92,13 +94,13 @@ class Named:
         if text != "in" and "needs" not in text and "/" in path:
             self.note("diagnostics", path.rpartition("/")[2], utc_ns)
 
-    def check(self) -> None:
+    def check(self, late_s: float = 0.0) -> None:
         """Every output named every source after its fault and soon, and nobody else before them."""
         told = {(output, source): known_s for source, known_s in KNOWN_S[self._bag].items() for output in OUTPUTS}
         for (output, source), known_s in told.items():
             within_s = SILENT_WITHIN_S if source in SILENT else WITHIN_S
             first_s = self.first_s.get((output, source), math.inf)
-            assert known_s <= first_s <= known_s + within_s, (output, source, self.first_s)
+            assert known_s <= first_s <= known_s + within_s + late_s, (output, source, self.first_s)
         # What is wrong is all that is named; the attitude that the alerts speak of is no source.
         assert {source for _, source in self.first_s} <= {*KNOWN_S[self._bag], "", "attitude"}, self.first_s
 
@@ -190,4 +192,4 @@ def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkey
     assert "acknowledged" in acknowledged
     assert "not acknowledged" not in acknowledged
     assert any("acknowledged" in event.text for event in picture.events if event.kind == "alert")
-    named.check()
+    named.check(LIVE_LATE_S)
