@@ -107,6 +107,19 @@ def test_only_the_topics_asked_for(tmp_path):
         assert (bag.start_ns, bag.end_ns) == (1, 30)
 
 
+@pytest.mark.parametrize("since", [0, 1, 500, 777, 1500])
+def test_from_a_time_on_and_what_lies_before_is_not_read(tmp_path, since):
+    times = [time // 1_000_000 for time in shuffled_times(3)]
+    since_ns = min(times) + since
+    path = write_numbered(tmp_path / "bag.mcap", times)
+    with read_bag(path) as bag:
+        read, original = [], bag._files[0].messages
+        bag._files[0].messages = lambda place: read.append(place) or original(place)
+        found = [(record.log_time_ns, int(record.decode().x)) for record in bag.records(since_ns=since_ns)]
+        assert all(place.end_ns >= since_ns for place in read)
+    assert found == sorted((time, number) for number, time in enumerate(times) if time >= since_ns)
+
+
 def test_memory_stays_small(tmp_path):
     """A chunk is read when its time has come, not before."""
     path = write_numbered(tmp_path / "bag.mcap", range(1, 20_001))

@@ -147,3 +147,21 @@ def test_time_stands_still_while_somebody_looks_closer() -> None:
     times.go_live()
     assert not times.is_paused
     assert (times.range.start, times.range.end) == (500e3, 1100e3)
+
+
+def drawn(trail: Trail, seconds: range) -> list[float]:
+    """The times that a trail has in the browsers after it has followed points, s."""
+    points = [Sample(second * SECOND_NS, 0.0) for second in seconds]
+    trail.follow(points, lambda some: {"value": np.array([point.value for point in some])})
+    data = trail.source.data
+    return [time / 1e3 for time, value in zip(data["t"], data["value"], strict=True) if value == 0.0]
+
+
+def test_minutes_that_are_heard_after_later_ones_are_drawn() -> None:
+    """A bag's page shows the last minute first; then the ten minutes take its place, also of another time."""
+    trail = Trail(("value",), by="value")
+    assert drawn(trail, range(540, 601)) == list(range(540, 600))
+    assert drawn(trail, range(1, 601)) == list(range(1, 600))
+    assert drawn(trail, range(841, 902)) == [*range(1, 600), *range(841, 901)]
+    assert drawn(trail, range(301, 902)) == list(range(301, 901))
+    assert drawn(trail, range(302, 903)) == list(range(301, 902))

@@ -141,17 +141,18 @@ class Bag:
         lines += [f"{name}: {line}" for line in sorted({line for part in self.differences.values() for line in part})]
         return [one_line(line) for line in lines]
 
-    def records(self, topics: Collection[str] | None = None) -> Iterator[BagRecord]:
+    def records(self, topics: Collection[str] | None = None, since_ns: int = 0) -> Iterator[BagRecord]:
         """Messages in order of log time, those of equal time in the order of the files.
 
         Args:
             topics: names of the topics wanted; None means all that can be read.
+            since_ns: log time before which none is wanted; chunks that end before it are not read.
         """
         channels = [
             {number: name for number, name in usable.items() if topics is None or name in topics}
             for usable in self._usable_channels
         ]
-        places = self._places()
+        places = [entry for entry in self._places() if entry.place.end_ns >= since_ns]
         waiting: list[tuple[int, int, BagRecord]] = []
         for number, bag_place in enumerate(places):
             waiting.extend(self._chunk_records(bag_place, channels[bag_place.file_number]))
@@ -166,6 +167,8 @@ class Bag:
             last = number + 1 == len(places)
             ready = len(waiting) if last else bisect_left(waiting, (places[number + 1].place.start_ns,))
             for time_ns, _, record in waiting[:ready]:
+                if time_ns < since_ns:
+                    continue
                 self.message_count += 1
                 self.last_time_ns = time_ns
                 yield record

@@ -1,13 +1,16 @@
 """``monitor``: the live page of a suite."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.live.ros_process import on_end_signals
+from ship_monitor.after.recorded_pictures import RecordedPictures
+from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_monitor.live.live_watch import LiveWatch
 from ship_monitor.page.app import page_maker
+from ship_monitor.page.picture_source import PictureSource
 from ship_monitor.page.server import PageServer
 from ship_monitor.page.themes import THEMES
 from ship_watch.limits import Limits, read_limits
@@ -17,6 +20,9 @@ Serves the live page of a suite: heading, pitch, roll, azimuth and elevation wit
 UNSAFE; the sources that are in and out, the alerts, the last ten minutes; below them plots. It only reads: estimators
 never wait for it, and nothing can be changed from the page. One reader of topics serves all browsers. Without
 --address only browsers of this machine reach it; over ssh, open a tunnel: ssh -L 5006:localhost:5006 SHIP.
+
+With --bag the same page shows a bag or a black box after the fact: a slider under the top bar, space plays, arrows move
+by 10 s (with shift by a minute), Home and End go to its ends. Each browser looks at its own time.
 
 Ctrl-C or SIGTERM ends it. ROS_DOMAIN_ID says in which domain it listens.
 """
@@ -37,6 +43,9 @@ def _parser() -> CommandParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the suite (none)")
+    parser.add_argument(
+        "--bag", type=Path, metavar="BAG", help="look at a bag or black box after the fact, with a time slider"
+    )
     parser.add_argument("--address", default="127.0.0.1", help="address to listen on; 0.0.0.0 is all (127.0.0.1)")
     parser.add_argument("--port", type=_port, default=5006, metavar="N", help="TCP port; 0 takes a free one (5006)")
     parser.add_argument("--limits", type=Path, metavar="FILE", help="YAML file with the limits of the ship (defaults)")
@@ -55,15 +64,33 @@ def _port(text: str) -> int:
 
 def _run(parsed: argparse.Namespace) -> int:
     limits = Limits() if parsed.limits is None else read_limits(parsed.limits)
+    if parsed.bag is not None:
+        return _show_bag(parsed, limits)
     watch = LiveWatch("monitor", parsed.namespace, limits)
     try:
-        make = page_maker(lambda: watch, parsed.theme)
-        server = PageServer(make, parsed.address, parsed.port, watch.tick)
-        on_end_signals(server.stop)
-        print(f"monitor: {server.address} ({watch.place})", flush=True)
-        server.run()
+        return _serve(parsed, lambda: watch, watch.tick, watch.place)
     finally:
         watch.close()
+
+
+def _show_bag(parsed: argparse.Namespace, limits: Limits) -> int:
+    """Each browser looks at its own time of the bag."""
+    suite = RecordedSuite(parsed.bag, parsed.namespace)
+    try:
+        for note in suite.notes:
+            print(f"monitor: {note}", flush=True)
+        return _serve(parsed, lambda: RecordedPictures(suite, limits), lambda: None, str(suite.path))
+    finally:
+        suite.close()
+
+
+def _serve(
+    parsed: argparse.Namespace, open_source: Callable[[], PictureSource], tick: Callable[[], None], shown: str
+) -> int:
+    server = PageServer(page_maker(open_source, parsed.theme), parsed.address, parsed.port, tick)
+    on_end_signals(server.stop)
+    print(f"monitor: {server.address} ({shown})", flush=True)
+    server.run()
     return EXIT_DONE
 
 

@@ -68,6 +68,7 @@ class Trail:
         self._by, self._filled = by, frozenset(filled)
         self._taken_ns: int | None = None
         self._last_ns: int | None = None
+        self._oldest_ns = 0
 
     def follow(self, points: Sequence[Point], rows: Callable[[Sequence[Point]], Mapping[str, FloatArray]]) -> None:
         """Take what is new of the points; all of them where they begin anew.
@@ -76,9 +77,11 @@ class Trail:
             points: in the order of their times.
             rows: makes the columns of some of them.
         """
-        if self._taken_ns is not None and (not points or points[-1].utc_ns < self._taken_ns):
+        begins_anew = not points or points[-1].utc_ns < (self._taken_ns or 0) or points[0].utc_ns < self._oldest_ns
+        if self._taken_ns is not None and begins_anew:
             self._taken_ns = self._last_ns = None
             self.source.data = {name: np.empty(0) for name in self.source.data}
+        self._oldest_ns = points[0].utc_ns if points else 0
         new = newer(points, self._taken_ns)
         time_ns = np.array([point.utc_ns for point in new], np.int64)
         over = waits_from(time_ns)

@@ -211,8 +211,25 @@ const monitor = (() => {
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || /INPUT|SELECT|TEXTAREA/.test(event.target.tagName)) return;
     if ("123".includes(event.key)) document.querySelectorAll("#themes a")[event.key - 1].click();
-    if (event.key === " ") { event.preventDefault(); pause(); }
+    if (event.key === " ") { event.preventDefault(); if (!play()) pause(); }
+    if (event.key in steps && move(event)) event.preventDefault();
   });
+  // A bag: the keys play it and move its time.
+  const steps = { ArrowLeft: -10, ArrowRight: 10, Home: -Infinity, End: Infinity };
+  const widget = (name) => window.Bokeh && Bokeh.documents.length ? Bokeh.documents[0].get_model_by_name(name) : null;
+  function play() {
+    const button = widget("play");
+    if (button) button.active = !button.active;
+    return button !== null;
+  }
+  function move(event) {
+    const slider = widget("time");
+    if (!slider) return false;
+    const wanted = slider.value + steps[event.key] * (event.shiftKey ? 6 : 1);
+    slider.value = Math.min(slider.end, Math.max(slider.start, wanted));
+    slider.value_throttled = slider.value;
+    return true;
+  }
   at("alert").onclick = () => { if (last && last.alert.all.length) at("alerts").hidden = !at("alerts").hidden; };
   at("plots-wanted").onclick = () => { document.body.classList.add("plots"); };
   new IntersectionObserver((seen) => tell({ seen: seen.at(-1).isIntersecting }), { rootMargin: "-8px" })

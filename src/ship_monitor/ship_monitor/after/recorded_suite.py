@@ -1,0 +1,121 @@
+"""A suite as a bag or a black box holds it: which of its messages are watched, from any time on."""
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import BagRecord, read_bag, watched
+from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
+from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
+from ship_watch.topics import watched_topic
+
+OUTPUTS = ("ship/attitude", "theodolite/pointing")
+_ALERTS = "ship/alerts"
+THINNED_NS = 100_000_000
+"""Where the newest message says all, one in so much time is decoded, ns: a watch judges no more often."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One message that is watched: its relative topic, the decoded message, and its log time."""
+
+    topic: str
+    message: Any
+    log_time_ns: int
+
+
+class RecordedSuite:
+    """An open bag of one suite. It may be read from several places at once.
+
+    Attributes:
+        path: of the bag.
+        start_ns: log time of the first message; ``end_ns``: of the last.
+        is_simulated: whether it holds the truth or a scenario, as no recording of a ship does.
+        notes: what is missing in it and what that means, a plain line each.
+
+    Args:
+        path: an MCAP file or a rosbag2 folder.
+        namespace: of the suite in the bag, with or without slashes; empty for the only one there is.
+
+    Raises:
+        BadInput: the bag cannot be read; or it holds several suites, or not the one that was named.
+    """
+
+    def __init__(self, path: Path, namespace: str = "") -> None:
+        self.path = path
+        self._bag = read_bag(path)
+        names = relative_topics(self._bag.topics, namespace or self._only_namespace())
+        if namespace and not names:
+            raise BadInput(f"there is no topic in the namespace /{namespace.strip('/')}", file=path)
+        usable = {relative: name for relative, name in names.items() if watched_topic(relative, self._bag.topics[name])}
+        self._rows = {name: (relative, watched_topic(relative)) for relative, name in usable.items()}
+        self.start_ns, self.end_ns = self._bag.start_ns or 0, self._bag.end_ns or 0
+        has_truth = any(relative.startswith(TRUTH_PREFIX) for relative in names)
+        self.is_simulated = has_truth or SCENARIO_ATTACHMENT in self._bag.attachments
+        self.notes = self._missing(set(usable), has_truth)
+        self._told: set[str] = set()
+        alerts = usable.get(_ALERTS)
+        self._alerts = list(watched(self._bag.records({alerts}), self._bag)) if alerts else []
+
+    def messages(self, since_ns: int) -> Iterator[Recorded]:
+        """What is watched from a log time on; first the alerts that stood then. What cannot be decoded is left out.
+
+        Args:
+            since_ns: log time of the first message.
+        """
+        standing = [record for record in self._alerts if record.log_time_ns < since_ns][-1:]
+        for record in standing:
+            yield from self._decoded(record, since_ns)
+        taken_ns: dict[str, int] = {}
+        for record in self._bag.records(self._rows, since_ns):
+            row = self._rows[record.topic][1]
+            if row is not None and not row.every:
+                step = record.log_time_ns // THINNED_NS
+                if taken_ns.get(record.topic) == step:
+                    continue
+                taken_ns[record.topic] = step
+            yield from self._decoded(record, record.log_time_ns)
+
+    def close(self) -> None:
+        """Close the bag."""
+        self._bag.close()
+
+    def _decoded(self, record: BagRecord, log_time_ns: int) -> Iterator[Recorded]:
+        try:
+            yield Recorded(self._rows[record.topic][0], record.decode(), log_time_ns)
+        except BadInput as problem:
+            if record.topic not in self._told:
+                print(f"monitor: left out: {problem}", file=sys.stderr, flush=True)
+            self._told.add(record.topic)
+
+    def _only_namespace(self) -> str:
+        """The namespace under which watched topics lie; empty where there is none."""
+        found = {space for name, kind in self._bag.topics.items() if (space := _namespace_of(name, kind)) is not None}
+        if len(found) > 1:
+            named = ", ".join(f"/{space}" for space in sorted(found))
+            raise BadInput(f"the bag holds suites in {named}: name one with --namespace", file=self.path)
+        return found.pop() if found else ""
+
+    def _missing(self, usable: set[str], has_truth: bool) -> tuple[str, ...]:
+        """What is missing, and what that means."""
+        name = self.path.name
+        if usable.isdisjoint(OUTPUTS):
+            outputs = f"no {OUTPUTS[0]} and no {OUTPUTS[1]}"
+            remedy = f"make them with 'ship_replay replay {name} --out OUT.mcap', then look at OUT.mcap"
+            return (f"{name} holds {outputs}, only inputs: {remedy}",)
+        lines = [] if has_truth else [f"{name} holds no truth: innovations are shown, errors are not"]
+        if OUTPUTS[0] not in usable:
+            lines.append(f"{name} holds no {OUTPUTS[0]}: heading, pitch and roll are not known")
+        return tuple(lines)
+
+
+def _namespace_of(name: str, type_name: str) -> str | None:
+    """The namespace in which a topic of a bag would be watched; None where it would not be."""
+    words = name.strip("/").split("/")
+    for length in range(len(words)):
+        if watched_topic("/".join(words[length:]), type_name) is not None:
+            return "/".join(words[:length])
+    return None

@@ -1,0 +1,201 @@
+"""A bag looked at after the fact: which messages are given to the watch, and the picture of any time."""
+
+import math
+
+import pytest
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.stamps import NS_PER_S
+from ship_monitor.after import recorded_pictures
+from ship_monitor.after.recorded_pictures import RecordedPictures
+from ship_monitor.after.recorded_suite import THINNED_NS, RecordedSuite
+from ship_testing.hand_made_bags import START_NS, ship_attitude, write_imu_bag
+from ship_testing.recorded_suites import TURN_RAD_PER_S, write_suite
+from ship_watch.history import KEPT_S
+from ship_watch.limits import Limits
+from ship_watch.picture import Presence
+from ship_watch.watch import Watch
+
+LENGTH_S = 900
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return write_suite(tmp_path_factory.mktemp("after") / "night.mcap", LENGTH_S)
+
+
+@pytest.fixture
+def suite(bag):
+    suite = RecordedSuite(bag)
+    yield suite
+    suite.close()
+
+
+@pytest.fixture
+def pictures(suite):
+    return RecordedPictures(suite, Limits())
+
+
+def whole(pictures):
+    """The picture once the ten minutes are heard."""
+    picture = pictures.look()
+    while not pictures.is_whole:
+        picture = pictures.look()
+    return picture
+
+
+def heard_at_once(suite, since_ns, until_ns):
+    """A watch that was given all of the stretch."""
+    watch = Watch(Limits())
+    for each in suite.messages(since_ns):
+        if each.log_time_ns > until_ns:
+            break
+        watch.take(each.topic, each.message, each.log_time_ns)
+    return watch
+
+
+def slide(pictures, at_s):
+    """Move the slider as a browser does."""
+    pictures._controls._slider.value = at_s
+    pictures._controls._moved("value_throttled", None, at_s)
+
+
+class TestWhatIsRead:
+    def test_every_message_that_counts_and_ten_a_second_of_the_others(self, bag, suite):
+        found = list(suite.messages(0))
+        with read_bag(bag) as whole_bag:
+            records = list(whole_bag.records())
+        assert [each.topic for each in found].count("ship/innovation") == LENGTH_S
+        attitudes = [each.log_time_ns for each in found if each.topic == "ship/attitude"]
+        steps = {record.log_time_ns // THINNED_NS for record in records if record.topic == "ship/attitude"}
+        assert sorted(time_ns // THINNED_NS for time_ns in attitudes) == sorted(steps)
+
+    def test_the_alerts_that_stood_are_told_first(self, suite):
+        since_ns = START_NS + 400 * NS_PER_S
+        first, second = [message for message, _ in zip(suite.messages(since_ns), range(2), strict=False)]
+        assert (first.topic, first.log_time_ns, first.message.alerts[0].id) == ("ship/alerts", since_ns, "star.bow.out")
+        assert (second.topic, second.log_time_ns) == ("ship/attitude", since_ns)
+        assert "ship/alerts" not in {each.topic for each in suite.messages(since_ns)} - {first.topic}
+
+    @pytest.mark.parametrize("prefix", ["/", "/aurora/", "a/b/"])
+    def test_the_only_namespace_is_found(self, tmp_path, prefix):
+        suite = RecordedSuite(write_suite(tmp_path / "bag.mcap", 5, prefix))
+        assert {each.topic for each in suite.messages(0)} == {"ship/attitude", "ship/innovation"}
+        assert [each.topic for each in RecordedSuite(suite.path, prefix).messages(0)] == [
+            each.topic for each in suite.messages(0)
+        ]
+
+    def test_of_two_suites_one_must_be_named(self, tmp_path):
+        path = tmp_path / "bag.mcap"
+        with BagWriter(path) as writer:
+            for name in ("/a/ship/attitude", "/b/ship/attitude"):
+                writer.write(name, ship_attitude(START_NS), START_NS)
+        with pytest.raises(BadInput, match=r"suites in /a, /b: name one with --namespace") as problem:
+            RecordedSuite(path)
+        assert "\n" not in str(problem.value)
+        assert len(list(RecordedSuite(path, "b").messages(0))) == 1
+        with pytest.raises(BadInput, match="no topic in the namespace /c"):
+            RecordedSuite(path, "/c/")
+
+    def test_what_is_missing_is_told_in_one_line(self, tmp_path, suite):
+        assert suite.notes == ("night.mcap holds no truth: innovations are shown, errors are not",)
+        inputs = RecordedSuite(write_imu_bag(tmp_path / "inputs.mcap", 10))
+        (note,) = inputs.notes
+        assert note.startswith("inputs.mcap holds no ship/attitude and no theodolite/pointing, only inputs:")
+        assert RecordedPictures(inputs, Limits()).place == note
+        assert RecordedSuite(write_suite(tmp_path / "simulated.mcap", 2, truth=True)).notes == ()
+
+    def test_simulated_is_what_holds_the_truth_or_a_scenario(self, tmp_path, suite):
+        assert RecordedPictures(suite, Limits()).label == "BAG"
+        with_truth = RecordedSuite(write_suite(tmp_path / "truth.mcap", 2, truth=True))
+        with_scenario = RecordedSuite(
+            write_imu_bag(tmp_path / "scenario.mcap", 2, attachments=[("scenario.yaml", b"seed: 1")])
+        )
+        labels = [RecordedPictures(each, Limits()).label for each in (with_truth, with_scenario)]
+        assert labels == ["SIMULATED · bag"] * 2
+
+    def test_a_message_that_is_damaged_is_left_out_and_told_once(self, tmp_path, capsys):
+        path = write_suite(tmp_path / "bag.mcap", 3)
+        suite = RecordedSuite(path)
+        record = next(iter(suite._bag.records({"ship/attitude"})))
+        record.data = record.data[:20]
+        suite._bag.records = lambda *_: iter([record] * 3)
+        assert list(suite.messages(0)) == []
+        assert capsys.readouterr().err.count("left out: topic 'ship/attitude'") == 1
+
+
+class TestPictures:
+    @pytest.mark.parametrize("at_s", [0.0, 10.0, 250.0, 599.0, 700.3, 900.0])
+    def test_a_time_is_shown_as_who_had_heard_the_ten_minutes_before_saw_it(self, suite, pictures, at_s):
+        pictures.go_to(at_s)
+        shown = whole(pictures)
+        time_ns = min(START_NS + round(at_s * NS_PER_S), suite.end_ns)
+        watch = heard_at_once(suite, max(time_ns - round(KEPT_S * NS_PER_S), 0), time_ns)
+        assert shown == watch.look(time_ns)
+        assert pictures.history.ribbons == watch.history.ribbons
+        heading = next(angle for angle in shown.angles if angle.name == "heading")
+        assert heading.value == pytest.approx(TURN_RAD_PER_S * (time_ns - START_NS) / NS_PER_S, abs=2e-5)
+
+    def test_the_first_look_already_has_words_sources_and_alerts(self, suite, pictures):
+        """Only events and plots need more than the last minute."""
+        pictures.go_to(450.0)
+        first, later = pictures.look(), whole(pictures)
+        assert not math.isnan(first.angles[0].value)
+        assert [(a.name, a.value, a.safety, a.reason) for a in first.angles] == [
+            (a.name, a.value, a.safety, a.reason) for a in later.angles
+        ]
+        assert [(s.name, s.presence, s.verdict) for s in first.sources] == [
+            (s.name, s.presence, s.verdict) for s in later.sources
+        ]
+        assert first.alerts is not None
+        assert first.alerts == later.alerts
+
+    def test_from_the_end_to_the_start_and_on(self, pictures):
+        presence = {}
+        for at_s in (900.0, 300.0, 880.0, 350.0):
+            pictures.go_to(at_s)
+            star = next(source for source in whole(pictures).sources if source.name == "star.bow")
+            presence[at_s] = star.presence
+        assert presence == {900.0: Presence.OUT, 300.0: Presence.IN, 880.0: Presence.OUT, 350.0: Presence.IN}
+
+    def test_a_look_hears_no_more_than_the_minute_and_a_part_of_the_ten(self, suite, pictures, monkeypatch):
+        """Counted in messages, not in time: the part is over as soon as the clock says so."""
+        monkeypatch.setattr(recorded_pictures, "LOOK_S", 0.0)
+        heard = []
+        original = Watch.take
+        monkeypatch.setattr(Watch, "take", lambda self, *given: heard.append(given) or original(self, *given))
+        pictures.go_to(850.0)
+        pictures.look()
+        minute = sum(
+            START_NS + 790 * NS_PER_S <= each.log_time_ns <= START_NS + 850 * NS_PER_S for each in suite.messages(0)
+        )
+        assert len(heard) <= minute + 3  # the alerts, once for each of both watches, and one message of the ten minutes
+
+    def test_playing_goes_on_by_the_time_that_passes_and_stops_at_the_end(self, pictures, monkeypatch):
+        now = [0.0]
+        slide(pictures, 100.0)
+        whole(pictures)
+        pictures._last_look_s = 0.0
+        monkeypatch.setattr(recorded_pictures.time, "monotonic", lambda: now[0])
+        pictures._controls._play.active = True
+        now[0] = 0.5
+        assert (pictures.look().utc_ns - START_NS) / NS_PER_S == pytest.approx(100.5, abs=0.11)
+        pictures._controls._hasten()
+        now[0] = 1.5
+        assert (pictures.look().utc_ns - START_NS) / NS_PER_S == pytest.approx(110.5, abs=0.11)
+        now[0] = 1000.0
+        pictures.look()
+        assert not pictures._controls.is_playing
+        pictures._controls._play.active = True  # again from the start
+        now[0] = 1000.1
+        assert (pictures.look().utc_ns - START_NS) / NS_PER_S == pytest.approx(1.0, abs=0.11)
+
+    def test_a_drag_stops_what_plays(self, pictures):
+        slide(pictures, 100.0)
+        pictures._controls._play.active = True
+        pictures.look()
+        assert pictures._controls.is_playing
+        pictures._controls._slider.value = 400.0
+        assert not pictures._controls.is_playing
