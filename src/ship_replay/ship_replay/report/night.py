@@ -1,0 +1,272 @@
+"""A whole recording as a watch officer would have seen it: states, events, alerts, refusals, budgets, second by second.
+
+The bag goes message by message through :class:`ship_watch.watch.Watch`. Its buffers hold ten minutes, so that what is
+new in them is taken out again and again.
+"""
+
+import hashlib
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
+from ship_replay.evaluation.statistics import reason_name
+from ship_watch.alert_conditions import conditions
+from ship_watch.alert_states import AlertState
+from ship_watch.alerts import AlertBook, AlertChange
+from ship_watch.history import BudgetPoint, ParameterShown
+from ship_watch.limits import Limits
+from ship_watch.picture import ANGLES, AlertShown, Event, Picture, Safety
+from ship_watch.topics import watched_topic
+from ship_watch.watch import Watch
+
+OUTPUTS = ("ship/attitude", "theodolite/pointing")
+ALERTS = "ship/alerts"
+
+_LOOK_NS = NS_PER_S // 2
+"""How often the picture is taken, ns: alerts that are computed here are told at these moments."""
+
+_OFTEN_ENOUGH_NS = NS_PER_S // 5
+"""Of topics of which the newest message says all, one in so long is read, ns."""
+
+
+@dataclass(frozen=True)
+class AlertTold:
+    """What became of an alert at a moment."""
+
+    utc_ns: int
+    what: str
+    alert: AlertShown
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A measurement that was not used: by which source, why, and whether its node or the filter refused it.
+
+    A note is no refusal: the measurement was used all the same.
+    """
+
+    utc_ns: int
+    source: str
+    reason: str
+    by: str
+    count: int = 1
+    is_note: bool = False
+
+
+@dataclass
+class Night:
+    """What one recording tells.
+
+    Attributes:
+        path: of the bag.
+        sha256: of the bag's file; empty of a folder, whose parts have sums of their own in ``metadata.yaml``.
+        start_ns: log time of its first message.
+        end_ns: log time of its last message.
+        limits: that it was judged by.
+        topics: relative topic → type.
+        attachments: of the bag.
+        metadata: of the bag.
+        words: angle → one (second, worst word) for each second in which it was told, UTC in s.
+        accuracy: angle → (UTC in ns, 1.96 sigma in rad), twice a second.
+        events: in the order in which they were told.
+        alerts: what became of alerts, in time; ``alerts_are_recorded`` tells whether an alert node published them.
+        refusals: in time.
+        budgets: by topic.
+        before: the first estimates told, by topic.
+        after: the last ones.
+        last: the picture of the last moment.
+        problems: what is wrong with the bag, one line each.
+    """
+
+    path: Path
+    sha256: str
+    start_ns: int
+    end_ns: int
+    limits: Limits
+    topics: Mapping[str, str]
+    attachments: Mapping[str, bytes]
+    metadata: Mapping[str, Mapping[str, str]]
+    words: dict[str, list[tuple[int, Safety]]] = field(default_factory=dict)
+    accuracy: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
+    alerts: list[AlertTold] = field(default_factory=list)
+    alerts_are_recorded: bool = False
+    refusals: list[Refusal] = field(default_factory=list)
+    budgets: dict[str, list[BudgetPoint]] = field(default_factory=dict)
+    before: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
+    after: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
+    last: Picture | None = None
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def start_utc_ns(self) -> int:
+        """UTC at which the outputs begin: that of the first word; log time where none was told."""
+        first_s = min((words[0][0] for words in self.words.values() if words), default=self.start_ns // NS_PER_S)
+        return first_s * NS_PER_S
+
+    def seconds(self, angle: str) -> Counter[Safety]:
+        """For how many seconds each word stood, the worst of each second."""
+        return Counter(word for _, word in self.words.get(angle, ()))
+
+
+def read_night(path: Path, limits: Limits | None = None, namespace: str = "") -> Night:
+    """Read a bag with outputs of the suite.
+
+    Raises:
+        BadInput: it cannot be read, or holds no output; it names the file and what was expected.
+    """
+    limits = limits or Limits()
+    with read_bag(path) as bag:
+        topics = relative_topics(bag.topics, namespace)
+        if not any(topic in topics for topic in OUTPUTS):
+            found = ", ".join(sorted(bag.topics)) or "none"
+            raise BadInput(
+                f"no outputs of the suite: expected topic {' or '.join(OUTPUTS)}, as replay writes them; found {found}",
+                file=path,
+            )
+        night = Night(
+            path, _sha256(path), bag.start_ns or 0, bag.end_ns or 0, limits,
+            {topic: bag.topics[name] for topic, name in topics.items()}, dict(bag.attachments), dict(bag.metadata),
+        )
+        _Reading(night, ALERTS in topics).read(bag, {name: topic for topic, name in topics.items()})
+        night.problems = bag.problems
+    return night
+
+
+class _Reading:
+    """Goes through a bag once."""
+
+    def __init__(self, night: Night, alerts_are_recorded: bool) -> None:
+        self._night, self._watch = night, Watch(night.limits)
+        night.alerts_are_recorded = alerts_are_recorded
+        self._book = AlertBook(night.limits.alerts, (), night.start_ns)
+        self._heard: dict[tuple[str, int], AlertShown] = {}
+        self._history = self._watch.history
+        self._last_event: Event | None = None
+        self._last_point_ns: dict[str, int] = {}
+        self._rejected: dict[str, int] = {}
+        self._counts: dict[tuple[str, str], int] = {}
+
+    def read(self, bag: Bag, topics: Mapping[str, str]) -> None:
+        # Errors against the truth are those of evaluate.
+        rows = {
+            name: row
+            for name, topic in topics.items()
+            if not topic.startswith(TRUTH_PREFIX) and (row := watched_topic(topic, bag.topics[name]))
+        }
+        newest: dict[str, int] = {}
+        next_ns = self._night.start_ns + _LOOK_NS
+        for record in watched(bag.records(set(rows)), bag):
+            now_ns = record.log_time_ns
+            while next_ns <= now_ns:
+                self._look(next_ns)
+                next_ns += _LOOK_NS
+            if rows[record.topic].every or now_ns - newest.get(record.topic, 0) >= _OFTEN_ENOUGH_NS:
+                newest[record.topic] = now_ns
+                self._take(topics[record.topic], record)
+        self._look(self._night.end_ns)
+
+    def _take(self, topic: str, record: BagRecord) -> None:
+        message = record.decode()
+        if topic.endswith("/innovation"):
+            self._note_innovation(message)
+        elif topic == "input_health":
+            self._note_health(message)
+        self._watch.take(topic, message, record.log_time_ns)
+        if topic == ALERTS:
+            self._note_recorded(self._watch.look(record.log_time_ns))
+        if self._watch.history is not self._history:
+            self._empty()
+            self._history = self._watch.history
+
+    def _look(self, now_ns: int) -> None:
+        picture = self._watch.look(now_ns)
+        night = self._night
+        for angle in picture.angles:
+            if picture.utc_ns and not angle.is_old and math.isfinite(angle.accuracy_95):
+                night.accuracy.setdefault(angle.name, []).append((picture.utc_ns, angle.accuracy_95))
+        fresh: list[Event] = []
+        for event in picture.events:
+            if event is self._last_event:
+                break
+            fresh.append(event)
+        if fresh:
+            self._last_event = fresh[0]
+            night.events += reversed(fresh)
+        if not night.alerts_are_recorded and picture.utc_ns:
+            changes = self._book.take(conditions(picture, night.limits), now_ns, picture.utc_ns)
+            night.alerts += [AlertTold(picture.utc_ns, change.what, change.alert) for change in _grave(changes)]
+        night.last = picture
+        self._empty()
+
+    def _empty(self) -> None:
+        """Take what is new out of the buffers."""
+        night = self._night
+        for point in self._newer("", self._history.ribbons):
+            for name in ANGLES:
+                if (word := point.words.get(name)) is not None:
+                    night.words.setdefault(name, []).append((point.utc_ns // NS_PER_S, word))
+        for topic, points in self._history.budgets.items():
+            night.budgets.setdefault(topic, []).extend(self._newer(topic, points))
+        for topic, shown in (
+            ("ship/alignment", self._history.alignment), ("theodolite/calibration", self._history.calibration)
+        ):
+            if shown:
+                night.before.setdefault(topic, shown)
+                night.after[topic] = shown
+
+    def _newer(self, name: str, points: Iterable[Any]) -> list[Any]:
+        last_ns = self._last_point_ns.get(name, -1)
+        found = [point for point in points if point.utc_ns > last_ns]
+        if found:
+            self._last_point_ns[name] = found[-1].utc_ns
+        return found
+
+    def _note_innovation(self, message: Any) -> None:
+        if not message.accepted:
+            stamp_ns = ns_from_stamp(message.header.stamp)
+            self._night.refusals.append(Refusal(stamp_ns, str(message.source), reason_name(message), "filter"))
+
+    def _note_health(self, message: Any) -> None:
+        """Counts of a node only grow; one that is less is that of a node that began anew."""
+        stamp_ns, topic = ns_from_stamp(message.header.stamp), str(message.topic)
+        rejected = int(message.rejected)
+        is_note = rejected == self._rejected.get(topic, 0)
+        self._rejected[topic] = rejected
+        for reason, count in zip(message.reasons, message.reason_counts, strict=False):
+            before = self._counts.get((topic, str(reason)), 0)
+            self._counts[topic, str(reason)] = int(count)
+            more = int(count) - (before if count >= before else 0)
+            if more:
+                self._night.refusals.append(Refusal(stamp_ns, topic, str(reason), "node", more, is_note))
+
+    def _note_recorded(self, picture: Picture) -> None:
+        """What became of the alerts that an alert node published."""
+        heard = {(alert.id, alert.instance): alert for alert in picture.alerts or ()}
+        for key, alert in heard.items():
+            if key not in self._heard or self._heard[key].state != alert.state:
+                what = AlertState(alert.state).name.lower().replace("_", " ")
+                self._night.alerts.append(AlertTold(alert.changed_ns, what, alert))
+        self._night.alerts += [
+            AlertTold(picture.utc_ns, "over", alert) for key, alert in self._heard.items() if key not in heard
+        ]
+        self._heard = heard
+
+
+def _grave(changes: Iterable[AlertChange]) -> list[AlertChange]:
+    """Nobody acknowledges what is computed afterwards, so that repetitions for that tell nothing."""
+    return [change for change in changes if not change.what.startswith("repeated")]
+
+
+def _sha256(path: Path) -> str:
+    if path.is_dir():
+        return ""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,222 @@
+"""The report: all sections, numbers of evaluate, words of the watch, the same bytes, no word of the network."""
+
+import re
+
+import numpy as np
+import pytest
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import BagWriter
+from ship_estimation.refusals import Reason
+from ship_geometry.rotations import ARCSEC
+from ship_replay.commands.report import main
+from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.report.drawings import MOST_POINTS, thin_errors, thinned
+from ship_replay.report.night import read_night
+from ship_replay.report.page import SECTIONS, duration, number, outages, page, read_told
+from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, innovation, ship_attitude
+from ship_watch.picture import Event, Safety
+
+SECOND_NS = 1_000_000_000
+SIGMA_ENU = np.diag([2.0, 3.0, 4.0]) * ARCSEC
+"""Of a ship that heads North: pitch 2″, roll 3″, heading 4″, so that 95 % are 3.9″, 5.9″ and 7.8″."""
+
+
+def write_night(path, seconds=40, with_truth=True, silent=(0, 0), refused=()):
+    """Attitudes ten times a second, 1″ off in heading, silent between two seconds; refusals of star.fore at seconds."""
+    with BagWriter(path) as bag:
+        bag.add_attachment("suite.yaml", "ship_attitude:\n  ros__parameters: {}\n")
+        for tick in range(10 * seconds):
+            stamp_ns = START_NS + tick * SECOND_NS // 10
+            if with_truth:
+                bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
+            if not silent[0] <= tick / 10 < silent[1]:
+                estimate = ship_attitude(stamp_ns, ARCSEC, covariance_enu=SIGMA_ENU @ SIGMA_ENU)
+                # Of (heading, pitch, roll), for a level ship that heads North.
+                estimate.covariance = (np.diag([4.0, 2.0, 3.0]) ** 2 * ARCSEC**2).ravel()
+                bag.write("ship/attitude", estimate, stamp_ns)
+            if tick % 10 == 0:
+                accepted = tick // 10 not in refused
+                reason = 0 if accepted else int(Reason.GATE)
+                told = innovation(stamp_ns, "star.fore", [ARCSEC, 0.0, 0.0], [ARCSEC] * 3, 1.0, accepted, reason)
+                bag.write("ship/innovation", told, stamp_ns)
+    return path
+
+
+@pytest.fixture(scope="module")
+def night_path(tmp_path_factory):
+    return write_night(tmp_path_factory.mktemp("night") / "out.mcap", silent=(20, 25), refused=range(30, 37))
+
+
+def test_every_section_in_its_order_and_nothing_of_the_network(night_path):
+    text = page(read_told(night_path))
+    places = [text.index(f'<h2 id="{name}">{title}</h2>') for name, title in SECTIONS]
+    assert places == sorted(places)
+    assert not re.search(r"https?://|<script|<link|@import|url\((?!#)", text)
+    assert all(target.startswith("#") for target in re.findall(r'(?:src|href)="([^"]*)"', text))
+    ids = re.findall(r'\bid="([^"]*)"', text)
+    assert len(ids) == len(set(ids))
+    # What drawings refer to is there, under the name that it has in the page.
+    assert set(re.findall(r'(?:xlink:href="#|url\(#)([^")]+)', text)) <= set(ids)
+
+
+def test_the_same_bag_gives_the_same_bytes(night_path):
+    assert page(read_told(night_path)) == page(read_told(night_path))
+
+
+def test_numbers_are_those_of_evaluate(night_path):
+    text = page(read_told(night_path))
+    fused = evaluate(night_path).errors[0].statistics()
+    row = re.search(r"<tr><td>fused</td><td>heading</td>(.*?)</tr>", text).group(1)
+    shown = re.findall(r'<td class="r">([^<]*)</td>', row)[:4]
+    assert shown == [number(fused[f"heading.{name}"]) for name in
+                     ("rms_arcsec", "bias_arcsec", "sigma_arcsec", "rms_over_sigma")]
+    assert shown[0] == "1"  # 1″ was put in
+
+
+def test_words_are_those_of_the_limits(night_path):
+    """95 % heading 7.8″ over 5″, pitch 3.9″ over 3″, roll 5.9″ over 3″: CAUTION; UNSAFE while nothing comes."""
+    night = read_night(night_path)
+    seconds = night.seconds("heading")
+    assert seconds[Safety.SAFE] == 0
+    assert seconds[Safety.CAUTION] >= 25
+    assert night.last is not None
+    changes = [event.text for event in night.events if event.kind == "state" and event.subject == "heading"]
+    assert any("CAUTION → UNSAFE" in text for text in changes)
+    assert any("UNSAFE → CAUTION" in text for text in changes)
+
+
+def test_no_second_is_told_while_the_output_is_silent(night_path):
+    told = {second for second, _ in read_night(night_path).words["heading"]}
+    start_s = START_NS // SECOND_NS
+    # The limit of age is 1 s: from 22 s on the last value is old, until one comes at 25 s.
+    assert not told & {start_s + 22, start_s + 23, start_s + 24}
+    assert {start_s + 18, start_s + 27} <= told
+
+
+def test_refusals_are_counted_with_their_times(night_path):
+    refusals = [one for one in read_night(night_path).refusals if one.by == "filter"]
+    assert {one.source for one in refusals} == {"star.fore"}
+    assert [one.utc_ns for one in refusals] == [START_NS + second * SECOND_NS for second in range(30, 37)]
+
+
+def test_a_source_refused_five_times_in_a_row_is_in_the_verdict_and_an_alert(night_path):
+    told = read_told(night_path)
+    out = [event for event in told.night.events if event.subject == "star.fore" and "OUT" in event.text]
+    assert abs(out[0].utc_ns - (START_NS + 34 * SECOND_NS)) <= 2 * SECOND_NS // 10
+    assert "star.fore was out from" in page(told)
+    assert not told.night.alerts_are_recorded
+    assert "star.fore.out" in {one.alert.id for one in told.night.alerts}
+
+
+def test_an_outage_whose_reason_changes_is_one(night_path):
+    night = read_night(night_path)
+    first = START_NS + 10 * SECOND_NS
+    told = [("star.fore OUT, 5 refused in a row", 0), ("star.fore OUT, silent", 1), ("star.fore IN", 5),
+            ("ins OUT, silent", 7)]
+    night.events = [Event(first + after * SECOND_NS, "source", text.split()[0], text) for text, after in told]
+    assert [(one.source, one.from_ns - first, one.to_ns and one.to_ns - first, one.why) for one in outages(night)] == [
+        ("star.fore", 0, 5 * SECOND_NS, "5 refused in a row"), ("ins", 7 * SECOND_NS, 0, "silent")
+    ]
+    assert outages(night)[1].text.endswith(" to the end (silent)")
+
+
+def test_without_truth_innovations_take_the_room(tmp_path):
+    text = page(read_told(write_night(tmp_path / "out.mcap", with_truth=False)))
+    assert "There is no truth in this recording" in text
+    assert '<svg' in text[text.index('id="errors"'):text.index('id="budget"')]
+
+
+def test_truth_of_another_bag(tmp_path):
+    out = write_night(tmp_path / "out.mcap", with_truth=False)
+    truth = write_night(tmp_path / "truth.mcap")
+    assert read_told(out, truth).evaluation.errors[0].label == "fused"
+
+
+class TestBadInput:
+    def refused(self, capsys, *arguments):
+        assert main([str(argument) for argument in arguments]) == 2
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 1
+        return lines[0]
+
+    def test_a_bag_without_outputs(self, tmp_path, capsys):
+        bag = tmp_path / "in.mcap"
+        with BagWriter(bag) as writer:
+            writer.write("ins/imu", imu(START_NS), START_NS + PERIOD_NS)
+        line = self.refused(capsys, bag, "--out", tmp_path / "a.html")
+        assert line.startswith(f"report: {bag}: no outputs of the suite: expected topic ship/attitude or")
+
+    def test_outputs_that_nothing_can_be_held_against(self, tmp_path, capsys):
+        """The complaint of the process that evaluates reaches the person."""
+        bag = tmp_path / "out.mcap"
+        with BagWriter(bag) as writer:
+            writer.write("ship/attitude", ship_attitude(START_NS), START_NS)
+        line = self.refused(capsys, bag, "--out", tmp_path / "a.html")
+        assert line.startswith(f"report: {bag}: nothing to evaluate: expected topics")
+
+    def test_a_truth_without_truth(self, tmp_path, capsys):
+        out = write_night(tmp_path / "out.mcap", 5, with_truth=False)
+        line = self.refused(capsys, out, "--truth", out, "--out", tmp_path / "a.html")
+        assert line.startswith(f"report: {out}: no truth: expected topic truth/attitude or truth/pointing")
+
+    def test_no_bag(self, tmp_path, capsys):
+        bag = tmp_path / "notes.mcap"
+        bag.write_text("no bag at all, although it is called one")
+        assert self.refused(capsys, bag, "--out", tmp_path / "a.html").startswith(f"report: {bag}: ")
+
+    def test_an_unknown_key_in_the_limits(self, tmp_path, capsys):
+        limits = tmp_path / "limits.yaml"
+        limits.write_text("heading_arcsec: 8.0\nheadding_arcsec: 8.0\n")
+        out = write_night(tmp_path / "out.mcap", 5)
+        line = self.refused(capsys, out, "--limits", limits, "--out", tmp_path / "a.html")
+        assert f"{limits}:2" in line
+        assert "headding_arcsec" in line
+
+    def test_a_truncated_bag_is_told_as_far_as_it_goes(self, tmp_path, capsys):
+        out = write_night(tmp_path / "out.mcap")
+        out.write_bytes(out.read_bytes()[:-200])
+        with read_bag(out) as bag:
+            problems = bag.problems
+        assert problems
+        assert main([str(out), "--out", str(tmp_path / "a.html")]) == 0
+        assert "warning: " in capsys.readouterr().out
+        assert 'class="warn"' in (tmp_path / "a.html").read_text()
+
+
+def test_limits_of_the_ship_change_the_words(tmp_path, night_path):
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("heading_arcsec: 2.0\n")
+    assert main([str(night_path), "--limits", str(limits), "--out", str(tmp_path / "a.html")]) == 0
+    assert re.search(r"<td>heading</td>.*2″</td>", (tmp_path / "a.html").read_text())
+
+
+def test_accuracy_that_was_never_told_is_no_obstacle(tmp_path):
+    with BagWriter(tmp_path / "out.mcap") as bag:
+        for second in range(5):
+            stamp_ns = START_NS + second * SECOND_NS
+            bag.write("ship/attitude", ship_attitude(stamp_ns), stamp_ns)
+            bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
+    assert 'id="status"' in page(read_told(tmp_path / "out.mcap"))
+
+
+def test_thinned_lines_keep_their_extremes():
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=(50_000, 2))
+    values[31_234, 0], values[7, 1] = 40.0, -50.0
+    values[100:300] = np.nan
+    kept = thinned(values, MOST_POINTS)
+    assert kept.sum() <= MOST_POINTS
+    assert kept[31_234]
+    assert kept[7]
+    assert np.isfinite(values[kept]).all()
+
+
+def test_thinned_errors_keep_the_largest(night_path):
+    errors = evaluate(night_path).errors[0]
+    assert np.abs(thin_errors(errors).error_arcsec).max() == np.abs(errors.error_arcsec).max()
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(3.0, "3 s"), (65.2, "1 min 05 s"), (3720.0, "1 h 02 min")])
+def test_durations(seconds, text):
+    assert duration(seconds) == text
