@@ -13,7 +13,10 @@ from ship_replay.commands.report import main
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.report.drawings import MOST_POINTS, thin_errors, thinned
 from ship_replay.report.night import read_night
-from ship_replay.report.page import SECTIONS, duration, number, outages, page, read_told
+from ship_replay.report.page import SECTIONS, page
+from ship_replay.report.tables import outages
+from ship_replay.report.told import read_told
+from ship_replay.report.wording import duration, number
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, innovation, ship_attitude
 from ship_watch.picture import Event, Safety
 

@@ -50,7 +50,8 @@ def _run(options: argparse.Namespace) -> int:
     check_file(path, options.force)
     limits = limits_of(options)
     # Loading the figures' libraries takes longer than to find out that an argument is wrong.
-    from ship_replay.report.page import page, read_told
+    from ship_replay.report.page import page
+    from ship_replay.report.told import read_told
 
     told = read_told(options.bag, options.truth, limits, options.namespace)
     write_whole(path, page(told))

@@ -5,7 +5,7 @@ The figures of errors and residuals are those of ``evaluation/figures.py``.
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime, timezone
 
 import matplotlib
@@ -112,9 +112,9 @@ def errors_svg(evaluation: Evaluation) -> str:
             return ""
         figure = innovation_figure(innovations, "")
         start_ns = min(min(part.compared) for part in innovations.values() if part.compared)
-    bottom = max(axes.get_subplotspec().rowspan.stop for axes in figure.axes)
-    for axes in figure.axes:
-        if axes.get_subplotspec().rowspan.stop == bottom:
+    last_row = {axes: place.rowspan.stop for axes in figure.axes if (place := axes.get_subplotspec()) is not None}
+    for axes, row in last_row.items():
+        if row == max(last_row.values()):
             _utc_axis(axes, start_ns)
     return svg(figure, "errors")
 
@@ -238,7 +238,7 @@ def _runs(seconds: Sequence[int]) -> list[tuple[int, int]]:
     return runs
 
 
-def _plain(grid: Sequence[Axes]) -> None:
+def _plain(grid: Iterable[Axes]) -> None:
     for axes in grid:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="x", color="0.9", lw=0.6)

@@ -268,5 +268,8 @@ def _grave(changes: Iterable[AlertChange]) -> list[AlertChange]:
 def _sha256(path: Path) -> str:
     if path.is_dir():
         return ""
+    digest = hashlib.sha256()
     with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+        while part := stream.read(1 << 20):
+            digest.update(part)
+    return digest.hexdigest()

@@ -1,0 +1,123 @@
+"""The sentences and rows of a report: what a night comes to, before it is laid out."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from ship_geometry.rotations import ARCSEC, wrap_pi
+from ship_replay.report.night import Night
+from ship_replay.report.wording import duration, number, placed, utc
+from ship_watch.history import ParameterShown
+from ship_watch.picture import ANGLES, Safety
+
+_TIMES_TOLD = 3
+
+
+def verdict(night: Night) -> list[str]:
+    """In sentences: how long each word stood per angle, and what failed when."""
+    sentences = []
+    for name in ANGLES:
+        seconds = night.seconds(name)
+        if total := sum(seconds.values()):
+            parts = [
+                f"{word.name} {duration(seconds[word])} ({100.0 * seconds[word] / total:.1f} %)"
+                for word in Safety if seconds[word]
+            ]
+            sentences.append(f"{name.capitalize()}: {', '.join(parts)}.")
+    if not sentences:
+        return ["No angle was ever told."]
+    found = outages(night)
+    for source in dict.fromkeys(outage.source for outage in found):
+        times = [outage.text for outage in found if outage.source == source]
+        more = f" and {len(times) - _TIMES_TOLD} times more" if len(times) > _TIMES_TOLD else ""
+        sentences.append(f"{source} was out from {', '.join(times[:_TIMES_TOLD])}{more}.")
+    return sentences if found else [*sentences, "No source was out."]
+
+
+@dataclass(frozen=True)
+class Outage:
+    """A source that was out: from when to when, UTC in ns, 0 where it never came back; and why, as first told."""
+
+    source: str
+    from_ns: int
+    to_ns: int
+    why: str
+
+    @property
+    def text(self) -> str:
+        """For a sentence: "12:00:05 to 12:00:20 (silent)"."""
+        return f"{utc(self.from_ns)} to {utc(self.to_ns) if self.to_ns else 'the end'} ({self.why})"
+
+
+def outages(night: Night) -> list[Outage]:
+    """Which source was out when: one for each time, though its reason may have been told anew meanwhile."""
+    found: list[Outage] = []
+    last: dict[str, int] = {}
+    for event in night.events:
+        if event.kind != "source":
+            continue
+        number, is_out = last.get(event.subject), f"{event.subject} OUT" in event.text
+        if is_out and number is None:
+            last[event.subject] = len(found)
+            found.append(Outage(event.subject, event.utc_ns, 0, event.text.partition(", ")[2]))
+        elif not is_out and number is not None:
+            found[number] = replace(found[number], to_ns=event.utc_ns)
+            del last[event.subject]
+    return found
+
+
+def shares(night: Night) -> list[tuple[str, dict[str, float], Counter[Safety]]]:
+    """Angle, share of the time of each word, seconds of each word; only of angles that were told."""
+    rows = []
+    for name in ANGLES:
+        seconds = night.seconds(name)
+        if total := sum(seconds.values()):
+            rows.append((name, {word.name: seconds[word] / total for word in Safety}, seconds))
+    return rows
+
+
+def before_after(before: Sequence[ParameterShown], after: Sequence[ParameterShown]) -> list[dict[str, str]]:
+    """A row for each parameter: first and last estimate with their σ, and the change in sigmas of the first."""
+    first = {shown.name: shown for shown in before}
+    rows = []
+    for shown in after:
+        start = first.get(shown.name, shown)
+        scale, unit = _scale(shown)
+        change = float(wrap_pi(shown.value - start.value)) if shown.unit == "rad" else shown.value - start.value
+        rows.append({
+            "name": shown.name,
+            "unit": unit,
+            "before": placed(start.value / scale, start.sigma / scale),
+            "before_sigma": number(start.sigma / scale),
+            "after": placed(shown.value / scale, shown.sigma / scale),
+            "after_sigma": number(shown.sigma / scale),
+            "change": f"{change / start.sigma:+.1f} σ" if start.sigma > 0.0 else "",
+            "note": "" if shown.is_observable else "not observable",
+        })
+    return rows
+
+
+def refusal_rows(night: Night) -> list[dict[str, str]]:
+    """A row for each source, place and reason: how many, first and last time; refusals before notes."""
+    counts: Counter[tuple[bool, str, str, str]] = Counter()
+    times: dict[tuple[bool, str, str, str], tuple[int, int]] = {}
+    for refusal in night.refusals:
+        key = refusal.is_note, refusal.source, refusal.by, refusal.reason
+        first, last = times.get(key, (refusal.utc_ns, refusal.utc_ns))
+        counts[key] += refusal.count
+        times[key] = min(first, refusal.utc_ns), max(last, refusal.utc_ns)
+    return [
+        {
+            "source": key[1], "by": key[2], "reason": key[3] + (" (note: used)" if key[0] else ""),
+            "count": f"{counts[key]}", "first": utc(times[key][0]), "last": utc(times[key][1]),
+        }
+        for key in sorted(counts)
+    ]
+
+
+def _scale(shown: ParameterShown) -> tuple[float, str]:
+    if shown.unit == "rad":
+        large = abs(float(wrap_pi(shown.value))) > math.radians(1.0)
+        return (math.pi / 180.0, "deg") if large else (ARCSEC, "arcsec")
+    return {"s": (1e-3, "ms"), "m": (1e-3, "mm")}.get(shown.unit, (1.0, shown.unit))

@@ -1,0 +1,48 @@
+"""What a report tells: a recording read once as a night, and evaluated once."""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.topic_names import relative_topics
+from ship_replay.evaluation.evaluate import Evaluation, evaluate
+from ship_replay.report.night import Night, read_night
+from ship_watch.limits import Limits
+from ship_watch.orientations import ORIENTATIONS
+
+
+@dataclass(frozen=True)
+class Told:
+    """A recording and what it was worth: all that a page is made of."""
+
+    night: Night
+    evaluation: Evaluation
+
+
+def read_told(
+    path: Path, truth: Path | None = None, limits: Limits | None = None, namespace: str = ""
+) -> Told:
+    """Read a bag with outputs, and evaluate it.
+
+    Raises:
+        BadInput: a bag cannot be read or lacks what is expected of it.
+    """
+    if truth is not None:
+        _check_truth(truth, namespace)
+    # Each takes half of the time; neither needs the other. A new process of its own: a copy of this one would take its
+    # threads' locks with it.
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as beside:
+        evaluated = beside.submit(evaluate, path, against=truth, namespace=namespace)
+        night = read_night(path, limits, namespace)
+        return Told(night, evaluated.result())
+
+
+def _check_truth(path: Path, namespace: str) -> None:
+    expected = [orientation.truth_topic for orientation in ORIENTATIONS]
+    with read_bag(path) as bag:
+        if not any(topic in relative_topics(bag.topics, namespace) for topic in expected):
+            found = ", ".join(sorted(bag.topics)) or "none"
+            raise BadInput(f"no truth: expected topic {' or '.join(expected)}, found {found}", file=path)

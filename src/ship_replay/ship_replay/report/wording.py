@@ -1,0 +1,36 @@
+"""Numbers and times as a reader of the report sees them."""
+
+import math
+from datetime import datetime, timezone
+
+import numpy as np
+
+from ship_bags.stamps import NS_PER_S
+
+
+def duration(seconds: float) -> str:
+    """A length of time for people: "1 h 02 min", "4 min 05 s", "12 s"."""
+    whole = round(seconds)
+    if whole >= 3600:
+        return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    return f"{whole // 60} min {whole % 60:02d} s" if whole >= 60 else f"{whole} s"
+
+
+def number(value: float) -> str:
+    """A value with three digits, a dash where there is none."""
+    if not math.isfinite(value):
+        return "–"
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}".replace("-", "−")
+
+
+def placed(value: float, sigma: float) -> str:
+    """A value with the places that its sigma makes worth telling."""
+    if not math.isfinite(value):
+        return "–"
+    places = 2 if not sigma > 0.0 else int(np.clip(1 - math.floor(math.log10(sigma)), 0, 6))
+    return f"{value:.{places}f}".replace("-", "−")
+
+
+def utc(time_ns: int, form: str = "%H:%M:%S") -> str:
+    """A time, POSIX in ns, as its UTC in whole seconds; hours, minutes and seconds where no other form is asked for."""
+    return datetime.fromtimestamp(time_ns // NS_PER_S, tz=timezone.utc).strftime(form)
