@@ -45,13 +45,7 @@ class NisWindow:
         fits = abs(ratio - 1.0) <= band
         if not band <= WIDEST_BAND or ratio == 0.0:
             return NisVerdict(ratio, degrees, "", fits)
-        if fits:
-            text = f"σ as stated ({ratio:.2f})"
-        elif ratio > 1.0:
-            text = f"σ optimistic by {_factor(ratio)}"
-        else:
-            text = f"σ pessimistic by {_factor(1.0 / ratio)}"
-        return NisVerdict(ratio, degrees, text, fits)
+        return NisVerdict(ratio, degrees, f"σ {as_stated(ratio) if fits else misfit(ratio)}", fits)
 
     def _forget(self, now_ns: int) -> None:
         entries = self._entries
@@ -63,6 +57,13 @@ class NisWindow:
             self._nis = 0.0  # what rounding left
 
 
-def _factor(value: float) -> str:
-    """A factor with as many digits as tell it from one."""
-    return f"{value:.2f}" if value < 1.05 else f"{value:.1f}"
+def as_stated(ratio: float) -> str:
+    """Words for a ratio of real to stated sigma that fits: "as stated (1.01)"."""
+    return f"as stated ({ratio:.2f})"
+
+
+def misfit(ratio: float) -> str:
+    """Words for one that does not: "optimistic by 1.6" where errors are larger than stated, "pessimistic by 2.0"."""
+    factor = ratio if ratio > 1.0 else 1.0 / ratio
+    # As many digits as tell it from one.
+    return f"{'optimistic' if ratio > 1.0 else 'pessimistic'} by {factor:.{2 if factor < 1.05 else 1}f}"

@@ -1,47 +1,124 @@
-"""Whether stated sigmas fit: a row for each NEES and NIS, and the words for it."""
+"""Whether stated sigmas fit: of errors against the truth over the whole run, of innovations minute by minute.
+
+The errors of a filter hang together over minutes, so that a run holds few independent ones; the band of their NEES is
+that of as many. Innovations are nearly independent, so that over a night no stated sigma would be exact enough: each
+minute is judged as the live page judges the last one, and the word is that of the minutes.
+"""
 
 import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import binom, chi2, norm
 
 from ship_replay.evaluation.evaluate import Evaluation
-from ship_replay.report.wording import number
+from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
+from ship_watch.picture import NisVerdict
+from ship_watch.verdict import BAND_SIGMAS, WIDEST_BAND, WINDOW_NS, NisWindow, as_stated, misfit
 
-_NIS_BAND = 3.3
+TOO_FEW = "too few to tell"
+TOO_FEW_INDEPENDENT = "too few independent ones to tell"
+
+_BAND = 0.999
+_NEES_DEGREES = 3
+_MINUTE_OUTSIDE = 2.0 * float(norm.sf(BAND_SIGMAS))
+"""Share of the minutes of an honest sigma whose ratio is outside the band of a minute."""
 
 
-def consistency(evaluation: Evaluation) -> list[dict[str, str]]:
-    """A row for each NEES and NIS: mean, what is expected, and in words whether σ fits.
+@dataclass(frozen=True)
+class SigmaFit:
+    """Whether the sigma of a source fits.
 
-    The numbers are those of ``evaluate``. Errors against the truth hang together over minutes, so that of NEES only
-    the ratio is told and no band; of NIS the share of minutes in their 99.9 % band, as ``evaluate`` counts them.
+    Attributes:
+        kind: ``NEES`` of errors against the truth, ``NIS`` of innovations.
+        name: of the source.
+        mean: of the normalised squares; NaN where there are none.
+        degrees: mean number of degrees of freedom, which is what ``mean`` is of a sigma that fits.
+        count: of the squares.
+        independent: so many independent ones tell as much; NaN of innovations, which nearly are.
+        minutes: verdicts of the minutes of which something can be told, by the word ``as stated``, ``optimistic`` or
+            ``pessimistic``; empty of errors.
+        words: "σ as stated (1.01)", "σ optimistic by 1.6 in 40 of 60 minutes", or that there are too few.
     """
-    rows = []
-    for series in evaluation.errors:
-        mean = series.statistics()["nees_mean"]
-        rows.append(_consistency_row("NEES", series.label, mean, 3.0, len(series.time_ns), None))
-    for source, part in evaluation.innovations.items():
-        values = part.statistics()
-        if "nis_mean" in values:
-            rows.append(
-                _consistency_row(
-                    "NIS", source, values["nis_mean"], values["nis_degrees"], len(part.compared),
-                    values.get("nis_windows_in_band"),
-                )
-            )
-    return rows
+
+    kind: str
+    name: str
+    mean: float
+    degrees: float
+    count: int
+    independent: float
+    minutes: dict[str, int]
+    words: str
+
+    @property
+    def ratio(self) -> float:
+        """Real over stated sigma, over the whole run; NaN where unknown."""
+        return math.sqrt(self.mean / self.degrees) if self.degrees > 0.0 and self.mean >= 0.0 else math.nan
 
 
-def _consistency_row(
-    kind: str, name: str, mean: float, degrees: float, count: int, in_band: float | None
-) -> dict[str, str]:
-    ratio = math.sqrt(mean / degrees) if mean >= 0.0 and degrees > 0.0 else math.nan
-    band = _NIS_BAND / math.sqrt(2.0 * degrees * count) if degrees > 0.0 and count else math.inf
-    if not math.isfinite(ratio) or not band <= 0.5:
-        words = "too few to tell"
-    elif abs(ratio - 1.0) <= (band if kind == "NIS" else 0.25):
-        words = f"σ as stated ({ratio:.2f})"
+def consistency(evaluation: Evaluation) -> list[SigmaFit]:
+    """A verdict for each source of errors, then for each source of innovations."""
+    fits = [nees_fit(errors) for errors in evaluation.errors]
+    return fits + [nis_fit(name, part) for name, part in evaluation.innovations.items() if part.compared]
+
+
+def nees_fit(errors: AttitudeErrors) -> SigmaFit:
+    """Whether the errors of a source are as large as stated: mean NEES in its 99.9 % band of as many independent ones.
+
+    N independent NEES of three degrees of freedom come to a χ² of 3 N.
+    """
+    nees = errors.nees[np.isfinite(errors.nees)]
+    if not len(nees):
+        return SigmaFit("NEES", errors.label, math.nan, _NEES_DEGREES, 0, 0.0, {}, "no σ stated")
+    independent, mean = errors.independent_count(), float(np.mean(nees))
+    degrees = _NEES_DEGREES * independent
+    low, high = chi2.ppf([0.5 * (1.0 - _BAND), 0.5 * (1.0 + _BAND)], degrees) / degrees
+    ratio_square = mean / _NEES_DEGREES
+    if not BAND_SIGMAS / math.sqrt(2.0 * degrees) <= WIDEST_BAND or not 0.0 < ratio_square < math.inf:
+        words = TOO_FEW_INDEPENDENT
     else:
-        words = f"σ optimistic by {ratio:.2f}" if ratio > 1.0 else f"σ pessimistic by {1.0 / ratio:.2f}"
-    return {
-        "kind": kind, "name": name, "mean": number(mean), "degrees": number(degrees), "count": f"{count}",
-        "in_band": "" if in_band is None else f"{100.0 * in_band:.0f} %", "words": words,
+        ratio = math.sqrt(ratio_square)
+        words = f"σ {as_stated(ratio) if low <= ratio_square <= high else misfit(ratio)}"
+    return SigmaFit("NEES", errors.label, mean, _NEES_DEGREES, len(nees), independent, {}, words)
+
+
+def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
+    """Whether the innovations of a source are as large as stated, minute by minute.
+
+    Of the minutes of an honest sigma one in a thousand is outside its band by chance. σ is as stated where no more of
+    them are than the binomial distribution allows with 99.9 %.
+    """
+    stamps = np.array(sorted(part.compared), dtype=np.int64)
+    judged = [part.compared[stamp] for stamp in stamps.tolist()]
+    nis = np.array([one.nis for one in judged])
+    degrees = np.array([int(np.isfinite(one.residual).sum()) for one in judged])
+    number = (stamps - stamps[0]) // WINDOW_NS
+    verdicts: list[NisVerdict] = []
+    for minute in np.unique(number):
+        window, rows = NisWindow(), np.flatnonzero(number == minute)
+        for row in rows:
+            window.add(int(stamps[row]), float(nis[row]), int(degrees[row]))
+        verdicts.append(window.verdict(int(stamps[rows[-1]])))
+    verdicts = [verdict for verdict in verdicts if verdict.text]  # of the others nothing can be told
+    outside = {
+        "optimistic": [verdict for verdict in verdicts if not verdict.is_as_stated and verdict.ratio > 1.0],
+        "pessimistic": [verdict for verdict in verdicts if not verdict.is_as_stated and verdict.ratio < 1.0],
     }
+    minutes = {word: len(found) for word, found in outside.items()}
+    told = {"as stated": len(verdicts) - sum(minutes.values()), **minutes}
+    known = np.isfinite(nis) & (degrees > 0)
+    mean, freedom = (float(np.mean(values[known])) if known.any() else math.nan for values in (nis, degrees))
+    if not verdicts:
+        words = TOO_FEW
+    elif sum(minutes.values()) <= binom.ppf(_BAND, len(verdicts), _MINUTE_OUTSIDE):
+        words = f"σ {as_stated(math.sqrt(mean / freedom))}"
+    else:
+        parts = [f"{misfit(_together(found))} in {len(found)}" for found in outside.values() if found]
+        words = f"σ {', '.join(parts)} of {len(verdicts)} minutes"
+    return SigmaFit("NIS", name, mean, freedom, int(known.sum()), math.nan, told, words)
+
+
+def _together(verdicts: list[NisVerdict]) -> float:
+    """The ratio of several minutes in one."""
+    degrees = sum(verdict.degrees for verdict in verdicts)
+    return math.sqrt(sum(verdict.ratio**2 * verdict.degrees for verdict in verdicts) / degrees)
