@@ -6,11 +6,13 @@ point that it has.
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise, takewhile
 from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
 from ship_watch.picture import Safety
@@ -205,3 +207,35 @@ def place_in_order(buffers: dict[str, deque[Point]], name: str, point: Point) ->
         if buffer[place].utc_ns < point.utc_ns:
             break
     append(buffers, name, point)
+
+
+def newer(points: Sequence[Point], taken_ns: int | None) -> list[Point]:
+    """The points after a time, in their order; all where it is None.
+
+    Args:
+        points: in the order of their times.
+        taken_ns: time of the last one that a plot has, ns.
+    """
+    if taken_ns is None:
+        return list(points)
+    # From the end, since a buffer holds ten minutes of which little is new.
+    return list(takewhile(lambda point: point.utc_ns > taken_ns, reversed(points)))[::-1]
+
+
+def extremes(values: FloatArray, starts: Sequence[int]) -> NDArray[np.intp]:
+    """Rows that a line of few points keeps: of each stretch the least and the largest of each column, in their order.
+
+    Args:
+        values: shape (n, columns); what is not finite is neither, but a stretch of nothing else keeps its first row, so
+            that a gap stays.
+        starts: first rows of the stretches, rising from 0; the last ends with the rows.
+    """
+    kept: list[int] = []
+    for start, end in pairwise([*starts, len(values)]):
+        found = set()
+        for column in values[start:end].T:
+            known = np.flatnonzero(np.isfinite(column))
+            if len(known):
+                found |= {start + int(known[np.argmin(column[known])]), start + int(known[np.argmax(column[known])])}
+        kept += sorted(found) or [start]
+    return np.array(kept, np.intp)

@@ -5,13 +5,13 @@ All of it is pure. Times are UTC as POSIX time in ns, as everywhere; the browser
 
 import math
 from collections.abc import Sequence
-from itertools import islice, pairwise
-from typing import Protocol, TypeVar
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
+from ship_watch.history import Timed, extremes
 
 TimesNs = NDArray[np.int64]
 
@@ -28,35 +28,6 @@ STEPS_ARCSEC = (15.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 3600.0)
 """Half widths that an axis may have, arcsec: fixed, so that small looks small."""
 
 
-class Timed(Protocol):
-    """A point of a history."""
-
-    @property
-    def utc_ns(self) -> int:
-        """Time of the point, ns."""
-
-
-Point = TypeVar("Point", bound=Timed)
-
-
-def newer(points: Sequence[Point], taken_ns: int | None) -> list[Point]:
-    """The points after a time, in their order; all where it is None.
-
-    Args:
-        points: in the order of their times.
-        taken_ns: time of the last one that a plot has, ns.
-    """
-    if taken_ns is None:
-        return list(points)
-    found: list[Point] = []
-    for point in reversed(points):
-        if point.utc_ns <= taken_ns:
-            break
-        found.append(point)
-    found.reverse()
-    return found
-
-
 def thinned(time_ns: TimesNs, value: FloatArray) -> NDArray[np.intp]:
     """Which rows a line keeps: of each second the least and the largest value, in the order of their times.
 
@@ -66,20 +37,9 @@ def thinned(time_ns: TimesNs, value: FloatArray) -> NDArray[np.intp]:
         time_ns: rising, shape (n,).
         value: NaN is neither least nor largest, but a second of nothing else keeps one row, so that a gap stays.
     """
-    if not len(time_ns):
-        return np.empty(0, np.intp)
-    bucket = time_ns // BUCKET_NS
-    ends = np.flatnonzero(np.diff(bucket)) + 1
-    kept: list[int] = []
-    for start, end in pairwise([0, *ends]):
-        inside = value[start:end]
-        known = np.flatnonzero(np.isfinite(inside))
-        if not len(known):
-            kept.append(int(start))
-            continue
-        extremes = {int(known[np.argmin(inside[known])]), int(known[np.argmax(inside[known])])}
-        kept += [int(start) + index for index in sorted(extremes)]
-    return np.array(kept, np.intp)
+    ends = np.flatnonzero(np.diff(time_ns // BUCKET_NS)) + 1
+    # The last stretch is that of the second that is not over.
+    return extremes(value[: ends[-1], None], [0, *ends[:-1]]) if len(ends) else np.empty(0, np.intp)
 
 
 def waits_from(time_ns: TimesNs) -> int:

@@ -7,10 +7,10 @@ import numpy as np
 from bokeh.models import Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import fixed_step, newer
+from ship_monitor.page.curves import fixed_step
 from ship_monitor.page.figures import BAND, PanelBox, SideLabels, TimePlots, Trail, band, hover, time_plot
 from ship_monitor.page.themes import Theme
-from ship_watch.history import ErrorPoint, History
+from ship_watch.history import ErrorPoint, History, newer
 
 CHANNELS: Mapping[tuple[str, str], str] = {
     ("ship/error_arcsec", "heading"): "heading",

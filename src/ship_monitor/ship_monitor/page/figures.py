@@ -24,17 +24,9 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import (
-    ROWS_KEPT,
-    Point,
-    fixed_step,
-    gaps_before,
-    newer,
-    thinned,
-    usual_period_ns,
-    waits_from,
-)
+from ship_monitor.page.curves import ROWS_KEPT, fixed_step, gaps_before, thinned, usual_period_ns, waits_from
 from ship_monitor.page.themes import FONT, Theme
+from ship_watch.history import Point, newer
 
 ARCSEC = 3600.0 * 180.0 / np.pi
 """Arcseconds in a radian."""

@@ -11,10 +11,10 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import STEPS_ARCSEC, fixed_step, newer, placed, signed
+from ship_monitor.page.curves import STEPS_ARCSEC, fixed_step, placed, signed
 from ship_monitor.page.figures import ARCSEC, BAND, MS, PanelBox, SideLabels, TimePlots, Trail, band, hover, time_plot
 from ship_monitor.page.themes import Theme
-from ship_watch.history import History, InnovationPoint
+from ship_watch.history import History, InnovationPoint, newer
 from ship_watch.picture import Picture, Presence, SourceShown
 
 LATELY_NS = 10_000_000_000

@@ -5,10 +5,10 @@ import math
 import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
-from ship_monitor.page.curves import fixed_step, newer, signed
+from ship_monitor.page.curves import fixed_step, signed
 from ship_monitor.page.figures import ARCSEC, PanelBox, ResidualBars, narrow_height, plot, words
 from ship_monitor.page.themes import Theme
-from ship_watch.history import History, LightPoint
+from ship_watch.history import History, LightPoint, newer
 from ship_watch.picture import Picture
 
 SHOWN_NS = 60_000_000_000

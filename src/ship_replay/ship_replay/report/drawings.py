@@ -24,7 +24,7 @@ from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_replay.report.night import Night
-from ship_watch.history import BudgetPoint
+from ship_watch.history import BudgetPoint, extremes
 from ship_watch.picture import ANGLES, Safety
 
 MOST_POINTS = 1200
@@ -159,7 +159,7 @@ def refusals_svg(night: Night) -> str:
 
 
 def thinned(values: FloatArray, most: int) -> np.ndarray:
-    """Which of the rows a line keeps: of each stretch the least and the largest of each column.
+    """Which of the rows a line keeps: the least and largest of each column in stretches as long as one another.
 
     Args:
         values: shape (n, columns); what is not finite is neither.
@@ -171,13 +171,9 @@ def thinned(values: FloatArray, most: int) -> np.ndarray:
     count, columns = values.shape
     if count <= most:
         return np.ones(count, dtype=bool)
+    parts = max(most // (2 * columns), 1)
     kept = np.zeros(count, dtype=bool)
-    for rows in np.array_split(np.arange(count), max(most // (2 * columns), 1)):
-        for column in range(columns):
-            known = rows[np.isfinite(values[rows, column])]
-            if len(known):
-                kept[known[np.argmin(values[known, column])]] = True
-                kept[known[np.argmax(values[known, column])]] = True
+    kept[extremes(values, [part * count // parts for part in range(parts)])] = True
     return kept
 
 

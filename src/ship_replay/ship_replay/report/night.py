@@ -7,7 +7,7 @@ new in them is taken out again and again.
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from ship_replay.evaluation.statistics import reason_name
 from ship_watch.alert_conditions import conditions
 from ship_watch.alert_states import AlertState
 from ship_watch.alerts import AlertBook, AlertChange
-from ship_watch.history import BudgetPoint, ParameterShown
+from ship_watch.history import BudgetPoint, ParameterShown, newer
 from ship_watch.limits import Limits
 from ship_watch.picture import ANGLES, AlertShown, Event, Picture, Safety
 from ship_watch.topics import watched_topic
@@ -222,9 +222,8 @@ class _Reading:
                 night.before.setdefault(topic, shown)
                 night.after[topic] = shown
 
-    def _newer(self, name: str, points: Iterable[Any]) -> list[Any]:
-        last_ns = self._last_point_ns.get(name, -1)
-        found = [point for point in points if point.utc_ns > last_ns]
+    def _newer(self, name: str, points: Sequence[Any]) -> list[Any]:
+        found = newer(points, self._last_point_ns.get(name))
         if found:
             self._last_point_ns[name] = found[-1].utc_ns
         return found
