@@ -39,7 +39,7 @@ FILES = {
 FOLDERS = {
     "layout_study": (layout_study_command.main, [], "--out", "layout_study.html"),
     "fit_axes": (fit_axes_command.main, ["absent"], "--out", "axes.yaml"),
-    "replay --report": (replay_command.main, ["absent", "--out", "result.mcap"], "--report", "result.png"),
+    "replay --report": (replay_command.main, ["absent", "--out", "result.mcap"], "--report", "result.html"),
     "calibrate_installation --report": (
         calibrate_installation_command.main,
         ["absent", "--out", "result.yaml"],

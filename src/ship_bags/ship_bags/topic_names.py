@@ -25,6 +25,18 @@ def relative_topics(names: Iterable[str], namespace: str = "") -> dict[str, str]
     return {relative: name for relative, name in pairs if relative is not None}
 
 
+def namespace_of_outputs(names: Iterable[str], namespace: str, outputs: Iterable[str]) -> str:
+    """The namespace that outputs have in a bag: the ship's, or none, as where a replay wrote them.
+
+    Args:
+        names: of the bag's topics.
+        namespace: of the ship.
+        outputs: relative names of which any tells.
+    """
+    found = relative_topics(names, namespace)
+    return namespace if any(topic in found for topic in outputs) else ""
+
+
 def likely_namespace(names: Iterable[str], wanted: Iterable[str]) -> str | None:
     """A namespace under which all wanted relative names are in the bag; None where there is no single one."""
     bare, needed = {name.lstrip("/") for name in names}, set(wanted)

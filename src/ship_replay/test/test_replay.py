@@ -1,5 +1,6 @@
 """Replay hands a bag to an adapter in order of log time and writes what comes out."""
 
+import json
 from dataclasses import dataclass
 
 import numpy as np
@@ -265,17 +266,19 @@ class TestCommand:
 
     SUITE = "ship_attitude:\n  ros__parameters:\n    ins:\n      frame_id: ins\n"
 
-    def test_replays_and_reports(self, tmp_path, capsys):
+    @pytest.mark.parametrize("namespace", ["", "vessel", "ship"])
+    def test_replays_and_reports(self, tmp_path, capsys, namespace):
         bag = tmp_path / "in.mcap"
         with BagWriter(bag) as writer:
-            writer.add_attachment("suite.yaml", self.SUITE)
+            writer.add_attachment("suite.yaml", "/**/" + self.SUITE)
             for number in range(300):
                 stamp_ns = START_NS + number * PERIOD_NS
-                writer.write("ins/imu", imu(stamp_ns), stamp_ns)
+                writer.write(f"{namespace}/ins/imu", imu(stamp_ns), stamp_ns)
                 if number % 10 == 0:
-                    writer.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
+                    writer.write(f"{namespace}/truth/attitude", ship_attitude(stamp_ns), stamp_ns)
         out = tmp_path / "out.mcap"
-        assert main([str(bag), "--out", str(out), "--report", str(tmp_path / "report")]) == 0
+        arguments = ["--out", str(out), "--report", str(tmp_path / "report"), "--namespace", namespace]
+        assert main([str(bag), *arguments]) == 0
         printed = capsys.readouterr().out
         assert "in:  ins/imu 300" in printed
         assert "x real time)" in printed
@@ -283,8 +286,13 @@ class TestCommand:
         assert [ns_from_stamp(message.header.stamp) for message in attitudes] == [
             START_NS + number * PERIOD_NS for number in range(300)
         ]
-        assert (tmp_path / "report" / "out.png").read_bytes().startswith(b"\x89PNG")
-        assert '"fused.heading.rms_arcsec"' in (tmp_path / "report" / "out.json").read_text()
+        assert {path.name for path in (tmp_path / "report").iterdir()} == {"out.html", "out.json"}
+        numbers = json.loads((tmp_path / "report" / "out.json").read_text())
+        # The INS alone, which only the bag that was replayed holds, is compared, too.
+        assert {"fused.heading.rms_arcsec", "ins.heading.rms_arcsec"} <= set(numbers)
+        text = (tmp_path / "report" / "out.html").read_text()
+        assert "<td>fused</td>" in text
+        assert "<td>ins</td>" in text
         with read_bag(out) as replayed:
             names = {topic.topic for topic in ShipAttitudeAdapter.outputs}
             assert names <= set(replayed.topics)

@@ -50,7 +50,10 @@ def _parser() -> CommandParser:
         default="log",
         help="when a message arrives: when it was logged (default), or at its stamp, for a bag whose recorder stalled",
     )
-    parser.add_argument("--report", type=Path, metavar="DIR", help="folder for figures (errors in arcsec) and JSON")
+    parser.add_argument(
+        "--report", type=Path, metavar="DIR", help="folder for OUT.html, as report writes it, and "
+        "OUT.json with the numbers of evaluate"
+    )
     parser.add_argument(
         "--verify",
         action="store_true",
@@ -91,21 +94,23 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _report_names(options: argparse.Namespace) -> tuple[str, str]:
-    """The files of a report: figure and values."""
-    return f"{options.out.stem}.png", f"{options.out.stem}.json"
+    """The files of a report: page and values."""
+    return f"{options.out.stem}.html", f"{options.out.stem}.json"
 
 
 def _report(options: argparse.Namespace) -> None:
     # Loading the figures' libraries takes longer than many a replay.
-    from ship_replay.evaluation.evaluate import evaluate
-    from ship_replay.evaluation.figures import evaluation_figure, save_figure
+    from ship_replay.report.page import page
+    from ship_replay.report.told import has_truth, read_told
 
-    evaluation = evaluate(options.out, against=options.bag, namespace=options.namespace)
+    # What the sensors measured is in the bag that was replayed alone; it is compared where the truth is known.
+    truth = options.bag if has_truth(options.bag, options.namespace) else None
+    told = read_told(options.out, truth, namespace=options.namespace)
     options.report.mkdir(parents=True, exist_ok=True)
-    figure_path, values_path = (options.report / name for name in _report_names(options))
-    save_figure(evaluation_figure(evaluation, options.out.name), figure_path)
-    write_whole(values_path, evaluation.json_text())
-    print(f"report: {figure_path}, {values_path}")
+    page_path, values_path = (options.report / name for name in _report_names(options))
+    write_whole(page_path, page(told))
+    write_whole(values_path, told.evaluation.json_text())
+    print(f"report: {page_path}, {values_path}")
 
 
 def _print(summary: ReplaySummary) -> None:

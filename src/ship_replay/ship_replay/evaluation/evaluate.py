@@ -16,7 +16,7 @@ from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import anywhere
 from ship_bags.stamps import NS_PER_S
-from ship_bags.topic_names import relative_topics
+from ship_bags.topic_names import namespace_of_outputs, relative_topics
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, sources
@@ -103,7 +103,7 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
         bag_path: bag that holds ``ship/attitude``, ``theodolite/pointing`` and what else the nodes published.
         against: bag with the truth and the inputs, where they are not in ``bag_path``.
         skip_s: leave out what is stamped earlier than this after the beginning of the bag.
-        namespace: namespace of the ship in the bags.
+        namespace: namespace of the ship in the bags; what a replay wrote may have none.
 
     Raises:
         BadInput: a bag cannot be read, or holds nothing to evaluate.
@@ -119,6 +119,8 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
 
 def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Evaluation:
     bags = [*others, bag]
+    named = {other: relative_topics(other.topics, namespace) for other in others}
+    named[bag] = relative_topics(bag.topics, namespace_of_outputs(bag.topics, namespace, _OF_THE_RUN))
     length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
     if not 0.0 <= skip_s <= length_s:
         text = f"{skip_s:g} s to skip: expected from 0 to {length_s:.1f} s, the length of the bag"
@@ -126,10 +128,10 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     ship = _config(bags, ShipAttitudeConfig, "ship_attitude")
     star = _config(bags, StarAttitudeConfig, "star_attitude")
     theodolite = _config(bags, OpticalAxisConfig, "optical_axis")
-    collectors = sources(_truths(bags, namespace), ship, star, theodolite)
+    collectors = sources(_truths(named), ship, star, theodolite)
     innovations = InnovationBook()
     last: dict[str, BagRecord] = {}
-    for candidate, topics in _reading_plan(bag, others, [*collectors, *_RESULTS], namespace):
+    for candidate, topics in _reading_plan(named, bag, [*collectors, *_RESULTS]):
         for record in candidate.records(topics):
             topic = topics[record.topic]
             if topic in _INNOVATION_TOPICS:
@@ -172,34 +174,38 @@ def _left_out(collectors: Mapping[str, AttitudeSource], errors: list[AttitudeErr
     ]
 
 
-def _reading_plan(bag: Bag, others: list[Bag], topics: list[str], namespace: str) -> list[tuple[Bag, dict[str, str]]]:
+_Named = Mapping[Bag, Mapping[str, str]]
+"""Bag → relative topic → its name there; the run's own bag last."""
+
+
+def _reading_plan(named: _Named, own: Bag, topics: list[str]) -> list[tuple[Bag, dict[str, str]]]:
     """Which bag serves which topics (name in the bag → relative name).
 
     Results come from the run's own bag, inputs from the bag that it is held against where that has them. A sensor's
     solutions may be either: those of the run come first.
     """
-    plan: list[tuple[Bag, dict[str, str]]] = [(candidate, {}) for candidate in [*others, bag]]
+    plan: list[tuple[Bag, dict[str, str]]] = [(candidate, {}) for candidate in named]
     for topic in topics:
         for candidate, served in reversed(plan) if topic.endswith("/solution") else plan:
-            name = relative_topics(candidate.topics, namespace).get(topic)
-            if name is not None and (candidate is bag or topic not in _OF_THE_RUN):
+            name = named[candidate].get(topic)
+            if name is not None and (candidate is own or topic not in _OF_THE_RUN):
                 served[name] = topic
                 break
     return plan
 
 
-def _truths(bags: list[Bag], namespace: str) -> dict[str, Truth]:
+def _truths(named: _Named) -> dict[str, Truth]:
     """Topic → truth of the first bag that holds any."""
     truths: dict[str, Truth] = {}
-    for orientation in ORIENTATIONS:
-        for bag in bags:
-            name = relative_topics(bag.topics, namespace).get(orientation.truth_topic)
-            if name is not None and orientation.truth_topic not in truths:
-                truth = Truth(orientation)
-                for record in bag.records({name}):
-                    truth.add(record.decode())
-                if len(truth):
-                    truths[orientation.truth_topic] = truth
+    for bag, names in named.items():
+        wanted = {
+            names[known.truth_topic]: Truth(known)
+            for known in ORIENTATIONS
+            if known.truth_topic in names and known.truth_topic not in truths
+        }
+        for record in bag.records(wanted) if wanted else ():
+            wanted[record.topic].add(record.decode())
+        truths |= {truth.orientation.truth_topic: truth for truth in wanted.values() if len(truth)}
     return truths
 
 

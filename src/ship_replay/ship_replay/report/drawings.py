@@ -60,12 +60,14 @@ def svg(figure: Figure, name: str) -> str:
 
 
 def status_svg(night: Night) -> str:
-    """A ribbon for each angle, a second a point, and below it how accurate the angle was."""
+    """A ribbon for each angle, a second a point, and below it how accurate it was; empty where none was ever told."""
     shown = [name for name in ANGLES if night.words.get(name)]
+    if not shown:
+        return ""
     with plt.rc_context(_SVG):
         figure, grid = plt.subplots(
             2, 1, figsize=(9.2, 1.2 + 0.34 * len(shown) + 2.3), sharex=True, layout="constrained",
-            height_ratios=(max(0.34 * len(shown), 0.34), 2.0),
+            height_ratios=(0.34 * len(shown), 2.0),
         )
         start_ns = night.start_utc_ns
         for row, name in enumerate(shown):

@@ -15,7 +15,8 @@ from typing import Any
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
+from ship_bags.topic_names import TRUTH_PREFIX, namespace_of_outputs, relative_topics
+from ship_replay.evaluation.sources import JOINT_SOLUTION
 from ship_replay.evaluation.statistics import reason_name
 from ship_watch.alert_conditions import conditions
 from ship_watch.alert_states import AlertState
@@ -26,7 +27,7 @@ from ship_watch.picture import ANGLES, AlertShown, Event, Picture, Safety
 from ship_watch.topics import watched_topic
 from ship_watch.watch import Watch
 
-OUTPUTS = ("ship/attitude", "theodolite/pointing")
+OUTPUTS = ("ship/attitude", "theodolite/pointing", JOINT_SOLUTION)
 ALERTS = "ship/alerts"
 
 _LOOK_NS = NS_PER_S // 2
@@ -124,7 +125,7 @@ def read_night(path: Path, limits: Limits | None = None, namespace: str = "") ->
     """
     limits = limits or Limits()
     with read_bag(path) as bag:
-        topics = relative_topics(bag.topics, namespace)
+        topics = relative_topics(bag.topics, namespace_of_outputs(bag.topics, namespace, OUTPUTS))
         if not any(topic in topics for topic in OUTPUTS):
             found = ", ".join(sorted(bag.topics)) or "none"
             raise BadInput(

@@ -13,6 +13,8 @@ from ship_replay.report.night import Night, read_night
 from ship_watch.limits import Limits
 from ship_watch.orientations import ORIENTATIONS
 
+_TRUTH_TOPICS = [orientation.truth_topic for orientation in ORIENTATIONS]
+
 
 @dataclass(frozen=True)
 class Told:
@@ -30,8 +32,8 @@ def read_told(
     Raises:
         BadInput: a bag cannot be read or lacks what is expected of it.
     """
-    if truth is not None:
-        _check_truth(truth, namespace)
+    if truth is not None and not has_truth(truth, namespace):
+        raise BadInput(f"no truth: expected topic {' or '.join(_TRUTH_TOPICS)}", file=truth)
     # Each takes half of the time; neither needs the other. A new process of its own: a copy of this one would take its
     # threads' locks with it.
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as beside:
@@ -40,9 +42,12 @@ def read_told(
         return Told(night, evaluated.result())
 
 
-def _check_truth(path: Path, namespace: str) -> None:
-    expected = [orientation.truth_topic for orientation in ORIENTATIONS]
+def has_truth(path: Path, namespace: str) -> bool:
+    """Whether a bag holds a truth that something can be held against.
+
+    Raises:
+        BadInput: it cannot be read.
+    """
     with read_bag(path) as bag:
-        if not any(topic in relative_topics(bag.topics, namespace) for topic in expected):
-            found = ", ".join(sorted(bag.topics)) or "none"
-            raise BadInput(f"no truth: expected topic {' or '.join(expected)}, found {found}", file=path)
+        topics = relative_topics(bag.topics, namespace)
+        return any(topic in topics for topic in _TRUTH_TOPICS)
