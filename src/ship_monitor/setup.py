@@ -13,7 +13,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     install_requires=["setuptools", "numpy", "bokeh", "tornado", "Jinja2", "matplotlib", "textual"],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest"], "foxglove": ["foxglove-sdk"]},
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",

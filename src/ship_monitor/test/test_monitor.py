@@ -1,6 +1,7 @@
 """The executable ``monitor``: what it refuses in one line."""
 
 import socket
+import sys
 
 import pytest
 
@@ -16,6 +17,30 @@ def test_a_port_in_use_is_one_line_and_bad_input(capsys):
         port = taken.getsockname()[1]
         assert main(["--port", str(port)]) == 2
     assert capsys.readouterr().err == f"monitor: port {port} of 127.0.0.1 is in use: give another one with --port\n"
+
+
+def test_a_port_of_foxglove_in_use_is_one_line_and_bad_input(capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert main(["--foxglove", str(port)]) == 2
+    said = f"monitor: port {port} of 127.0.0.1 is in use: give another one with --foxglove N\n"
+    assert capsys.readouterr() == ("", said)
+
+
+def test_without_the_package_of_foxglove_one_line_says_what_to_install(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    monkeypatch.delitem(sys.modules, "ship_monitor.foxglove.server", raising=False)
+    assert main(["--foxglove"]) == 2
+    said = "monitor: --foxglove needs the Python package foxglove-sdk: pip install foxglove-sdk\n"
+    assert capsys.readouterr() == ("", said)
+
+
+def test_a_bag_is_not_served_to_foxglove_which_opens_it_by_itself(capsys):
+    assert main(["--bag", "OUT.mcap", "--foxglove"]) == 2
+    said = "monitor: --foxglove serves a live suite: Foxglove opens OUT.mcap by itself\n"
+    assert capsys.readouterr() == ("", said)
 
 
 @pytest.mark.live
@@ -35,7 +60,9 @@ def test_an_unknown_key_of_the_limits_is_one_line_with_file_and_key(tmp_path, ca
     assert "heading_arcsecs" in said
 
 
-@pytest.mark.parametrize("arguments", [["--port", "70000"], ["--port", "x"], ["--theme", "white"]])
+@pytest.mark.parametrize(
+    "arguments", [["--port", "70000"], ["--port", "x"], ["--foxglove", "70000"], ["--theme", "white"]]
+)
 def test_bad_usage_ends_with_2(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
         main(arguments)

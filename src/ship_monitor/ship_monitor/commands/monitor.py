@@ -1,10 +1,13 @@
 """``monitor``: the live page of a suite."""
 
 import argparse
+import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput
 from ship_bags.live.ros_process import on_end_signals
 from ship_monitor.after.recorded_pictures import RecordedPictures
 from ship_monitor.after.recorded_suite import RecordedSuite
@@ -15,11 +18,20 @@ from ship_monitor.page.server import PageServer
 from ship_monitor.page.themes import THEMES
 from ship_watch.limits import Limits, read_limits
 
+if TYPE_CHECKING:
+    from ship_monitor.foxglove.server import FoxgloveServer
+
+FOXGLOVE_PORT = 8765
+"""Where Foxglove looks by itself."""
+
 _DESCRIPTION = """\
 Serves the live page of a suite: heading, pitch, roll, azimuth and elevation with their 95 % accuracy; SAFE, CAUTION or
 UNSAFE; the sources that are in and out, the alerts, the last ten minutes; below them plots. It only reads: estimators
 never wait for it, and nothing can be changed from the page. One reader of topics serves all browsers. Without
 --address only browsers of this machine reach it; over ssh, open a tunnel: ssh -L 5006:localhost:5006 SHIP.
+
+With --foxglove it also serves the suite's topics by websocket to Foxglove or Lichtblick ("Open connection", "Foxglove
+WebSocket"), all messages of those topics that somebody there looks at. Nothing can be published that way.
 
 With --bag the same page shows a bag or a black box after the fact: a slider under the top bar, space plays, arrows move
 by 10 s (with shift by a minute), Home and End go to its ends. Each browser looks at its own time.
@@ -48,6 +60,14 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("--address", default="127.0.0.1", help="address to listen on; 0.0.0.0 is all (127.0.0.1)")
     parser.add_argument("--port", type=_port, default=5006, metavar="N", help="TCP port; 0 takes a free one (5006)")
+    parser.add_argument(
+        "--foxglove",
+        type=_port,
+        nargs="?",
+        const=FOXGLOVE_PORT,
+        metavar="N",
+        help=f"serve the topics to Foxglove, too, on this TCP port; 0 takes a free one ({FOXGLOVE_PORT})",
+    )
     parser.add_argument("--limits", type=Path, metavar="FILE", help="YAML file with the limits of the ship (defaults)")
     parser.add_argument(
         "--theme", choices=tuple(THEMES), default="day", help="where the page's address names none (day)"
@@ -66,15 +86,28 @@ def _run(parsed: argparse.Namespace) -> int:
     limits = Limits() if parsed.limits is None else read_limits(parsed.limits)
     if parsed.bag is not None:
         return _show_bag(parsed, limits)
-    watch = LiveWatch("monitor", parsed.namespace, limits)
+    with contextlib.ExitStack() as left_open:
+        foxglove = None if parsed.foxglove is None else _foxglove_server(parsed)
+        if foxglove is not None:
+            left_open.callback(foxglove.close)
+        watch = LiveWatch("monitor", parsed.namespace, limits, foxglove)
+        left_open.callback(watch.close)
+        return _serve(parsed, lambda: watch, watch.tick, watch.place, foxglove)
+
+
+def _foxglove_server(parsed: argparse.Namespace) -> "FoxgloveServer":
+    """The server for Foxglove, whose package not everybody has."""
     try:
-        return _serve(parsed, lambda: watch, watch.tick, watch.place)
-    finally:
-        watch.close()
+        from ship_monitor.foxglove.server import FoxgloveServer
+    except ModuleNotFoundError as problem:
+        raise BadInput("--foxglove needs the Python package foxglove-sdk: pip install foxglove-sdk") from problem
+    return FoxgloveServer(parsed.namespace.strip("/") or "ship", parsed.address, parsed.foxglove)
 
 
 def _show_bag(parsed: argparse.Namespace, limits: Limits) -> int:
     """Each browser looks at its own time of the bag."""
+    if parsed.foxglove is not None:
+        raise BadInput(f"--foxglove serves a live suite: Foxglove opens {parsed.bag} by itself")
     suite = RecordedSuite(parsed.bag, parsed.namespace)
     try:
         for note in suite.notes:
@@ -85,10 +118,16 @@ def _show_bag(parsed: argparse.Namespace, limits: Limits) -> int:
 
 
 def _serve(
-    parsed: argparse.Namespace, open_source: Callable[[], PictureSource], tick: Callable[[], None], shown: str
+    parsed: argparse.Namespace,
+    open_source: Callable[[], PictureSource],
+    tick: Callable[[], None],
+    shown: str,
+    foxglove: "FoxgloveServer | None" = None,
 ) -> int:
     server = PageServer(page_maker(open_source, parsed.theme), parsed.address, parsed.port, tick)
     on_end_signals(server.stop)
+    if foxglove is not None:
+        print(f"monitor: {foxglove.address} for Foxglove", flush=True)
     print(f"monitor: {server.address} ({shown})", flush=True)
     server.run()
     return EXIT_DONE

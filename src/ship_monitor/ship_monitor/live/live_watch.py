@@ -1,15 +1,18 @@
 """A running suite, watched: what the reader of topics takes goes to a watch, which gives the picture.
 
 Topics are read in a thread of their own, at its own pace. Whoever draws may be busy for a second; without the thread,
-the newest message after such a second would look like the end of a silence.
+the newest message after such a second would look like the end of a silence. In the same thread topics are passed on as
+they come to somebody outside ROS, where there is one.
 """
 
+import itertools
 import logging
 import threading
 from queue import Empty, SimpleQueue
 
 from ship_monitor.live.acknowledge import acknowledge
 from ship_monitor.live.reader import KEPT, Taken, TopicReader, steady_ns
+from ship_monitor.live.relayed_topics import RelayedTopics, TopicReceiver
 from ship_watch.history import History
 from ship_watch.limits import Limits
 from ship_watch.picture import Picture
@@ -18,6 +21,9 @@ from ship_watch.watch import Watch
 
 TAKE_PERIOD_S = 0.2
 """How often topics are read, s."""
+
+_RELAYED_BETWEEN = 4
+"""How often topics are passed on for each time that they are read: twenty times a second."""
 
 _PICTURE_NS = 200_000_000
 _END_S = 5.0
@@ -30,13 +36,15 @@ class LiveWatch:
         node_name: name of the node on the network.
         namespace: of the suite, with or without slashes; empty for none.
         limits: of the ship.
+        receiver: gets the suite's topics as bytes.
 
     Raises:
         BadInput: as of :class:`ship_monitor.live.reader.TopicReader`.
     """
 
-    def __init__(self, node_name: str, namespace: str, limits: Limits) -> None:
+    def __init__(self, node_name: str, namespace: str, limits: Limits, receiver: TopicReceiver | None = None) -> None:
         self._reader = TopicReader(node_name, namespace, messages_wanted)
+        self._relayed = None if receiver is None else RelayedTopics(self._reader, receiver)
         self._watch = Watch(limits)
         self._picture: Picture | None = None
         self._picture_ns = 0
@@ -68,15 +76,24 @@ class LiveWatch:
         return self._picture
 
     def _read(self) -> None:
-        """Read until the end. What goes wrong is said; what is not read becomes old by itself."""
-        while not self._is_over.wait(TAKE_PERIOD_S):
+        """Read and pass on until the end."""
+        rounds = 1 if self._relayed is None else _RELAYED_BETWEEN
+        for number in itertools.count():
+            if self._is_over.wait(TAKE_PERIOD_S / rounds):
+                return
+            # What goes wrong is said; what is not read becomes old by itself.
             try:
-                taken = self._reader.take()
+                if number % rounds == 0:
+                    self._take()
+                if self._relayed is not None:
+                    self._relayed.pass_on()
             except Exception:
                 logging.getLogger(__name__).exception("topics are not read")
-                continue
-            if taken.is_anew or taken.messages:
-                self._waiting.put(taken)
+
+    def _take(self) -> None:
+        taken = self._reader.take()
+        if taken.is_anew or taken.messages:
+            self._waiting.put(taken)
 
     @property
     def history(self) -> History:

@@ -2,8 +2,7 @@
 
 Nothing here runs when a message arrives: DDS itself keeps the newest messages of each topic, and
 :meth:`TopicReader.take` fetches them. An INS at 1 kHz therefore costs four decoded messages a second, and no thread of
-Python is woken. The subscriptions are best effort, so that no publisher ever waits for them; only topics that keep
-their last message for those who come later are taken reliably, because DDS gives that message to nobody else.
+Python is woken.
 """
 
 import time
@@ -14,23 +13,23 @@ from typing import Any
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 
 from ship_bags.errors import BadInput
-from ship_bags.live.installed_types import installed_class
 from ship_bags.live.ros_process import require_demanded_security
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topic
+from ship_monitor.live.raw_subscription import RawSubscription, are_latched
 
 KEPT = 256
 """Messages of a topic that may wait between two looks where each counts: a quarter of a second at 1 kHz."""
 
 CLOCK_TOPIC = "/clock"
 _ABSOLUTE = ("/diagnostics", CLOCK_TOPIC)
-_DISCOVERY_NS = 500_000_000
+DISCOVERY_NS = 500_000_000
+"""How often new topics are looked for."""
+
 _CLOCK_BACK_NS = 100_000_000
 """A jump of /clock by which nodes start anew (:mod:`ship_node.live.live_node`)."""
 _STAMPS_BACK_NS = 5 * NS_PER_S
@@ -68,13 +67,10 @@ class Taken:
 
 @dataclass
 class _Heard:
-    """A topic that is subscribed to."""
+    """A topic that is subscribed to, and its relative name."""
 
-    subscription: Subscription
+    subscription: RawSubscription
     relative: str
-    kind: Any
-    type_name: str
-    is_latched: bool
 
 
 class TopicReader:
@@ -115,7 +111,7 @@ class TopicReader:
         now_ns = steady_ns()
         if now_ns >= self._next_discovery_ns:
             self._discover()
-            self._next_discovery_ns = now_ns + _DISCOVERY_NS
+            self._next_discovery_ns = now_ns + DISCOVERY_NS
         arrived = sorted(self._fetched(now_ns), key=lambda each: each.arrival_ns)
         self._last_take_ns = now_ns
         jump_ns = max(filter(None, map(self._jump_ns, arrived)), default=None)
@@ -124,7 +120,7 @@ class TopicReader:
             return Taken(False, tuple(kept))
         # Outputs follow /clock a moment later, and that is the same jump.
         self._latest_ns = {CLOCK_TOPIC: self._latest_ns[CLOCK_TOPIC]} if CLOCK_TOPIC in self._latest_ns else {}
-        latched = {heard.relative for heard in self._heard.values() if heard.is_latched}
+        latched = {heard.relative for heard in self._heard.values() if heard.subscription.is_latched}
         return Taken(True, tuple(each for each in kept if each.arrival_ns >= jump_ns or each.topic in latched))
 
     @property
@@ -143,6 +139,15 @@ class TopicReader:
     def context(self) -> Context:
         """The context of its node, for another node beside it; a new one after the machine has slept."""
         return self._context
+
+    @property
+    def node(self) -> Node:
+        """Its node, for more subscriptions in the thread that calls :meth:`take`; a new one after a sleep."""
+        return self._node
+
+    def relative_name(self, topic: str) -> str | None:
+        """The name of a topic relative to the namespace; its own where all suites share it; None of other topics."""
+        return topic if topic in _ABSOLUTE else relative_topic(topic, self.namespace)
 
     def close(self) -> None:
         """Leave the network."""
@@ -184,7 +189,7 @@ class TopicReader:
         self.is_played = bool(self._node.count_publishers(CLOCK_TOPIC))
         present = set()
         for topic, types in names:
-            relative = topic if topic in _ABSOLUTE else relative_topic(topic, self.namespace)
+            relative = self.relative_name(topic)
             if relative is None:
                 continue
             depths = {each: 1 if relative == CLOCK_TOPIC else self._wants(relative, each) for each in types}
@@ -196,49 +201,35 @@ class TopicReader:
             present.add(relative)
             type_name = publishers[-1].topic_type
             if depths.get(type_name):
-                durability = {each.qos_profile.durability for each in publishers}
-                is_latched = durability == {DurabilityPolicy.TRANSIENT_LOCAL}
-                self._subscribe(topic, relative, type_name, depths[type_name], is_latched)
+                self._subscribe(topic, relative, type_name, depths[type_name], are_latched(publishers))
         self._present = present
 
     def _subscribe(self, topic: str, relative: str, type_name: str, depth: int, is_latched: bool) -> None:
         heard = self._heard.get(topic)
         if heard is not None:
-            if (heard.type_name, heard.is_latched) == (type_name, is_latched):
+            if (heard.subscription.type_name, heard.subscription.is_latched) == (type_name, is_latched):
                 return
-            self._node.destroy_subscription(heard.subscription)
+            heard.subscription.close()
             del self._heard[topic]
         if (topic, type_name) in self._unusable:
             return
         try:
-            kind = installed_class(type_name)
+            subscription = RawSubscription(self._node, topic, type_name, is_latched, depth)
         except BadInput as problem:
             self._unusable.add((topic, type_name))
             self._node.get_logger().warning(f"topic '{topic}' is not shown: {problem}")
             return
-        qos = QoSProfile(
-            depth=depth,
-            reliability=ReliabilityPolicy.RELIABLE if is_latched else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE,
-        )
-        subscription = self._node.create_subscription(kind, topic, lambda _: None, qos, raw=True)
-        self._heard[topic] = _Heard(subscription, relative, kind, type_name, is_latched)
+        self._heard[topic] = _Heard(subscription, relative)
 
     def _fetched(self, now_ns: int) -> Iterator[Arrived]:
         """All that waits, decoded. What cannot be decoded is left out: its sender has another definition."""
         clock_offset_ns = time.time_ns() - now_ns
         for heard in self._heard.values():
-            for _ in range(KEPT):
-                with heard.subscription.handle:
-                    taken = heard.subscription.handle.take_message(heard.kind, True)
-                if taken is None:
-                    break
-                data, info = taken
+            for data, received_ns in heard.subscription.fetched():
                 # The middleware tells the time of the system's clock, which may have been set since the last look.
-                arrival_ns = info["received_timestamp"] - clock_offset_ns
-                arrival_ns = min(max(arrival_ns, self._last_take_ns), now_ns)
+                arrival_ns = min(max(received_ns - clock_offset_ns, self._last_take_ns), now_ns)
                 try:
-                    message = deserialize_message(data, heard.kind)
+                    message = deserialize_message(data, heard.subscription.kind)
                 except Exception as problem:
                     self._node.get_logger().warning(
                         f"topic '{heard.relative}' is not read: {problem}", throttle_duration_sec=10.0

@@ -1,0 +1,5 @@
+"""Topics served to Foxglove, by a websocket of this machine.
+
+This room gets names, definitions and bytes, and gives them on as they are. It knows the package ``foxglove``, which is
+optional: nothing else of the package imports it. It knows no ROS.
+"""

@@ -1,0 +1,117 @@
+"""Topics of a suite passed on as bytes, to somebody outside ROS who says which of them he wants.
+
+All topics of the namespace are offered; only those that somebody wants are subscribed to, so that the others cost
+nothing. Each message is passed on: who wants a topic for a plot wants all of it, other than the page.
+"""
+
+import logging
+from typing import Protocol
+
+from rclpy.node import Node
+
+from ship_bags.errors import BadInput
+from ship_bags.live.installed_types import installed_definition
+from ship_monitor.live.raw_subscription import RawSubscription, are_latched
+from ship_monitor.live.reader import DISCOVERY_NS, KEPT, TopicReader, steady_ns
+
+
+class TopicReceiver(Protocol):
+    """Who wants topics. Topics have their full names; all methods return at once."""
+
+    def offer(self, topic: str, type_name: str, definition: str) -> None:
+        """Take note of a topic; of one that is known already, perhaps with another type."""
+
+    def wanted(self) -> frozenset[str]:
+        """Topics that are wanted at this moment, of those that were offered."""
+
+    def newcomers(self) -> frozenset[str]:
+        """Topics that somebody more has begun to want since the last call."""
+
+    def pass_on(self, topic: str, data: bytes, arrival_utc_ns: int) -> None:
+        """Take a message of a topic: its CDR bytes, and when it came."""
+
+
+class RelayedTopics:
+    """Subscribes for a receiver, on the node of a reader of topics and in its thread.
+
+    The reader's node makes one participant of DDS for both, which gets each message once over the network.
+
+    Args:
+        reader: of the namespace.
+        receiver: who gets the messages.
+    """
+
+    def __init__(self, reader: TopicReader, receiver: TopicReceiver) -> None:
+        self._reader, self._receiver = reader, receiver
+        self._node: Node | None = None
+        self._types: dict[str, str] = {}
+        self._seen: dict[str, list[str]] = {}
+        self._unusable: set[str] = set()
+        self._subscriptions: dict[str, RawSubscription] = {}
+        self._next_discovery_ns = 0
+
+    def pass_on(self) -> None:
+        """Follow what is there and what is wanted, and pass on all that waits."""
+        if self._reader.node is not self._node:
+            # The machine has slept: with the former node its subscriptions have gone.
+            self._node = self._reader.node
+            self._subscriptions.clear()
+            self._next_discovery_ns = 0
+        now_ns = steady_ns()
+        is_due = now_ns >= self._next_discovery_ns
+        if is_due:
+            self._offer_all()
+            self._next_discovery_ns = now_ns + DISCOVERY_NS
+        wanted, newcomers = self._receiver.wanted(), self._receiver.newcomers()
+        for topic, subscription in list(self._subscriptions.items()):
+            # Only to a new subscription DDS gives the last message of a topic that keeps it.
+            if topic not in wanted or (subscription.is_latched and topic in newcomers):
+                self._leave(topic)
+        for topic in wanted if is_due else wanted & newcomers:
+            self._subscribe(topic)
+        for topic, subscription in self._subscriptions.items():
+            for data, arrival_utc_ns in subscription.fetched():
+                self._receiver.pass_on(topic, data, arrival_utc_ns)
+
+    def _offer_all(self) -> None:
+        """Offer what is new or has another type. A topic whose publishers have gone stays offered: they may return."""
+        for topic, types in self._reader.node.get_topic_names_and_types():
+            is_known = self._seen.get(topic) == types
+            if is_known or self._reader.relative_name(topic) is None or "/_" in topic:
+                continue
+            present = {each.topic_type for each in self._reader.node.get_publishers_info_by_topic(topic)}
+            if not present:
+                continue
+            self._seen[topic] = types
+            if self._types.get(topic) not in present:
+                self._offer(topic, min(present))
+
+    def _offer(self, topic: str, type_name: str) -> None:
+        if type_name in self._unusable:
+            return
+        try:
+            definition = installed_definition(type_name).text
+        except (BadInput, LookupError, OSError, ImportError) as problem:
+            self._unusable.add(type_name)
+            logging.getLogger(__name__).warning(f"topics as '{topic}' are not offered: {problem}")
+            return
+        self._types[topic] = type_name
+        self._receiver.offer(topic, type_name, definition)
+
+    def _subscribe(self, topic: str) -> None:
+        """Subscribe to a topic, and again where its publishers have begun or ceased to keep their last message."""
+        publishers = self._reader.node.get_publishers_info_by_topic(topic)
+        own = [each for each in publishers if each.topic_type == self._types[topic]]
+        former = self._subscriptions.get(topic)
+        if publishers and not own:
+            del self._seen[topic]  # they have another type now
+        if not own or (former is not None and former.is_latched == are_latched(own)):
+            return
+        if former is not None:
+            self._leave(topic)
+        self._subscriptions[topic] = RawSubscription(
+            self._reader.node, topic, self._types[topic], are_latched(own), KEPT
+        )
+
+    def _leave(self, topic: str) -> None:
+        self._subscriptions.pop(topic).close()

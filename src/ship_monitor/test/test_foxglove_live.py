@@ -1,0 +1,246 @@
+"""A suite's topics at a client of Foxglove: from DDS to the websocket, with the bytes that were published."""
+
+import contextlib
+import os
+import signal
+import time
+
+import pytest
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Float64, String
+
+from ship_bags.live.ros_process import executable
+from ship_bags.stamps import NS_PER_S
+from ship_monitor.foxglove.server import FoxgloveServer
+from ship_monitor.live import reader as reader_module
+from ship_monitor.live.live_watch import LiveWatch
+from ship_msgs.msg import AlertArray, ErrorBudget, ShipAttitude
+from ship_replay.trials.live_process import LiveProcess
+from ship_testing.foxglove_client import FoxgloveClient
+from ship_testing.publishing_ship import PublishingShip, attitude
+from ship_watch.limits import Limits
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+
+START_NS = 1_700_000_000 * NS_PER_S
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+@pytest.fixture
+def opened():
+    with contextlib.ExitStack() as left_open:
+        yield left_open
+
+
+@pytest.fixture
+def server(opened):
+    server = FoxgloveServer("demo", "127.0.0.1", 0)
+    opened.callback(server.close)
+    return server
+
+
+@pytest.fixture
+def watch(opened, server):
+    watch = LiveWatch("monitor", "demo", Limits(), server)
+    opened.callback(watch.close)
+    return watch
+
+
+@pytest.fixture
+def sail(opened):
+    """Puts a ship to sea."""
+
+    def make(namespace="demo"):
+        ship = PublishingShip(namespace)
+        opened.callback(ship.stop)
+        return ship
+
+    return make
+
+
+@pytest.fixture
+def connect(opened, server):
+    def make():
+        client = FoxgloveClient(server.address)
+        opened.callback(client.close)
+        return client
+
+    return make
+
+
+def subscribe(client, topic):
+    """Subscribe to a topic of the ship, once it is offered."""
+    client.until(lambda: f"/demo/{topic}" in client.channels)
+    client.subscribe(f"/demo/{topic}")
+
+
+def hear(client, ship, topic, message):
+    """Subscribe to a topic of the ship, and publish a message until it comes: from then on all of them do."""
+    subscribe(client, topic)
+    ship.say(topic, message)
+    client.until(lambda: client.received or ship.say(topic, message))
+
+
+def decoded(client, received):
+    """What anybody makes of a message who knows nothing but what was advertised."""
+    channel = client.channels[received.topic]
+    schema = Schema(1, channel["schema"].encode(), channel["schemaEncoding"], channel["schemaName"])
+    return DecoderFactory().decoder_for(channel["encoding"], schema)(received.data)
+
+
+def hundred_attitudes():
+    for number in range(100):
+        message = attitude(START_NS + number * 10_000_000)
+        message.heading, message.covariance[1] = number / 7.0, -number * 1e-13
+        yield message
+
+
+@pytest.mark.usefixtures("watch")
+def test_every_message_comes_bit_for_bit_with_its_definition_and_its_arrival(sail, connect):
+    ship, client = sail(), connect()
+    ship.say("ship/attitude", attitude(START_NS))
+    hear(client, ship, "ship/attitude", attitude(START_NS))
+    messages = list(hundred_attitudes())
+    # Published as bytes: of two serializations of one message the padding differs.
+    published, begin_ns = [serialize_message(message) for message in messages], time.time_ns()
+    for data in published:
+        ship.say("ship/attitude", data)
+        time.sleep(0.01)
+    client.until(lambda: client.received[-1].data == published[-1])
+    received = client.received[-100:]
+    assert [each.data for each in received] == published
+    times_ns = [each.log_time_ns for each in received]
+    assert begin_ns <= times_ns[0] <= times_ns[-1] <= time.time_ns()
+    # Each as it came, not as it was fetched twenty times a second.
+    assert len(set(times_ns)) == 100
+    for each, message in zip(received, messages, strict=True):
+        found = decoded(client, each)
+        assert (found.heading, list(found.covariance)) == (message.heading, list(message.covariance))
+        assert (found.header.stamp.sec, found.header.stamp.nanosec, found.status) == (
+            message.header.stamp.sec,
+            message.header.stamp.nanosec,
+            ShipAttitude.VALID,
+        )
+
+
+@pytest.mark.usefixtures("watch")
+def test_all_topics_of_the_namespace_are_offered_whatever_the_page_reads(sail, connect, server):
+    ship, other, client = sail(), sail("voyage"), connect()
+    ship.say("ship/attitude", attitude(START_NS))
+    ship.say("ins/imu", Imu(), BEST_EFFORT)
+    ship.say("ship/error_budget", ErrorBudget())
+    other.say("ship/attitude", attitude(START_NS))
+    expected = {"/demo/ship/attitude", "/demo/ins/imu", "/demo/ship/error_budget"}
+    client.until(lambda: expected <= set(client.channels))
+    assert not any(topic.startswith("/voyage") for topic in client.channels)
+    # Nobody looks: nobody subscribes to what the page does not read.
+    assert not server.wanted()
+    assert ship.publishers["ins/imu"].get_subscription_count() == 0
+    imu = Imu()
+    imu.angular_velocity.z = 0.1
+    hear(client, ship, "ins/imu", imu)
+    assert decoded(client, client.received[0]).angular_velocity.z == 0.1
+    client.unsubscribe("/demo/ins/imu")
+    client.until(lambda: ship.publishers["ins/imu"].get_subscription_count() == 0)
+
+
+@pytest.mark.usefixtures("watch")
+def test_clients_that_come_later_get_the_last_message_of_a_topic_that_keeps_it(sail, connect):
+    ship = sail()
+    alerts = AlertArray()
+    alerts.header.stamp.sec = 7
+    ship.say("ship/alerts", alerts, LATCHED)
+    for client in (connect(), connect()):
+        subscribe(client, "ship/alerts")
+        client.until(lambda client=client: client.received)
+        assert decoded(client, client.received[0]).header.stamp.sec == 7
+
+
+@pytest.mark.usefixtures("watch")
+def test_an_estimator_that_is_started_again_is_heard_by_the_same_subscription(sail, connect):
+    client = connect()
+    for heading in (0.25, 0.5):
+        ship = sail()
+        message = attitude(START_NS)
+        message.heading = heading
+        ship.say("ship/attitude", message)
+        if heading == 0.25:
+            subscribe(client, "ship/attitude")
+
+        def came(ship=ship, message=message):
+            ship.say("ship/attitude", message)
+            return any(decoded(client, each).heading == message.heading for each in client.received)
+
+        client.until(came)
+        ship.stop()
+    assert sum(each["op"] == "advertise" for each in client.told) == 1
+
+
+@pytest.mark.usefixtures("watch")
+def test_a_topic_that_comes_back_with_another_type_is_offered_with_that(sail, connect):
+    ship, client = sail(), connect()
+    ship.say("told", String(data="a"))
+    hear(client, ship, "told", String(data="a"))
+    ship.stop()
+    ship = sail()
+    ship.say("told", Float64(data=1.0))
+    client.until(lambda: client.channels.get("/demo/told", {}).get("schemaName") == "std_msgs/msg/Float64")
+    client.received.clear()
+    hear(client, ship, "told", Float64(data=2.0))
+    assert decoded(client, client.received[0]).data == 2.0
+
+
+def test_after_a_sleep_of_the_machine_clients_hear_again(sail, connect, watch, monkeypatch):
+    ship, client = sail(), connect()
+    ship.say("ship/attitude", attitude(START_NS))
+    hear(client, ship, "ship/attitude", attitude(START_NS))
+    former = watch._reader.node
+    asleep_ns = reader_module._asleep_ns() + 3600 * NS_PER_S
+    monkeypatch.setattr(reader_module, "_asleep_ns", lambda: asleep_ns)
+    client.until(lambda: watch._reader.node is not former)
+    client.received.clear()
+
+    def came():
+        ship.say("ship/attitude", attitude(START_NS + NS_PER_S))
+        return client.received
+
+    client.until(came)
+
+
+def test_the_page_is_shown_the_same_with_a_client_and_without(sail, connect, watch):
+    ship, client = sail(), connect()
+    ship.say("ship/attitude", attitude(START_NS))
+    hear(client, ship, "ship/attitude", attitude(START_NS))
+    times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
+
+    def heading():
+        ship.say("ship/attitude", attitude(next(times)))
+        watch.tick()
+        shown = next(each for each in watch.look().angles if each.name == "heading")
+        return not shown.is_old and shown.value == 1.0
+
+    client.until(heading)
+
+
+def test_the_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, tmp_path):
+    command = [*executable("ship_monitor", "monitor"), "--namespace", "demo", "--port", "0", "--foxglove", "0"]
+    process = opened.enter_context(LiveProcess(command, tmp_path / "log", os.environ))
+    deadline_s = time.monotonic() + 60.0
+    while "http://" not in process.log():
+        assert process.exit_code is None, process.log()
+        assert time.monotonic() < deadline_s, process.log()
+        time.sleep(0.05)
+    address = next(word for word in process.log().split() if word.startswith("ws://127.0.0.1:"))
+    ship, client = sail(), FoxgloveClient(address)
+    opened.callback(client.close)
+    ship.say("ship/attitude", attitude(START_NS))
+    hear(client, ship, "ship/attitude", attitude(START_NS))
+    assert client.told[0]["name"] == "demo"
+    assert process.end(signal.SIGINT) == 0
+    client.until(lambda: client.is_over)
+    assert len(process.log().splitlines()) == 2, process.log()

@@ -1,0 +1,235 @@
+"""The server for Foxglove, asked by a client over a real websocket."""
+
+import json
+import socket
+import struct
+import threading
+import time
+
+import pytest
+
+from ship_bags.errors import BadInput
+from ship_monitor.foxglove.server import FoxgloveServer
+from ship_testing.foxglove_client import FoxgloveClient
+
+STRING = "std_msgs/msg/String"
+MESSAGE = b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00"
+"""CDR of the text "hi", little-endian: a length with the closing zero, then the letters."""
+
+
+@pytest.fixture
+def server():
+    server = FoxgloveServer("demo", "127.0.0.1", 0)
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def connect(server):
+    clients = []
+
+    def make(**options):
+        clients.append(FoxgloveClient(server.address, **options))
+        return clients[-1]
+
+    yield make
+    for client in clients:
+        client.close()
+
+
+def subscribed(server, client, *topics):
+    client.until(lambda: all(topic in client.channels for topic in topics))
+    client.subscribe(*topics)
+    awaited = set(topics)
+
+    def all_came():
+        awaited.difference_update(server.newcomers())
+        return not awaited
+
+    client.until(all_came)
+    assert server.wanted() >= set(topics)
+
+
+def test_it_says_whose_suite_it_is_and_that_it_can_do_nothing_but_tell(server, connect):
+    client = connect()
+    told = client.until(lambda: client.told and client.told[0])
+    assert (told["op"], told["name"], told["capabilities"]) == ("serverInfo", "demo", [])
+
+
+def test_a_message_comes_with_its_bytes_its_time_and_the_definition_of_its_type(server, connect):
+    server.offer("/demo/said", STRING, "string data")
+    client = connect()
+    subscribed(server, client, "/demo/said")
+    channel = client.channels["/demo/said"]
+    assert {key: channel[key] for key in ("encoding", "schemaName", "schemaEncoding", "schema")} == {
+        "encoding": "cdr",
+        "schemaName": STRING,
+        "schemaEncoding": "ros2msg",
+        "schema": "string data",
+    }
+    server.pass_on("/demo/said", MESSAGE, 1_700_000_000_123_456_789)
+    received = client.until(lambda: client.received and client.received[0])
+    assert (received.log_time_ns, received.data) == (1_700_000_000_123_456_789, MESSAGE)
+
+
+def test_what_is_wanted_follows_the_clients(server, connect):
+    server.offer("/demo/said", STRING, "string data")
+    server.offer("/demo/other", STRING, "string data")
+    assert server.wanted() == server.newcomers() == frozenset()
+    first, second = connect(), connect()
+    subscribed(server, first, "/demo/said")
+    assert server.newcomers() == frozenset()
+    subscribed(server, second, "/demo/said")
+    assert server.wanted() == {"/demo/said"}
+    first.unsubscribe("/demo/said")
+    server.pass_on("/demo/said", MESSAGE, 1)
+    second.until(lambda: len(second.received) == 1)
+    assert server.wanted() == {"/demo/said"}
+    second.close()
+    first.until(lambda: not server.wanted())
+    server.pass_on("/demo/said", MESSAGE, 2)
+    first.listen(0.2)
+    assert not first.received
+
+
+def test_two_clients_get_the_same_messages_in_their_order(server, connect):
+    server.offer("/demo/said", STRING, "string data")
+    clients = [connect(), connect()]
+    for client in clients:
+        subscribed(server, client, "/demo/said")
+    for number in range(500):
+        server.pass_on("/demo/said", struct.pack("<I", number), number)
+    for client in clients:
+        client.until(lambda client=client: len(client.received) == 500)
+        assert [each.data for each in client.received] == [struct.pack("<I", number) for number in range(500)]
+        assert [each.log_time_ns for each in client.received] == list(range(500))
+
+
+def test_a_topic_offered_again_with_another_type_is_another_channel(server, connect):
+    server.offer("/demo/said", STRING, "string data")
+    client = connect()
+    subscribed(server, client, "/demo/said")
+    former = client.channels["/demo/said"]["id"]
+    server.offer("/demo/said", STRING, "string data")
+    server.offer("/demo/said", "std_msgs/msg/Int32", "int32 data")
+    client.until(lambda: client.channels.get("/demo/said", {}).get("schemaName") == "std_msgs/msg/Int32")
+    assert client.channels["/demo/said"]["id"] != former
+    assert not server.wanted()
+    assert sum(each["op"] == "advertise" for each in client.told) == 2
+
+
+@pytest.mark.parametrize(
+    ("request_", "refusal"),
+    [
+        (
+            {"op": "advertise", "channels": [{"id": 1, "topic": "/demo/x", "encoding": "cdr", "schemaName": STRING}]},
+            "Server does not support clientPublish capability",
+        ),
+        (struct.pack("<BI", 1, 1) + MESSAGE, "Unknown channel ID: 1"),
+        (
+            {"op": "setParameters", "parameters": [{"name": "/ship_attitude.tau", "value": 1.0}]},
+            "Server does not support parameters capability",
+        ),
+        ({"op": "getParameters", "parameterNames": []}, "Server does not support parameters capability"),
+        (struct.pack("<BIII", 2, 1, 1, 3) + b"cdr" + MESSAGE, "Server does not support services"),
+        (
+            {"op": "fetchAsset", "uri": "file:///etc/passwd", "requestId": 1},
+            "Server does not support assets capability",
+        ),
+    ],
+)
+def test_nothing_can_be_published_called_set_or_read_from_files(server, connect, request_, refusal):
+    client = connect()
+    client.ask(request_)
+    client.until(lambda: any(each.get("message") == refusal for each in client.told))
+
+
+def test_nonsense_harms_neither_the_server_nor_others(server, connect):
+    server.offer("/demo/said", STRING, "string data")
+    good, bad = connect(), connect()
+    subscribed(server, good, "/demo/said")
+    bad.ask(b"\xff" * 100)
+    bad.ask({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 999}]})
+    with socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2]))) as stranger:
+        stranger.sendall(b"GET / HTTP/1.0\r\n\r\n")
+    bad.listen(0.2)
+    server.pass_on("/demo/said", MESSAGE, 1)
+    good.until(lambda: good.received)
+
+
+def deaf_client(server, topic_id):
+    """A client that subscribes and never reads."""
+    client = socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2])))
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    client.sendall(
+        b"GET / HTTP/1.1\r\nHost: ship\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+    )
+    assert client.recv(12) == b"HTTP/1.1 101"
+    text = json.dumps({"op": "subscribe", "subscriptions": [{"id": 0, "channelId": topic_id}]}).encode()
+    # RFC 6455: final text frame, masked with zeros.
+    client.sendall(bytes([0x81, 0x80 | len(text)]) + bytes(4) + text)
+    return client
+
+
+def resident_mb():
+    with open("/proc/self/statm", encoding="ascii") as file:
+        return int(file.read().split()[1]) * 4096 / 1e6
+
+
+def test_a_client_that_ceases_to_read_makes_nobody_wait_no_memory_grow_and_the_end_no_longer(server, connect):
+    server.offer("/demo/said", STRING, "string data")
+    good = connect()
+    subscribed(server, good, "/demo/said")
+    with deaf_client(server, good.channels["/demo/said"]["id"]):
+        good.until(server.newcomers)
+        payload = bytes(4000)
+        before_mb, begin_s = resident_mb(), time.monotonic()
+        for number in range(40):
+            # 160 MB for a client that takes nothing; of them at most 1024 messages wait, which are 4 MB.
+            for _ in range(1000):
+                server.pass_on("/demo/said", payload, number)
+            good.listen(0.01)
+        assert time.monotonic() - begin_s < 10.0
+        good.until(lambda: good.received[-1].log_time_ns == 39)
+        good.received.clear()
+        assert resident_mb() - before_mb < 100.0
+        begin_s = time.monotonic()
+        server.close()
+        assert time.monotonic() - begin_s < 5.0
+    # The server waits for it in a thread of its own, which ends with it.
+    deadline_s = time.monotonic() + 20.0
+    while any(thread.name == "goodbye" for thread in threading.enumerate()):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
+def test_at_the_end_clients_are_told_and_the_port_is_free_again():
+    server = FoxgloveServer("demo", "127.0.0.1", 0)
+    client = FoxgloveClient(server.address)
+    port = int(server.address.rpartition(":")[2])
+    server.close()
+    client.until(lambda: client.is_over)
+    client.close()
+    again = FoxgloveServer("demo", "127.0.0.1", port)
+    again.close()
+
+
+def test_a_port_in_use_is_said(server):
+    port = int(server.address.rpartition(":")[2])
+    with pytest.raises(BadInput, match=rf"port {port} of 127\.0\.0\.1 is in use: give another one with --foxglove"):
+        FoxgloveServer("demo", "127.0.0.1", port)
+
+
+def test_an_address_that_is_not_one_of_this_machine_is_said():
+    with pytest.raises(BadInput, match=r"cannot serve Foxglove on 192\.0\.2\.1, port 0"):
+        FoxgloveServer("demo", "192.0.2.1", 0)
+
+
+def test_the_address_of_ipv6_is_in_brackets():
+    server = FoxgloveServer("demo", "::1", 0)
+    assert server.address.startswith("ws://[::1]:")
+    client = FoxgloveClient(server.address)
+    client.until(lambda: client.told)
+    client.close()
+    server.close()

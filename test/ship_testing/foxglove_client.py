@@ -1,0 +1,131 @@
+"""A client of a Foxglove server: as much of its websocket protocol as tests ask for.
+
+Written after the protocol's own description (foxglove/ws-protocol on GitHub), not after the server's code.
+"""
+
+import asyncio
+import json
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from tornado.httpclient import HTTPRequest
+from tornado.websocket import websocket_connect
+
+PROTOCOL = "foxglove.sdk.v1"
+
+_MESSAGE_DATA = struct.Struct("<BIQ")
+_MESSAGE_DATA_CODE = 1
+
+
+@dataclass(frozen=True)
+class Received:
+    """One message: its topic, the time of its log (UTC, ns), and its bytes."""
+
+    topic: str
+    log_time_ns: int
+    data: bytes
+
+
+class FoxgloveClient:
+    """One connection.
+
+    Attributes:
+        told: what the server has told, as it came: ``serverInfo``, ``status`` and so on.
+        channels: offered channels by topic, as ``advertise`` gives them.
+        received: messages in their order.
+    """
+
+    def __init__(self, address: str, origin: str = "https://app.foxglove.dev") -> None:
+        self.told: list[dict[str, Any]] = []
+        self.channels: dict[str, dict[str, Any]] = {}
+        self.received: list[Received] = []
+        self.is_over = False
+        self._topics: dict[int, str] = {}
+        self._count = 0
+        self._reading: asyncio.Future[Any] | None = None
+        self._loop = asyncio.new_event_loop()
+        self._socket = self._run(self._connect(address, origin))
+        assert self._socket.selected_subprotocol == PROTOCOL
+
+    def subscribe(self, *topics: str) -> None:
+        """Subscribe to channels that are offered."""
+        subscriptions = []
+        for topic in topics:
+            self._count += 1
+            self._topics[self._count] = topic
+            subscriptions.append({"id": self._count, "channelId": self.channels[topic]["id"]})
+        self.ask({"op": "subscribe", "subscriptions": subscriptions})
+
+    def unsubscribe(self, topic: str) -> None:
+        """Subscribe no more."""
+        numbers = [number for number, name in self._topics.items() if name == topic]
+        for number in numbers:
+            del self._topics[number]
+        self.ask({"op": "unsubscribe", "subscriptionIds": numbers})
+
+    def ask(self, request: dict[str, Any] | bytes) -> None:
+        """Send a request, as JSON or as bytes."""
+        is_binary = isinstance(request, bytes)
+        self._run(self._write(request if is_binary else json.dumps(request), is_binary))
+
+    def until(self, look: Callable[[], Any], limit_s: float = 20.0) -> Any:
+        """What a function returns once that is true; the server is listened to meanwhile."""
+        deadline_s = time.monotonic() + limit_s
+        while not (found := look()):
+            assert time.monotonic() < deadline_s, (self.told, self.channels.keys(), len(self.received))
+            self.listen(0.05)
+        return found
+
+    def listen(self, duration_s: float) -> None:
+        """Take what comes within a time."""
+        deadline_s = time.monotonic() + duration_s
+        while not self.is_over and (left_s := deadline_s - time.monotonic()) > 0.0:
+            self._run(self._take(left_s))
+
+    def close(self) -> None:
+        """Leave."""
+        self._socket.close()
+        # The server answers the closing.
+        deadline_s = time.monotonic() + 5.0
+        while not self.is_over and time.monotonic() < deadline_s:
+            self.listen(0.05)
+        self._loop.close()
+
+    async def _take(self, limit_s: float) -> None:
+        # A reading that was given up would lose its message: the one that waits is kept for the next time.
+        if self._reading is None:
+            self._reading = asyncio.ensure_future(self._socket.read_message())
+        done, _ = await asyncio.wait([self._reading], timeout=limit_s)
+        if done:
+            content, self._reading = self._reading.result(), None
+            self._note(content)
+
+    def _note(self, content: str | bytes | None) -> None:
+        if content is None:
+            self.is_over = True
+        elif isinstance(content, bytes):
+            code, number, time_ns = _MESSAGE_DATA.unpack_from(content)
+            assert code == _MESSAGE_DATA_CODE, code
+            if number in self._topics:
+                self.received.append(Received(self._topics[number], time_ns, content[_MESSAGE_DATA.size :]))
+        else:
+            told = json.loads(content)
+            self.told.append(told)
+            if told["op"] == "advertise":
+                self.channels |= {each["topic"]: each for each in told["channels"]}
+            elif told["op"] == "unadvertise":
+                gone = set(told["channelIds"])
+                self.channels = {name: each for name, each in self.channels.items() if each["id"] not in gone}
+
+    async def _write(self, content: str | bytes, is_binary: bool) -> None:
+        await self._socket.write_message(content, binary=is_binary)
+
+    async def _connect(self, address: str, origin: str) -> Any:
+        request = HTTPRequest(address, headers={"Origin": origin}, connect_timeout=20.0)
+        return await websocket_connect(request, subprotocols=[PROTOCOL], max_message_size=100_000_000)
+
+    def _run(self, work: Any) -> Any:
+        return self._loop.run_until_complete(work)
