@@ -25,7 +25,7 @@ class SetPictures:
     place = "namespace /demo, domain 0"
 
     def __init__(self) -> None:
-        self.picture = pictures.all_well()
+        self.picture = pictures.picture()
         self.history = pictures.history()
         self.fails = False
         self._start_s = time.monotonic()

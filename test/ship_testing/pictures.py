@@ -1,16 +1,21 @@
-"""Hand-made pictures of a suite: all well, and the two faults of the design of the page."""
+"""Pictures made by hand: a suite with a theodolite, what is changed in it, and the two faults of the design."""
 
+import math
 from collections import deque
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from ship_geometry.rotations import ARCSEC
 from ship_watch.history import History, SafetyPoint
+from ship_watch.limits import Limits
 from ship_watch.picture import (
     ANGLES,
     AlertShown,
     AngleShown,
+    Event,
+    InputShown,
     NisVerdict,
     Picture,
     Presence,
@@ -23,21 +28,20 @@ NS = 1_000_000_000
 NOW_NS = 1_777_636_807 * NS
 """2026-05-01 12:00:07 UTC."""
 
-_VALUES_DEG = {"heading": 34.39, "pitch": -0.1, "roll": -2.1, "azimuth": 359.88, "elevation": 68.74}
+_VALUES_DEG = {"heading": 34.392, "pitch": -0.12, "roll": -2.1, "azimuth": 359.88, "elevation": 68.74}
 _ACCURACIES = {"heading": 3.3, "pitch": 2.7, "roll": 2.8, "azimuth": 4.9, "elevation": 5.3}
-_LIMITS = {"heading": 5.0, "pitch": 3.0, "roll": 3.0, "azimuth": 10.0, "elevation": 10.0}
 _AGES = {"ins": 0.1, "star.fore": 0.6, "star.starboard": 0.6, "lights": 0.6, "encoder": 0.1, "baselines": 0.3}
 _AGES |= {"gnss": 0.1, "weather": 1.1}
 
 
-def angle(name: str) -> AngleShown:
+def angle(name: str, **changes: Any) -> AngleShown:
     """An angle as all is well."""
-    return AngleShown(
+    well = AngleShown(
         name=name,
         value=float(np.deg2rad(_VALUES_DEG[name])),
         accuracy_95=_ACCURACIES[name] * ARCSEC,
-        limit=_LIMITS[name] * ARCSEC,
-        protection_level=float("nan"),
+        limit=Limits().of_angle(name),
+        protection_level=math.nan,
         safety=Safety.SAFE,
         reason="",
         age_s=0.1,
@@ -45,75 +49,59 @@ def angle(name: str) -> AngleShown:
         stamp_ns=NOW_NS,
         since_ns=NOW_NS - 300 * NS,
     )
+    return replace(well, **changes)
 
 
-def source(name: str) -> SourceShown:
+def lost(name: str, because_of: str = "") -> AngleShown:
+    """An angle that is UNSAFE."""
+    return angle(name, accuracy_95=math.nan, safety=Safety.UNSAFE, reason="invalid", because_of=because_of)
+
+
+def over(name: str, because_of: str = "", share: float = 1.5) -> AngleShown:
+    """An angle that is over its limit, by this share."""
+    limit = Limits().of_angle(name)
+    changes = {"accuracy_95": share * limit, "safety": Safety.CAUTION, "reason": "over the limit"}
+    return angle(name, because_of=because_of, **changes)
+
+
+def never_heard(*names: str) -> list[AngleShown]:
+    """Angles that were never told."""
+    changes = {"value": math.nan, "accuracy_95": math.nan, "safety": Safety.UNSAFE, "reason": "waiting"}
+    return [angle(name, age_s=math.inf, is_old=True, **changes) for name in names]
+
+
+def silent(*names: str, age_s: float = 7.0, reason: str = "silent") -> list[AngleShown]:
+    """Angles that were not told for some seconds."""
+    return [angle(name, safety=Safety.UNSAFE, reason=reason, age_s=age_s, is_old=True) for name in names]
+
+
+def source(name: str, **changes: Any) -> SourceShown:
     """A source as all is well."""
     verdict = NisVerdict(1.01, 400, "σ as stated (1.01)", True) if name.startswith(("star", "lights")) else None
-    return SourceShown(
+    well = SourceShown(
         name=name,
         presence=Presence.IN,
         reason="",
         disagreement="",
-        residual=float("nan"),
+        residual=math.nan,
         verdict=verdict,
         age_s=_AGES.get(name, 0.5),
         rate_hz=2.0,
         refused=0,
         out_since_ns=0,
-        topics=(),
+        topics=(f"{name.replace('.', '/')}/topic",),
     )
+    return replace(well, **changes)
 
 
-def all_well() -> Picture:
-    """Five angles SAFE, eight sources IN, no alert."""
-    return Picture(
-        utc_ns=NOW_NS,
-        angles=tuple(angle(name) for name in ANGLES),
-        ages_s={"stars": 0.5, "lights": 0.6, "ins": 0.1},
-        pointing_by="2 lights",
-        horizon="geodetic",
-        sources=tuple(source(name) for name in _AGES),
-        alerts=(),
-        inputs=(),
-        events=(),
-        waiting_for="",
-    )
+def out(name: str, reason: str, **changes: Any) -> SourceShown:
+    """A source that is OUT."""
+    return source(name, presence=Presence.OUT, reason=reason, **changes)
 
 
-def faulty() -> Picture:
-    """A knocked star sensor, and an encoder that has been silent for twelve seconds: SAFE, CAUTION, UNSAFE, OLD."""
-    well = all_well()
-    changes = {
-        "heading": {"accuracy_95": 4.2 * ARCSEC, "safety": Safety.CAUTION, "reason": "one star source, no cross-check"},
-        "roll": {"accuracy_95": 3.7 * ARCSEC, "safety": Safety.CAUTION, "reason": "over the limit"},
-    }
-    old = {"safety": Safety.UNSAFE, "reason": "encoder silent since 11:59:55", "is_old": True, "age_s": 12.0}
-    changes |= {"azimuth": old, "elevation": old}
-    knocked = replace(
-        source("star.starboard"),
-        presence=Presence.OUT,
-        reason="81 refused in a row",
-        disagreement="right +49″",
-        residual=8.1,
-        refused=81,
-        out_since_ns=NOW_NS - 39 * NS,
-    )
-    silent = replace(
-        source("encoder"), presence=Presence.OUT, reason="silent", age_s=12.0, out_since_ns=NOW_NS - 12 * NS
-    )
-    inside = tuple(each for each in well.sources if each.name not in ("star.starboard", "encoder"))
-    alerts = (
-        alert("pointing", "pointing lost, encoder silent", NOW_NS - 10 * NS),
-        alert("star.starboard", "out", NOW_NS - 38 * NS),
-    )
-    return replace(
-        well,
-        angles=tuple(replace(each, **changes.get(each.name, {})) for each in well.angles),
-        pointing_by="no pointing",
-        sources=(knocked, silent, *inside),
-        alerts=alerts,
-    )
+def late_input(topic: str, latency_s: float) -> InputShown:
+    """An input topic whose stamps are so far behind the clock, negative ahead of it."""
+    return InputShown(topic, 2.0, latency_s, 0.1, 0, 0, {})
 
 
 def alert(subject: str, text: str, raised_ns: int, priority: Priority = Priority.WARNING, state: int = 1) -> AlertShown:
@@ -131,6 +119,72 @@ def alert(subject: str, text: str, raised_ns: int, priority: Priority = Priority
         raised_ns=raised_ns,
         changed_ns=raised_ns,
     )
+
+
+def picture(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
+    """A suite with a theodolite, all well: five angles SAFE, eight sources IN, no alert.
+
+    The angles and sources given stand in the places of those of their names; what is OUT comes first.
+    """
+    angles = {name: angle(name) for name in ANGLES}
+    sources = {name: source(name) for name in _AGES}
+    for one in changed:
+        if isinstance(one, AngleShown):
+            angles[one.name] = one
+        else:
+            sources[one.name] = one
+    well = Picture(
+        utc_ns=NOW_NS,
+        angles=tuple(angles.values()),
+        ages_s={"stars": 0.5, "lights": 0.6, "ins": 0.1},
+        pointing_by="2 lights",
+        horizon="geodetic",
+        sources=tuple(sorted(sources.values(), key=lambda one: one.presence is not Presence.OUT)),
+        alerts=(),
+        inputs=(),
+        events=(),
+        waiting_for="",
+    )
+    return replace(well, **changes)
+
+
+KNOCKED = out(
+    "star.starboard",
+    "81 refused in a row",
+    disagreement="right +49″",
+    residual=8.1,
+    refused=81,
+    out_since_ns=NOW_NS - 39 * NS,
+    topics=("star/starboard/observations",),
+)
+KNOCKED_ALERT = replace(
+    alert("star.starboard", "star.starboard out", NOW_NS - 38 * NS), id="star.starboard.out", instance=2
+)
+KNOCKED_INPUT = InputShown(KNOCKED.topics[0], 2.0, 0.1, 0.6, 1, 81, {"gate": 9, "attitude_conflict": 72})
+
+
+def knocked(*changed: AngleShown | SourceShown, **changes: Any) -> Picture:
+    """A knocked star sensor: the first fault of the design of the page and of the terminal."""
+    told = "WARNING star.starboard out: 5 refused in a row, residual 8.1 σ"
+    well = {
+        "alerts": (KNOCKED_ALERT,),
+        "inputs": (KNOCKED_INPUT,),
+        "events": (
+            Event(NOW_NS - 36 * NS, "state", "roll", "roll SAFE → CAUTION, over the limit"),
+            Event(NOW_NS - 38 * NS, "alert", KNOCKED_ALERT.id, told),
+        ),
+    }
+    heading = angle("heading", accuracy_95=4.2 * ARCSEC, safety=Safety.CAUTION, reason="one star source")
+    roll = angle("roll", accuracy_95=3.7 * ARCSEC, safety=Safety.CAUTION, reason="over the limit")
+    return picture(heading, roll, KNOCKED, *changed, **well | changes)
+
+
+def faulty() -> Picture:
+    """And an encoder that has been silent for twelve seconds: SAFE, CAUTION, UNSAFE, OLD."""
+    angles = silent("azimuth", "elevation", age_s=12.0, reason="encoder silent since 11:59:55")
+    encoder = out("encoder", "silent", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)
+    lost_pointing = alert("pointing", "pointing lost, encoder silent", NOW_NS - 10 * NS)
+    return knocked(*angles, encoder, alerts=(lost_pointing, KNOCKED_ALERT), pointing_by="no pointing")
 
 
 def history(*, is_faulty: bool = False) -> History:

@@ -9,6 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from ship_geometry.rotations import ARCSEC
+from ship_testing.pictures import KNOCKED, knocked, late_input, source
 from ship_watch.history import (
     BudgetPoint,
     ErrorPoint,
@@ -18,18 +20,8 @@ from ship_watch.history import (
     ParameterShown,
     StarsSeen,
 )
-from ship_watch.picture import (
-    AngleShown,
-    Event,
-    InputShown,
-    NisVerdict,
-    Picture,
-    Presence,
-    Safety,
-    SourceShown,
-)
+from ship_watch.picture import Event, Picture
 
-ARCSEC = np.deg2rad(1.0 / 3600.0)
 NOW_NS = 1_404_907_207_000_000_000
 """2014-07-09 12:00:07 UTC, as in the pictures of the design."""
 
@@ -75,42 +67,18 @@ def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool =
 
 def watched_picture(now_ns: int = NOW_NS) -> Picture:
     """What is shown at the end of it."""
-    nan = float("nan")
-    verdict = NisVerdict(1.01, 1800, "σ as stated (1.01)", True)
-    good = SourceShown("star.fore", Presence.IN, "", "", nan, verdict, 0.6, 2.0, 0, 0, ("star/fore/observations",))
-    bad = replace(
-        good,
-        name="star.starboard",
-        presence=Presence.OUT,
-        reason="81 refused in a row",
-        disagreement="right +49″",
-        residual=8.1,
-        refused=81,
-        out_since_ns=now_ns - int(KNOCKED_S * 1e9),
-        topics=("star/starboard/observations",),
-    )
-    topics = ("gnss/fix", "ins/imu", "met/pressure", "star/fore/observations", "star/starboard/observations")
-    inputs = [InputShown(topic, 2.0, 0.1, 0.6, 0, 0, {}) for topic in topics]
+    good = source("star.fore", topics=("star/fore/observations",))
+    bad = replace(KNOCKED, out_since_ns=now_ns - int(KNOCKED_S * 1e9))
+    topics = ("gnss/fix", "ins/imu", "met/pressure", *good.topics, *bad.topics)
+    inputs = [late_input(topic, 0.1) for topic in topics]
     inputs[-1] = replace(inputs[-1], refused_60s=81, reasons={"gate": 9, "attitude_conflict": 72, "too_few_stars": 56})
-    angle = AngleShown(
-        "heading", np.deg2rad(34.39), 4.2 * ARCSEC, 5 * ARCSEC, nan, Safety.CAUTION, "", 0.1, False, 0, 0
-    )
     events = (
         Event(now_ns - 36 * _SECOND, "state", "roll", "roll SAFE → CAUTION, over the limit"),
         Event(now_ns - 38 * _SECOND, "alert", "source", "WARNING star.starboard out: 5 refused in a row <8.1 σ>"),
         Event(now_ns - 190 * _SECOND, "mode", "pointing", "ONE_LIGHT → TWO_LIGHTS"),
     )
-    return Picture(
-        now_ns,
-        (angle,),
-        {},
-        "2 lights",
-        "geodetic",
-        (bad, good, replace(good, name="lights")),
-        None,
-        tuple(inputs),
-        events,
-        "",
+    return knocked(
+        utc_ns=now_ns, sources=(bad, good, source("lights")), alerts=None, inputs=tuple(inputs), events=events
     )
 
 

@@ -13,7 +13,7 @@ from ship_testing import pictures
 from ship_watch.history import History, SafetyPoint
 from ship_watch.picture import Presence, Priority, Safety
 
-WELL = pictures.all_well()
+WELL = pictures.picture()
 
 
 def with_angle(name, **changes):
@@ -58,9 +58,9 @@ def test_an_old_value_has_its_age_for_its_accuracy_and_no_bar():
 
 
 def test_full_digits_are_told_for_hovering():
-    assert tile(WELL, "heading")["tip"][0] == "34.390000°"
+    assert tile(WELL, "heading")["tip"][0] == "34.392000°"
     assert tile(WELL, "heading")["tip"][1] == "σ 1.684″"  # 3.3 / 1.96
-    assert tile(WELL, "pitch")["tip"][0] == "−0.100000°"
+    assert tile(WELL, "pitch")["tip"][0] == "−0.120000°"
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])

@@ -9,7 +9,7 @@ from ship_monitor.commands.monitor_terminal import shows_utf8
 from ship_monitor.page.themes import THEMES
 from ship_monitor.terminal.app import TerminalApp, _Lines, styles_of
 from ship_monitor.terminal.pen import Look, plain_text
-from ship_testing.knocked_picture import WARNING, picture
+from ship_testing.pictures import KNOCKED_ALERT, knocked
 
 
 class Suite:
@@ -18,7 +18,7 @@ class Suite:
     label, name, place = "LIVE", "demo", "namespace /demo, domain 7"
 
     def __init__(self):
-        self.picture = picture()
+        self.picture = knocked()
         self.acknowledged = []
         self.ticks = 0
 
@@ -57,7 +57,7 @@ def test_a_acknowledges_the_instance_that_is_shown():
         await app.workers.wait_for_complete()
         assert suite.acknowledged == [("star.starboard.out", 2)]
         assert rows(app)[-1] == " acknowledged star.starboard.out"
-        suite.picture = picture(alerts=(dataclasses.replace(WARNING, state=3),))
+        suite.picture = knocked(alerts=(dataclasses.replace(KNOCKED_ALERT, state=3),))
         await pilot.press("a")
         assert suite.acknowledged == [("star.starboard.out", 2)]
         assert rows(app)[-1] == " there is nothing to acknowledge"
@@ -86,7 +86,7 @@ def test_p_holds_the_picture_and_says_so():
     async def use(app, pilot, suite):
         await pilot.press("p")
         held = rows(app)[4]
-        suite.picture = picture(angles=(), alerts=())
+        suite.picture = knocked(angles=(), alerts=())
         app.draw()
         assert "PAUSED" in rows(app)[0]
         assert rows(app)[4] == held

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ship_monitor.terminal.details import details, help_page
 from ship_monitor.terminal.pen import Look, Pen, plain_text
 from ship_monitor.terminal.screen import View, choices, screen, shown_alert
-from ship_testing.knocked_picture import INPUT, KNOCKED, NOON_NS, WARNING, angle, picture, source
+from ship_testing.pictures import KNOCKED, KNOCKED_ALERT, KNOCKED_INPUT, NOW_NS, angle, knocked, source
 from ship_watch.picture import ANGLES, Event, Priority, Safety
 
 VIEW = View(80, 24, "demo", "LIVE", "namespace /demo, domain 7", "day")
@@ -35,13 +35,13 @@ def cells(text):
 
 
 def test_the_screen_of_the_design():
-    assert texts(picture()) == [
+    assert texts(knocked()) == [
         " demo  LIVE  day                                                   12:00:07 UTC",
-        " (!) WARNING star.starboard out        12:00:07  UNACK       1 unack, 1 active",
+        " (!) WARNING star.starboard out        11:59:29  UNACK       1 unack, 1 active",
         "─" * 80,
         "           value                   95 %  limit  state       why",
         " HEADING    034.39° true          ±4.2″     5″  ! CAUTION   one star source",
-        " PITCH         0.1° bow down      ±2.8″     3″  + SAFE",
+        " PITCH         0.1° bow down      ±2.7″     3″  + SAFE",
         " ROLL          2.1° port down     ±3.7″     3″  ! CAUTION   over the limit",
         " AZIMUTH    359.88°               ±4.9″    10″  + SAFE      2 lights",
         " ELEVATION  +68.74°               ±5.3″    10″  + SAFE      2 lights",
@@ -49,39 +49,39 @@ def test_the_screen_of_the_design():
         " ages   stars 0.5 s   lights 0.6 s   ins 0.1 s       horizon geodetic",
         "── sources ── 7 of 8 in " + "─" * 56,
         " x star.starboard   OUT    0.6 s     2.0 Hz   81 refused in a row, right +49″",
-        " + star.fore        IN     0.1 s    20.0 Hz   σ as stated (1.01)",
-        " + ins              IN     0.1 s    20.0 Hz",
-        " + lights           IN     0.1 s    20.0 Hz",
-        " + encoder          IN     0.1 s    20.0 Hz",
-        " + baselines        IN     0.1 s    20.0 Hz",
-        " + gnss             IN     0.1 s    20.0 Hz",
-        " + weather          IN     0.1 s    20.0 Hz",
+        " + ins              IN     0.1 s     2.0 Hz",
+        " + star.fore        IN     0.6 s     2.0 Hz   σ as stated (1.01)",
+        " + lights           IN     0.6 s     2.0 Hz   σ as stated (1.01)",
+        " + encoder          IN     0.1 s     2.0 Hz",
+        " + baselines        IN     0.3 s     2.0 Hz",
+        " + gnss             IN     0.1 s     2.0 Hz",
+        " + weather          IN     1.1 s     2.0 Hz",
         "── events " + "─" * 70,
-        " 12:00:07  state: roll SAFE → CAUTION, over the limit",
-        " 12:00:07  WARNING star.starboard out: 5 refused in a row, residual 8.1 σ",
+        " 11:59:31  state: roll SAFE → CAUTION, over the limit",
+        " 11:59:29  WARNING star.starboard out: 5 refused in a row, residual 8.1 σ",
         " a acknowledge   Enter details   t theme   p pause   ? help   q quit",
     ]
 
 
 @pytest.mark.parametrize(("word", "look"), [("SAFE", Look.SAFE), ("CAUTION", Look.CAUTION), ("UNSAFE", Look.UNSAFE)])
 def test_each_word_stands_as_a_word_with_its_look(word, look):
-    shown = picture(angles=(angle("heading", safety=Safety[word]),))
+    shown = knocked(angles=(angle("heading", safety=Safety[word]),))
     spans = [span for line in drawn(shown) for span in line if word in span.text.split() and "HEADING" not in span.text]
     assert [span.look for span in spans if "→" not in span.text] == [look]
 
 
 def test_an_old_value_is_struck_through_and_has_its_age():
     old = angle("heading", is_old=True, age_s=12.0, safety=Safety.UNSAFE, reason="ship/attitude silent")
-    lines = drawn(picture(angles=(old,)))
+    lines = drawn(knocked(angles=(old,)))
     heading = lines[4]
     assert [span.text.strip() for span in heading if span.look is Look.OLD] == ["034.39° true"]
     assert "OLD 12 s" in plain_text(heading)
     very_old = dataclasses.replace(old, age_s=754.0)
-    assert texts(picture(angles=(very_old,)))[4].split()[:4] == ["HEADING", "—", "OLD", "13"]
+    assert texts(knocked(angles=(very_old,)))[4].split()[:4] == ["HEADING", "—", "OLD", "13"]
 
 
 def test_a_suite_that_was_never_heard_is_waited_for_by_name():
-    nothing = picture(
+    nothing = knocked(
         utc_ns=0,
         angles=tuple(
             angle(name, value=math.nan, reason="no data", age_s=math.inf, is_old=True, safety=Safety.UNSAFE)
@@ -101,80 +101,80 @@ def test_a_suite_that_was_never_heard_is_waited_for_by_name():
 
 
 def test_sources_beyond_the_room_are_counted():
-    many = picture(sources=(KNOCKED, *(source(f"reference.number_{place}") for place in range(20))))
+    many = knocked(sources=(KNOCKED, *(source(f"reference.number_{place}") for place in range(20))))
     lines = texts(many)
     assert lines[12].startswith(" x star.starboard")
     assert " 14 more in" in "\n".join(lines)
     assert len([line for line in lines if " reference." in line]) + 14 == 20
-    all_out = picture(sources=tuple(dataclasses.replace(KNOCKED, name=f"star.s{place}") for place in range(20)))
+    all_out = knocked(sources=tuple(dataclasses.replace(KNOCKED, name=f"star.s{place}") for place in range(20)))
     assert any("13 more OUT" in line for line in texts(all_out))
 
 
 @pytest.mark.parametrize("chosen", [f"reference.number_{place}" for place in range(20)])
 def test_the_chosen_source_is_in_sight(chosen):
-    many = picture(sources=(KNOCKED, *(source(f"reference.number_{place}") for place in range(20))))
+    many = knocked(sources=(KNOCKED, *(source(f"reference.number_{place}") for place in range(20))))
     assert any(line.startswith(f">+ {chosen[:15]}") for line in texts(many, dataclasses.replace(VIEW, chosen=chosen)))
 
 
 def test_more_room_is_used():
-    wide = texts(picture(), dataclasses.replace(VIEW, width=120, height=50))
+    wide = texts(knocked(), dataclasses.replace(VIEW, width=120, height=50))
     assert len(wide) == 50
     assert "attitude_conflict 72, gate 9" in "\n".join(wide)
 
 
 @pytest.mark.parametrize(("width", "height"), [(63, 24), (80, 14), (20, 3), (1, 1)])
 def test_where_there_is_too_little_room_one_line_says_the_worst(width, height):
-    lines = texts(picture(), dataclasses.replace(VIEW, width=width, height=height))
+    lines = texts(knocked(), dataclasses.replace(VIEW, width=width, height=height))
     assert not any(lines[1:])
     assert lines[0].startswith("CAUTION heading, roll"[: width - 1])
 
 
 def test_a_terminal_in_a_window_of_tmux_has_one_row_less():
-    lines = texts(picture(), dataclasses.replace(VIEW, height=23))
+    lines = texts(knocked(), dataclasses.replace(VIEW, height=23))
     assert len(lines) == 23
     assert any("star.starboard" in line and "OUT" in line for line in lines)
     assert lines[-1].startswith(" a acknowledge")
 
 
 def test_paused_is_said_and_alerts_go_on():
-    alarm = dataclasses.replace(WARNING, priority=Priority.ALARM, text="heading lost")
-    lines = texts(picture(), dataclasses.replace(VIEW, paused_s=12.0), alerts=(alarm,))
+    alarm = dataclasses.replace(KNOCKED_ALERT, priority=Priority.ALARM, text="heading lost")
+    lines = texts(knocked(), dataclasses.replace(VIEW, paused_s=12.0), alerts=(alarm,))
     assert "PAUSED 12 s ago" in lines[0]
     assert lines[1].startswith(" /!\\ ALARM heading lost")
 
 
 def test_the_alert_that_nobody_has_acknowledged_is_shown_first():
-    acknowledged = dataclasses.replace(WARNING, id="first", priority=Priority.ALARM, state=3)
-    assert shown_alert((acknowledged, WARNING)) == WARNING
+    acknowledged = dataclasses.replace(KNOCKED_ALERT, id="first", priority=Priority.ALARM, state=3)
+    assert shown_alert((acknowledged, KNOCKED_ALERT)) == KNOCKED_ALERT
     assert shown_alert((acknowledged,)) == acknowledged
     assert shown_alert(None) is None
-    assert "1 unack, 2 active" in texts(picture(alerts=(acknowledged, WARNING)))[1]
+    assert "1 unack, 2 active" in texts(knocked(alerts=(acknowledged, KNOCKED_ALERT)))[1]
 
 
 def test_details_tell_all_digits():
     def page(chosen):
         view = dataclasses.replace(VIEW, chosen=chosen)
-        return "\n".join(plain_text(line).rstrip() for line in details(picture(), (WARNING,), view))
+        return "\n".join(plain_text(line).rstrip() for line in details(knocked(), (KNOCKED_ALERT,), view))
 
     assert "34.392000°" in page("heading")
     assert "2.14″" in page("heading")  # 4.2″ / 1.96
-    assert "2026-05-01 12:00:07.000" in page("star.starboard")
+    assert "2026-05-01 11:59:28.000" in page("star.starboard")
     assert "attitude_conflict 72, gate 9" in page("star.starboard")
     assert "(!) WARNING star.starboard out" in page("")
 
 
 def test_without_utf8_every_character_is_ascii_and_every_meaning_stays():
     view = dataclasses.replace(VIEW, is_ascii=True)
-    lines = texts(picture(), view)
+    lines = texts(knocked(), view)
     assert all(line.isascii() for line in lines)
     assert row_of(lines, "HEADING").split()[:5] == ["HEADING", "034.39deg", "true", '+-4.2"', '5"']
     assert row_of(lines, "PITCH").split()[:4] == ["PITCH", "0.1deg", "bow", "down"]
-    assert all(plain_text(line).isascii() for line in help_page(picture(), view))
+    assert all(plain_text(line).isascii() for line in help_page(knocked(), view))
 
 
 def test_names_from_the_network_cannot_control_the_terminal():
-    evil = dataclasses.replace(WARNING, text="\x1b[2J\x1b]0;title\x07 fire\r\n\u202eright to left\u0301")
-    for line in drawn(picture(alerts=(evil,), sources=(dataclasses.replace(KNOCKED, name="\x1b[31m" * 9),))):
+    evil = dataclasses.replace(KNOCKED_ALERT, text="\x1b[2J\x1b]0;title\x07 fire\r\n\u202eright to left\u0301")
+    for line in drawn(knocked(alerts=(evil,), sources=(dataclasses.replace(KNOCKED, name="\x1b[31m" * 9),))):
         assert all(char.isprintable() for char in plain_text(line))
 
 
@@ -206,12 +206,13 @@ def test_every_line_is_exactly_as_wide_as_the_terminal(
         "reason": told,
         "is_old": is_old,
     }
-    shown = picture(
+    heard = dataclasses.replace(KNOCKED_INPUT, topic=name, latency_s=number, age_s=other, reasons={told: 10**9})
+    shown = knocked(
         angles=tuple(angle(each, **changed) for each in ANGLES),
         sources=tuple(source(f"{name}{place}", reason=told, rate_hz=number, age_s=other) for place in range(count)),
-        alerts=(dataclasses.replace(WARNING, text=told),),
-        inputs=(dataclasses.replace(INPUT, topic=name, latency_s=number, age_s=other, reasons={told: 10**9}),) * count,
-        events=(Event(NOON_NS, "state", name, told),) * count,
+        alerts=(dataclasses.replace(KNOCKED_ALERT, text=told),),
+        inputs=(heard,) * count,
+        events=(Event(NOW_NS, "state", name, told),) * count,
         waiting_for=told,
     )
     view = dataclasses.replace(
@@ -228,4 +229,4 @@ def test_a_cell_is_as_wide_as_it_is_told(text, width, to_right, is_ascii):
 
 
 def test_what_can_be_chosen_goes_downward():
-    assert choices(picture())[:6] == (*ANGLES, "star.starboard")
+    assert choices(knocked())[:6] == (*ANGLES, "star.starboard")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ship_testing.shown_pictures import (
+from ship_testing.pictures import (
     angle,
     late_input,
     lost,
@@ -48,10 +48,10 @@ CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
     ("pointing.degraded", "alarm"): (picture(lost("elevation")), None),
     ("pointing.degraded", "warning"): (picture(over("azimuth")), None),
     ("pointing.degraded", "caution"): (picture(angle("azimuth", **UNCHECKED)), None),
-    ("stars.out", "warning"): (picture(out("star.bow", "silent"), out("star.starboard", "silent")), None),
+    ("stars.out", "warning"): (picture(out("star.fore", "silent"), out("star.starboard", "silent")), None),
     ("ins.out", "warning"): (picture(out("ins", "81 refused in a row")), None),
-    ("star.ID.out", "warning"): (picture(out("star.bow", "excluded")), None),
-    ("star.ID.out", "caution"): (picture(out("star.bow", "no stars")), None),
+    ("star.ID.out", "warning"): (picture(out("star.fore", "excluded")), None),
+    ("star.ID.out", "caution"): (picture(out("star.fore", "no stars")), None),
     ("reference.ID.out", "warning"): (picture(out("reference.mast", "silent")), None),
     ("encoder.out", "warning"): (picture(out("encoder", "silent")), None),
     ("lights.out", "caution"): (picture(out("lights", "7 refused in a row")), None),
@@ -59,7 +59,7 @@ CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
     ("ship_attitude.out", "caution"): (picture(out("ship_attitude", "invalid")), None),
     ("gnss.out", "caution"): (picture(out("gnss", "silent")), None),
     ("weather.out", "caution"): (picture(out("weather", "silent")), None),
-    ("SOURCE.unreported", "warning"): (picture(out("star.bow", "not reported", because_of="its node")), None),
+    ("SOURCE.unreported", "warning"): (picture(out("star.fore", "not reported", because_of="its node")), None),
     ("SOURCE.mended", "caution"): (picture(source("lights", disagreement="names exchanged")), None),
     ("SOURCE.rate", "caution"): (picture(source("gnss", rate_hz=1.0)), None),
     ("stars.old", "caution"): (picture(ages_s={"stars": 31.0, "lights": 0.5}), None),
@@ -134,7 +134,8 @@ def test_pointing_lost_with_the_attitude_is_blamed_on_what_took_the_attitude() -
     shown = picture(out("lights", "no lights"), out("ins", "silent"), *angles)
     found = told(shown)
     assert {id_: one.priority for id_, one in found.items()} == {
-        "ins.out": Priority.ALARM, "lights.out": Priority.CAUTION
+        "ins.out": Priority.ALARM,
+        "lights.out": Priority.CAUTION,
     }
     blamed = {one.name: one.because_of for one in functions(shown)}
     assert blamed == dict.fromkeys(("heading", "tilt", "pointing"), "ins")
@@ -142,20 +143,20 @@ def test_pointing_lost_with_the_attitude_is_blamed_on_what_took_the_attitude() -
 
 def test_all_stars_out_for_one_reason_are_one_situation() -> None:
     """For two reasons they are two; what they need of others is told with the others."""
-    taken = over("heading", "star.bow")
-    both = told(picture(out("star.bow", "silent"), out("star.starboard", "silent"), taken))
+    taken = over("heading", "star.fore")
+    both = told(picture(out("star.fore", "silent"), out("star.starboard", "silent"), taken))
     assert list(both) == ["stars.out"]
     assert both["stars.out"].text == "all star sensors out: silent; heading over its limit"
     assert both["stars.out"].becomes_alarm
-    two = told(picture(out("star.bow", "silent"), out("star.starboard", "81 refused in a row"), taken))
-    assert sorted(two) == ["star.bow.out", "star.starboard.out"]
-    needs = [out(f"star.{id_}", "needs ins", because_of="ins") for id_ in ("bow", "starboard")]
+    two = told(picture(out("star.fore", "silent"), out("star.starboard", "81 refused in a row"), taken))
+    assert sorted(two) == ["star.fore.out", "star.starboard.out"]
+    needs = [out(f"star.{id_}", "needs ins", because_of="ins") for id_ in ("fore", "starboard")]
     assert list(told(picture(out("ins", "silent"), *needs))) == ["ins.out"]
 
 
 def test_node_that_is_gone_is_one_situation() -> None:
     """No attitude comes, nothing is reported of its sources, the pointing is invalid: one alarm."""
-    gone = [out(name, "not reported", because_of="its node") for name in ("ins", "star.bow", "star.starboard")]
+    gone = [out(name, "not reported", because_of="its node") for name in ("ins", "star.fore", "star.starboard")]
     angles = [*silent(*ATTITUDE), lost("azimuth"), lost("elevation")]
     assert list(told(picture(*gone, *angles))) == ["attitude.silent"]
 
@@ -172,11 +173,11 @@ def test_texts_hold_no_figure_that_runs() -> None:
     texts = set()
     for count in (5, 81):
         shown = picture(
-            out("star.bow", f"{count} refused in a row", disagreement=f"right +{count}″", age_s=count),
+            out("star.fore", f"{count} refused in a row", disagreement=f"right +{count}″", age_s=count),
             angle("heading", **{**UNCHECKED, "reason": f"no stars for {count} s"}),
         )
         texts |= {each.text for each in conditions(shown, LIMITS)}
-    assert texts == {"star.bow out: refused in a row", "heading unchecked: no stars"}
+    assert texts == {"star.fore out: refused in a row", "heading unchecked: no stars"}
 
 
 def test_box_may_lose_what_the_limits_allow() -> None:
@@ -196,8 +197,8 @@ def test_tree_names_the_input_that_takes_a_function_away() -> None:
     assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy of 5″ (95 %)")
     assert branches["heading within 5″/ins"] == (2, "out: 81 refused in a row, up +100″, for this heading lost")
     assert branches["tilt within 3″"] == (1, "over its limit, because of ins, over the limit, 6.0″ of 3″ (95 %)")
-    assert branches["tilt within 3″/star.bow"] == (0, "in")
-    assert branches["pointing within 10″"] == (0, "safe: 5.0″ of 10″ (95 %)")
+    assert branches["tilt within 3″/star.fore"] == (0, "in")
+    assert branches["pointing within 10″"] == (0, "safe: 5.3″ of 10″ (95 %)")
     assert branches["pointing within 10″/ins"][0] == 1
     assert "heading within 5″/lights" not in branches
     off = picture(source("gnss", presence=Presence.OFF))
