@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.bag_writer import BagWriter
 from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_replay.trials.live_run import executable
+from ship_testing.bag_parts import beginning
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "bags" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -37,17 +37,6 @@ def name(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-def beginning(whole_path: Path, path: Path) -> None:
-    """The first seconds of a bag."""
-    with read_bag(whole_path) as whole, BagWriter(path) as writer:
-        for attachment, data in whole.attachments.items():
-            writer.add_attachment(attachment, data)
-        for record in whole.records():
-            if record.log_time_ns > (whole.start_ns or 0) + KEPT_S * 10**9:
-                break
-            writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
-
-
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
     """A folder that looks like this one, with short bags."""
@@ -57,7 +46,7 @@ def checkout(tmp_path: Path) -> Path:
         if path.name not in ("bags", "out", "log", ".git"):
             (folder / path.name).symlink_to(path)
     for path in (ROOT / "bags").glob("*.mcap"):
-        beginning(path, folder / "bags" / path.name)
+        beginning(path, folder / "bags" / path.name, KEPT_S)
     return folder
 
 

@@ -24,6 +24,7 @@ setup(
             "replay = ship_replay.commands.replay:main",
             "evaluate = ship_replay.commands.evaluate:main",
             "report = ship_replay.commands.report:main",
+            "compare = ship_replay.commands.compare:main",
             "stanford = ship_replay.commands.stanford:main",
             "check_config = ship_replay.commands.check_config:main",
             "axis_sightings = ship_replay.commands.axis_sightings:main",

@@ -84,3 +84,8 @@ POINTING = Orientation(
 )
 
 ORIENTATIONS = (SHIP_ATTITUDE, POINTING)
+
+
+def channel_name(channel: str) -> str:
+    """A channel for people: "heading", "azimuth · cos E"."""
+    return channel.replace("_cos_elevation", " · cos E").replace("_", " ")

@@ -215,13 +215,22 @@ def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | Non
         if SUITE_ATTACHMENT in bag.attachments:
             text = bag.attachments[SUITE_ATTACHMENT].decode("utf-8", errors="replace")
             try:
-                # A section for all nodes is ship_attitude's alone, as in a replay (bag_suite.nodes_of).
-                node = anywhere(node_name)
-                named = has_section(text, node, wildcards=kind is ShipAttitudeConfig)
-                return load_config(kind, text, node) if named else None
+                return named_config(text, kind, node_name)
             except BadInput as problem:
                 raise attached(bag, problem) from problem
     return None
+
+
+def named_config(text: str, kind: type[Config], node_name: str) -> Config | None:
+    """The configuration of a node in the text of a suite file, whatever its namespace; None where it names none.
+
+    Raises:
+        BadInput: a parameter is unknown or out of range.
+    """
+    # A section for all nodes is ship_attitude's alone, as in a replay (bag_suite.nodes_of).
+    node = anywhere(node_name)
+    named = has_section(text, node, wildcards=kind is ShipAttitudeConfig)
+    return load_config(kind, text, node) if named else None
 
 
 def alignment_values(message: Any) -> list[AlignmentValue]:

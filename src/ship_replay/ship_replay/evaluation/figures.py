@@ -20,6 +20,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.figure_files import settled
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
+from ship_watch.orientations import channel_name
 
 _STYLE = {
     "font.size": 12,
@@ -68,7 +69,7 @@ def attitude_error_figure(series: Sequence[AttitudeErrors], title: str) -> Figur
                     _draw_together(axes, group, row, start_ns)
                 else:
                     _draw_band(axes, group[0], row, start_ns)
-                    name = group[0].channels[row].replace("_cos_elevation", " · cos E").replace("_", " ")
+                    name = channel_name(group[0].channels[row])
                     axes.set_ylabel(f"{name}\nerror [arcsec]")
             column[-1].set_xlabel("time [s]")
             _legend_below(column[-1], together)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ship_bags.errors import BadInput
 from ship_geometry.rotations import FloatArray
 from ship_replay.evaluation.stanford import Epochs, Region
+from ship_watch.orientations import channel_name
 
 _STYLE = {
     "font.size": 13,
@@ -53,7 +54,7 @@ def stanford_figure(epochs: Sequence[Epochs], title: str) -> Figure:
 
 def _draw(axes: Axes, epochs: Epochs, axis: int) -> None:
     channel = epochs.orientation.channels[axis]
-    name = channel.replace("_cos_elevation", " · cos E").replace("_", " ")
+    name = channel_name(channel)
     error, level = epochs.error_arcsec[:, axis], epochs.level_arcsec[:, axis]
     limits = epochs.limit_arcsec[:, axis]
     limit = _common_limit(limits[np.isfinite(level)], name)

@@ -38,7 +38,8 @@ STATE_LOOKS = {
 """Fill and hatch of each word: told apart in black and white, too."""
 
 _SERIES = ("#0b3c6f", "#7a5fa8", "#1f8a82", "#8a9bb0", "#b08d57", "#c9cfd6")
-_SVG = {"svg.hashsalt": "ship report", "svg.fonttype": "none", "font.size": 10, "hatch.linewidth": 0.6}
+SVG_STYLE = {"svg.hashsalt": "ship report", "svg.fonttype": "none", "font.size": 10, "hatch.linewidth": 0.6}
+"""How every figure of a page is drawn."""
 _STRIPPED = re.compile(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<metadata>.*?</metadata>|\s+xmlns(:\w+)?=\"[^\"]*\"", re.DOTALL)
 
 
@@ -50,7 +51,7 @@ def svg(figure: Figure, name: str) -> str:
         name: its ids begin with this, so that figures of one page do not meddle with each other.
     """
     stream = io.StringIO()
-    with plt.rc_context(_SVG):
+    with plt.rc_context(SVG_STYLE):
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     plt.close(figure)
     text = _STRIPPED.sub("", stream.getvalue())
@@ -64,17 +65,14 @@ def status_svg(night: Night) -> str:
     shown = [name for name in ANGLES if night.words.get(name)]
     if not shown:
         return ""
-    with plt.rc_context(_SVG):
+    with plt.rc_context(SVG_STYLE):
         figure, grid = plt.subplots(
             2, 1, figsize=(9.2, 1.2 + 0.34 * len(shown) + 2.3), sharex=True, layout="constrained",
             height_ratios=(0.34 * len(shown), 2.0),
         )
         start_ns = night.start_utc_ns
         for row, name in enumerate(shown):
-            for word, spans in _spans(night.words[name]).items():
-                fill, hatch = STATE_LOOKS[word]
-                bars = [(start - start_ns / NS_PER_S, length) for start, length in spans]
-                grid[0].broken_barh(bars, (row - 0.4, 0.8), facecolor=fill, hatch=hatch, edgecolor="white", lw=0)
+            draw_ribbon(grid[0], row, night.words[name], start_ns)
         grid[0].set_yticks(range(len(shown)), shown)
         grid[0].invert_yaxis()
         grid[0].tick_params(length=0)
@@ -97,8 +95,8 @@ def status_svg(night: Night) -> str:
             set_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         grid[1].legend(ncols=5, fontsize=8, frameon=False, loc="upper right")
         grid[1].set_xlim(0.0, (night.end_ns - night.start_ns) / NS_PER_S)
-        _plain(grid)
-        _utc_axis(grid[1], start_ns)
+        plain(grid)
+        utc_axis(grid[1], start_ns)
     return svg(figure, "status")
 
 
@@ -117,7 +115,7 @@ def errors_svg(evaluation: Evaluation) -> str:
     last_row = {axes: place.rowspan.stop for axes in figure.axes if (place := axes.get_subplotspec()) is not None}
     for axes, row in last_row.items():
         if row == max(last_row.values()):
-            _utc_axis(axes, start_ns)
+            utc_axis(axes, start_ns)
     return svg(figure, "errors")
 
 
@@ -127,14 +125,14 @@ def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
     if not points:
         return ""
     angles = list(points[-1].by_angle)
-    with plt.rc_context(_SVG):
+    with plt.rc_context(SVG_STYLE):
         figure, grid = plt.subplots(
             len(angles), 1, figsize=(9.2, 1.75 * len(angles) + 0.3), sharex=True, squeeze=False, layout="constrained"
         )
         for axes, angle in zip(grid[:, 0], angles, strict=True):
             _draw_budget(axes, points, angle, start_ns)
-        _plain(grid[:, 0])
-        _utc_axis(grid[-1, 0], start_ns)
+        plain(grid[:, 0])
+        utc_axis(grid[-1, 0], start_ns)
     return svg(figure, "budget-" + topic.partition("/")[0])
 
 
@@ -147,7 +145,7 @@ def refusals_svg(night: Night) -> str:
     if not rows:
         return ""
     start_s = night.start_utc_ns / NS_PER_S
-    with plt.rc_context(_SVG):
+    with plt.rc_context(SVG_STYLE):
         figure, axes = plt.subplots(figsize=(9.2, 0.7 + 0.27 * len(rows)), layout="constrained")
         for row, (_, seconds) in enumerate(sorted(rows.items())):
             bars = [(start - start_s, max(length, 1)) for start, length in _runs(sorted(seconds))]
@@ -155,9 +153,17 @@ def refusals_svg(night: Night) -> str:
         axes.set_yticks(range(len(rows)), sorted(rows), fontsize=8)
         axes.invert_yaxis()
         axes.set_xlim(0.0, (night.end_ns - night.start_ns) / NS_PER_S)
-        _plain([axes])
-        _utc_axis(axes, night.start_utc_ns)
+        plain([axes])
+        utc_axis(axes, night.start_utc_ns)
     return svg(figure, "refusals")
+
+
+def draw_ribbon(axes: Axes, row: int, words: Sequence[tuple[int, Safety]], start_ns: int) -> None:
+    """The words of an angle as bars at the height of a row, in seconds since a time."""
+    for word, spans in _spans(words).items():
+        fill, hatch = STATE_LOOKS[word]
+        bars = [(start - start_ns / NS_PER_S, length) for start, length in spans]
+        axes.broken_barh(bars, (row - 0.4, 0.8), facecolor=fill, hatch=hatch, edgecolor="white", lw=0)
 
 
 def thinned(values: FloatArray, most: int) -> np.ndarray:
@@ -236,19 +242,20 @@ def _runs(seconds: Sequence[int]) -> list[tuple[int, int]]:
     return runs
 
 
-def _plain(grid: Iterable[Axes]) -> None:
+def plain(grid: Iterable[Axes]) -> None:
+    """Axes with a grid of times and without a frame."""
     for axes in grid:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="x", color="0.9", lw=0.6)
         axes.set_axisbelow(True)
 
 
-def _utc_axis(axes: Axes, start_ns: int) -> None:
+def utc_axis(axes: Axes, start_ns: int, most_labels: int = 6) -> None:
     """Label seconds since a time by their UTC."""
 
     def text(value: float, _: int | None) -> str:
         return datetime.fromtimestamp(start_ns // NS_PER_S + value, tz=timezone.utc).strftime("%H:%M:%S")
 
-    axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 3, 6, 10]))
+    axes.xaxis.set_major_locator(MaxNLocator(most_labels, steps=[1, 2, 3, 6, 10]))
     axes.xaxis.set_major_formatter(FuncFormatter(text))
     axes.set_xlabel("UTC")

@@ -83,14 +83,14 @@ def before_after(before: Sequence[ParameterShown], after: Sequence[ParameterShow
     rows = []
     for shown in after:
         start = first.get(shown.name, shown)
-        scale, unit = _scale(shown)
+        scale, unit = shown_scale(shown)
         change = float(wrap_pi(shown.value - start.value)) if shown.unit == "rad" else shown.value - start.value
         rows.append({
             "name": shown.name,
             "unit": unit,
-            "before": placed(start.value / scale, start.sigma / scale),
+            "before": placed(told_value(start) / scale, start.sigma / scale),
             "before_sigma": number(start.sigma / scale),
-            "after": placed(shown.value / scale, shown.sigma / scale),
+            "after": placed(told_value(shown) / scale, shown.sigma / scale),
             "after_sigma": number(shown.sigma / scale),
             "change": f"{change / start.sigma:+.1f} σ" if start.sigma > 0.0 else "",
             "note": "" if shown.is_observable else "not observable",
@@ -116,7 +116,13 @@ def refusal_rows(night: Night) -> list[dict[str, str]]:
     ]
 
 
-def _scale(shown: ParameterShown) -> tuple[float, str]:
+def told_value(shown: ParameterShown) -> float:
+    """The value of a parameter, an angle from -pi to pi: an azimuth a little left of 0 is not told as one of 360°."""
+    return float(wrap_pi(shown.value)) if shown.unit == "rad" else shown.value
+
+
+def shown_scale(shown: ParameterShown) -> tuple[float, str]:
+    """By what a parameter is divided to be told, and the unit it then has."""
     if shown.unit == "rad":
         large = abs(float(wrap_pi(shown.value))) > math.radians(1.0)
         return (math.pi / 180.0, "deg") if large else (ARCSEC, "arcsec")

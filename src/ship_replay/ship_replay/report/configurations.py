@@ -1,0 +1,89 @@
+"""How the configurations of two recordings differ: line by line as they were written, and parameter by parameter."""
+
+import difflib
+from dataclasses import dataclass
+from typing import Any
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.star_attitude.config import StarAttitudeConfig
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_estimation.parameters import flatten
+from ship_replay.evaluation.evaluate import named_config
+from ship_replay.report.night import Night
+from theodolite_calib.config import OpticalAxisConfig
+
+_NODES = {
+    "ship_attitude": ShipAttitudeConfig, "star_attitude": StarAttitudeConfig, "optical_axis": OpticalAxisConfig
+}
+_TEXTS = (".yaml", ".yml", ".json")
+
+
+@dataclass(frozen=True)
+class ParameterDifference:
+    """A parameter that is not the same in both; empty where a node, or a device of it, is not configured."""
+
+    node: str
+    name: str
+    a: str
+    b: str
+
+
+def attached_texts(night: Night) -> dict[str, str]:
+    """Name → text of the configurations that are attached to a bag."""
+    return {
+        name: data.decode(errors="replace") for name, data in sorted(night.attachments.items())
+        if name.endswith(_TEXTS)
+    }
+
+
+def text_differences(a: Night, b: Night) -> dict[str, list[str]]:
+    """Name of an attached configuration → lines of its unified diff from A to B, none where both are equal."""
+    texts_a, texts_b = attached_texts(a), attached_texts(b)
+    return {
+        name: list(
+            difflib.unified_diff(
+                texts_a.get(name, "").splitlines(), texts_b.get(name, "").splitlines(),
+                f"A {name}" if name in texts_a else "A: not attached",
+                f"B {name}" if name in texts_b else "B: not attached", lineterm="",
+            )
+        )
+        for name in sorted(texts_a.keys() | texts_b.keys())
+    }
+
+
+def parameter_differences(a: Night, b: Night) -> list[ParameterDifference]:
+    """The parameters that differ, defaults included: one that only one file writes out at its default is none.
+
+    A node that only one of the files configures is one row.
+
+    Raises:
+        BadInput: a suite file is none of this version; whoever has evaluated the bags knows that it is.
+    """
+    found = []
+    for node, kind in _NODES.items():
+        values_a, values_b = _parameters(a, node, kind), _parameters(b, node, kind)
+        if values_a is None or values_b is None:
+            if values_a is not values_b:
+                told = ["not configured" if values is None else "configured" for values in (values_a, values_b)]
+                found.append(ParameterDifference(node, "", *told))
+            continue
+        for name in dict.fromkeys([*values_a, *values_b]):
+            value_a, value_b = values_a.get(name), values_b.get(name)
+            if value_a != value_b:
+                found.append(ParameterDifference(node, name, _text(value_a), _text(value_b)))
+    return found
+
+
+def _parameters(night: Night, node: str, kind: type) -> dict[str, Any] | None:
+    if SUITE_ATTACHMENT not in night.attachments:
+        return None
+    config = named_config(night.attachments[SUITE_ATTACHMENT].decode(errors="replace"), kind, node)
+    return None if config is None else flatten(config)
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_text(entry) for entry in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,139 @@
+"""Two recordings side by side: both told, their outputs at equal stamps, and whether they stem from the same inputs."""
+
+import io
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
+from ship_replay.report.night import Night
+from ship_replay.report.published import OutputDifference, Published, differences, overlap_s, read_published, span
+from ship_replay.report.told import Told, read_told
+from ship_replay.report.wording import duration, utc
+from ship_watch.limits import Limits
+
+_SIMULATION = "simulation"
+"""Name of the metadata record with the seed of a simulated voyage."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two recordings, A and B.
+
+    Attributes:
+        a: the first.
+        b: the second.
+        published: what A and B published.
+        differences: of the outputs at equal stamps, B minus A, by orientation.
+    """
+
+    a: Told
+    b: Told
+    published: tuple[Published, Published]
+    differences: list[OutputDifference]
+
+    @property
+    def is_same(self) -> bool:
+        """Whether both are the same file, byte for byte."""
+        return self.a.night.sha256 != "" and self.a.night.sha256 == self.b.night.sha256
+
+    @property
+    def nights(self) -> tuple[Night, Night]:
+        """Of A and B."""
+        return self.a.night, self.b.night
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """From the first to the last moment of both, UTC in ns."""
+        spans = [_span(night) for night in self.nights]
+        return min(start for start, _ in spans), max(end for _, end in spans)
+
+
+def read_pair(
+    a: Path, b: Path, truth: Path | None = None, limits: Limits | None = None, namespace: str = ""
+) -> Pair:
+    """Read two bags with outputs.
+
+    Raises:
+        BadInput: a bag cannot be read or lacks what is expected of it, or the two have no time in common.
+    """
+    # One file after the other would take twice as long. Of the bars that show how far it is, one is enough.
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=_without_bar) as beside:
+        outputs_a, outputs_b = (beside.submit(read_published, path, namespace) for path in (a, b))
+        other = beside.submit(read_told, b, truth, limits, namespace)
+        told = read_told(a, truth, limits, namespace)
+        published = outputs_a.result(), outputs_b.result()
+        pair = Pair(told, other.result(), published, differences(*published))
+    _check_overlap(pair)
+    return pair
+
+
+def origin(pair: Pair) -> list[str]:
+    """In sentences: whether both stem from the same inputs, as far as the bags tell, and of which times they are."""
+    if pair.is_same:
+        return ["A and B are the same recording: their SHA-256 is the same."]
+    sentences = [_stem(pair)]
+    counts_a, counts_b = (one.received for one in pair.published)
+    counted = [
+        f"{topic} {counts_a.get(topic, 0)} in A, {counts_b.get(topic, 0)} in B"
+        for topic in sorted(counts_a.keys() | counts_b.keys())
+        if counts_a.get(topic, 0) != counts_b.get(topic, 0)
+    ]
+    if counted:
+        sentences.append(f"The nodes did not receive the same number of messages: {'; '.join(counted)}.")
+    spans = [_span(night) for night in pair.nights]
+    if max(abs(spans[0][0] - spans[1][0]), abs(spans[0][1] - spans[1][1])) > 2 * 10**9:
+        texts = [f"{utc(start)} to {utc(end)}" for start, end in spans]
+        common = duration(overlap_s(*spans))
+        sentences.append(
+            f"They are not of the same time: A from {texts[0]}, B from {texts[1]} UTC; {common} are in both. "
+            "Shares and means are those of the whole of each."
+        )
+    return sentences
+
+
+def _stem(pair: Pair) -> str:
+    """Whether the inputs are the same, by the strongest thing that the bags tell."""
+    given_a, given_b = (one.given for one in pair.published)
+    shared = sorted(given_a.keys() & given_b.keys())
+    unequal = [topic for topic in shared if given_a[topic] != given_b[topic]]
+    if unequal:
+        return f"They do not stem from the same inputs: {', '.join(unequal)} differ{'s' * (len(unequal) == 1)}."
+    scenarios = [night.attachments.get(SCENARIO_ATTACHMENT) for night in pair.nights]
+    seeds = [night.metadata.get(_SIMULATION) for night in pair.nights]
+    if scenarios[0] is not None and scenarios[1] is not None:
+        if scenarios[0] != scenarios[1]:
+            return f"They do not stem from the same inputs: their scenarios differ ({SCENARIO_ATTACHMENT} below)."
+        if seeds[0] != seeds[1]:
+            told = [", ".join(f"{key} {value}" for key, value in sorted((seed or {}).items())) for seed in seeds]
+            return f"They do not stem from the same inputs: {told[0] or 'no seed'} in A, {told[1] or 'no seed'} in B."
+        return (
+            "Both stem from the same simulated voyage: scenario and seed are the same. Faults that were injected "
+            "later leave no trace in an output."
+        )
+    if shared:
+        return f"As far as the bags tell, the inputs are the same: {', '.join(shared)}."
+    return "Nothing in the bags tells whether they stem from the same inputs."
+
+
+def _check_overlap(pair: Pair) -> None:
+    spans = [span(one) or _span(told.night) for one, told in zip(pair.published, (pair.a, pair.b), strict=True)]
+    if overlap_s(*spans) < 0.0:
+        form = "%Y-%m-%d %H:%M:%S"
+        texts = [f"{utc(start, form)} to {utc(end, form)}" for start, end in spans]
+        raise BadInput(
+            f"no time in common with {pair.a.night.path}: outputs from {texts[1]} UTC, expected some from {texts[0]}",
+            file=pair.b.night.path,
+        )
+
+
+def _span(night: Night) -> tuple[int, int]:
+    start_ns = night.start_utc_ns
+    return start_ns, start_ns + night.end_ns - night.start_ns
+
+
+def _without_bar() -> None:
+    sys.stderr = io.StringIO()

@@ -1,0 +1,192 @@
+"""The figures of two recordings: on one axis of time, or beside each other on one scale."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
+from ship_bags.stamps import NS_PER_S
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_replay.report.drawings import (
+    MOST_POINTS,
+    SVG_STYLE,
+    draw_ribbon,
+    plain,
+    svg,
+    thin_errors,
+    thin_innovations,
+    thinned,
+    utc_axis,
+)
+from ship_replay.report.pair import Pair
+from ship_replay.report.published import OutputDifference
+from ship_replay.report.told import Told
+from ship_watch.orientations import ORIENTATIONS, channel_name
+from ship_watch.picture import ANGLES
+from ship_watch.states import NORMAL_95
+
+_A, _B = ("#0b3c6f", "-"), ("#d55e00", "--")
+"""Colour and dash of each: told apart in black and white, too."""
+
+_PALE = "#cfdceb"
+_ROUND_NUMBERS = [digit * 10.0**power for power in range(-4, 7) for digit in (1, 2, 5)]
+
+
+def states_svg(pair: Pair) -> str:
+    """The words of both, a ribbon each, and the 95 % accuracy of both, an angle a row, on one axis of time.
+
+    Empty where no angle was ever told.
+    """
+    shown = [name for name in ANGLES if any(night.words.get(name) for night in pair.nights)]
+    if not shown:
+        return ""
+    start_ns, end_ns = pair.span_ns
+    with plt.rc_context(SVG_STYLE):
+        ribbons = 2 * len(shown)
+        figure, grid = plt.subplots(
+            1 + len(shown), 1, figsize=(9.2, 0.6 + 0.2 * ribbons + 0.95 * len(shown)), sharex=True, squeeze=False,
+            layout="constrained", height_ratios=(0.2 * ribbons, *[0.95] * len(shown)),
+        )
+        top, *others = grid[:, 0]
+        for row, name in enumerate(shown):
+            for below, night in enumerate(pair.nights):
+                draw_ribbon(top, 2 * row + below, night.words.get(name, []), start_ns)
+        top.set_yticks(range(ribbons), [f"{name} {one}" for name in shown for one in "AB"], fontsize=8)
+        top.set_ylim(ribbons - 0.5, -0.5)
+        top.tick_params(length=0)
+        for axes, name in zip(others, shown, strict=True):
+            _draw_accuracies(axes, pair, name, start_ns)
+        for axes in others[:1]:
+            axes.legend(ncols=2, fontsize=8, frameon=False, loc="upper right")
+        top.set_xlim(0.0, max((end_ns - start_ns) / NS_PER_S, 1.0))
+        plain(grid[:, 0])
+        utc_axis(grid[-1, 0], start_ns)
+    return svg(figure, "states")
+
+
+def difference_svg(difference: OutputDifference, start_ns: int) -> str:
+    """B minus A at equal stamps, a row a channel, over ±1.96σ of both."""
+    with plt.rc_context(SVG_STYLE):
+        channels = difference.orientation.channels
+        figure, grid = plt.subplots(
+            len(channels), 1, figsize=(9.2, 1.6 * len(channels) + 0.4), sharex=True, squeeze=False, layout="constrained"
+        )
+        drawn = np.hstack([difference.difference_arcsec, *difference.sigma_arcsec])
+        kept = np.flatnonzero(thinned(drawn, 4 * MOST_POINTS))
+        time_s = (difference.time_ns[kept] - start_ns) / NS_PER_S
+        for channel, axes in enumerate(grid[:, 0]):
+            band_a, band_b = NORMAL_95 * difference.sigma_arcsec[:, kept, channel]
+            axes.fill_between(time_s, -band_a, band_a, color=_PALE, lw=0, label="±1.96σ of A")
+            for sign in (-1.0, 1.0):
+                axes.plot(time_s, sign * band_b, color=_B[0], ls=_B[1], lw=0.8, label="±1.96σ of B" if sign > 0 else "")
+            values = difference.difference_arcsec[kept, channel]
+            axes.plot(time_s, values, color="#1b2430", lw=0.9, label="B − A")
+            _limit(axes, [values, band_a, band_b])
+            axes.set_ylabel(f"{channel_name(channels[channel])}\n[arcsec]", fontsize=8)
+        figure.legend(*grid[0, 0].get_legend_handles_labels(), ncols=3, fontsize=8, frameon=False,
+                      loc="outside upper right")
+        plain(grid[:, 0])
+        utc_axis(grid[-1, 0], start_ns)
+    return svg(figure, "difference-" + difference.orientation.label)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Residuals or errors with their sigmas, arcsec, and their stamps."""
+
+    time_ns: np.ndarray
+    value: FloatArray
+    sigma: FloatArray
+
+
+def sides_svg(pair: Pair) -> str:
+    """Errors of the outputs inside ±3σ, or innovations where there is no truth: A on the left, B on the right.
+
+    Both sides of a row have one scale. Empty where neither has any.
+    """
+    sides = [_errors(told) if pair.a.evaluation.errors or pair.b.evaluation.errors else _innovations(told)
+             for told in (pair.a, pair.b)]
+    names = list(dict.fromkeys([*sides[0], *sides[1]]))
+    if not names:
+        return ""
+    start_ns, end_ns = pair.span_ns
+    with plt.rc_context(SVG_STYLE):
+        figure, grid = plt.subplots(
+            len(names), 2, figsize=(9.2, 1.25 * len(names) + 0.6), sharex=True, sharey="row", squeeze=False,
+            layout="constrained",
+        )
+        for name, row in zip(names, grid, strict=True):
+            found = [(axes, side[name]) for axes, side in zip(row, sides, strict=True) if name in side]
+            for axes, line in found:
+                time_s = (line.time_ns - start_ns) / NS_PER_S
+                axes.fill_between(time_s, -3.0 * line.sigma, 3.0 * line.sigma, color=_PALE, lw=0)
+                axes.plot(time_s, line.value, color=_A[0], lw=0.8)
+            for axes, side in zip(row, sides, strict=True):
+                if name not in side:
+                    axes.text(0.5, 0.5, "nothing", transform=axes.transAxes, ha="center", color="#888888")
+            _limit(row[0], [part for _, line in found for part in (line.value, 3.0 * line.sigma)])
+            row[0].set_ylabel(name, fontsize=8, rotation="horizontal", ha="right", va="center")
+        for letter, axes in zip("AB", grid[0], strict=True):
+            axes.set_title(letter, fontsize=10, fontweight="bold")
+        grid[0, 0].set_xlim(0.0, max((end_ns - start_ns) / NS_PER_S, 1.0))
+        plain(grid.ravel())
+        for axes in grid[-1]:
+            utc_axis(axes, start_ns, 3)
+            axes.tick_params(axis="x", labelsize=8)
+    return svg(figure, "sides")
+
+
+def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
+    drawn = 0
+    for letter, night, (colour, dash) in zip("AB", pair.nights, (_A, _B), strict=True):
+        told = np.array(night.accuracy.get(name, []), dtype=float).reshape(-1, 2)
+        told = told[told[:, 1] > 0.0]  # a covariance of zeros was not given
+        kept = np.flatnonzero(thinned(told[:, 1:], MOST_POINTS))
+        drawn += len(kept)
+        axes.plot((told[kept, 0] - start_ns) / NS_PER_S, told[kept, 1] / ARCSEC, color=colour, ls=dash, lw=1.0,
+                  label=letter)
+    limit = pair.a.night.limits.of_angle(name) / ARCSEC
+    axes.axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
+    axes.annotate(f"{limit:g}″", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(3, 0),
+                  textcoords="offset points", va="center", fontsize=8, color="#666666")
+    axes.set_yscale("log" if drawn else "linear")
+    if drawn:
+        axes.yaxis.set_major_locator(FixedLocator(_ROUND_NUMBERS))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.tick_params(axis="y", labelsize=8)
+    axes.set_ylabel(f"{name}\n95 % [″]", fontsize=8)
+
+
+def _errors(told: Told) -> dict[str, _Line]:
+    lines = {}
+    outputs = [orientation.label for orientation in ORIENTATIONS]
+    for series in told.evaluation.errors:
+        if series.label in outputs:
+            thin = thin_errors(series)
+            for channel, name in enumerate(series.channels):
+                lines[f"{series.label}\n{channel_name(name)}"] = _Line(
+                    thin.time_ns, thin.error_arcsec[:, channel], thin.sigma_arcsec[:, channel]
+                )
+    return lines
+
+
+def _innovations(told: Told) -> dict[str, _Line]:
+    lines = {}
+    for source, part in told.evaluation.innovations.items():
+        thin = thin_innovations(part)
+        for component in thin.components():
+            stamps, residual, sigma = thin.series(component)
+            if len(stamps):
+                lines[f"{source}\n{component}"] = _Line(stamps, residual / ARCSEC, sigma / ARCSEC)
+    return lines
+
+
+def _limit(axes: Axes, parts: Sequence[FloatArray]) -> None:
+    """Scale an axis symmetrically to what is drawn; the first uncertain moments may lie outside."""
+    sizes = [np.percentile(np.abs(part[np.isfinite(part)]), 99.0) for part in parts if np.isfinite(part).any()]
+    high = 1.25 * max(sizes, default=0.0)
+    axes.set_ylim(-high if high > 0.0 else -1.0, high if high > 0.0 else 1.0)

@@ -1,0 +1,104 @@
+"""The page of two recordings side by side."""
+
+from ship_bags.stamps import NS_PER_S
+from ship_replay.report.configurations import parameter_differences, text_differences
+from ship_replay.report.night import Night
+from ship_replay.report.page import render, versions
+from ship_replay.report.pair import Pair
+from ship_replay.report.pair_drawings import difference_svg, sides_svg, states_svg
+from ship_replay.report.pair_tables import (
+    alerts_only_one_has,
+    alignment_tables,
+    budget_tables,
+    consistency_rows,
+    difference_rows,
+    error_rows,
+    only_one_has,
+    refusal_rows_of_both,
+)
+from ship_replay.report.pair_verdict import pair_verdict
+from ship_replay.report.tables import shares
+from ship_replay.report.wording import duration, utc
+from ship_watch.picture import ANGLES
+
+PAIR_SECTIONS = (
+    ("verdict", "Verdict"),
+    ("states", "States"),
+    ("difference", "Difference of the outputs"),
+    ("errors", "Errors inside their σ"),
+    ("budget", "Error budget"),
+    ("consistency", "NIS and NEES"),
+    ("alignment", "Alignment at the end"),
+    ("alerts", "Alerts that only one has"),
+    ("events", "Events that only one has"),
+    ("refusals", "Refusals by reason"),
+    ("configuration", "Configuration"),
+    ("provenance", "Versions and hashes"),
+)
+"""Ids and titles of the sections, in their order."""
+
+
+def pair_page(pair: Pair) -> str:
+    """Two recordings in one HTML file that names no other; the same recordings give the same text."""
+    a, b = pair.nights
+    start_ns, end_ns = pair.span_ns
+    parameters, errors = parameter_differences(a, b), error_rows(pair)
+    return render(
+        "compare.html.j2",
+        sections=PAIR_SECTIONS,
+        pair=pair,
+        a=a,
+        b=b,
+        title="A and B side by side",
+        date=utc(start_ns, "%Y-%m-%d"),
+        start=utc(start_ns),
+        end=utc(end_ns),
+        length=duration((end_ns - start_ns) / NS_PER_S),
+        verdict=pair_verdict(pair, errors, parameters),
+        problems=_problems(pair),
+        shares=_shares_of_both(a, b),
+        states=states_svg(pair),
+        differences=difference_rows(pair.differences),
+        difference_drawings=[
+            difference_svg(found, start_ns) for found in pair.differences if not all(found.channels_equal)
+        ],
+        sides=sides_svg(pair),
+        errors=errors,
+        budgets=budget_tables(pair),
+        consistency=consistency_rows(pair),
+        alignment=alignment_tables(pair),
+        alerts=alerts_only_one_has(pair),
+        events=only_one_has(pair),
+        refusals=refusal_rows_of_both(pair),
+        parameters=parameters,
+        texts=text_differences(a, b),
+        only_topics=[(letter, sorted(mine.keys() - others.keys()))
+                     for letter, mine, others in (("A", a.topics, b.topics), ("B", b.topics, a.topics))],
+        metadata=_metadata_of_both(a, b),
+        versions=versions(),
+    )
+
+
+def _problems(pair: Pair) -> list[str]:
+    """What is wrong with the bags, and with which."""
+    found: dict[str, str] = {}
+    for letter, told in zip("AB", (pair.a, pair.b), strict=True):
+        for problem in sorted({*told.night.problems, *told.evaluation.problems}):
+            found[problem] = f"{found[problem]} and {letter}" if problem in found else letter
+    return [f"{letters}: {problem}" for problem, letters in found.items()]
+
+
+def _shares_of_both(a: Night, b: Night) -> list[tuple[str, dict[str, float] | None, dict[str, float] | None]]:
+    """Angle, and the share of each word in A and in B; None where one never told it."""
+    of_a, of_b = ({name: share for name, share, _ in shares(night)} for night in (a, b))
+    return [(name, of_a.get(name), of_b.get(name)) for name in ANGLES if name in of_a or name in of_b]
+
+
+def _metadata_of_both(a: Night, b: Night) -> list[tuple[str, str, str]]:
+    """Name of each record of metadata, and what it says in A and in B."""
+    texts = [
+        {name: " ".join(f"{key} {value}" for key, value in sorted(entries.items()))
+         for name, entries in night.metadata.items()}
+        for night in (a, b)
+    ]
+    return [(name, texts[0].get(name, ""), texts[1].get(name, "")) for name in sorted(texts[0].keys() | texts[1])]

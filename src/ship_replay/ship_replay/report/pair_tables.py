@@ -1,0 +1,291 @@
+"""The rows of two recordings side by side: of each quantity A's value, B's, and what is between them."""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from ship_bags.stamps import NS_PER_S
+from ship_geometry.rotations import ARCSEC, wrap_pi
+from ship_replay.evaluation.statistics import AttitudeErrors
+from ship_replay.report.consistency import SigmaFit, consistency
+from ship_replay.report.night import Night
+from ship_replay.report.pair import Pair
+from ship_replay.report.published import OutputDifference
+from ship_replay.report.tables import shown_scale, told_value
+from ship_replay.report.wording import number, placed, utc
+from ship_watch.history import BudgetPoint, ParameterShown
+from ship_watch.orientations import channel_name
+
+_SAME_MOMENT_NS = 2 * NS_PER_S
+"""What both tell within this time of each other is the same."""
+
+_DIGITS = re.compile(r"[\d.]+")
+_PART = TypeVar("_PART")
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """Errors of one channel of a source in A and B, arcsec; NaN where one has none.
+
+    Attributes:
+        label: the source.
+        channel: as its orientation calls it.
+        rms: root mean squares.
+        size_95: what 95 % of the errors do not exceed.
+        samples: number of errors.
+        at_equal_stamps: whether only errors at stamps that both have are in it.
+    """
+
+    label: str
+    channel: str
+    rms: tuple[float, float]
+    size_95: tuple[float, float]
+    samples: tuple[int, int]
+    at_equal_stamps: bool
+
+    @property
+    def name(self) -> str:
+        """The channel for people."""
+        return channel_name(self.channel)
+
+    @property
+    def ratio(self) -> float:
+        """RMS of B over that of A."""
+        return self.rms[1] / self.rms[0] if self.rms[0] > 0.0 else math.nan
+
+
+def error_rows(pair: Pair) -> list[ErrorRow]:
+    """A row for each source and channel with errors against the truth; at equal stamps where there are any."""
+    sides = [{series.label: series for series in told.evaluation.errors} for told in (pair.a, pair.b)]
+    rows = []
+    for label in dict.fromkeys([*sides[0], *sides[1]]):
+        series = [side.get(label) for side in sides]
+        common = _common_stamps(series)
+        parts = [one if one is None or common is None else one.where(np.isin(one.time_ns, common), label)
+                 for one in series]
+        for channel, name in enumerate(next(one for one in parts if one is not None).channels):
+            sizes = [np.empty(0) if one is None else np.abs(one.error_arcsec[:, channel]) for one in parts]
+            rms = [float(np.sqrt(np.mean(size**2))) if len(size) else math.nan for size in sizes]
+            size_95 = [float(np.percentile(size, 95.0)) if len(size) else math.nan for size in sizes]
+            rows.append(
+                ErrorRow(label, name, (rms[0], rms[1]), (size_95[0], size_95[1]),
+                         (len(sizes[0]), len(sizes[1])), common is not None)
+            )
+    return rows
+
+
+def difference_rows(differences: Iterable[OutputDifference]) -> list[dict[str, str]]:
+    """A row for each channel of the outputs: how far B is from A, and when the most."""
+    rows = []
+    for found in differences:
+        for channel, name in enumerate(found.orientation.channels):
+            largest, stamp_ns = found.largest(channel)
+            sigma_a, sigma_b = found.sigmas_arcsec(channel)
+            rms = found.rms_arcsec(channel)
+            equal = found.channels_equal[channel]
+            rows.append({
+                "topic": found.orientation.topic if channel == 0 else "",
+                "channel": channel_name(name),
+                "rms": "equal to the last bit" if equal else number(rms),
+                "largest": "" if equal else number(largest),
+                "when": "" if equal else utc(stamp_ns),
+                "over_sigma": "" if equal or not sigma_a > 0.0 else number(rms / sigma_a),
+                "sigma_a": number(sigma_a),
+                "sigma_b": number(sigma_b),
+                "stamps": f"{len(found.time_ns)}" if channel == 0 else "",
+            })
+    return rows
+
+
+@dataclass(frozen=True)
+class BudgetTable:
+    """Roots of mean variances in A and B, arcsec, for people.
+
+    Attributes:
+        topic: of the budget.
+        angles: columns.
+        rows: source of error, and A's and B's value for each angle; the largest source first.
+    """
+
+    topic: str
+    angles: list[str]
+    rows: list[tuple[str, list[tuple[str, str]]]]
+
+
+def budget_tables(pair: Pair) -> list[BudgetTable]:
+    """What of the errors comes from which source, on the average of all moments that were told."""
+    tables = []
+    for topic in sorted({topic for night in pair.nights for topic in night.budgets}):
+        a, b = (_mean_variances(night.budgets.get(topic, [])) for night in pair.nights)
+        angles = list(dict.fromkeys([*a, *b]))
+        weights: dict[str, float] = {}
+        for by_source in (*a.values(), *b.values()):
+            for name, variance in by_source.items():
+                weights[name] = max(variance, weights.get(name, 0.0))
+        names = sorted((name for name in weights if weights[name] > 0.0), key=lambda name: -weights[name])
+        rows = [
+            (name, [(_sigma_text(a.get(angle, {}).get(name)), _sigma_text(b.get(angle, {}).get(name)))
+                    for angle in angles])
+            for name in names
+        ]
+        if rows:
+            tables.append(BudgetTable(topic, angles, rows))
+    return tables
+
+
+@dataclass(frozen=True)
+class FitOfBoth:
+    """Whether the sigma of a source fits in A and in B; None where one has none.
+
+    Attributes:
+        kind: ``NEES`` or ``NIS``.
+        name: of the source.
+        a: in A.
+        b: in B.
+    """
+
+    kind: str
+    name: str
+    a: SigmaFit | None
+    b: SigmaFit | None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the words differ, numbers aside."""
+        words = {_DIGITS.sub("#", fit.words) if fit else "" for fit in (self.a, self.b)}
+        return len(words) > 1
+
+
+def consistency_rows(pair: Pair) -> list[FitOfBoth]:
+    """A row for each NEES, then for each NIS."""
+    a, b = ({(fit.kind, fit.name): fit for fit in consistency(told.evaluation)} for told in (pair.a, pair.b))
+    keys = sorted({**a, **b}, key=lambda key: key[0])
+    return [FitOfBoth(*key, a.get(key), b.get(key)) for key in keys]
+
+
+def alignment_tables(pair: Pair) -> list[tuple[str, list[dict[str, str]]]]:
+    """Topic, and a row for each parameter: the last estimates of A and B with their σ, and how far they are apart."""
+    a, b = pair.nights
+    tables = []
+    for topic in sorted(a.after.keys() | b.after.keys()):
+        shown_a, shown_b = ({shown.name: shown for shown in night.after.get(topic, ())} for night in (a, b))
+        either = {**shown_b, **shown_a}
+        names = dict.fromkeys([*shown_a, *shown_b])
+        rows = [_alignment_row(either[name], shown_a.get(name), shown_b.get(name)) for name in names]
+        tables.append((topic, rows))
+    return tables
+
+
+def only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
+    """The events that only A or only B has, in time; and how many both have.
+
+    An event is the same where kind and text are, numbers aside, and the times are within two seconds.
+    """
+    a, b = ([(event.utc_ns, (event.kind, _DIGITS.sub("#", event.text)), event) for event in night.events]
+            for night in pair.nights)
+    alone, both = _unmatched(a, b)
+    return [
+        {"when": utc(time_ns), "side": side, "kind": event.kind, "text": event.text} for time_ns, side, event in alone
+    ], both
+
+
+def alerts_only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
+    """Likewise what became of alerts."""
+    a, b = ([(told.utc_ns, (told.alert.id, told.what), told) for told in night.alerts] for night in pair.nights)
+    alone, both = _unmatched(a, b)
+    return [
+        {"when": utc(time_ns), "side": side, "priority": told.alert.priority.name, "id": told.alert.id,
+         "what": told.what, "text": told.alert.text}
+        for time_ns, side, told in alone
+    ], both
+
+
+def refusal_rows_of_both(pair: Pair) -> list[dict[str, str]]:
+    """A row for each source, place and reason: how many in A and in B; refusals before notes."""
+    a, b = (_refusals(night) for night in pair.nights)
+    return [
+        {
+            "source": key[1], "by": key[2], "reason": key[3] + (" (note: used)" if key[0] else ""),
+            "a": f"{a[key]}", "b": f"{b[key]}", "more": f"{b[key] - a[key]:+d}".replace("-", "−") if b[key] != a[key]
+            else "",
+        }
+        for key in sorted(a.keys() | b.keys())
+    ]
+
+
+def _common_stamps(series: Sequence[AttitudeErrors | None]) -> np.ndarray | None:
+    """Stamps that both have; None where there are none."""
+    a, b = series
+    if a is None or b is None:
+        return None
+    common = np.intersect1d(a.time_ns, b.time_ns)
+    return common if len(common) else None
+
+
+def _mean_variances(points: Sequence[BudgetPoint]) -> dict[str, dict[str, float]]:
+    """Angle → source of error → mean variance, rad²; a source that is not told at a moment had none there."""
+    sums: dict[str, dict[str, float]] = {}
+    told = [point for point in points if point.by_angle]
+    for point in told:
+        for angle, by_source in point.by_angle.items():
+            totals = sums.setdefault(angle, {})
+            for name, variance in by_source.items():
+                totals[name] = totals.get(name, 0.0) + (variance if math.isfinite(variance) else 0.0)
+    return {angle: {name: total / len(told) for name, total in totals.items()} for angle, totals in sums.items()}
+
+
+def _sigma_text(variance: float | None) -> str:
+    return "–" if variance is None else number(math.sqrt(max(variance, 0.0)) / ARCSEC)
+
+
+def _alignment_row(
+    either: ParameterShown, a: ParameterShown | None, b: ParameterShown | None
+) -> dict[str, str]:
+    scale, unit = shown_scale(either)
+    row = {"name": either.name, "unit": unit, "apart": "", "note": ""}
+    for side, shown in (("a", a), ("b", b)):
+        row[side] = "–" if shown is None else placed(told_value(shown) / scale, shown.sigma / scale)
+        row[f"{side}_sigma"] = "" if shown is None else number(shown.sigma / scale)
+    if a is not None and b is not None:
+        apart = float(wrap_pi(b.value - a.value)) if a.unit == "rad" else b.value - a.value
+        sigma = math.hypot(a.sigma, b.sigma)
+        if apart == 0.0:
+            row["apart"] = "equal"
+        elif sigma > 0.0:
+            row["apart"] = f"{apart / sigma:+.2f} σ".replace("-", "−")
+        unseen = [letter for letter, shown in (("A", a), ("B", b)) if not shown.is_observable]
+        row["note"] = f"not observable in {' and '.join(unseen)}" if unseen else ""
+    return row
+
+
+def _refusals(night: Night) -> Counter[tuple[bool, str, str, str]]:
+    counts: Counter[tuple[bool, str, str, str]] = Counter()
+    for refusal in night.refusals:
+        counts[refusal.is_note, refusal.source, refusal.by, refusal.reason] += refusal.count
+    return counts
+
+
+def _unmatched(
+    a: Sequence[tuple[int, object, _PART]], b: Sequence[tuple[int, object, _PART]]
+) -> tuple[list[tuple[int, str, _PART]], int]:
+    """What has no counterpart of the same key within two seconds, in time; and how many pairs there are."""
+    waiting: dict[object, list[tuple[int, _PART]]] = {}
+    for time_ns, key, part in b:
+        waiting.setdefault(key, []).append((time_ns, part))
+    alone: list[tuple[int, str, _PART]] = []
+    both = 0
+    for time_ns, key, part in a:
+        candidates = waiting.get(key, [])
+        near = min(candidates, key=lambda other: abs(other[0] - time_ns), default=None)
+        if near is not None and abs(near[0] - time_ns) <= _SAME_MOMENT_NS:
+            candidates.remove(near)
+            both += 1
+        else:
+            alone.append((time_ns, "A", part))
+    alone += [(time_ns, "B", part) for candidates in waiting.values() for time_ns, part in candidates]
+    return sorted(alone, key=lambda entry: entry[:2]), both

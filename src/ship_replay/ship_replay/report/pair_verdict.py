@@ -1,0 +1,163 @@
+"""In sentences: which of two recordings is the better one, in what, and where."""
+
+import math
+from collections.abc import Sequence
+
+from ship_replay.report.configurations import ParameterDifference
+from ship_replay.report.night import Night
+from ship_replay.report.pair import Pair, origin
+from ship_replay.report.pair_tables import ErrorRow
+from ship_replay.report.published import OutputDifference
+from ship_replay.report.tables import outages
+from ship_replay.report.wording import number, utc
+from ship_watch.orientations import ORIENTATIONS, channel_name
+from ship_watch.picture import ANGLES, Safety
+
+_ALIKE = 0.02
+"""Errors that differ by less than this part of themselves tell nothing of which is better."""
+
+_MOST_NAMED = 3
+_ON_SKY = "_cos_elevation"
+
+
+def pair_verdict(pair: Pair, errors: Sequence[ErrorRow], parameters: Sequence[ParameterDifference]) -> list[str]:
+    """What an analyst wants to know first, a sentence or two each.
+
+    Args:
+        pair: both recordings.
+        errors: their errors against the truth; empty without truth.
+        parameters: those that differ.
+    """
+    sentences = origin(pair)
+    if not pair.is_same:
+        sentences.append(_configuration(parameters))
+    sentences += [*_safe_for_longer(pair), *_which_is_better(errors)]
+    sentences += [text for name in ANGLES if (text := _angle(pair, name, errors))]
+    sentences += [_outputs(found) for found in pair.differences]
+    sentences += _not_compared(pair)
+    return [*sentences, *_sources(pair)]
+
+
+def _configuration(parameters: Sequence[ParameterDifference]) -> str:
+    if not parameters:
+        return "No parameter differs."
+    named = [
+        f"{one.node} {one.name} {one.a or 'nothing'} in A, {one.b or 'nothing'} in B".replace("  ", " ")
+        for one in parameters[:_MOST_NAMED]
+    ]
+    rest = len(parameters) - len(named)
+    count = "One parameter differs" if len(parameters) == 1 else f"{len(parameters)} parameters differ"
+    return f"{count}: {'; '.join(named)}{f'; {rest} more below' if rest else ''}."
+
+
+def _safe_for_longer(pair: Pair) -> list[str]:
+    """Which was SAFE for more of the time, in which angles that both tell."""
+    longer: dict[str, list[str]] = {"A": [], "B": []}
+    for name in ANGLES:
+        a, b = (_share_safe(night, name) for night in pair.nights)
+        if a != b and math.isfinite(a) and math.isfinite(b):
+            longer["A" if a > b else "B"].append(name)
+    parts = [f"{letter} was SAFE for longer in {', '.join(names)}" for letter, names in longer.items() if names]
+    return [f"{'; '.join(parts)}."] if parts else []
+
+
+def _which_is_better(errors: Sequence[ErrorRow]) -> list[str]:
+    """Which is nearer to the truth in which channel of the outputs."""
+    ratios = {row.channel: row.ratio for row in _of_outputs(errors) if math.isfinite(row.ratio)}
+    if not ratios:
+        return []
+    nearer = {
+        "A is nearer to the truth in": [name for name, ratio in ratios.items() if ratio > 1.0 + _ALIKE],
+        "B is nearer to the truth in": [name for name, ratio in ratios.items() if ratio < 1.0 - _ALIKE],
+        "both are equally near to the truth (within 2 %) in":
+            [name for name, ratio in ratios.items() if 1.0 - _ALIKE <= ratio <= 1.0 + _ALIKE],
+    }
+    parts = [f"{text} {', '.join(map(channel_name, names))}" for text, names in nearer.items() if names]
+    sentence = "; ".join(parts)
+    return [f"{sentence[0].upper()}{sentence[1:]}."]
+
+
+def _angle(pair: Pair, name: str, errors: Sequence[ErrorRow]) -> str:
+    """How long it was SAFE in each, and how wrong."""
+    safe = [_share_safe(night, name) for night in pair.nights]
+    if not any(map(math.isfinite, safe)):
+        return ""
+    if all(map(math.isfinite, safe)):
+        text = f"{name.capitalize()}: SAFE {_percent(safe[0])} of the time in A, {_percent(safe[1])} in B"
+    else:
+        has, lacks = ("A", "B") if math.isfinite(safe[0]) else ("B", "A")
+        share = safe["AB".index(has)]
+        return f"{name.capitalize()}: only {has} tells it (SAFE {_percent(share)} of the time); {lacks} never does."
+    for row in _of_outputs(errors):
+        if row.channel.removesuffix(_ON_SKY) == name and math.isfinite(row.ratio):
+            text += (
+                f"; RMS error {number(row.rms[0])}″ in A, {number(row.rms[1])}″ in B (B/A {row.ratio:.2f}), "
+                f"95 % within {number(row.size_95[0])}″ and {number(row.size_95[1])}″"
+            )
+    return f"{text}."
+
+
+def _outputs(found: OutputDifference) -> str:
+    topic, stamps = found.orientation.topic, len(found.time_ns)
+    if found.all_equal:
+        return f"{topic}: all {stamps} messages are equal to the last bit."
+    alone = ", ".join(f"{count} only in {letter}" for letter, count in zip("AB", found.alone, strict=True) if count)
+    text = f"{topic}: {stamps} equal stamps{f' ({alone})' if alone else ''}"
+    if all(found.channels_equal):
+        rest = stamps - found.messages_equal
+        told = f"; other fields differ in {rest} messages" if rest else ""
+        return f"{text}; the angles are equal to the last bit{told}."
+    parts = []
+    for channel, name in enumerate(found.orientation.channels):
+        if not found.channels_equal[channel]:
+            largest, stamp_ns = found.largest(channel)
+            parts.append(f"{channel_name(name)} up to {number(abs(largest))}″ at {utc(stamp_ns)}")
+    return f"{text}; B differs from A in {', '.join(parts)}."
+
+
+def _not_compared(pair: Pair) -> list[str]:
+    """Outputs that only one claims, or that have no stamp in common."""
+    sentences = []
+    compared = {found.orientation.label for found in pair.differences}
+    for known in ORIENTATIONS:
+        claims = [known.label in one.claims for one in pair.published]
+        if all(claims) and known.label not in compared:
+            sentences.append(f"{known.topic}: A and B have no stamp in common, so that they cannot be subtracted.")
+        elif claims[0] != claims[1]:
+            sentences.append(f"{known.topic}: only {'A' if claims[0] else 'B'} has any.")
+    return sentences
+
+
+def _sources(pair: Pair) -> list[str]:
+    """Which source was out in one and not in the other."""
+    times: list[dict[str, list[str]]] = [{}, {}]
+    for side, night in zip(times, pair.nights, strict=True):
+        for outage in outages(night):
+            side.setdefault(outage.source, []).append(outage.text)
+    a, b = times
+    sentences = []
+    for source in dict.fromkeys([*a, *b]):
+        if (source in a) != (source in b):
+            letter, found = ("A", a[source]) if source in a else ("B", b[source])
+            more = f" and {len(found) - _MOST_NAMED} times more" if len(found) > _MOST_NAMED else ""
+            sentences.append(f"{source} was out in {letter} only: {', '.join(found[:_MOST_NAMED])}{more}.")
+    both = [f"{source} ({len(a[source])}, {len(b[source])})" for source in a if source in b]
+    if both:
+        sentences.append(f"Out in both (times in A, in B): {', '.join(both)}.")
+    return sentences or ["No source was out in either."]
+
+
+def _of_outputs(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
+    labels = [orientation.label for orientation in ORIENTATIONS]
+    return [row for row in errors if row.label in labels]
+
+
+def _share_safe(night: Night, angle: str) -> float:
+    """Of the time in which an angle was told; NaN where it never was."""
+    seconds = night.seconds(angle)
+    total = sum(seconds.values())
+    return seconds[Safety.SAFE] / total if total else math.nan
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f} %"

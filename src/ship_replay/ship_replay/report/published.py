@@ -1,0 +1,186 @@
+"""What two runs published at equal stamps, and how far it differs: to the last bit, or in arcsec."""
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ship_bags.mcap.bag_reader import BagRecord, read_bag
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
+from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
+from ship_watch.orientations import ORIENTATIONS, Orientation
+
+_INS = "ins/imu"
+_HEALTH = "input_health"
+_DIGEST_BYTES = 8
+
+
+@dataclass(frozen=True)
+class Claims:
+    """The claims of one orientation in one bag; INVALID messages claim nothing.
+
+    Attributes:
+        time_ns: stamps in their order, each once: of several claims of one stamp the last counts. Shape (n,).
+        angles: as :attr:`Orientation.angles` names them, rad, shape (n, 3).
+        sigma: predicted standard deviations of the angles, rad, shape (n, 3); NaN where none was given.
+        digests: of the messages as they lie in the bag, shape (n,).
+    """
+
+    time_ns: np.ndarray
+    angles: FloatArray
+    sigma: FloatArray
+    digests: np.ndarray
+
+
+@dataclass
+class Published:
+    """What one bag tells of its outputs, and of what went in.
+
+    Attributes:
+        claims: label of the orientation → its claims.
+        received: input topic → messages received since the start, by the node that counted most.
+        given: topic of what no node publishes (truth, ``ins/imu``) → digest of all its messages.
+    """
+
+    claims: dict[str, Claims] = field(default_factory=dict)
+    received: dict[str, int] = field(default_factory=dict)
+    given: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class OutputDifference:
+    """Outputs of B minus those of A at equal stamps.
+
+    Attributes:
+        orientation: which output.
+        time_ns: the equal stamps, shape (n,).
+        difference_arcsec: of the channels, shape (n, 3); of the azimuth times the cosine of the elevation.
+        sigma_arcsec: predicted standard deviations of A's and of B's channels, shape (2, n, 3).
+        channels_equal: whether all values of a channel are equal to the last bit.
+        messages_equal: of how many stamps the whole messages are equal to the last bit.
+        alone: how many claims only A and only B has.
+    """
+
+    orientation: Orientation
+    time_ns: np.ndarray
+    difference_arcsec: FloatArray
+    sigma_arcsec: FloatArray
+    channels_equal: tuple[bool, bool, bool]
+    messages_equal: int
+    alone: tuple[int, int]
+
+    @property
+    def all_equal(self) -> bool:
+        """Whether both published the same messages, and no others."""
+        return self.messages_equal == len(self.time_ns) and self.alone == (0, 0)
+
+    def largest(self, channel: int) -> tuple[float, int]:
+        """The difference of the largest size, arcsec, with its sign, and its stamp; there is at least one stamp."""
+        row = int(np.argmax(np.abs(self.difference_arcsec[:, channel])))
+        return float(self.difference_arcsec[row, channel]), int(self.time_ns[row])
+
+    def rms_arcsec(self, channel: int) -> float:
+        """Root mean square of a channel's difference."""
+        return float(np.sqrt(np.mean(self.difference_arcsec[:, channel] ** 2)))
+
+    def sigmas_arcsec(self, channel: int) -> tuple[float, float]:
+        """Root mean squares of what A and B predicted for a channel; NaN where one predicted nothing."""
+        first, second = np.sqrt(np.mean(self.sigma_arcsec[:, :, channel] ** 2, axis=1)).tolist()
+        return first, second
+
+
+def read_published(path: Path, namespace: str = "") -> Published:
+    """Read the outputs of a bag.
+
+    Raises:
+        BadInput: the bag cannot be read.
+    """
+    published = Published()
+    with read_bag(path) as bag:
+        names = {name: topic for topic, name in relative_topics(bag.topics, namespace).items()}
+        orientations = {known.topic: known for known in ORIENTATIONS}
+        claims: dict[str, dict[int, tuple[bytes, FloatArray, FloatArray]]] = {}
+        digests: dict[str, Any] = {}
+        wanted = {
+            name for name, topic in names.items()
+            if topic in orientations or topic in (_INS, _HEALTH) or topic.startswith(TRUTH_PREFIX)
+        }
+        for record in bag.records(wanted):
+            topic = names[record.topic]
+            if topic in orientations:
+                _note_claim(claims.setdefault(orientations[topic].label, {}), orientations[topic], record)
+            elif topic == _HEALTH:
+                message = record.decode()
+                before = published.received.get(str(message.topic), 0)
+                published.received[str(message.topic)] = max(before, int(message.received))
+            else:
+                digests.setdefault(topic, hashlib.sha256()).update(record.data)
+    published.claims = {label: _claims(rows) for label, rows in claims.items() if rows}
+    published.given = {topic: digest.hexdigest() for topic, digest in digests.items()}
+    return published
+
+
+def differences(first: Published, second: Published) -> list[OutputDifference]:
+    """B minus A of each orientation that both published, where they have equal stamps."""
+    return [
+        found
+        for orientation in ORIENTATIONS
+        if orientation.label in first.claims and orientation.label in second.claims
+        if (found := _difference(orientation, first.claims[orientation.label], second.claims[orientation.label]))
+    ]
+
+
+def _difference(orientation: Orientation, a: Claims, b: Claims) -> OutputDifference | None:
+    time_ns, in_a, in_b = np.intersect1d(a.time_ns, b.time_ns, assume_unique=True, return_indices=True)
+    if not len(time_ns):
+        return None
+    angles_a, angles_b = a.angles[in_a], b.angles[in_b]
+    scale = orientation.scale(angles_a)
+    equal = np.all(angles_a.view(np.int64) == angles_b.view(np.int64), axis=0).tolist()
+    return OutputDifference(
+        orientation,
+        time_ns,
+        scale * wrap_pi(angles_b - angles_a) / ARCSEC,
+        np.stack([scale * a.sigma[in_a], orientation.scale(angles_b) * b.sigma[in_b]]) / ARCSEC,
+        (equal[0], equal[1], equal[2]),
+        int(np.sum(a.digests[in_a] == b.digests[in_b])),
+        (len(a.time_ns) - len(time_ns), len(b.time_ns) - len(time_ns)),
+    )
+
+
+def _note_claim(
+    rows: dict[int, tuple[bytes, FloatArray, FloatArray]], orientation: Orientation, record: BagRecord
+) -> None:
+    message = record.decode()
+    angles = orientation.angles_of(message)
+    if message.status != message.INVALID and np.all(np.isfinite(angles)):
+        variances = np.asarray(message.covariance, dtype=float)[::4]
+        digest = hashlib.blake2b(record.data, digest_size=_DIGEST_BYTES).digest()
+        rows[ns_from_stamp(message.header.stamp)] = digest, angles, variances
+
+
+def _claims(rows: dict[int, tuple[bytes, FloatArray, FloatArray]]) -> Claims:
+    ordered = sorted(rows)
+    variances = np.array([rows[stamp][2] for stamp in ordered])
+    return Claims(
+        np.array(ordered, dtype=np.int64),
+        np.array([rows[stamp][1] for stamp in ordered]),
+        np.sqrt(np.where(variances > 0.0, variances, np.nan)),
+        np.array([int.from_bytes(rows[stamp][0], "big") for stamp in ordered], dtype=np.uint64),
+    )
+
+
+def span(published: Published) -> tuple[int, int] | None:
+    """First and last stamp that is claimed, UTC in ns; None where nothing is."""
+    claims = published.claims.values()
+    if not claims:
+        return None
+    return min(int(one.time_ns[0]) for one in claims), max(int(one.time_ns[-1]) for one in claims)
+
+
+def overlap_s(a: tuple[int, int], b: tuple[int, int]) -> float:
+    """How long two spans have in common, s; negative where one ends before the other begins."""
+    return (min(a[1], b[1]) - max(a[0], b[0])) / NS_PER_S

@@ -1,0 +1,366 @@
+"""Two runs side by side: what differs is told with its size and its time, what is equal is told as equal."""
+
+import math
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.stamps import ns_from_stamp
+from ship_geometry.rotations import ARCSEC, wrap_pi
+from ship_replay.commands.compare import main
+from ship_replay.commands.replay import ADAPTERS
+from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.offline.replay import replay
+from ship_replay.report.configurations import parameter_differences, text_differences
+from ship_replay.report.night import read_night
+from ship_replay.report.pair import origin, read_pair
+from ship_replay.report.pair_page import PAIR_SECTIONS, pair_page
+from ship_replay.report.pair_tables import alignment_tables, budget_tables, error_rows, only_one_has
+from ship_replay.report.pair_verdict import pair_verdict
+from ship_replay.report.published import differences, read_published
+from ship_testing.bag_parts import beginning, part
+from ship_testing.hand_made_bags import START_NS, imu, innovation, ship_attitude
+from ship_watch.picture import Event, Safety
+
+BAGS = Path(__file__).parents[3] / "bags"
+SECOND_NS = 1_000_000_000
+LENGTH_S = 25.0
+NOISE = "white_sigma_arcsec: 1.0"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("compared")
+
+
+@pytest.fixture(scope="module")
+def given(folder):
+    """The first seconds of the demonstration's inputs."""
+    return beginning(BAGS / "demo.mcap", folder / "in.mcap", LENGTH_S)
+
+
+@pytest.fixture(scope="module")
+def plain(folder, given):
+    """They, replayed by their own configuration."""
+    replay(given, folder / "plain.mcap", ADAPTERS)
+    return folder / "plain.mcap"
+
+
+@pytest.fixture(scope="module")
+def noisier(folder, given):
+    """They, replayed by one that takes the INS to be three times as noisy."""
+    with read_bag(given) as bag:
+        text = bag.attachments["suite.yaml"].decode()
+    assert text.count(NOISE) == 1
+    (folder / "noisier.yaml").write_text(text.replace(NOISE, "white_sigma_arcsec: 3.0"))
+    replay(given, folder / "noisier.mcap", ADAPTERS, folder / "noisier.yaml")
+    return folder / "noisier.mcap"
+
+
+@pytest.fixture(scope="module")
+def pair(plain, noisier):
+    return read_pair(plain, noisier)
+
+
+@pytest.fixture(scope="module")
+def told(pair):
+    return pair_page(pair)
+
+
+def sentences(pair):
+    return pair_verdict(pair, error_rows(pair), parameter_differences(*pair.nights))
+
+
+class TestAnotherConfiguration:
+    def test_every_section_in_its_order_and_nothing_of_the_network(self, told):
+        places = [told.index(f'<h2 id="{name}">{title}</h2>') for name, title in PAIR_SECTIONS]
+        assert places == sorted(places)
+        assert not re.search(r"https?://|<script|<link|@import|url\((?!#)", told)
+        ids = re.findall(r'\bid="([^"]*)"', told)
+        assert len(ids) == len(set(ids))
+        assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', told)) <= set(ids)
+
+    def test_the_same_bags_give_the_same_bytes(self, told, plain, noisier):
+        assert pair_page(read_pair(plain, noisier)) == told
+
+    def test_the_parameter_and_its_line_are_named(self, pair):
+        found = parameter_differences(*pair.nights)
+        assert [(one.node, one.name, one.a, one.b) for one in found] == [
+            ("ship_attitude", "ins.white_sigma_arcsec", "1", "3")
+        ]
+        texts = text_differences(*pair.nights)
+        assert texts["scenario.yaml"] == []
+        changed = [line.split() for line in texts["suite.yaml"] if re.match(r"[+-] ", line)]
+        assert changed == [["-", "white_sigma_arcsec:", "1.0"], ["+", "white_sigma_arcsec:", "3.0"]]
+        assert "One parameter differs: ship_attitude ins.white_sigma_arcsec 1 in A, 3 in B." in sentences(pair)
+
+    def test_the_difference_of_the_outputs_by_hand(self, pair, plain, noisier):
+        """B minus A, largest, its time, and RMS, from the messages themselves."""
+        headings = []
+        for path in (plain, noisier):
+            with read_bag(path) as bag:
+                messages = [record.decode() for record in bag.records({"ship/attitude"})]
+            headings.append({ns_from_stamp(one.header.stamp): one.heading for one in messages if one.status != 3})
+        a, b = headings
+        by_hand = {stamp: float(wrap_pi(b[stamp] - a[stamp])) / ARCSEC for stamp in sorted(a.keys() & b.keys())}
+        (found,) = pair.differences
+        assert found.orientation.topic == "ship/attitude"
+        assert found.time_ns.tolist() == list(by_hand)
+        worst_ns = max(by_hand, key=lambda stamp: abs(by_hand[stamp]))
+        assert found.largest(0) == (by_hand[worst_ns], worst_ns)
+        assert abs(by_hand[worst_ns]) > 0.1
+        assert found.rms_arcsec(0) == pytest.approx(math.sqrt(np.mean(np.square(list(by_hand.values())))))
+        assert not any(found.channels_equal)
+
+    def test_stated_sigmas_are_those_of_the_messages(self, pair, plain):
+        with read_bag(plain) as bag:
+            messages = [record.decode() for record in bag.records({"ship/attitude"})]
+        variances = [one.covariance[0] for one in messages if one.status != 3]
+        assert pair.differences[0].sigmas_arcsec(0)[0] == pytest.approx(math.sqrt(np.mean(variances)) / ARCSEC)
+
+    def test_errors_are_those_of_evaluate(self, pair, plain, noisier):
+        fused = [evaluate(path).errors[0] for path in (plain, noisier)]
+        row = next(row for row in error_rows(pair) if row.label == "fused" and row.channel == "pitch")
+        assert row.rms == tuple(one.statistics()["pitch.rms_arcsec"] for one in fused)
+        assert row.ratio == row.rms[1] / row.rms[0]
+        assert row.samples == tuple(len(one.time_ns) for one in fused)
+
+    def test_three_times_the_noise_is_three_times_the_noise_in_the_budget(self, pair):
+        (table,) = budget_tables(pair)
+        cells = dict(table.rows)["ins_noise"]
+        assert table.angles == ["heading", "pitch", "roll"]
+        assert [float(b) / float(a) for a, b in cells] == pytest.approx([3.0] * 3, rel=0.1)
+
+    def test_who_was_safe_for_longer(self, pair):
+        """95 % pitch of three times the noise, 1.96 · 3″, is over its limit of 3″ at all times."""
+        assert pair.b.night.seconds("pitch")[Safety.SAFE] == 0
+        assert pair.a.night.seconds("pitch")[Safety.SAFE] > 0
+        assert any(re.match(r"A was SAFE for longer in .*pitch", text) for text in sentences(pair))
+
+    def test_the_voyage_is_the_same(self, pair):
+        assert origin(pair)[0].startswith("Both stem from the same simulated voyage")
+
+
+class TestTheSameRecording:
+    def test_it_is_said_to_be_the_same_and_equal(self, plain):
+        twice = read_pair(plain, plain)
+        assert twice.is_same
+        assert sentences(twice)[0] == "A and B are the same recording: their SHA-256 is the same."
+        (found,) = twice.differences
+        assert found.all_equal
+        assert found.channels_equal == (True, True, True)
+        assert f"ship/attitude: all {len(found.time_ns)} messages are equal to the last bit." in sentences(twice)
+        assert only_one_has(twice)[0] == []
+        text = pair_page(twice)
+        assert text.count("equal to the last bit") == 1 + 3
+        assert {row["apart"] for _, rows in alignment_tables(twice) for row in rows} == {"equal"}
+
+    def test_run_again_is_another_file_and_yet_equal(self, plain, folder):
+        """The same messages, with another attachment: not the same recording, equal outputs."""
+        again = part(plain, folder / "again.mcap", lambda record: True)
+        with BagWriter(folder / "again_noted.mcap") as writer, read_bag(again) as bag:
+            for name, data in bag.attachments.items():
+                writer.add_attachment(name, data)
+            writer.add_attachment("notes.yaml", "weather: calm\n")
+            for record in bag.records():
+                writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
+        pair = read_pair(plain, folder / "again_noted.mcap")
+        assert not pair.is_same
+        assert pair.differences[0].all_equal
+        assert "No parameter differs." in sentences(pair)
+        assert "+weather: calm" in text_differences(*pair.nights)["notes.yaml"]
+
+
+def test_the_last_bit_counts(plain, folder):
+    """One heading one bit away: no longer equal, and all the others of that run still are."""
+    with BagWriter(folder / "bit.mcap") as writer, read_bag(plain) as bag:
+        for number, record in enumerate(bag.records({"ship/attitude"})):
+            message = record.decode()
+            if number == 200:
+                message.heading = math.nextafter(message.heading, math.inf)
+            writer.write("ship/attitude", message, record.log_time_ns)
+    (found,) = differences(read_published(plain), read_published(folder / "bit.mcap"))
+    assert found.channels_equal == (False, True, True)
+    assert found.messages_equal == len(found.time_ns) - 1
+    assert not found.all_equal
+
+
+def test_an_angle_that_only_one_has(plain, noisier, folder):
+    """Replayed pointings beside the attitudes in A; B has the attitudes alone."""
+    given = beginning(BAGS / "theodolite.mcap", folder / "theodolite_in.mcap", LENGTH_S)
+    replay(given, folder / "theodolite.mcap", ADAPTERS)
+    with BagWriter(folder / "both.mcap") as writer:
+        for path in (plain, folder / "theodolite.mcap"):
+            with read_bag(path) as bag:
+                for record in bag.records():
+                    if not record.topic.startswith("truth/") or path == plain:
+                        writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
+    pair = read_pair(folder / "both.mcap", noisier)
+    told = sentences(pair)
+    assert "theodolite/pointing: only A has any." in told
+    assert any(re.match(r"Elevation: only A tells it \(SAFE .* of the time\); B never does\.", text) for text in told)
+    assert [found.orientation.topic for found in pair.differences] == ["ship/attitude"]
+    text = pair_page(pair)
+    row = re.search(r"<tr[^>]*><td>azimuth</td>(.*?)</tr>", text).group(1)
+    cells = re.findall(r'<td class="r">([^<]*)</td>', row)
+    assert all(cell.endswith("%") for cell in cells[::2])
+    assert cells[1::2] == ["–"] * 3
+
+
+def test_a_sensor_out_in_one_only(plain, given, folder):
+    """B lacks what the forward sensor measured from 8 s on: the verdict names it, and what the nodes received."""
+    topic = "star/fore/horizon_attitude"
+    with read_bag(given) as bag:
+        cut_ns = bag.start_ns + 8 * SECOND_NS
+    lame = part(given, folder / "lame_in.mcap", lambda one: one.topic != topic or one.log_time_ns < cut_ns)
+    replay(lame, folder / "lame.mcap", ADAPTERS)
+    pair = read_pair(plain, folder / "lame.mcap")
+    told = sentences(pair)
+    assert any(text.startswith("star.fore was out in B only: 11:50:") for text in told)
+    assert any(re.search(rf"{topic} \d+ in A, \d+ in B", text) for text in told)
+    events, both = only_one_has(pair)
+    assert any(row["side"] == "B" and "star.fore OUT" in row["text"] for row in events)
+    assert both > 0
+
+
+def write_attitudes(path, seconds, start_s=0, offset_rad=0.0, covariance=None, truth=True):
+    """Attitudes ten times a second; of the truth none is off by more than ``offset_rad`` in heading."""
+    with BagWriter(path) as bag:
+        for tick in range(10 * seconds):
+            stamp_ns = START_NS + start_s * SECOND_NS + tick * SECOND_NS // 10
+            if truth:
+                bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
+            message = ship_attitude(stamp_ns, offset_rad % (2 * math.pi))
+            if covariance is not None:
+                message.covariance = covariance
+            bag.write("ship/attitude", message, stamp_ns)
+            if tick % 10 == 0:
+                bag.write("ship/innovation", innovation(stamp_ns, "star.fore", [0.0] * 3, [ARCSEC] * 3, 1.0), stamp_ns)
+    return path
+
+
+def test_partly_at_other_times(tmp_path):
+    """A lasts 40 s, B begins after 30 s and lasts 40 s: ten seconds are in both, which is said."""
+    a = write_attitudes(tmp_path / "a.mcap", 40, offset_rad=2 * ARCSEC)
+    b = write_attitudes(tmp_path / "b.mcap", 40, start_s=30, offset_rad=-1 * ARCSEC)
+    pair = read_pair(a, b)
+    assert any("They are not of the same time" in text and "10 s are in both" in text for text in origin(pair))
+    assert pair.differences[0].alone == (300, 300)
+    assert pair.differences[0].difference_arcsec[:, 0] == pytest.approx([-3.0] * 100)
+    heading = error_rows(pair)[0]
+    assert heading.rms == pytest.approx((2.0, 1.0))
+    assert heading.samples == (100, 100)
+    assert "B is nearer to the truth in heading" in " ".join(sentences(pair))
+
+
+def test_without_truth_innovations_stand_side_by_side(tmp_path):
+    a = write_attitudes(tmp_path / "a.mcap", 20, truth=False)
+    b = write_attitudes(tmp_path / "b.mcap", 20, offset_rad=ARCSEC, truth=False)
+    text = pair_page(read_pair(a, b))
+    assert "There is no truth in these recordings" in text
+    assert "<svg" in text[text.index('id="errors"'):text.index('id="budget"')]
+    assert "nearer to the truth" not in text
+    assert "Nothing in the bags tells whether they stem from the same inputs." in text
+
+
+def test_stamps_that_never_meet(tmp_path):
+    a = write_attitudes(tmp_path / "a.mcap", 20, truth=False)
+    b = tmp_path / "b.mcap"
+    with BagWriter(b) as bag:
+        for tick in range(200):
+            stamp_ns = START_NS + tick * SECOND_NS // 10 + 1
+            bag.write("ship/attitude", ship_attitude(stamp_ns), stamp_ns)
+            bag.write("ship/innovation", innovation(stamp_ns, "star.fore", [0.0] * 3, [ARCSEC] * 3, 1.0), stamp_ns)
+    text = pair_page(read_pair(a, b))
+    assert "ship/attitude: A and B have no stamp in common, so that they cannot be subtracted." in text
+    assert "A and B have no output with equal stamps." in text
+
+
+def test_outputs_that_claim_nothing(tmp_path):
+    """INVALID all the time, in A and in B: nothing to draw and nothing to subtract, and that is said."""
+    for name in "ab":
+        with BagWriter(tmp_path / f"{name}.mcap") as bag:
+            for tick in range(50):
+                stamp_ns = START_NS + tick * SECOND_NS // 10
+                bag.write("ship/attitude", ship_attitude(stamp_ns, *[math.nan] * 3, status=3), stamp_ns)
+                told = innovation(stamp_ns, "star.fore", [0.0] * 3, [ARCSEC] * 3, 1.0 + (name == "b"))
+                bag.write("ship/innovation", told, stamp_ns)
+    pair = read_pair(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert pair.differences == []
+    assert "A and B have no output with equal stamps." in pair_page(pair)
+
+
+def test_events_match_by_text_and_time(pair, plain):
+    """A time two seconds off, or another number in the text, is the same event; three seconds off is another."""
+    night = read_night(plain)
+    first = Event(10 * SECOND_NS, "source", "ins", "ins OUT, 5 refused in a row")
+    again = Event(12 * SECOND_NS, "source", "ins", "ins OUT, 7 refused in a row")
+    late = Event(15 * SECOND_NS, "source", "ins", "ins OUT, 5 refused in a row")
+    pair.a.night.events, kept_a = [first], pair.a.night.events
+    pair.b.night.events, kept_b = [again, late], pair.b.night.events
+    rows, both = only_one_has(pair)
+    pair.a.night.events, pair.b.night.events = kept_a, kept_b
+    assert both == 1
+    assert [(row["side"], row["when"]) for row in rows] == [("B", "00:00:15")]
+    assert Counter(event.kind for event in night.events) == Counter(event.kind for event in kept_a)
+
+
+class TestBadInput:
+    def refused(self, capsys, *arguments):
+        assert main([str(argument) for argument in arguments]) == 2
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 1
+        return lines[0]
+
+    def test_a_bag_without_outputs(self, tmp_path, capsys):
+        a = write_attitudes(tmp_path / "a.mcap", 5)
+        with BagWriter(tmp_path / "in.mcap") as writer:
+            writer.write("ins/imu", imu(START_NS), START_NS)
+        line = self.refused(capsys, a, tmp_path / "in.mcap", "--out", tmp_path / "c.html")
+        expected = f"compare: {tmp_path / 'in.mcap'}: no outputs of the suite: expected topic ship/attitude or"
+        assert line.startswith(expected)
+
+    def test_a_truth_without_truth(self, tmp_path, capsys):
+        a = write_attitudes(tmp_path / "a.mcap", 5, truth=False)
+        line = self.refused(capsys, a, a, "--truth", a, "--out", tmp_path / "c.html")
+        assert line.startswith(f"compare: {a}: no truth: expected topic truth/attitude or truth/pointing")
+
+    def test_no_overlap_in_time(self, tmp_path, capsys):
+        a = write_attitudes(tmp_path / "a.mcap", 5)
+        b = write_attitudes(tmp_path / "b.mcap", 5, start_s=60)
+        line = self.refused(capsys, a, b, "--out", tmp_path / "c.html")
+        assert line == (
+            f"compare: {b}: no time in common with {a}: outputs from 2023-11-14 22:14:20 to 2023-11-14 22:14:24 UTC, "
+            "expected some from 2023-11-14 22:13:20 to 2023-11-14 22:13:24"
+        )
+        assert not (tmp_path / "c.html").exists()
+
+    def test_no_bag(self, tmp_path, capsys):
+        a = write_attitudes(tmp_path / "a.mcap", 5)
+        (tmp_path / "notes.mcap").write_text("no bag at all, although it is called one")
+        line = self.refused(capsys, a, tmp_path / "notes.mcap", "--out", tmp_path / "c.html")
+        assert line.startswith(f"compare: {tmp_path / 'notes.mcap'}: ")
+
+    def test_a_suite_file_of_another_version(self, tmp_path, capsys):
+        a = write_attitudes(tmp_path / "a.mcap", 5)
+        with read_bag(a) as bag, BagWriter(tmp_path / "b.mcap") as writer:
+            writer.add_attachment("suite.yaml", "optical_axis:\n  ros__parameters:\n    frobnicate: 1\n")
+            for record in bag.records():
+                writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
+        line = self.refused(capsys, a, tmp_path / "b.mcap", "--out", tmp_path / "c.html")
+        assert f"{tmp_path / 'b.mcap'}: attachment suite.yaml" in line
+        assert "frobnicate" in line
+
+
+def test_it_is_written_and_not_written_over(tmp_path, capsys):
+    a = write_attitudes(tmp_path / "a.mcap", 5)
+    out = tmp_path / "c.html"
+    assert main([str(a), str(a), "--out", str(out)]) == 0
+    assert capsys.readouterr().out == f"compare: {out}\n"
+    assert main([str(a), str(a), "--out", str(out)]) == 2
+    assert "--force" in capsys.readouterr().err
