@@ -1,7 +1,6 @@
 """A voyage with faults, from the bag to the eyes: page, terminal, alerts and diagnostics name the right source, soon.
 
-Times are seconds of the data after the first message of the bag, so that a loaded machine judges alike. ``KNOWN_S`` is
-when the filter could know of a fault: at the first wrong measurement, or at the first that is missing.
+Times are seconds of the data after the first message of the bag, so that a loaded machine judges alike.
 """
 
 import json
@@ -24,34 +23,22 @@ from ship_monitor.terminal.pen import plain_text
 from ship_monitor.terminal.screen import View, screen, shown_alert
 from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_simulation.inject_command import main as inject
-from ship_testing.watched_voyages import BAGS, records, replayed
+from ship_testing.watched_voyages import (
+    BAGS,
+    END_S,
+    FAULTS,
+    KNOWN_S,
+    SILENT,
+    SILENT_WITHIN_S,
+    WITHIN_S,
+    records,
+    replayed,
+)
 from ship_watch.history import History
 from ship_watch.limits import Limits
 from ship_watch.picture import Picture, Presence
 from ship_watch.watch import Watch
 
-FAULTS = {
-    "demo": (
-        "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 15.0, end_s: 20.0, right_arcsec: 50.0}, "
-        "step: {topic: ins/imu, kind: bias, start_s: 28.0, up_arcsec: 100.0}, "
-        "silent: {topic: star/fore/horizon_attitude, kind: drop, start_s: 38.0, end_s: 44.0}"
-    ),
-    "theodolite": (
-        "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 10.0, end_s: 14.0}, "
-        "swap: {topic: theodolite/beacons, kind: swap, start_s: 20.0, end_s: 25.0}, "
-        "silent: {topic: theodolite/encoder, kind: drop, start_s: 31.0, end_s: 36.0}"
-    ),
-}
-KNOWN_S = {
-    "demo": {"star.starboard": 15.117, "ins": 28.0, "star.fore": 38.033},
-    "theodolite": {"baselines": 10.0, "lights": 20.0, "encoder": 31.0},
-}
-END_S = {"demo": 43.0, "theodolite": 35.0}
-WITHIN_S = 2.0
-# A silence is one after 2 s without a message (three periods, at least 2 s): nobody can know of it before. Then it is
-# told at the next looks: alerts after 0.2 s (AlertTimes.raise_after_s) and a look of 0.2 s.
-SILENT_WITHIN_S = 2.5
-SILENT = ("star.fore", "encoder")
 # Live, the time of the data goes on while a process waits for a core that others use.
 LIVE_LATE_S = 1.5
 LOOK_NS = NS_PER_S // 5

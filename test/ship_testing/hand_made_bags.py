@@ -5,7 +5,7 @@ import numpy as np
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
-from ship_geometry.frames import rotation_from_angles
+from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.ros_axes import quaternion_from_rotation
 
 START_NS = 1_700_000_000_050_000_000
@@ -70,6 +70,25 @@ def innovation(stamp_ns, source, residual, sigma, nis, accepted=True, reason=0, 
         accepted=accepted,
         reason=reason,
         reason_text="",
+    )
+
+
+def star_message(stamp_ns, rotation_nv, covariance_enu, sensor_id="fore"):
+    azimuth, elevation, roll = (float(angle) for angle in angles_from_rotation(rotation_nv))
+    return FACTORY.make(
+        "ship_msgs/msg/StarHorizonAttitude",
+        header=make_header(FACTORY, stamp_ns, f"star_{sensor_id}"),
+        sensor_id=sensor_id,
+        azimuth=azimuth,
+        elevation=elevation,
+        roll=roll,
+        covariance=np.zeros(9),
+        rotation_covariance=covariance_enu.ravel(),
+        noise_covariance=np.zeros(9),
+        star_count=8,
+        rejected_count=0,
+        residual_rms=0.0,
+        status=0,
     )
 
 

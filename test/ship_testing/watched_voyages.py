@@ -18,6 +18,30 @@ from ship_watch.watch import Watch
 BAGS = Path(__file__).parents[2] / "bags"
 STEP_NS = 100_000_000
 
+FAULTS = {
+    "demo": (
+        "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 15.0, end_s: 20.0, right_arcsec: 50.0}, "
+        "step: {topic: ins/imu, kind: bias, start_s: 28.0, up_arcsec: 100.0}, "
+        "silent: {topic: star/fore/horizon_attitude, kind: drop, start_s: 38.0, end_s: 44.0}"
+    ),
+    "theodolite": (
+        "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 10.0, end_s: 14.0}, "
+        "swap: {topic: theodolite/beacons, kind: swap, start_s: 20.0, end_s: 25.0}, "
+        "silent: {topic: theodolite/encoder, kind: drop, start_s: 31.0, end_s: 36.0}"
+    ),
+}
+# When the filter could know of each fault: at the first wrong measurement, or at the first that is missing.
+KNOWN_S = {
+    "demo": {"star.starboard": 15.117, "ins": 28.0, "star.fore": 38.033},
+    "theodolite": {"baselines": 10.0, "lights": 20.0, "encoder": 31.0},
+}
+END_S = {"demo": 43.0, "theodolite": 35.0}
+WITHIN_S = 2.0
+# A silence is one after 2 s without a message (three periods, at least 2 s): nobody can know of it before. Then it is
+# told at the next looks: alerts after 0.2 s (AlertTimes.raise_after_s) and a look of 0.2 s.
+SILENT_WITHIN_S = 2.5
+SILENT = ("star.fore", "encoder")
+
 
 @dataclass
 class Watched:

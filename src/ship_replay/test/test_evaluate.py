@@ -13,7 +13,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_replay.commands.evaluate import main
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.evaluation.tables import innovation_table
-from ship_testing.hand_made_bags import FACTORY, START_NS, imu, innovation, ship_attitude
+from ship_testing.hand_made_bags import FACTORY, START_NS, imu, innovation, ship_attitude, star_message
 
 SECOND_NS = 1_000_000_000
 SUITE = """\
@@ -106,25 +106,6 @@ def test_ins_alone(tmp_path):
     assert values["ins.heading.rms_arcsec"] == pytest.approx(36.0)
     assert values["ins.heading.sigma_arcsec"] == pytest.approx(72.0)
     assert values["ins.nees_mean"] == pytest.approx(0.25)
-
-
-def star_message(stamp_ns, rotation_nv, covariance_enu, sensor_id="fore"):
-    azimuth, elevation, roll = (float(angle) for angle in angles_from_rotation(rotation_nv))
-    return FACTORY.make(
-        "ship_msgs/msg/StarHorizonAttitude",
-        header=make_header(FACTORY, stamp_ns, f"star_{sensor_id}"),
-        sensor_id=sensor_id,
-        azimuth=azimuth,
-        elevation=elevation,
-        roll=roll,
-        covariance=np.zeros(9),
-        rotation_covariance=covariance_enu.ravel(),
-        noise_covariance=np.zeros(9),
-        star_count=8,
-        rejected_count=0,
-        residual_rms=0.0,
-        status=0,
-    )
 
 
 def test_a_star_sensor_alone_is_carried_to_the_deck_by_its_nominal_installation(tmp_path):

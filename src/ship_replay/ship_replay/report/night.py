@@ -67,7 +67,7 @@ class Night:
 
     Attributes:
         path: of the bag.
-        sha256: of the bag's file; empty of a folder, whose parts have sums of their own in ``metadata.yaml``.
+        sha256: of the bag's file; of a folder a line for each of its files, as sha256sum writes them.
         start_ns: log time of its first message.
         end_ns: log time of its last message.
         limits: that it was judged by.
@@ -267,9 +267,9 @@ def _grave(changes: Iterable[AlertChange]) -> list[AlertChange]:
 
 def _sha256(path: Path) -> str:
     if path.is_dir():
-        return ""
+        return "\n".join(f"{_sha256(part)}  {part.name}" for part in sorted(path.glob("*.mcap")))
     digest = hashlib.sha256()
     with path.open("rb") as stream:
-        while part := stream.read(1 << 20):
-            digest.update(part)
+        while data := stream.read(1 << 20):
+            digest.update(data)
     return digest.hexdigest()

@@ -1,14 +1,16 @@
 """The page: what an analyst reads at breakfast, in the order in which it is asked for."""
 
-import importlib.metadata
+import json
 import platform
 from typing import Any
 
 import jinja2
 
 from ship_bags.stamps import NS_PER_S
+from ship_node.black_box.black_box_format import LIBRARIES, SUITE_PACKAGES, VERSIONS_ATTACHMENT, package_versions
 from ship_replay.report.consistency import consistency
 from ship_replay.report.drawings import budget_svg, errors_svg, refusals_svg, status_svg
+from ship_replay.report.night import Night
 from ship_replay.report.tables import before_after, refusal_rows, shares, verdict
 from ship_replay.report.told import Told
 from ship_replay.report.wording import duration, number, utc
@@ -29,7 +31,10 @@ SECTIONS = (
 )
 """Ids and titles of the sections, in their order."""
 
-_VERSIONS = ("ship_replay", "ship_watch", "ship_attitude_star", "theodolite_calib", "numpy", "scipy", "matplotlib")
+_PACKAGES = (
+    *SUITE_PACKAGES, "ship_attitude_star", "theodolite_calib", "ship_watch", "ship_replay",
+    *LIBRARIES, "scipy", "matplotlib",
+)
 
 
 def page(told: Told) -> str:
@@ -57,8 +62,9 @@ def page(told: Told) -> str:
         refusals=refusal_rows(night),
         refusal_drawing=refusals_svg(night),
         suite={name: data.decode(errors="replace") for name, data in sorted(night.attachments.items())
-               if name.endswith((".yaml", ".yml", ".json"))},
+               if name.endswith((".yaml", ".yml"))},
         versions=versions(),
+        recorded_versions=recorded_versions(night),
         problems=sorted({*night.problems, *evaluation.problems}),
     )
 
@@ -74,12 +80,16 @@ def render(template: str, **values: Any) -> str:
 
 
 def versions() -> list[tuple[str, str]]:
-    """Of the suite and of what computes for it, at the time of the report."""
-    return [("python", platform.python_version()), *((name, _version(name)) for name in _VERSIONS)]
+    """Of the suite and of what computes for it, here and now: those that made the report."""
+    return [("python", platform.python_version()), *package_versions(_PACKAGES).items()]
 
 
-def _version(name: str) -> str:
+def recorded_versions(night: Night) -> list[tuple[str, str]]:
+    """Those that made the bag, where it tells them as a black box does; empty where it does not."""
     try:
-        return importlib.metadata.version(name.replace("_", "-"))
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
+        told = json.loads(night.attachments.get(VERSIONS_ATTACHMENT, b"{}"))
+        return [(name, str(told[name])) for name in ("python", "machine") if name in told] + [
+            (name, str(version)) for group in ("suite", "libraries") for name, version in told.get(group, {}).items()
+        ]
+    except (ValueError, AttributeError, TypeError):
+        return []  # damaged
