@@ -145,6 +145,57 @@ def test_a_clock_that_goes_back_starts_anew_and_what_came_before_is_dropped(ship
     assert drained(reader, until, "ship/innovation")[0].message.nis == 2.0
 
 
+def clock_at(time_s):
+    clock = Clock()
+    clock.clock.sec = time_s
+    return clock
+
+
+def test_a_clock_of_the_suites_own_namespace_is_its_clock(ship, reader, until):
+    """As where `suite --bag --namespace` plays: each suite has the clock of its own bag."""
+    ship.say("ship/innovation", Innovation())
+    ship.say("clock", clock_at(100))
+    ship.heard(until, reader.take, "clock", "ship/innovation")
+    ship.say("clock", clock_at(100))
+    until(lambda: reader.is_played and reader.take() and "/clock" in reader._latest_ns)
+    ship.say("clock", clock_at(40))
+    until(lambda: reader.take().is_anew)
+
+
+def test_where_a_suite_has_its_own_clock_that_of_others_does_not_count(ship, reader, until):
+    ship.say("/clock", clock_at(900))
+    ship.heard(until, reader.take, "/clock")
+    ship.say("/clock", clock_at(900))
+    until(lambda: reader.is_played and reader.take() and "/clock" in reader._latest_ns)
+    # Its own is earlier, which is no jump; and then the others' bag starts over.
+    ship.say("clock", clock_at(100))
+    looks = []
+
+    def hear(topic, time_s):
+        def look():
+            ship.say(topic, clock_at(time_s))
+            looks.append(reader.take())
+            return reader._latest_ns.get("/clock") == time_s * NS_PER_S
+
+        return look
+
+    until(hear("clock", 100))
+    for _ in range(20):
+        hear("/clock", 5)()
+    until(hear("clock", 101))
+    assert not any(taken.is_anew for taken in looks)
+    # When its own has gone, the global one is its clock again.
+    ship.node.destroy_publisher(ship.publishers.pop("clock"))
+    until(hear("/clock", 6))
+
+
+def test_a_topic_named_clock_of_another_type_is_no_clock(ship, reader, until):
+    ship.say("clock", Imu())
+    ship.say("ship/innovation", Innovation())
+    ship.heard(until, reader.take, "ship/innovation")
+    assert not reader.is_played
+
+
 def test_the_place_names_another_namespace_in_which_there_is_a_suite(reader, until):
     assert reader.place.startswith("namespace /demo, domain ")
     other = PublishingShip("voyage")

@@ -6,7 +6,7 @@ Python is woken.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,7 @@ KEPT = 256
 """Messages of a topic that may wait between two looks where each counts: a quarter of a second at 1 kHz."""
 
 CLOCK_TOPIC = "/clock"
+_CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 _ABSOLUTE = ("/diagnostics", CLOCK_TOPIC)
 DISCOVERY_NS = 500_000_000
 """How often new topics are looked for."""
@@ -186,11 +187,12 @@ class TopicReader:
         names = self._node.get_topic_names_and_types()
         ending = "/" + _OUTPUTS[0]
         self._elsewhere = tuple(sorted(name[1 : -len(ending)] for name, _ in names if name.endswith(ending)))
-        self.is_played = bool(self._node.count_publishers(CLOCK_TOPIC))
+        clock_topic = self._clock_topic(dict(names))
+        self.is_played = bool(self._node.count_publishers(clock_topic))
         present = set()
         for topic, types in names:
-            relative = self.relative_name(topic)
-            if relative is None:
+            relative = CLOCK_TOPIC if topic == clock_topic else self.relative_name(topic)
+            if relative is None or (topic == CLOCK_TOPIC != clock_topic):
                 continue
             depths = {each: 1 if relative == CLOCK_TOPIC else self._wants(relative, each) for each in types}
             if not any(depths.values()) and not relative.startswith(TRUTH_PREFIX):
@@ -203,6 +205,20 @@ class TopicReader:
             if depths.get(type_name):
                 self._subscribe(topic, relative, type_name, depths[type_name], are_latched(publishers))
         self._present = present
+
+    def _clock_topic(self, types: Mapping[str, list[str]]) -> str:
+        """The clock of the suite: one of its own namespace, as of a bag that is played into it alone; else /clock.
+
+        Where it becomes another one, its time has not gone back.
+        """
+        own = self.namespace.rstrip("/") + CLOCK_TOPIC
+        is_there = types.get(own) == [_CLOCK_TYPE] and self._node.count_publishers(own) > 0
+        topic = own if is_there else CLOCK_TOPIC
+        former = CLOCK_TOPIC if is_there else own
+        if former != topic and former in self._heard:
+            self._heard.pop(former).subscription.close()
+            self._latest_ns.pop(CLOCK_TOPIC, None)
+        return topic
 
     def _subscribe(self, topic: str, relative: str, type_name: str, depth: int, is_latched: bool) -> None:
         heard = self._heard.get(topic)
