@@ -82,7 +82,8 @@ class ErrorsBeside:
             truth = self._truth.at(stamp_ns)
             if truth is not None:
                 errors = self._orientation.errors_arcsec(angles, truth.rotation_nd)
-                sigmas = np.sqrt(np.maximum(variances, 0.0)) * np.abs(self._orientation.scale(angles)) / ARCSEC
+                given = np.where(variances > 0.0, variances, np.nan)
+                sigmas = np.sqrt(given) * np.abs(self._orientation.scale(angles)) / ARCSEC
                 self._append(ErrorPoint(stamp_ns, self._named(errors), self._named(sigmas)))
         if newest is not None:
             self._truth.drop_before(newest.time_ns - 2 * _TRUTH_GAP_NS)

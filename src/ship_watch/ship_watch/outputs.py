@@ -204,8 +204,8 @@ _COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 def _accuracy_95(variance: float) -> float:
-    """1.96 sigma; NaN of what is no variance."""
-    return NORMAL_95 * math.sqrt(variance) if variance >= 0.0 else math.nan
+    """1.96 sigma; NaN of what is no variance. Zero says that none is given, as in all messages of ROS."""
+    return NORMAL_95 * math.sqrt(variance) if variance > 0.0 else math.nan
 
 
 def _name(status: Status | None) -> str:

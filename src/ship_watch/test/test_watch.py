@@ -132,6 +132,41 @@ def test_nan_is_unsafe_in_each_angle() -> None:
     assert words == {"heading": Safety.SAFE, "pitch": Safety.UNSAFE, "roll": Safety.SAFE}
 
 
+def pointing(ns: int, covariance: Any) -> SimpleNamespace:
+    return SimpleNamespace(
+        header=stamp(ns), azimuth=0.5, elevation=0.1, covariance=covariance, status=0, mode=0, light_count=0
+    )
+
+
+def test_a_covariance_of_zeros_is_not_given_and_no_accuracy_of_zero() -> None:
+    """As sensor_msgs has it: "If the covariance is unknown, all elements are 0"."""
+    watch = heard(10.0)
+    watch.take("ship/attitude", attitude(UTC + 10_500_000_000, sigma_arcsec=0.0), at(10.5))
+    watch.take("theodolite/pointing", pointing(UTC + 10_500_000_000, np.zeros(9)), at(10.5))
+    angles = watch.look(at(10.5)).angles
+    assert len(angles) == 5
+    assert all(math.isnan(angle.accuracy_95) for angle in angles)
+    assert {(angle.safety, angle.reason) for angle in angles} == {(Safety.UNSAFE, "accuracy unknown")}
+
+
+def test_where_no_covariance_is_given_an_error_against_truth_has_no_sigma() -> None:
+    watch = Watch()
+    for tenth in range(4):
+        watch.take("truth/attitude", attitude(UTC + tenth * SECOND // 10), at(tenth / 10))
+        watch.take("ship/attitude", attitude(UTC + tenth * SECOND // 10, sigma_arcsec=0.0), at(tenth / 10))
+    (point,) = watch.history.errors["ship/error_arcsec"]
+    assert point.error == pytest.approx({"heading": 0.0, "pitch": 0.0, "roll": 0.0}, abs=1e-6)
+    assert all(math.isnan(sigma) for sigma in point.sigma.values())
+
+
+def test_one_variance_of_zero_is_no_accuracy_either() -> None:
+    watch = heard(10.0)
+    message = attitude(UTC + 10_500_000_000)
+    message.covariance[4] = 0.0
+    watch.take("ship/attitude", message, at(10.5))
+    assert [angle.safety for angle in watch.look(at(10.5)).angles] == [Safety.SAFE, Safety.UNSAFE, Safety.SAFE]
+
+
 def test_integrity_that_is_old_or_absent_is_not_met() -> None:
     watch = heard(10.0)
     for tenth in range(101, 140):
