@@ -140,7 +140,7 @@ def test_all_files_are_installed():
     share = next(iter((ROOT / "install" / "ship_bringup" / "share").glob("ship_bringup")), None)
     if share is None:
         pytest.skip("nothing is installed here: this runs over another installation")
-    for folder in ("launch", "config", "systemd"):
+    for folder in ("launch", "config", "layouts", "systemd"):
         for path in (PACKAGE / folder).iterdir():
             assert (share / folder / path.name).read_bytes() == path.read_bytes()
 

@@ -1,0 +1,222 @@
+"""What a layout of Foxglove or Lichtblick names, held against what a suite puts out.
+
+Both read message paths: ``/topic.field[0].field``, ``/topic{name=="value"}.field``. ``$name`` is a variable of
+the layout.
+"""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import ship_attitude_star.ship_attitude.model as attitude_model
+import theodolite_calib.filter.model as pointing_model
+
+Night = dict[str, list[Any]]
+"""Messages by absolute topic."""
+
+SCRIPTS = "/studio_script/"
+STEP = re.compile(r'\.(?P<name>\w+)|\[(?P<index>\d+|:)\]|\{(?P<field>\w+)==(?P<value>\$\w+|"[^"]*")\}')
+PANELS = {  # type: what its configuration must hold, and what it may
+    "Plot": (
+        {"paths", "xAxisVal", "isSynced"},
+        {"yAxisLabel", "minYValue", "showLegend", "legendDisplay", "showPlotValuesInLegend", "showXAxisLabels",
+         "showYAxisLabels", "sidebarDimension"},
+    ),
+    "StateTransitions": ({"paths", "isSynced"}, set()),
+    "Indicator": ({"path", "style", "fallbackColor", "fallbackLabel", "rules"}, set()),
+    "Table": ({"topicPath"}, set()),
+    "RawMessages": (
+        {"topicPath"},
+        {"diffEnabled", "diffMethod", "diffTopicPath", "showFullMessageForDiff", "expansion"},
+    ),
+    "DiagnosticSummary": ({"topicToRender", "minLevel"}, {"pinnedIds", "hardwareIdFilter", "sortByLevel"}),
+    "Tab": ({"activeTabIdx", "tabs"}, set()),
+}  # fmt: skip
+"""The panels that are used, after the types of their settings in Lichtblick 1.28."""
+TITLES = {"lichtblickPanelTitle", "foxglovePanelTitle"}
+SERIES = {"value", "label", "enabled", "timestampMethod", "color"}
+ERROR_SOURCES = {
+    value
+    for model in (attitude_model, pointing_model)
+    for name, value in vars(model).items()
+    if name.startswith("SOURCE_")
+}
+
+
+class Missing(AssertionError):
+    """Something that a layout names is not there."""
+
+
+class Scripts:
+    """The scripts of a layout: what they take is there, and what they give may be shown."""
+
+    def __init__(self, layout: dict[str, Any], night: Night) -> None:
+        self.given: dict[str, dict[str, dict[str, str]]] = {}
+        for key, script in layout["userNodes"].items():
+            code = script["sourceCode"]
+            topic = only(re.findall(r'^export const inputs = \["(.*)"\];$', code, re.MULTILINE))
+            assert script["name"] == key
+            assert f'export default function script(event: Input<"{topic}">): Output' in code
+            for field in re.findall(r"event\.message\.(\w+)", code):
+                resolve(f"{topic}.{field}", night, layout["globalVariables"])
+            for names in re.findall(r"const LEVELS = \[(.*)\]", code):
+                for value, name in enumerate(re.findall(r'"(\w+)"', names)):
+                    constant(night, topic, name, value)
+            types = {
+                name: dict(re.findall(r"(\w+): (\w+(?:\[\])?);?\s", body))
+                for name, body in re.findall(r"^type (\w+) = \{(.*?)\};$", code, re.MULTILINE | re.DOTALL)
+            }
+            self.given[only(re.findall(r'^export const output = "(.*)";$', code, re.MULTILINE))] = types
+
+    def follow(self, topic: str, steps: list[re.Match[str]]) -> str:
+        """Name of the type at the end of a path in what a script gives."""
+        if topic not in self.given:
+            raise Missing(f"no script gives {topic}")
+        types, kind = self.given[topic], "Output"
+        for step in steps:
+            if name := step["name"] or step["field"]:
+                field = types.get(kind, {}).get(name)
+                if field is None:
+                    raise Missing(f"{topic}: {kind} has no {name}")
+                kind = kind if step["field"] else field
+            elif kind.endswith("[]"):
+                kind = kind.removesuffix("[]")
+            else:
+                raise Missing(f"{topic}: {kind} is no array")
+        return kind
+
+
+def only(found: list[str]) -> str:
+    (one,) = found
+    return one
+
+
+def split(path: str) -> tuple[str, list[re.Match[str]]]:
+    """Topic and steps of a message path; it has no modifier: plots over time of Lichtblick pass over most of them."""
+    topic = only(re.findall(r"^/?[\w/]+", path))
+    steps, at = [], len(topic)
+    while at < len(path):
+        step = STEP.match(path, at)
+        if step is None:
+            raise Missing(f"{path}: not understood from {path[at:]!r}")
+        steps.append(step)
+        at = step.end()
+    return topic, steps
+
+
+def resolve(path: str, night: Night, variables: dict[str, str]) -> list[Any]:
+    """The values that a message path finds in the night; at least one."""
+    topic, steps = split(path)
+    if topic not in night:
+        raise Missing(f"{path}: no topic {topic}")
+    found = night[topic]
+    for step in steps:
+        if step["name"]:
+            found = [value_of(holder, step["name"], path) for holder in found]
+        elif step["field"]:
+            wanted = wanted_value(step, variables)
+            found = [holder for holder in found if value_of(holder, step["field"], path) == wanted]
+        elif step["index"] == ":":
+            found = [item for holder in found for item in holder]
+        else:
+            found = [holder[int(step["index"])] for holder in found if len(holder) > int(step["index"])]
+        if not found:
+            raise Missing(f"{path}: nothing at {step[0]}")
+    return found
+
+
+def value_of(holder: Any, name: str, path: str) -> Any:
+    if name.startswith("_") or not hasattr(holder, name) or name.isupper():
+        raise Missing(f"{path}: no field {name}")
+    return getattr(holder, name)
+
+
+def wanted_value(step: re.Match[str], variables: dict[str, str]) -> str:
+    value = step["value"]
+    if not value.startswith("$"):
+        return value.strip('"')
+    if value[1:] not in variables:
+        raise Missing(f"no variable {value}")
+    return variables[value[1:]]
+
+
+def constant(night: Night, topic: str, name: str, value: int) -> None:
+    """That messages of a topic have this constant."""
+    if getattr(night[topic][0], name, None) != value:
+        raise Missing(f"{topic}: {name} is not {value}")
+
+
+def named_constants(text: str) -> list[tuple[int, str]]:
+    """(value, name) in a text such as "status: 0 VALID, 1 COASTING"."""
+    return [(int(value), name) for value, name in re.findall(r"\b(\d) ([A-Z_]{2,})\b", text)]
+
+
+def look_up(path: str, layout: dict[str, Any], night: Night, scripts: Scripts, is_shown: tuple[type, ...]) -> None:
+    """That a path leads to something of a type that its panel can show."""
+    topic, steps = split(path)
+    if not topic.startswith(SCRIPTS):
+        values = resolve(path, night, layout["globalVariables"])
+        if not all(isinstance(getattr(value, "item", lambda value=value: value)(), is_shown) for value in values[:1]):
+            raise Missing(f"{path}: {values[0]!r} cannot be shown")
+        return
+    kind = scripts.follow(topic, steps)
+    if is_shown != (object,) and kind != "number":
+        raise Missing(f"{path}: a {kind} cannot be shown")
+    told = {message.source for name, messages in night.items() if name.endswith("/innovation") for message in messages}
+    for step in steps:
+        if step["field"] and wanted_value(step, layout["globalVariables"]) not in told | ERROR_SOURCES:
+            raise Missing(f"{path}: no source {step['value']}")
+
+
+def leaves(mosaic: Any) -> Iterator[str]:
+    """Panels in an arrangement."""
+    if isinstance(mosaic, str):
+        yield mosaic
+        return
+    assert set(mosaic) == {"direction", "first", "second", "splitPercentage"}
+    assert mosaic["direction"] in ("row", "column")
+    assert 0 < mosaic["splitPercentage"] < 100
+    yield from leaves(mosaic["first"])
+    yield from leaves(mosaic["second"])
+
+
+def check_foxglove(layout: dict[str, Any], night: Night) -> None:
+    """That all that a layout names is there."""
+    assert set(layout) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
+    scripts = Scripts(layout, night)
+    panels = list(leaves(layout["layout"]))
+    for panel, config in layout["configById"].items():
+        kind = panel.partition("!")[0]
+        needed, more = PANELS[kind]
+        assert needed <= set(config) <= needed | more | TITLES, panel
+        if kind == "Tab":
+            assert all(set(tab) == {"title", "layout"} for tab in config["tabs"])
+            panels += [leaf for tab in config["tabs"] for leaf in leaves(tab["layout"])]
+        check_panel(kind, config, layout, night, scripts)
+    assert sorted(panels) == sorted(layout["configById"])
+
+
+def check_panel(kind: str, config: dict[str, Any], layout: dict[str, Any], night: Night, scripts: Scripts) -> None:
+    shown: tuple[type, ...] = (int, float) if kind == "Plot" else (int, float, str, bool)
+    for series in config.get("paths", []):
+        assert {"value", "enabled", "timestampMethod"} <= set(series) <= SERIES
+        look_up(series["value"], layout, night, scripts, shown)
+        for value, name in named_constants(series["label"]):
+            constant(night, split(series["value"])[0], name, value)
+    if kind == "Indicator":
+        look_up(config["path"], layout, night, scripts, (int,))
+        for rule in config["rules"]:
+            assert set(rule) == {"operator", "rawValue", "color", "label"}
+            constant(night, split(config["path"])[0], rule["label"], int(rule["rawValue"]))
+    if "topicPath" in config:
+        look_up(config["topicPath"], layout, night, scripts, (object,))
+    if "topicToRender" in config:
+        look_up(config["topicToRender"], layout, night, scripts, (object,))
+
+
+def paths(layout: dict[str, Any]) -> list[str]:
+    """All message paths of a layout."""
+    configs = layout["configById"].values()
+    found = [series["value"] for config in configs for series in config.get("paths", [])]
+    keys = ("path", "topicPath", "topicToRender")
+    return found + [config[key] for config in configs for key in keys if key in config]

@@ -1,0 +1,81 @@
+"""What a layout of PlotJuggler names, held against what a suite puts out.
+
+PlotJuggler names each number ``/topic/field[0]/field``, and those of diagnostics ``/topic/node/status/key``.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import pytest
+
+from ship_testing.foxglove_layouts import Missing, Night, constant, named_constants
+
+
+def curves(night: Night) -> set[str]:
+    """Names that PlotJuggler gives to the numbers of the night."""
+    found: set[str] = set()
+    for topic, messages in night.items():
+        for message in messages:
+            if topic == "/diagnostics":
+                for status in message.status:
+                    place = f"{topic}/{status.hardware_id}/{status.name}"
+                    keys = [pair.key for pair in status.values if number(pair.value)]
+                    found |= {f"{place}/{key}" for key in ("level", *keys)}
+            else:
+                found |= set(flat(message, topic))
+    return found
+
+
+def number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def flat(value: Any, name: str) -> Iterator[str]:
+    """Names of the numbers in a value."""
+    if is_dataclass(value):
+        for field in fields(value):
+            yield from flat(getattr(value, field.name), f"{name}/{field.name}")
+    elif isinstance(value, str):
+        return
+    elif hasattr(value, "__len__"):
+        for index, item in enumerate(value):
+            yield from flat(item, f"{name}[{index}]")
+    else:
+        yield name
+
+
+def check_plotjuggler(root: ET.Element, night: Night) -> None:
+    """That all that a layout names is there."""
+    known = curves(night)
+    assert {element.tag for element in root} == {
+        "tabbed_widget", "use_relative_time_offset", "streaming_buffer_size", "customMathEquations"
+    }  # fmt: skip
+    made = set()
+    for snippet in root.iter("snippet"):
+        assert [element.tag for element in snippet] == ["global", "function", "linked_source"]
+        if snippet.findtext("linked_source") not in known:
+            raise Missing(snippet.findtext("linked_source"))
+        made.add(snippet.get("name"))
+    shown = [curve.get("name") for curve in root.iter("curve")]
+    if strange := set(shown) - known - made:
+        raise Missing(sorted(strange))
+    assert made <= set(shown)
+    for transform in root.iter("transform"):
+        assert transform.get("name") == "Scale/Offset"
+        assert set(transform.find("options").attrib) == {"time_offset", "value_offset", "value_scale"}
+    for splitter in root.iter("DockSplitter"):
+        assert splitter.get("orientation") in ("|", "-")
+        sizes = [float(size) for size in splitter.get("sizes").split(";")]
+        assert int(splitter.get("count")) == len(splitter) == len(sizes)
+        assert sum(sizes) == pytest.approx(1.0, abs=1e-4)
+    for area in root.iter("DockArea"):
+        for value, name in named_constants(area.get("name")):
+            topic = area.find("plot/curve").get("name").rpartition("/")[0]
+            constant(night, topic, name, value)
+    assert {plot.get("style") for plot in root.iter("plot")} <= {"Lines", "Dots", "Steps"}
