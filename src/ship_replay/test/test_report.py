@@ -157,8 +157,10 @@ class TestBadInput:
         line = self.refused(capsys, bag, "--out", tmp_path / "a.html")
         assert line.startswith(f"report: {bag}: no outputs of the suite: expected topic ship/attitude or")
 
-    def test_outputs_that_nothing_can_be_held_against(self, tmp_path, capsys):
-        """The complaint of the process that evaluates reaches the person."""
+    @pytest.mark.parametrize("short_bytes", [0, 8_000_000])
+    def test_outputs_that_nothing_can_be_held_against(self, short_bytes, tmp_path, capsys, monkeypatch):
+        """The complaint of the process that evaluates reaches the person, and so it does without one."""
+        monkeypatch.setattr("ship_replay.report.told.SHORT_BYTES", short_bytes)
         bag = tmp_path / "out.mcap"
         with BagWriter(bag) as writer:
             writer.write("ship/attitude", ship_attitude(START_NS), START_NS)

@@ -15,7 +15,7 @@ from theodolite_calib.config import OpticalAxisConfig
 _NODES = {
     "ship_attitude": ShipAttitudeConfig, "star_attitude": StarAttitudeConfig, "optical_axis": OpticalAxisConfig
 }
-_TEXTS = (".yaml", ".yml", ".json")
+_TEXTS = (".yaml", ".yml")
 
 
 @dataclass(frozen=True)

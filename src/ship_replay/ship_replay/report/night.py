@@ -112,6 +112,11 @@ class Night:
         first_s = min((words[0][0] for words in self.words.values() if words), default=self.start_ns // NS_PER_S)
         return first_s * NS_PER_S
 
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """UTC at which the outputs begin and end, as long apart as the log times."""
+        return self.start_utc_ns, self.start_utc_ns + self.end_ns - self.start_ns
+
     def seconds(self, angle: str) -> Counter[Safety]:
         """For how many seconds each word stood, the worst of each second."""
         return Counter(word for _, word in self.words.get(angle, ()))

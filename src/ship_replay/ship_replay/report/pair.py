@@ -2,6 +2,7 @@
 
 import io
 import sys
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -11,12 +12,12 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
 from ship_replay.report.night import Night
 from ship_replay.report.published import OutputDifference, Published, differences, overlap_s, read_published, span
-from ship_replay.report.told import Told, read_told
+from ship_replay.report.told import Told, is_short, read_told
 from ship_replay.report.wording import duration, utc
 from ship_watch.limits import Limits
 
-_SIMULATION = "simulation"
-"""Name of the metadata record with the seed of a simulated voyage."""
+_SIMULATION, _INJECTION = "simulation", "injection"
+"""Names of the metadata records with the seeds of a simulated voyage, and of faults put into a bag."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Pair:
     @property
     def is_same(self) -> bool:
         """Whether both are the same file, byte for byte."""
-        return self.a.night.sha256 != "" and self.a.night.sha256 == self.b.night.sha256
+        return self.a.night.sha256 == self.b.night.sha256
 
     @property
     def nights(self) -> tuple[Night, Night]:
@@ -48,7 +49,7 @@ class Pair:
     @property
     def span_ns(self) -> tuple[int, int]:
         """From the first to the last moment of both, UTC in ns."""
-        spans = [_span(night) for night in self.nights]
+        spans = [night.span_ns for night in self.nights]
         return min(start for start, _ in spans), max(end for _, end in spans)
 
 
@@ -60,15 +61,26 @@ def read_pair(
     Raises:
         BadInput: a bag cannot be read or lacks what is expected of it, or the two have no time in common.
     """
-    # One file after the other would take twice as long. Of the bars that show how far it is, one is enough.
+    if is_short(a) and is_short(b):
+        told, other = (read_told(path, truth, limits, namespace) for path in (a, b))
+        published = read_published(a, namespace), read_published(b, namespace)
+    else:
+        told, other, published = _read_beside(a, b, truth, limits, namespace)
+    pair = Pair(told, other, published, differences(*published))
+    _check_overlap(pair)
+    return pair
+
+
+def _read_beside(
+    a: Path, b: Path, truth: Path | None, limits: Limits | None, namespace: str
+) -> tuple[Told, Told, tuple[Published, Published]]:
+    """All that is read of both at the same time: one after the other would take twice as long."""
+    # Of the bars that show how far it is, one is enough.
     with ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=_without_bar) as beside:
         outputs_a, outputs_b = (beside.submit(read_published, path, namespace) for path in (a, b))
         other = beside.submit(read_told, b, truth, limits, namespace)
         told = read_told(a, truth, limits, namespace)
-        published = outputs_a.result(), outputs_b.result()
-        pair = Pair(told, other.result(), published, differences(*published))
-    _check_overlap(pair)
-    return pair
+        return told, other.result(), (outputs_a.result(), outputs_b.result())
 
 
 def origin(pair: Pair) -> list[str]:
@@ -84,7 +96,7 @@ def origin(pair: Pair) -> list[str]:
     ]
     if counted:
         sentences.append(f"The nodes did not receive the same number of messages: {'; '.join(counted)}.")
-    spans = [_span(night) for night in pair.nights]
+    spans = [night.span_ns for night in pair.nights]
     if max(abs(spans[0][0] - spans[1][0]), abs(spans[0][1] - spans[1][1])) > 2 * 10**9:
         texts = [f"{utc(start)} to {utc(end)}" for start, end in spans]
         common = duration(overlap_s(*spans))
@@ -102,25 +114,32 @@ def _stem(pair: Pair) -> str:
     unequal = [topic for topic in shared if given_a[topic] != given_b[topic]]
     if unequal:
         return f"They do not stem from the same inputs: {', '.join(unequal)} differ{'s' * (len(unequal) == 1)}."
+    injected = [night.metadata.get(_INJECTION) for night in pair.nights]
+    if injected[0] != injected[1]:
+        told = [f"{_entries(record)} in {letter}" for letter, record in zip("AB", injected, strict=True) if record]
+        only = " only" if len(told) == 1 else ""
+        return f"They do not stem from the same inputs: faults were injected ({', '.join(told)}{only})."
     scenarios = [night.attachments.get(SCENARIO_ATTACHMENT) for night in pair.nights]
     seeds = [night.metadata.get(_SIMULATION) for night in pair.nights]
     if scenarios[0] is not None and scenarios[1] is not None:
         if scenarios[0] != scenarios[1]:
             return f"They do not stem from the same inputs: their scenarios differ ({SCENARIO_ATTACHMENT} below)."
         if seeds[0] != seeds[1]:
-            told = [", ".join(f"{key} {value}" for key, value in sorted((seed or {}).items())) for seed in seeds]
-            return f"They do not stem from the same inputs: {told[0] or 'no seed'} in A, {told[1] or 'no seed'} in B."
-        return (
-            "Both stem from the same simulated voyage: scenario and seed are the same. Faults that were injected "
-            "later leave no trace in an output."
-        )
+            told = [_entries(record) or "no seed" for record in seeds]
+            return f"They do not stem from the same inputs: {told[0]} in A, {told[1]} in B."
+        faults = "" if injected[0] is None else " So is the seed of the injected faults; which they were is not told."
+        return f"Both stem from the same simulated voyage: scenario and seed are the same.{faults}"
     if shared:
         return f"As far as the bags tell, the inputs are the same: {', '.join(shared)}."
     return "Nothing in the bags tells whether they stem from the same inputs."
 
 
+def _entries(record: Mapping[str, str] | None) -> str:
+    return ", ".join(f"{key} {value}" for key, value in sorted((record or {}).items()))
+
+
 def _check_overlap(pair: Pair) -> None:
-    spans = [span(one) or _span(told.night) for one, told in zip(pair.published, (pair.a, pair.b), strict=True)]
+    spans = [span(one) or told.night.span_ns for one, told in zip(pair.published, (pair.a, pair.b), strict=True)]
     if overlap_s(*spans) < 0.0:
         form = "%Y-%m-%d %H:%M:%S"
         texts = [f"{utc(start, form)} to {utc(end, form)}" for start, end in spans]
@@ -128,11 +147,6 @@ def _check_overlap(pair: Pair) -> None:
             f"no time in common with {pair.a.night.path}: outputs from {texts[1]} UTC, expected some from {texts[0]}",
             file=pair.b.night.path,
         )
-
-
-def _span(night: Night) -> tuple[int, int]:
-    start_ns = night.start_utc_ns
-    return start_ns, start_ns + night.end_ns - night.start_ns
 
 
 def _without_bar() -> None:

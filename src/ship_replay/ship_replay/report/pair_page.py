@@ -1,9 +1,11 @@
 """The page of two recordings side by side."""
 
+from collections.abc import Mapping
+
 from ship_bags.stamps import NS_PER_S
 from ship_replay.report.configurations import parameter_differences, text_differences
 from ship_replay.report.night import Night
-from ship_replay.report.page import render, versions
+from ship_replay.report.page import recorded_versions, render, versions
 from ship_replay.report.pair import Pair
 from ship_replay.report.pair_drawings import difference_svg, sides_svg, states_svg
 from ship_replay.report.pair_tables import (
@@ -74,7 +76,9 @@ def pair_page(pair: Pair) -> str:
         texts=text_differences(a, b),
         only_topics=[(letter, sorted(mine.keys() - others.keys()))
                      for letter, mine, others in (("A", a.topics, b.topics), ("B", b.topics, a.topics))],
-        metadata=_metadata_of_both(a, b),
+        metadata=_of_both(*({name: " ".join(f"{key} {value}" for key, value in sorted(entries.items()))
+                             for name, entries in sorted(night.metadata.items())} for night in (a, b))),
+        recorded_versions=_of_both(*(dict(recorded_versions(night)) for night in (a, b))),
         versions=versions(),
     )
 
@@ -94,11 +98,6 @@ def _shares_of_both(a: Night, b: Night) -> list[tuple[str, dict[str, float] | No
     return [(name, of_a.get(name), of_b.get(name)) for name in ANGLES if name in of_a or name in of_b]
 
 
-def _metadata_of_both(a: Night, b: Night) -> list[tuple[str, str, str]]:
-    """Name of each record of metadata, and what it says in A and in B."""
-    texts = [
-        {name: " ".join(f"{key} {value}" for key, value in sorted(entries.items()))
-         for name, entries in night.metadata.items()}
-        for night in (a, b)
-    ]
-    return [(name, texts[0].get(name, ""), texts[1].get(name, "")) for name in sorted(texts[0].keys() | texts[1])]
+def _of_both(a: Mapping[str, str], b: Mapping[str, str]) -> list[tuple[str, str, str]]:
+    """Each name, and what it is in A and in B; empty where it is not."""
+    return [(name, a.get(name, ""), b.get(name, "")) for name in dict.fromkeys([*a, *b])]

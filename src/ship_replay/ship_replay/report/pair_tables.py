@@ -21,8 +21,11 @@ from ship_replay.report.wording import number, placed, utc
 from ship_watch.history import BudgetPoint, ParameterShown
 from ship_watch.orientations import channel_name
 
-_SAME_MOMENT_NS = 2 * NS_PER_S
+SAME_MOMENT_NS = 2 * NS_PER_S
 """What both tell within this time of each other is the same."""
+
+FAR_APART_SIGMAS = 3.0
+"""Estimates farther apart than this are pointed out."""
 
 _DIGITS = re.compile(r"[\d.]+")
 _PART = TypeVar("_PART")
@@ -247,7 +250,7 @@ def _alignment_row(
     either: ParameterShown, a: ParameterShown | None, b: ParameterShown | None
 ) -> dict[str, str]:
     scale, unit = shown_scale(either)
-    row = {"name": either.name, "unit": unit, "apart": "", "note": ""}
+    row = {"name": either.name, "unit": unit, "apart": "", "differs": "", "note": ""}
     for side, shown in (("a", a), ("b", b)):
         row[side] = "–" if shown is None else placed(told_value(shown) / scale, shown.sigma / scale)
         row[f"{side}_sigma"] = "" if shown is None else number(shown.sigma / scale)
@@ -258,6 +261,7 @@ def _alignment_row(
             row["apart"] = "equal"
         elif sigma > 0.0:
             row["apart"] = f"{apart / sigma:+.2f} σ".replace("-", "−")
+            row["differs"] = "differs" if abs(apart) > FAR_APART_SIGMAS * sigma else ""
         unseen = [letter for letter, shown in (("A", a), ("B", b)) if not shown.is_observable]
         row["note"] = f"not observable in {' and '.join(unseen)}" if unseen else ""
     return row
@@ -282,7 +286,7 @@ def _unmatched(
     for time_ns, key, part in a:
         candidates = waiting.get(key, [])
         near = min(candidates, key=lambda other: abs(other[0] - time_ns), default=None)
-        if near is not None and abs(near[0] - time_ns) <= _SAME_MOMENT_NS:
+        if near is not None and abs(near[0] - time_ns) <= SAME_MOMENT_NS:
             candidates.remove(near)
             both += 1
         else:

@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from ship_replay.report.configurations import ParameterDifference
 from ship_replay.report.night import Night
 from ship_replay.report.pair import Pair, origin
-from ship_replay.report.pair_tables import ErrorRow
+from ship_replay.report.pair_tables import SAME_MOMENT_NS, ErrorRow
 from ship_replay.report.published import OutputDifference
-from ship_replay.report.tables import outages
+from ship_replay.report.tables import Outage, outages
 from ship_replay.report.wording import number, utc
 from ship_watch.orientations import ORIENTATIONS, channel_name
 from ship_watch.picture import ANGLES, Safety
@@ -18,6 +19,7 @@ _ALIKE = 0.02
 
 _MOST_NAMED = 3
 _ON_SKY = "_cos_elevation"
+_NEVER_NS = 1 << 63
 
 
 def pair_verdict(pair: Pair, errors: Sequence[ErrorRow], parameters: Sequence[ParameterDifference]) -> list[str]:
@@ -129,22 +131,50 @@ def _not_compared(pair: Pair) -> list[str]:
 
 
 def _sources(pair: Pair) -> list[str]:
-    """Which source was out in one and not in the other."""
-    times: list[dict[str, list[str]]] = [{}, {}]
-    for side, night in zip(times, pair.nights, strict=True):
-        for outage in outages(night):
-            side.setdefault(outage.source, []).append(outage.text)
-    a, b = times
-    sentences = []
-    for source in dict.fromkeys([*a, *b]):
-        if (source in a) != (source in b):
-            letter, found = ("A", a[source]) if source in a else ("B", b[source])
-            more = f" and {len(found) - _MOST_NAMED} times more" if len(found) > _MOST_NAMED else ""
-            sentences.append(f"{source} was out in {letter} only: {', '.join(found[:_MOST_NAMED])}{more}.")
-    both = [f"{source} ({len(a[source])}, {len(b[source])})" for source in a if source in b]
-    if both:
-        sentences.append(f"Out in both (times in A, in B): {', '.join(both)}.")
-    return sentences or ["No source was out in either."]
+    """Which source was out in one while it was in in the other, as far as both are of the same time."""
+    a, b = (outages(night) for night in pair.nights)
+    sentences, told = [], set()
+    for source in dict.fromkeys(outage.source for outage in (*a, *b)):
+        for letter, other, mine, others in (("A", "B", a, b), ("B", "A", b, a)):
+            found = _beyond([one for one in mine if one.source == source],
+                            [*(one for one in others if one.source == source), *_unrecorded(pair, other, source)])
+            if found:
+                told.add(source)
+                more = f" and {len(found) - _MOST_NAMED} times more" if len(found) > _MOST_NAMED else ""
+                times = ", ".join(one.text for one in found[:_MOST_NAMED])
+                sentences.append(f"{source} was out in {letter} but not in {other} from {times}{more}.")
+    alike = [source for source in dict.fromkeys(outage.source for outage in a) if source not in told]
+    if alike:
+        sentences.append(f"Out in both at the same times: {', '.join(alike)}.")
+    return sentences if a or b else ["No source was out in either."]
+
+
+def _beyond(outages_here: list[Outage], elsewhere: list[Outage]) -> list[Outage]:
+    """The parts of outages in which it was in elsewhere; of a moment or less they tell nothing."""
+    for other in elsewhere:
+        outages_here = [left for outage in outages_here for left in _without(outage, other)]
+    return [one for one in outages_here if (one.to_ns or _NEVER_NS) - one.from_ns > SAME_MOMENT_NS]
+
+
+def _without(outage: Outage, other: Outage) -> list[Outage]:
+    """What of an outage is before another, and what is after it."""
+    end_ns, other_end_ns = outage.to_ns or _NEVER_NS, other.to_ns or _NEVER_NS
+    left = []
+    if outage.from_ns < other.from_ns:
+        to_ns = outage.to_ns if end_ns <= other.from_ns else other.from_ns
+        left.append(replace(outage, to_ns=to_ns))
+    if other_end_ns < end_ns:
+        left.append(replace(outage, from_ns=max(outage.from_ns, other_end_ns)))
+    return left
+
+
+def _unrecorded(pair: Pair, letter: str, source: str) -> list[Outage]:
+    """The times of the other recording of which this one tells nothing, as if the source had been out."""
+    (start_ns, end_ns), (_, other_end_ns) = (
+        night.span_ns for night in (pair.nights if letter == "A" else reversed(pair.nights))
+    )
+    before, after = Outage(source, 0, start_ns, ""), Outage(source, end_ns, 0, "")
+    return [before, after] if other_end_ns > end_ns + SAME_MOMENT_NS else [before]
 
 
 def _of_outputs(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
