@@ -12,8 +12,8 @@ from ship_monitor.page.budget_panel import (
     top_of_axis,
     variances_arcsec2,
 )
-from ship_monitor.page.figures import TimePlots
 from ship_monitor.page.themes import THEMES
+from ship_monitor.page.trails import TimePlots
 from ship_testing.watched_minutes import ARCSEC, watched_history
 
 
@@ -63,11 +63,11 @@ def test_labels_name_each_band_at_its_middle_and_the_others_together() -> None:
 def test_bands_add_up_to_the_whole_of_the_chosen_angle() -> None:
     history = watched_history()
     panel = BudgetPanel(THEMES["day"], TimePlots(600.0))
-    panel.update(history)
+    panel.update(history, "")
     assert panel.angle == "heading"
     heading = np.asarray(panel._trail.source.data["total"])
     panel.choose("roll")
-    panel.update(history)
+    panel.update(history, "")
     roll = np.asarray(panel._trail.source.data["total"])
     points = history.budgets["ship/error_budget"]
     told = np.array([sum(point.by_angle["roll"].values()) for point in points]) / ARCSEC**2

@@ -8,7 +8,7 @@ import pytest
 from bokeh.document import Document
 
 from ship_monitor.page.curves import fixed_step, gaps_before, placed, signed, thinned
-from ship_monitor.page.figures import TimePlots, Trail
+from ship_monitor.page.trails import TimePlots, Trail
 from ship_watch.history import newer
 
 SECOND_NS = 1_000_000_000

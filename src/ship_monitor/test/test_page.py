@@ -1,9 +1,13 @@
 """The page as a browser shows it: headless Chromium over hand-made pictures."""
 
+import json
 from dataclasses import replace
 
 import pytest
 
+from ship_monitor.page.innovation_panel import InnovationPanel
+from ship_monitor.page.sky_panel import SkyPanel
+from ship_monitor.page.tables import InputsPanel
 from ship_testing import browser as browser_module
 from ship_testing import pictures
 from ship_testing.browser import Browser
@@ -274,10 +278,119 @@ def test_all_panels_below_are_drawn_when_they_come_into_sight(browser, source, p
     assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), "wider than the window"
 
 
-def test_a_click_on_a_tile_shows_its_budget(browser, source, page):
+# What a panel says of itself, and whether it is within the window.
+PANEL = f"""((title) => {{
+  const box = {INSIDE}.find((each) => each.tagName === 'B' && each.textContent.startsWith(title));
+  const panel = box.getRootNode().host.getRootNode().host.getBoundingClientRect();
+  return [box.nextSibling.textContent, panel.top >= 0 && panel.bottom <= innerHeight];
+}})"""
+FIGURES = """(() => {
+  const found = [], walk = (view) => {
+    if (view.model.type === 'Figure') found.push(view.model);
+    for (const each of view.child_views ?? []) walk(each);
+  };
+  for (const root of Bokeh.index) walk(root);
+  return found;
+})()"""
+MARKED = f"""(() => {{
+  const titled = {FIGURES}.map((each) => each.title?.text ?? '').filter((text) => text.startsWith('▶'));
+  const framed = {FIGURES}.filter((each) => each.outline_line_width === 3).length;
+  const rows = {INSIDE}.filter((each) => each.tagName === 'TR' && each.classList.contains('marked')).length;
+  const states = {FIGURES}.flatMap((each) => [...each.left, ...each.right])
+    .flatMap((axis) => [...axis.major_label_overrides?.values() ?? []]).filter((text) => String(text).startsWith('▶'));
+  return [titled.length, framed, rows, states.length];
+}})()"""
+"""Titles, frames, rows of tables and labels of axes that are marked in the panels."""
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_click_on_a_tile_shows_its_budget_and_its_error_in_one_window(browser, source, page, size):
+    source.set(watched_picture(), watched_history())
+    browser.open(page, *SIZES[size])
+    browser.until("monitor.isLinked()")
+    browser.evaluate("document.querySelector('#roll').click()")
+    browser.until(f"{PANEL}('Error budget')[0].startsWith('roll, ')")
+    browser.until(f"{FIGURES}.some((each) => each.title?.text === '▶ roll')")
+    assert browser.until(f"{PANEL}('Error budget')[1] && {PANEL}('Error inside')[1]")
+
+
+def counted(browser, each):
+    """Wait until so many of each kind are marked."""
+    browser.until(f"JSON.stringify({MARKED}) === '{json.dumps([each] * 4, separators=(',', ':'))}'")
+
+
+def test_a_mark_is_in_every_panel_stays_through_updates_and_goes_with_escape(browser, source, page):
+    source.set(watched_picture(), watched_history())
+    browser.open(page, 1280, 4000)  # all panels in sight
+    browser.until("monitor.isLinked()")
+    browser.until(f"{FIGURES}.length === 14")
+    counted(browser, 0)
+    browser.evaluate("document.querySelector('#sources li:nth-child(1)').click()")
+    # The title and frame of its innovations and of its field of view; the rows of its input and of its alert; the two
+    # parts of the budget that star sensors bring.
+    counted(browser, 2)
+    clock = browser.text("#utc")
+    browser.until(f"document.querySelector('#utc').textContent > '{clock}'")
+    counted(browser, 2)
+    assert browser.text("#sources li.marked .who") == "star.starboard"
+    other = Browser()
+    try:
+        other.open(page, 1280, 4000)
+        other.until(f"{FIGURES}.length === 14")
+        counted(other, 0)
+    finally:
+        other.close()
+    browser.press("Escape")
+    counted(browser, 0)
+    assert browser.evaluate("document.querySelector('#sources li.marked')") is None
+    browser.evaluate("document.querySelector('#sources li:nth-child(2)').click()")
+    browser.until(f"{MARKED}[0] === 2")
+    browser.evaluate("document.querySelector('#sources li:nth-child(2)').click()")
+    browser.until(f"{MARKED}[0] === 0")
+    assert browser.problems == []
+
+
+def test_another_theme_keeps_the_mark(browser, source, page):
     source.set(watched_picture(), watched_history())
     browser.open(page)
     browser.until("monitor.isLinked()")
-    browser.evaluate("document.querySelector('#roll').click()")
-    said = f"{INSIDE}.some((each) => each.tagName === 'SPAN' && each.textContent.startsWith('roll, '))"
-    browser.until(said)
+    browser.evaluate("document.querySelector('#sources li:nth-child(1)').click()")
+    browser.press("3")
+    browser.until("document.documentElement.className.includes('night') && monitor.isLinked()")
+    assert browser.text("#sources li.marked .who") == "star.starboard"
+    browser.evaluate("document.querySelector('#panels').scrollIntoView()")
+    browser.until(f"{MARKED}[0] > 0")
+
+
+def test_only_the_panels_in_sight_are_drawn(browser, source, page, monkeypatch):
+    drawn = []
+    for kind in (InnovationPanel, SkyPanel, InputsPanel):
+        update = kind.update
+
+        def noted(self, *arguments, kind=kind, update=update, **options):
+            drawn.append(kind)
+            update(self, *arguments, **options)
+
+        monkeypatch.setattr(kind, "update", noted)
+    source.set(watched_picture(), watched_history())
+    browser.open(page)
+    browser.until("monitor.isLinked()")
+    for where, wanted, unwanted in (
+        ("document.querySelector('#panels').scrollIntoView()", InnovationPanel, InputsPanel),
+        ("scrollTo(0, document.body.scrollHeight)", InputsPanel, InnovationPanel),
+    ):
+        browser.evaluate(where)
+        browser.wait(
+            lambda wanted=wanted, unwanted=unwanted: wanted in drawn[-3:] and unwanted not in drawn[-3:], where
+        )
+    browser.evaluate("scrollTo(0, 0)")
+
+    def rests():
+        """Whether nothing was drawn while the time of the page went on."""
+        drawn.clear()
+        clock = browser.text("#utc")
+        browser.until(f"document.querySelector('#utc').textContent > '{clock}'")
+        return not drawn
+
+    browser.wait(rests, "all rest")
+    assert browser.problems == []

@@ -46,20 +46,21 @@ def test_an_empty_suite_draws_empty_panels_that_say_so(panels) -> None:
 def test_without_truth_the_innovations_take_the_room_of_the_errors(panels) -> None:
     panels.update(watched_history(has_truth=True), PICTURE)
     assert panels._errors.box.layout.visible
-    assert "grid-column" not in panels._innovations.box.layout.styles
+    assert "'innovations error' 'innovations budget'" in panels._grid.css
     panels.update(watched_history(has_truth=False), PICTURE)
     assert not panels._errors.box.layout.visible
-    assert panels._innovations.box.layout.styles["grid-column"] == "1 / -1"
+    assert "'innovations budget' 'innovations events'" in panels._grid.css
+    assert "error" not in panels._grid.css
 
 
 def test_without_a_telescope_the_sky_takes_the_room_of_the_lights(panels) -> None:
     history = watched_history()
     panels.update(replace(history, lights={}), PICTURE)
     assert not panels._lights.box.layout.visible
-    assert panels._sky.box.layout.styles["grid-column"] == "1 / -1"
+    assert "'sky sky'" in panels._grid.css
     panels.update(history, PICTURE)
     assert panels._lights.box.layout.visible
-    assert "grid-column" not in panels._sky.box.layout.styles
+    assert "'sky lights'" in panels._grid.css
 
 
 def test_the_height_of_errors_is_that_of_now_and_a_start_is_cut_off(panels) -> None:
@@ -100,7 +101,7 @@ def test_an_outage_that_is_over_stays_shaded_and_a_new_one_is_added(panels) -> N
     history = watched_history()
     for now_s, since_s in ((0, -40), (5, -40), (10, None), (20, 15), (22, 15)):
         source = replace(GUILTY, out_since_ns=NOW_NS + since_s * 10**9) if since_s else replace(GOOD, name=GUILTY.name)
-        panel.update(history, replace(PICTURE, utc_ns=NOW_NS + now_s * 10**9, sources=(source,)), has_truth=True)
+        panel.update(history, replace(PICTURE, utc_ns=NOW_NS + now_s * 10**9, sources=(source,)), "", has_truth=True)
     now_ms = NOW_NS * 1e-6
     out = panel._rows["star.starboard"]._out.data
     assert out["start"] == pytest.approx([now_ms - 40e3, now_ms + 15e3])
@@ -154,8 +155,8 @@ def test_what_is_new_is_streamed_and_a_second_look_sends_nothing(panels) -> None
     sent = []
     for model in panels.layout.select({"type": ColumnDataSource}):
         model.on_change("data", lambda name, old, new: sent.append(name))
-    panels._innovations.update(history, PICTURE, has_truth=True)
-    panels._errors.update(history)
+    panels._innovations.update(history, PICTURE, "", has_truth=True)
+    panels._errors.update(history, "")
     assert len(sent) <= 1  # the shade of what is out, which grows
 
 
@@ -173,7 +174,7 @@ def test_a_document_is_not_looked_through_while_only_points_are_new(panels, monk
             points.append(replace(points[-1], utc_ns=points[-1].utc_ns + 10**9))
         panels.update(history, replace(PICTURE, utc_ns=NOW_NS + second * 10**9))
     assert looks == []
-    panels.budget.choose("roll")
+    panels.choose("roll")
     panels.update(history, PICTURE)
     assert 1 <= len(looks) <= 3  # not at each band
 
@@ -240,11 +241,99 @@ def test_the_axis_of_the_states_holds_all_values_and_most_bars() -> None:
 def test_the_guilty_input_stands_out_although_its_node_refused_nothing() -> None:
     shown = InputShown("star/starboard/observations", 2.0, 0.1, 0.6, 0, 0, {})
     row = input_row(shown, {shown.topic: GUILTY})
-    assert "class=guilty" in row
+    assert "class='guilty'" in row
     assert "<td class='n'>81" in row
     assert "OUT: 81 refused in a row" in row
     assert "guilty" not in input_row(shown, {})
     assert "guilty" not in input_row(shown, {shown.topic: replace(GUILTY, because_of="ins")})
+
+
+def test_a_marked_source_stands_out_in_every_panel_and_nothing_else_does(panels) -> None:
+    theme, history = THEMES["dusk"], watched_history()
+    event = Event(NOW_NS, "source", "star.fore", "star.fore IN")
+    picture = replace(PICTURE, events=(*PICTURE.events, event))
+
+    def standing_out() -> dict[str, list[str]]:
+        budget, states = panels._budget, panels._alignment
+        squares = panels._sky._map._squares.data
+        tables = {"events": panels._events._table.text, "inputs": panels._inputs._table.text}
+        return {
+            "innovations": [
+                name for name, row in panels._innovations._rows.items() if row.figure.title.text.startswith("▶")
+            ],
+            "frames": [
+                name for name, row in panels._innovations._rows.items() if row.figure.outline_line_color == theme.text
+            ],
+            "fields": [name for name, f in panels._sky._fields.items() if f.figure.outline_line_color == theme.text],
+            "map": [str(width) for width in squares["width"] if width > 2.0],
+            "lights": ["frame"] if panels._lights.figure.outline_line_color == theme.text else [],
+            "bands": [
+                band
+                for band, drawn in zip(budget._bands, budget._filled, strict=False)
+                if drawn.glyph.fill_color == theme.text
+            ],
+            "states": [
+                state.name
+                for state, bar in zip(
+                    [*history.alignment, *history.calibration], states._source.data["bar"], strict=True
+                )
+                if bar == theme.text
+            ],
+            **{name: [row for row in table.split("<tr")[1:] if "marked" in row] for name, table in tables.items()},
+        }
+
+    panels.update(history, picture)
+    assert not any(standing_out().values())
+    panels.marked = "star.fore"
+    panels.update(history, picture)
+    found = standing_out()
+    assert found["innovations"] == found["frames"] == found["fields"] == ["star.fore"]
+    assert len(found["map"]) == 1
+    assert found["lights"] == []
+    assert set(found["bands"]) == {"installation", "star_noise"}
+    assert found["states"] == ["star.fore.azimuth"]
+    assert [len(found[name]) for name in ("events", "inputs")] == [1, 1]
+    assert "▶ star/" in found["inputs"][0]
+    panels.marked = "lights"
+    panels.update(history, picture)
+    found = standing_out()
+    assert found["innovations"] == ["lights"]
+    assert found["lights"] == ["frame"]
+    assert found["fields"] == found["states"] == []
+    panels.marked = "weather"
+    panels.update(history, picture)
+    assert standing_out()["bands"] == ["refraction"]  # the smallest of all has a band of its own
+    panels.marked = ""
+    panels.update(history, picture)
+    assert not any(standing_out().values())
+
+
+def test_the_error_of_a_chosen_angle_stands_out_and_of_no_other(panels) -> None:
+    history = watched_history()
+    panels.update(history, PICTURE)
+    titles = [row.figure.title.text for row in panels._errors._rows.values()]
+    panels.choose("roll")
+    panels.update(history, PICTURE)
+    chosen = [row.figure.title.text for row in panels._errors._rows.values()]
+    assert [text for text in chosen if text not in titles] == ["▶ roll"]
+    assert panels._budget.box._head.text.count("roll, σ")
+
+
+def test_a_panel_out_of_sight_is_not_drawn_and_catches_up(panels) -> None:
+    history = watched_history()
+    panels.update(history, PICTURE)
+    panels.seen = {"inputs"}
+    before = {id(model): model.data for model in panels.layout.select({"type": ColumnDataSource})}
+    for points in (*history.innovations.values(), *history.errors.values(), *history.budgets.values()):
+        points += [replace(points[-1], utc_ns=points[-1].utc_ns + second * 10**9) for second in (1, 2, 3)]
+    panels.update(history, replace(PICTURE, utc_ns=NOW_NS + 3 * 10**9))
+    sources = panels.layout.select({"type": ColumnDataSource})
+    assert all(model.data is before[id(model)] for model in sources)
+    row = panels._errors._rows["ship/error_arcsec", "roll"]
+    rows = len(row._trail.source.data["t"])
+    panels.seen = {"error"}
+    panels.update(history, replace(PICTURE, utc_ns=NOW_NS + 3 * 10**9))
+    assert len(row._trail.source.data["t"]) == rows + 3
 
 
 def test_reasons_are_in_order_and_names_from_outside_are_only_text() -> None:

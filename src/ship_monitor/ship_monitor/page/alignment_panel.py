@@ -7,7 +7,8 @@ import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, Range1d
 
 from ship_monitor.page.curves import fixed_step, signed
-from ship_monitor.page.figures import ARCSEC, PanelBox, SideLabels, plot
+from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, plot
+from ship_monitor.page.marking import is_of, with_mark
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, ParameterShown
 
@@ -31,18 +32,18 @@ class AlignmentPanel:
         self.figure.min_border_left = 176
         self.figure.xaxis.ticker.desired_num_ticks = 3
         self._values = SideLabels(theme, self.figure)
-        self._source = ColumnDataSource({name: [] for name in ("row", "value", "low", "high", "fill", "dash")})
+        self._source = ColumnDataSource({name: [] for name in ("row", "value", "low", "high", "fill", "bar")})
         self.figure.line([0.0, 0.0], [-1e3, 1e3], line_color=theme.second_text)
         self.figure.segment(
-            "low", "row", "high", "row", source=self._source, line_color=theme.series[0], line_width=5, line_alpha=0.55
+            "low", "row", "high", "row", source=self._source, line_color="bar", line_width=5, line_alpha=0.55
         )
         self.figure.scatter("value", "row", source=self._source, size=8, fill_color="fill", line_color=theme.text)
         self._theme = theme
         self.figure.yaxis[0].ticker = FixedTicker(ticks=[])
         self.box = PanelBox(theme, "Alignment and calibration", [self.figure])
 
-    def update(self, history: History) -> None:
-        """Draw the states as they are now."""
+    def update(self, history: History, marked: str) -> None:
+        """Draw the states as they are now; those of the source that is marked stand out."""
         states = [*history.alignment, *history.calibration]
         count = len(states)
         if not count:
@@ -60,10 +61,12 @@ class AlignmentPanel:
             "low": np.maximum(low, -half),
             "high": np.minimum(high, half),
             "fill": [self._theme.text if state.is_observable else self._theme.panel for state in states],
-            "dash": ["solid" if state.is_observable else "dashed" for state in states],
+            "bar": [self._theme.text if is_of(state.name, marked) else self._theme.series[0] for state in states],
         }
         self.figure.yaxis[0].ticker.ticks = list(range(count))
-        self.figure.yaxis[0].major_label_overrides = {row: state.name for row, state in enumerate(states)}
+        self.figure.yaxis[0].major_label_overrides = {
+            row: with_mark(state.name, is_of(state.name, marked)) for row, state in enumerate(states)
+        }
         self._values.write({row: state_text(state) for row, state in enumerate(states)})
         hidden = [state.name for state in states if not state.is_observable]
         self.box.say(f"not observable: {', '.join(hidden)}" if hidden else "all observable")
@@ -71,7 +74,7 @@ class AlignmentPanel:
 
 def bars_arcsec(states: Sequence[ParameterShown]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Lower end, value and upper end of each bar, arcsec; NaN of what is no angle, or has no nominal value."""
-    scale = np.array([ARCSEC if state.unit == "rad" else np.nan for state in states])
+    scale = np.array([ARCSEC_PER_RAD if state.unit == "rad" else np.nan for state in states])
     value = scale * np.array([deviation(state) for state in states])
     reach = 2.0 * scale * np.array([state.sigma for state in states])
     return value - reach, value, value + reach
@@ -94,6 +97,6 @@ def half_width(low: np.ndarray, value: np.ndarray, high: np.ndarray) -> float:
 
 def state_text(state: ParameterShown) -> str:
     """Deviation ± two sigma, in the unit that people use."""
-    scale, unit, digits = {"rad": (ARCSEC, "″", 1), "s": (1e3, " ms", 2), "m": (1e6, " µm", 0)}[state.unit]
+    scale, unit, digits = {"rad": (ARCSEC_PER_RAD, "″", 1), "s": (1e3, " ms", 2), "m": (1e6, " µm", 0)}[state.unit]
     text = f"{signed(scale * deviation(state), digits)} ± {2.0 * scale * state.sigma:.{digits}f}{unit}"
     return text if state.is_observable else f"({text})"

@@ -38,8 +38,8 @@ PLOTS_EVERY = 2
 class Page:
     """Fills the document of one browser, and keeps it up to date.
 
-    Plots are made when they come into sight, and rest while they are out of it or paused; the first screenful waits for
-    none of them.
+    Plots are made when the first of them come into sight, and each rests while it is out of sight or paused; the first
+    screenful waits for none of them.
 
     Args:
         document: of the browser.
@@ -52,7 +52,8 @@ class Page:
         self._panels: Panels | None = None
         self._below = Column(name="panels", sizing_mode="stretch_width")
         self._count = 0
-        self._is_seen = self._is_paused = False
+        self._is_paused = False
+        self._angle = ""  # chosen, and not yet shown
         self._texts = ColumnDataSource(data={"text": [self._text()]}, name="texts")
         # The page's script is told by each change, and by the first one that the link is there.
         self._texts.js_on_change("data", CustomJS(code="monitor.show(JSON.parse(cb_obj.data.text[0]))"))
@@ -65,6 +66,7 @@ class Page:
         if controls is not None:
             controls.name = "controls"
             document.add_root(controls)
+        self._below.js_on_change("children", CustomJS(code="monitor.watchPanels(cb_obj.children[0].children)"))
         for root in (self._below, self._texts, self._chosen):
             document.add_root(root)
         # The page says itself that the link is lost, in its own colours.
@@ -83,8 +85,9 @@ class Page:
             self._draw()
 
     def _draw(self) -> None:
-        if self._panels is not None and self._is_seen and not self._is_paused:
-            self._panels.update(self._source.history, self._picture)
+        if self._panels is not None and not self._is_paused:
+            self._drawn = self._picture
+            self._panels.update(self._source.history, self._drawn)
 
     def _make_panels(self) -> None:
         """Make the panels, draw what there is, and only then show them: Bokeh looks through all models once then.
@@ -92,7 +95,8 @@ class Page:
         A browser would otherwise speak of models that drawing has replaced since, which the document knows no more.
         """
         self._panels = build_panels(self._theme)
-        self._panels.update(self._source.history, self._picture)
+        self._drawn = self._picture
+        self._panels.update(self._source.history, self._drawn)
         self._below.children = [self._panels.layout]
 
     def _text(self) -> str:
@@ -105,14 +109,23 @@ class Page:
     def _choose(self, _name: str, _old: Any, chosen: dict[str, list[Any]]) -> None:
         """Follow what the person at the browser has chosen; see ``tell`` of the page's script."""
         choice = {name: values[0] for name, values in chosen.items()}
-        self._is_seen, self._is_paused = bool(choice["seen"]), bool(choice["paused"])
-        if self._panels is None and self._is_seen:
+        self._is_paused = bool(choice["paused"])
+        self._angle = choice["angle"] if choice["angle"] in ANGLES else self._angle
+        if self._panels is None and choice["wanted"]:
             self._make_panels()
-        if self._panels is not None:
-            if choice["live"]:
-                self._panels.times.go_live()
-            if choice["angle"] in ANGLES:
-                self._panels.budget.choose(choice["angle"])
+        if self._panels is None:
+            return
+        if choice["live"]:
+            self._panels.times.go_live()
+            self._drawn = self._picture
+        if self._angle:
+            self._panels.choose(self._angle)
+            self._angle = ""
+        self._panels.marked = str(choice["marked"])
+        if choice["seen"] is not None:
+            self._panels.seen = frozenset(str(choice["seen"]).split())
+        # At once, and of a page that is paused the time at which it is.
+        self._panels.update(self._source.history, self._drawn)
 
 
 def page_maker(open_source: Callable[[], PictureSource], default_theme: str) -> Callable[[Document], None]:

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import placed
 from ship_monitor.page.figures import (
-    ARCSEC,
+    ARCSEC_PER_RAD,
     PanelBox,
     SideLabels,
-    TimePlots,
-    Trail,
     models_at_once,
     narrow_height,
     time_plot,
     words,
 )
+from ship_monitor.page.marking import is_error_of, with_mark
 from ship_monitor.page.themes import FONT, Theme
+from ship_monitor.page.trails import TimePlots, Trail
 from ship_watch.history import KEPT_S, BudgetPoint, History
 from ship_watch.picture import ANGLES
 
@@ -42,28 +42,42 @@ class BudgetPanel:
     Attributes:
         box: the panel.
         angle: the angle shown, one of :data:`ship_watch.picture.ANGLES`; empty as long as there is none.
+        chosen: the angle that somebody has chosen; empty as long as nobody has.
     """
 
     def __init__(self, theme: Theme, times: TimePlots) -> None:
         self._theme = theme
         self._times = times
-        self.angle = ""
+        self.angle = self.chosen = self._marked = ""
         self._bands: tuple[str, ...] = ()
         self._sources: tuple[str, ...] = ()
         self._names: list[str] = []
         self._choice = RadioButtonGroup(labels=[], stylesheets=[InlineStyleSheet(css=_choice_css(theme))])
-        self._choice.on_change("active", lambda _name, _old, new: self.choose(self._names[new]))
+        self._choice.on_change("active", lambda _name, _old, place: self._press(self._names[place]))
         self._height = Range1d(0.0, 1.0)
         self._begin()
         self.box = PanelBox(theme, "Error budget", [self._choice, self._figure])
 
     def choose(self, angle: str) -> None:
-        """Show another angle from the next update on."""
+        """Show an angle that somebody has chosen, from the next update on."""
+        self.chosen = angle
+        self._show(angle)
+
+    def _press(self, angle: str) -> None:
+        if angle != self.angle:  # of the angle shown nobody has pressed the button: it follows
+            self.choose(angle)
+
+    def _show(self, angle: str) -> None:
         if angle != self.angle:
             self.angle, self._sources = angle, ()
 
-    def update(self, history: History) -> None:
-        """Draw what is new of the angle."""
+    def update(self, history: History, marked: str) -> None:
+        """Draw what is new of the angle.
+
+        Args:
+            history: the budgets.
+            marked: the source whose parts have bands of their own, which stand out.
+        """
         topics = {angle: topic for topic, points in history.budgets.items() if points for angle in points[-1].by_angle}
         self._names = [angle for angle in ANGLES if angle in topics]
         self._choice.labels = self._names
@@ -71,7 +85,9 @@ class BudgetPanel:
             self.box.say("no error budget is told")
             return
         if self.angle not in self._names:
-            self.choose(self._names[0])
+            self._show(self._names[0])
+        if marked != self._marked:
+            self._marked, self._bands = marked, ()
         self._choice.active = self._names.index(self.angle)
         points = history.budgets[topics[self.angle]]
         sources = tuple(points[-1].by_angle[self.angle])
@@ -115,7 +131,7 @@ class BudgetPanel:
             return
         known = np.isfinite(totals)
         means = {source: float(np.mean(np.asarray(columns[_column(source)])[known])) for source in self._sources}
-        bands = largest_sources(means, self._bands)
+        bands = largest_sources(means, self._bands, [one for one in means if is_error_of(one, self._marked)])
         if bands != self._bands:
             self._bands = bands
             with models_at_once(self._figure):
@@ -136,7 +152,7 @@ class BudgetPanel:
             "ahead": [-4 if late else 4 for late in is_late],
         }
         last = {source: variances_arcsec2([points[-1]], self.angle, (source,))[0, 0] for source in self._sources}
-        self._labels.write(band_labels(last, self._bands, top**2))
+        self._labels.write(band_labels(last, self._bands, top**2, self._marked))
         sigma = math.sqrt(total) if (total := sum(last.values())) >= 0.0 else math.nan
         self.box.say(f"{self.angle}, σ {sigma:.2f}″ · variances stacked, axis labelled by their roots")
 
@@ -149,7 +165,9 @@ class BudgetPanel:
             edges.append([_column(name) for name in self._sources])
         self._filled, below = [], None
         for index, fields in enumerate(edges):
-            colour = self._theme.series[index % 3] if index < LARGEST_SHOWN else self._theme.second_text
+            colour = self._theme.series[index % 3] if index < len(self._bands) else self._theme.second_text
+            if index < len(self._bands) and is_error_of(self._bands[index], self._marked):
+                colour = self._theme.text
             band = self._figure.varea(
                 x="t",
                 y1=0.0 if below is None else {"expr": Stack(fields=below)},
@@ -170,19 +188,20 @@ def variances_arcsec2(points: Sequence[BudgetPoint], angle: str, sources: Sequen
     """Variances of an angle, arcsec², shape (points, sources); NaN where a point tells none."""
     empty: Mapping[str, float] = {}
     rows = [[point.by_angle.get(angle, empty).get(source, np.nan) for source in sources] for point in points]
-    return np.array(rows, float).reshape(len(points), len(sources)) * ARCSEC**2
+    return np.array(rows, float).reshape(len(points), len(sources)) * ARCSEC_PER_RAD**2
 
 
-def largest_sources(means: Mapping[str, float], before: tuple[str, ...]) -> tuple[str, ...]:
+def largest_sources(means: Mapping[str, float], before: tuple[str, ...], wanted: Sequence[str] = ()) -> tuple[str, ...]:
     """The sources with bands of their own, the largest at the bottom; they change places only for a clear reason.
 
     Args:
         means: mean variance by source.
         before: the bands until now: one stays until another is a quarter larger.
+        wanted: these are among them however small they are.
     """
     known = {source: mean for source, mean in means.items() if mean > 0.0}
     weight = {source: mean * (1.25 if source in before else 1.0) for source, mean in known.items()}
-    chosen = sorted(weight, key=lambda source: -weight[source])[:LARGEST_SHOWN]
+    chosen = sorted(weight, key=lambda source: (source not in wanted, -weight[source]))[:LARGEST_SHOWN]
     if set(chosen) == set(before):
         return before
     return tuple(sorted(chosen, key=lambda source: -known[source]))
@@ -230,13 +249,14 @@ def root_ticks(top: float) -> list[float]:
     return ticks
 
 
-def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float) -> dict[float, str]:
+def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float, marked: str = "") -> dict[float, str]:
     """Names and sigmas of the bands, at the middle of each as it ends, none on another.
 
     Args:
         last: newest variance by source, arcsec².
         bands: sources with bands of their own, from below.
         height: of the axis, arcsec².
+        marked: the source whose parts stand out.
     """
     others = sum(value for source, value in last.items() if source not in bands)
     parts = [(band, last[band]) for band in bands] + ([("other", others)] if len(last) > len(bands) else [])
@@ -247,7 +267,10 @@ def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float) 
     if not math.isfinite(below):
         return {}
     heights = placed(middles, 0.115 * height, 0.03 * height, 0.97 * height)
-    texts = [f"{name.replace('_', ' ')} {math.sqrt(max(part, 0.0)):.2f}″" for name, part in parts]
+    texts = [
+        with_mark(f"{name.replace('_', ' ')} {math.sqrt(max(part, 0.0)):.2f}″", is_error_of(name, marked))
+        for name, part in parts
+    ]
     return dict(zip(heights, texts, strict=True))
 
 

@@ -8,8 +8,10 @@ from bokeh.models import Range1d
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import fixed_step
-from ship_monitor.page.figures import BAND, PanelBox, SideLabels, TimePlots, Trail, band, hover, time_plot
+from ship_monitor.page.figures import PanelBox, SideLabels, frame, hover, time_plot
+from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
+from ship_monitor.page.trails import BAND, TimePlots, Trail, band
 from ship_watch.history import ErrorPoint, History, newer
 
 CHANNELS: Mapping[tuple[str, str], str] = {
@@ -48,15 +50,20 @@ class ErrorPanel:
         self._rows: dict[tuple[str, str], _ErrorRow] = {}
         self.box = PanelBox(theme, "Error inside ±3σ", [])
 
-    def update(self, history: History) -> None:
-        """Draw what is new."""
+    def update(self, history: History, chosen: str) -> None:
+        """Draw what is new.
+
+        Args:
+            history: the errors.
+            chosen: the angle that stands out; empty for none.
+        """
         newest = {topic: points[-1].error for topic, points in history.errors.items() if points}
         shown = [key for key in CHANNELS if key[1] in newest.get(key[0], {})]
         if shown != list(self._rows):
             last = shown[-1] if shown else None
             self._rows = {key: _ErrorRow(self._theme, self._times, key, has_axis=key == last) for key in shown}
             self.box.hold([row.figure for row in self._rows.values()])
-        steps = {row.update(history.errors[topic]) for (topic, _), row in self._rows.items()}
+        steps = {row.update(history.errors[topic], chosen) for (topic, _), row in self._rows.items()}
         steps.discard(15.0)
         wider = " · wider where it says so" if steps else ""
         self.box.say(f"against the truth of the simulation · axis ±15″{wider}")
@@ -66,9 +73,9 @@ class _ErrorRow:
     """The plot of one angle."""
 
     def __init__(self, theme: Theme, times: TimePlots, key: tuple[str, str], *, has_axis: bool) -> None:
-        self._channel, self._title = key[1], CHANNELS[key]
+        self._theme, self._channel, self._title = theme, key[1], CHANNELS[key]
         self._height = Range1d(-15.0, 15.0)
-        self.figure = time_plot(theme, times, 116 if has_axis else 94, self._height, has_axis=has_axis)
+        self.figure = time_plot(theme, times, 106 if has_axis else 84, self._height, has_axis=has_axis)
         self._labels = SideLabels(theme, self.figure)
         self._trail = Trail(("error", "sigma", *BAND), by="error", filled=BAND[:2])
         source, colour = self._trail.source, theme.series[0]
@@ -78,7 +85,7 @@ class _ErrorRow:
         line = self.figure.line("t", "error", source=source, line_color=theme.text, line_width=1.2)
         hover(theme, self.figure, "@error{+0.0}″, σ @sigma{0.0}″", [line])
 
-    def update(self, points: Sequence[ErrorPoint]) -> float:
+    def update(self, points: Sequence[ErrorPoint], chosen: str) -> float:
         """Draw what is new; the answer is half the height of the axis, arcsec."""
         self._trail.follow(points, self._columns)
         newest_ns = points[-1].utc_ns
@@ -91,7 +98,9 @@ class _ErrorRow:
         )
         step = fixed_step(largest)
         self._height.update(start=-step, end=step)
-        self.figure.title.text = self._title + (f" · axis ±{step:g}″" if step > 15.0 else "")
+        is_chosen = bool(chosen) and self._channel.startswith(chosen)
+        self.figure.title.text = with_mark(self._title, is_chosen) + (f" · axis ±{step:g}″" if step > 15.0 else "")
+        frame(self._theme, self.figure, is_chosen)
         self._labels.write({0.35 * step: f"rms {rms:.1f}″", -0.35 * step: f"σ {mean_sigma:.1f}″"})
         return step
 

@@ -1,6 +1,6 @@
 """Figures and panels in the colours of a theme: no toolbar, no legend, drag zooms the time of all, nothing is white."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from html import escape
 from typing import Any
@@ -24,109 +24,17 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import ROWS_KEPT, fixed_step, gaps_before, thinned, usual_period_ns, waits_from
+from ship_monitor.page.curves import fixed_step
 from ship_monitor.page.themes import FONT, Theme
-from ship_watch.history import Point, newer
+from ship_monitor.page.trails import TimePlots
 
-ARCSEC = 3600.0 * 180.0 / np.pi
+ARCSEC_PER_RAD = 3600.0 * 180.0 / np.pi
 """Arcseconds in a radian."""
-
-MS = 1e-6
-"""Milliseconds, in which browsers count time, in a nanosecond."""
-
-BAND = ("low", "high", "edge_low", "edge_high")
-"""Columns of a band: the two that bound its area, and the two that its edges are drawn by."""
 
 NARROW = "@media (max-width: 700px)"
 """Small screens: one column, plots 180 px high."""
 
 _SIDE_PX = 118
-
-
-class Trail:
-    """A line's data in the browsers: what is new is streamed, what is older than ten minutes rolls over.
-
-    Args:
-        columns: names of its columns beside ``t``, the time in ms.
-        by: the column whose least and largest values are kept.
-        filled: columns that bound areas. A browser fills across what is not known, so in a gap they are 0, not NaN.
-
-    Attributes:
-        source: what glyphs draw.
-    """
-
-    def __init__(self, columns: Sequence[str], by: str, filled: Sequence[str] = ()) -> None:
-        self.source = ColumnDataSource({name: np.empty(0) for name in ("t", *columns)})
-        self._by, self._filled = by, frozenset(filled)
-        self._taken_ns: int | None = None
-        self._last_ns: int | None = None
-        self._oldest_ns = 0
-
-    def follow(self, points: Sequence[Point], rows: Callable[[Sequence[Point]], Mapping[str, FloatArray]]) -> None:
-        """Take what is new of the points; all of them where they begin anew.
-
-        Args:
-            points: in the order of their times.
-            rows: makes the columns of some of them.
-        """
-        begins_anew = not points or points[-1].utc_ns < (self._taken_ns or 0) or points[0].utc_ns < self._oldest_ns
-        if self._taken_ns is not None and begins_anew:
-            self._taken_ns = self._last_ns = None
-            self.source.data = {name: np.empty(0) for name in self.source.data}
-        self._oldest_ns = points[0].utc_ns if points else 0
-        new = newer(points, self._taken_ns)
-        time_ns = np.array([point.utc_ns for point in new], np.int64)
-        over = waits_from(time_ns)
-        if not over:
-            return
-        columns: dict[str, FloatArray] = {"t": MS * time_ns.astype(float), **rows(new)}
-        kept = thinned(time_ns, columns[self._by])
-        broken = gaps_before(time_ns[kept], self._last_ns, usual_period_ns(points))
-        self._taken_ns = int(time_ns[over - 1])
-        before = np.concatenate(([MS * (self._last_ns or 0)], columns["t"][kept]))[broken]
-        gaps = np.repeat(broken, 2)  # a row right after what was before it, and one right before what is behind it
-        shown = {}
-        for name, column in columns.items():
-            known = np.nan_to_num(column[kept]) if name in self._filled else column[kept]
-            shown[name] = np.insert(known, gaps, 0.0 if name in self._filled else np.nan)
-        shown["t"][np.isnan(shown["t"])] = np.column_stack([before + 1.0, columns["t"][kept][broken] - 1.0]).ravel()
-        self._last_ns = int(time_ns[kept[-1]])
-        self.source.stream({name: column[-ROWS_KEPT:] for name, column in shown.items()}, rollover=ROWS_KEPT)
-
-
-def band(sigma: FloatArray) -> dict[str, FloatArray]:
-    """The columns of :data:`BAND`: ±3 sigma, for the area and for the lines at its edges."""
-    return {"low": -3.0 * sigma, "high": 3.0 * sigma, "edge_low": -3.0 * sigma, "edge_high": 3.0 * sigma}
-
-
-class TimePlots:
-    """The time that all plots of a page show: the last ten minutes, until somebody zooms.
-
-    Attributes:
-        range: shared by the plots; whoever draws along time may share it.
-    """
-
-    def __init__(self, length_s: float) -> None:
-        self._length_ms = 1e3 * length_s
-        self.range = Range1d(0.0, self._length_ms)
-        self._live = self._latest = (self.range.start, self.range.end)
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether somebody has zoomed, so that the plots do not follow the time."""
-        return (self.range.start, self.range.end) != self._live
-
-    def follow(self, utc_ns: int) -> None:
-        """Show the minutes up to a time, unless paused."""
-        paused, end = self.is_paused, MS * utc_ns
-        self._latest = (end - self._length_ms, end)
-        if not paused:
-            self.go_live()
-
-    def go_live(self) -> None:
-        """Leave the zoom."""
-        self._live = self._latest
-        self.range.update(start=self._live[0], end=self._live[1])
 
 
 def plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **options: Any) -> figure:
@@ -178,6 +86,12 @@ def dress(theme: Theme, made: figure) -> None:
         axis.update(axis_label_text_font=FONT, axis_label_text_font_size="13px", axis_label_text_font_style="normal")
     made.grid.grid_line_color = theme.grid
     made.yaxis.ticker.desired_num_ticks = 4
+
+
+def frame(theme: Theme, made: figure, is_marked: bool, colour: str = "") -> None:
+    """Draw the frame of a plot: thick and in the colour of the text where the plot is of what somebody has marked."""
+    usual = colour or theme.border
+    made.update(outline_line_color=theme.text if is_marked else usual, outline_line_width=3 if is_marked else 1)
 
 
 class SideLabels:
@@ -257,7 +171,7 @@ class ResidualBars:
         Returns:
             What the full length stands for, arcsec.
         """
-        off = ARCSEC * np.hypot(right, up)
+        off = ARCSEC_PER_RAD * np.hypot(right, up)
         known = np.isfinite(off)
         step = fixed_step(float(np.max(off[known])) if known.any() else 0.0, self._steps)
         self._bars.data = {

@@ -12,8 +12,10 @@ from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import STEPS_ARCSEC, fixed_step, placed, signed
-from ship_monitor.page.figures import ARCSEC, BAND, MS, PanelBox, SideLabels, TimePlots, Trail, band, hover, time_plot
+from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, frame, hover, time_plot
+from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
+from ship_monitor.page.trails import BAND, MS, TimePlots, Trail, band
 from ship_watch.history import History, InnovationPoint, newer
 from ship_watch.picture import Picture, Presence, SourceShown
 
@@ -38,8 +40,15 @@ class InnovationPanel:
         self._rows: dict[str, _SourceRow] = {}
         self.box = PanelBox(theme, "Innovations by source", [])
 
-    def update(self, history: History, picture: Picture, *, has_truth: bool) -> None:
-        """Draw what is new; the panel says where the error itself cannot be known."""
+    def update(self, history: History, picture: Picture, marked: str, *, has_truth: bool) -> None:
+        """Draw what is new; the panel says where the error itself cannot be known.
+
+        Args:
+            history: the innovations.
+            picture: the sources.
+            marked: the source that stands out.
+            has_truth: whether the error is known.
+        """
         sources = {source.name: source for source in picture.sources}
         shown = [name for name, points in history.innovations.items() if any(point.axes for point in points)]
         shown.sort(key=lambda name: (not name.startswith("star"), name))
@@ -48,7 +57,7 @@ class InnovationPanel:
             self._rows = {name: _SourceRow(self._theme, self._times, name, has_axis=name == last) for name in shown}
             self.box.hold([row.figure for row in self._rows.values()])
         for name, row in self._rows.items():
-            row.update(history.innovations[name], sources.get(name), picture.utc_ns)
+            row.update(history.innovations[name], sources.get(name), picture.utc_ns, is_marked=name == marked)
         nothing = "" if self._rows else "no source is compared with a prediction yet. "
         markers = "means, ″ · ● up, z · ■ right, x · ✕ refused"
         self.box.say(nothing + (markers if has_truth else f"no truth here, so no error · {markers}"))
@@ -90,7 +99,9 @@ class _SourceRow:
         )
         hover(theme, self.figure, "@value{+0.0}″, ±3σ to @edge_high{0.0}″", [dots, crosses])
 
-    def update(self, points: Sequence[InnovationPoint], source: SourceShown | None, utc_ns: int) -> None:
+    def update(
+        self, points: Sequence[InnovationPoint], source: SourceShown | None, utc_ns: int, *, is_marked: bool
+    ) -> None:
         """Draw what is new of the source."""
         for trail, axes in zip(self._trails, AXES_DRAWN, strict=True):
             trail.follow(points, partial(_columns, axes=axes))
@@ -100,7 +111,8 @@ class _SourceRow:
         self._labels.write(_side_texts(newer(points, utc_ns - LATELY_NS), step))
         text, is_out = source_line(self._name, source, step)
         colour = self._theme.caution_border if is_out else self._theme.text
-        self.figure.title.update(text=text, text_color=colour)
+        self.figure.title.update(text=with_mark(text, is_marked), text_color=colour)
+        frame(self._theme, self.figure, is_marked)
         self.figure.title.text_font_style = "bold" if is_out else "normal"
         self._shade(source, utc_ns)
 
@@ -143,7 +155,7 @@ def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[s
     for index, point in enumerate(points):
         place = next((place for place, axis in enumerate(point.axes) if axis in axes), None)
         if place is not None:
-            value[index], sigma[index] = ARCSEC * point.mean[place], ARCSEC * point.sigma[place]
+            value[index], sigma[index] = ARCSEC_PER_RAD * point.mean[place], ARCSEC_PER_RAD * point.sigma[place]
     used = np.array([point.is_accepted for point in points], bool)
     return {
         "value": value,

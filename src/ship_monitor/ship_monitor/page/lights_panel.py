@@ -6,7 +6,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_monitor.page.curves import fixed_step, signed
-from ship_monitor.page.figures import ARCSEC, PanelBox, ResidualBars, narrow_height, plot, words
+from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, ResidualBars, frame, narrow_height, plot, words
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, LightPoint, newer
 from ship_watch.picture import Picture
@@ -40,7 +40,7 @@ class LightsPanel:
         scale = {"length": ResidualBars.FULL_PX, "length_units": "screen", "angle": 0.0}
         self.figure.ray("x", "y", source=self._bar, line_color=theme.second_text, line_width=2.5, **scale)
         words(self.figure, self._bar, text_color=theme.second_text, y_offset=-3, text_baseline="bottom")
-        self.figure.scatter(
+        self._last = self.figure.scatter(
             "x", "y", source=self._now, size=12, marker="marker", line_color="colour", fill_color=None, line_width=2
         )
         words(
@@ -54,8 +54,10 @@ class LightsPanel:
         )
         self.box = PanelBox(theme, "Lights on the detector", [self.figure])
 
-    def update(self, history: History, picture: Picture) -> None:
-        """Draw the last minute."""
+    def update(self, history: History, picture: Picture, marked: str) -> None:
+        """Draw the last minute; the lights stand out where they are the source that is marked."""
+        frame(self._theme, self.figure, marked == "lights")
+        self._last.glyph.line_width = 4 if marked == "lights" else 2
         shown = {
             name: lately
             for name, points in sorted(history.lights.items())
@@ -91,8 +93,10 @@ class LightsPanel:
         now: dict[str, list[object]] = {name: [] for name in self._now.data}
         for index, (name, points) in enumerate(shown.items()):
             point = points[-1]
-            text = f"light {name}  x {signed(ARCSEC * point.x_residual)}″  z {signed(ARCSEC * point.z_residual)}″"
-            text = text if math.isfinite(point.x_residual) else f"light {name}"
+            text = f"light {name}"
+            if math.isfinite(point.x_residual):
+                right, up = (signed(ARCSEC_PER_RAD * off) for off in (point.x_residual, point.z_residual))
+                text += f"  x {right}″  z {up}″"
             is_right, is_high = 1e3 * point.x > 0.2 * half, 1e3 * point.z > 0.5 * half
             row = {
                 "x": 1e3 * point.x,

@@ -8,7 +8,8 @@ import math
 import numpy as np
 from bokeh.models import Column, ColumnDataSource, InlineStyleSheet, Range1d
 
-from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, plot, words
+from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, frame, plot, words
+from ship_monitor.page.marking import with_mark
 from ship_monitor.page.sky import boresight, moon_direction, on_map
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, StarsSeen
@@ -45,17 +46,23 @@ class SkyPanel:
         )
         self.box = PanelBox(theme, "Sky", [both])
 
-    def update(self, history: History, picture: Picture) -> None:
-        """Draw the last exposures."""
+    def update(self, history: History, picture: Picture, marked: str) -> None:
+        """Draw the last exposures.
+
+        Args:
+            history: the exposures.
+            picture: the sources and the attitude.
+            marked: the source that stands out; it has a field of its own before others that are IN.
+        """
         sources = {source.name: source for source in picture.sources}
         shown = [name for name, seen in sorted(history.stars.items()) if len(seen.u)]
-        shown = sorted(shown, key=lambda name: not _is_out(sources.get(name)))[:FIELDS_SHOWN]
+        shown = sorted(shown, key=lambda name: (not _is_out(sources.get(name)), name != marked))[:FIELDS_SHOWN]
         if shown != list(self._fields):
             self._fields = {name: self._fields.get(name) or _Field(self._theme) for name in shown}
             self._column.children = [field.figure for field in self._fields.values()]
         for name, field in self._fields.items():
-            field.update(_short(name), history.stars[name], sources.get(name), len(shown))
-        told = self._map.update(history, picture, sources)
+            field.update(_short(name), history.stars[name], sources.get(name), len(shown), is_marked=name == marked)
+        told = self._map.update(history, picture, sources, marked)
         self.box.say(f"fields of view larger than they are · bars: residuals{told}")
 
 
@@ -91,18 +98,20 @@ class _SkyMap:
         self._names = _source(x=[], y=[], text=[], colour=[])
         self._moon = _source(x=[], y=[])
         self.figure.scatter("x", "y", source=self._moon, size=15, line_color=theme.second_text, fill_color=None)
-        self._squares = _source(xs=[], ys=[], colour=[], dash=[])
-        self.figure.multi_line("xs", "ys", source=self._squares, line_color="colour", line_dash="dash", line_width=1.6)
+        self._squares = _source(xs=[], ys=[], colour=[], dash=[], width=[])
+        self.figure.multi_line(
+            "xs", "ys", source=self._squares, line_color="colour", line_dash="dash", line_width="width"
+        )
         self._stars = _source(x=[], y=[], colour=[], marker=[])
         self.figure.scatter(
             "x", "y", source=self._stars, size=3.5, marker="marker", line_color="colour", fill_color="colour"
         )
         words(self.figure, self._names, text_color="colour", text_baseline="middle")
 
-    def update(self, history: History, picture: Picture, sources: dict[str, SourceShown]) -> str:
+    def update(self, history: History, picture: Picture, sources: dict[str, SourceShown], marked: str) -> str:
         """Draw where the sensors look; the answer is what else is to be said."""
         theme = self._theme
-        squares: dict[str, list[object]] = {"xs": [], "ys": [], "colour": [], "dash": []}
+        squares: dict[str, list[object]] = {"xs": [], "ys": [], "colour": [], "dash": [], "width": []}
         stars: dict[str, list[object]] = {"x": [], "y": [], "colour": [], "marker": []}
         names: dict[str, list[object]] = {"x": [], "y": [], "text": [], "colour": []}
         for name, seen in sorted(history.stars.items()):
@@ -118,12 +127,14 @@ class _SkyMap:
             squares["ys"].append([y - half, y - half, y + half, y + half, y - half])
             squares["colour"].append(colour)
             squares["dash"].append("dashed" if is_bad else "solid")
+            squares["width"].append(4.0 if name == marked else 1.6)
             used, (across, up) = used_stars(seen), places_in_field(seen)
             stars["x"] += list(x + half * across)
             stars["y"] += list(y + half * up)
             stars["colour"] += [colour if is_bad else theme.text] * len(seen.u)
             stars["marker"] += ["circle" if one and not is_bad else "x" for one in used]
-            _append(names, x + 1.4 * half, y, f"✕ {_short(name)}" if is_bad else _short(name), colour)
+            text = with_mark(f"✕ {_short(name)}" if is_bad else _short(name), name == marked)
+            _append(names, x + 1.4 * half, y, text, colour)
         heading = next((angle.value for angle in picture.angles if angle.name == "heading"), math.nan)
         bow = [on_map(heading, elevation) for elevation in (0.5 * math.pi, 0.0)] if math.isfinite(heading) else []
         self._bow.data = {"x": [x for x, _ in bow], "y": [y for _, y in bow]}
@@ -169,7 +180,7 @@ class _Field:
         self.figure.ray("x", "y", source=self._scale, line_color=theme.second_text, line_width=2.5, **scale)
         words(self.figure, self._word, text_color=theme.second_text, y_offset=-2, text_baseline="bottom")
 
-    def update(self, name: str, seen: StarsSeen, source: SourceShown | None, shown: int) -> None:
+    def update(self, name: str, seen: StarsSeen, source: SourceShown | None, shown: int, *, is_marked: bool) -> None:
         """Draw the last exposure; the field is as large as any star has shown it to be."""
         theme, is_bad = self._theme, _is_out(source) or not seen.is_accepted
         width, height = max(self._size[0], _rounded(seen.u)), max(self._size[1], _rounded(seen.v))
@@ -185,11 +196,12 @@ class _Field:
         step = self._bars.draw(seen.u, seen.v, right, up, theme.caution_border if is_bad else theme.series[1])
         self._scale.data = {"x": [0.03 * width], "y": [0.93 * height]}
         self._word.data = {"x": [0.03 * width], "y": [0.93 * height], "text": [f"{step:g}″"]}
-        colour = theme.caution_border if is_bad else theme.border
-        self.figure.update(outline_line_color=colour, outline_line_dash="dashed" if is_bad else "solid")
+        frame(theme, self.figure, is_marked, theme.caution_border if is_bad else theme.border)
+        self.figure.outline_line_dash = "dashed" if is_bad else "solid"
         fate = "REFUSED" if is_bad else "used"
         left_out = f" · {seen.rejected_count} left out" if seen.rejected_count else ""
-        self.figure.title.text = f"{'✕' if is_bad else '✓'} {name}  {seen.star_count} stars {fate}{left_out}"
+        text = f"{'✕' if is_bad else '✓'} {name}  {seen.star_count} stars {fate}{left_out}"
+        self.figure.title.text = with_mark(text, is_marked)
         self.figure.title.text_color = theme.caution_border if is_bad else theme.text
 
 

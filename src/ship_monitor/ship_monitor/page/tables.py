@@ -8,6 +8,7 @@ from bokeh.models import Div, InlineStyleSheet
 
 from ship_geometry.time_scales import utc_text
 from ship_monitor.page.figures import NARROW, PanelBox
+from ship_monitor.page.marking import is_about, with_mark
 from ship_monitor.page.themes import FONT, Theme
 from ship_watch.picture import Event, InputShown, Picture, Presence, SourceShown
 
@@ -26,10 +27,10 @@ class EventsPanel:
         self._table = _table(theme)
         self.box = PanelBox(theme, "Events", [self._table])
 
-    def update(self, picture: Picture) -> None:
-        """Write the newest."""
+    def update(self, picture: Picture, marked: str) -> None:
+        """Write the newest; those of the source that is marked stand out."""
         shown = picture.events[:EVENTS_SHOWN]
-        self._table.text = f"<table>{''.join(event_row(event) for event in shown)}</table>"
+        self._table.text = f"<table>{''.join(event_row(event, marked) for event in shown)}</table>"
         more = len(picture.events) - len(shown)
         self.box.say(f"{more} more" if more else "" if shown else "nothing has changed yet")
 
@@ -45,12 +46,13 @@ class InputsPanel:
         self._table = _table(theme)
         self.box = PanelBox(theme, "Inputs", [self._table])
 
-    def update(self, picture: Picture) -> None:
-        """Write them; the rows of a source that is out stand out."""
+    def update(self, picture: Picture, marked: str) -> None:
+        """Write them; the rows of a source that is out stand out, and those of the one that is marked have a frame."""
         guilty = {
             topic: source for source in picture.sources if source.presence is Presence.OUT for topic in source.topics
         }
-        rows = "".join(input_row(shown, guilty) for shown in picture.inputs)
+        framed = {topic for source in picture.sources if source.name == marked for topic in source.topics}
+        rows = "".join(input_row(shown, guilty, is_marked=shown.topic in framed) for shown in picture.inputs)
         self._table.text = f"<table class=inputs>{_HEADINGS}{rows}</table>"
         self.box.say("" if picture.inputs else "no node tells of its inputs")
 
@@ -61,16 +63,17 @@ _HEADINGS = (
 )
 
 
-def event_row(event: Event) -> str:
-    """A row of the events; an alert is bold."""
+def event_row(event: Event, marked: str = "") -> str:
+    """A row of the events; an alert is bold, and what tells of the source that is marked has a frame."""
     time = utc_text(event.utc_ns)[11:19] if event.utc_ns else ""
     text = escape(
         event.text if event.kind == "alert" or event.subject in event.text else f"{event.subject}: {event.text}"
     )
-    return f"<tr><td class=time>{time}<td>{f'<b>{text}</b>' if event.kind == 'alert' else text}"
+    row_class = " class=marked" if is_about(event, marked) else ""
+    return f"<tr{row_class}><td class=time>{time}<td>{f'<b>{text}</b>' if event.kind == 'alert' else text}"
 
 
-def input_row(shown: InputShown, guilty: Mapping[str, SourceShown]) -> str:
+def input_row(shown: InputShown, guilty: Mapping[str, SourceShown], *, is_marked: bool = False) -> str:
     """A row of the inputs: what its node refused and what the filter behind it refused are in one number.
 
     The row of a source that is to blame stands out, not that of one which only needs it.
@@ -88,8 +91,9 @@ def input_row(shown: InputShown, guilty: Mapping[str, SourceShown]) -> str:
         ("n", str(refused)),
         ("reasons", reasons),
     )
-    name = f"✕ {shown.topic}" if source else shown.topic
-    row_class = " class=guilty" if source and not source.because_of else ""
+    name = with_mark(f"✕ {shown.topic}" if source else shown.topic, is_marked)
+    classes = ["guilty"] * bool(source and not source.because_of) + ["marked"] * is_marked
+    row_class = f" class='{' '.join(classes)}'" if classes else ""
     return f"<tr{row_class}><td>{escape(name).replace('/', '/<wbr>')}" + "".join(
         f"<td class='{kind}'>{escape(text)}" for kind, text in cells
     )
@@ -116,6 +120,7 @@ def _table(theme: Theme) -> Div:
         f"th{{font-weight:normal;border-top:none}}th,.time{{color:{theme.second_text};white-space:nowrap}}"
         ".n{text-align:right;white-space:nowrap;padding-right:18px}.reasons{width:45%}"
         f".guilty td{{color:{theme.caution_border};font-weight:bold}}"
+        f".marked{{outline:2px solid {theme.text};outline-offset:-2px}}"
         f"{NARROW}{{.wide{{display:none}}.n{{padding-right:8px}}.reasons{{width:auto}}}}"
     )
     return Div(sizing_mode="stretch_width", stylesheets=[InlineStyleSheet(css=css)])

@@ -4,7 +4,7 @@
 const monitor = (() => {
   const limits = { linkLostMs: 1600, reloadAfterMs: 4000, lookMs: 200 }, PHONE = "(max-width:699px)";
   const at = (id) => document.getElementById(id);
-  let heardMs = performance.now(), last = null, linked = false, lost = false, asking = false, marked = "";
+  let heardMs = performance.now(), last = null, linked = false, lost = false, asking = false, marked = sessionStorage.getItem("marked") || "";
 
   function text(element, value) {
     if (element.textContent !== value) element.textContent = value;
@@ -89,15 +89,16 @@ const monitor = (() => {
       const bar = element("b", parent);
       drawing(bar, "UNSAFE");
       element("span", bar);
+      bar.onclick = () => toggle(bar.title);
       return bar;
-    }, (bar, name) => text(bar.children[1], name + " OUT"));
+    }, (bar, name) => { bar.title = name; text(bar.children[1], name + " OUT"); });
     text(at("why"), sources.why.slice(0, 3).join("\n"));
     list(document.querySelector("#sources ul"), sources.rows, (parent) => {
       const row = element("li", parent);
       drawing(row, "");
       for (const name of ["who", "presence", "age"]) element("span", row, name);
       element("small", row);
-      row.onclick = () => mark(row.children[1].textContent);
+      row.onclick = () => toggle(row.children[1].textContent);
       return row;
     }, (row, source) => {
       row.className = source.presence + (source.name === marked ? " marked" : "");
@@ -183,34 +184,44 @@ const monitor = (() => {
     if (linked && silentMs > limits.reloadAfterMs && !asking) {
       asking = true;
       fetch("health", { cache: "no-store", signal: AbortSignal.timeout(2000) })
-        .then((answer) => { if (answer.ok && performance.now() - heardMs > limits.reloadAfterMs) location.reload(); })
-        .catch(() => {})
-        .finally(() => { setTimeout(() => { asking = false; }, 1000); });
+        .then((answer) => answer.ok, () => false)
+        // A server that was only busy answers this first, and then tells its news over the link that is still there.
+        .then((isAlive) => setTimeout(() => {
+          asking = false;
+          if (isAlive && performance.now() - heardMs > limits.reloadAfterMs) location.reload();
+        }, 1000));
     }
   }
 
+  // The source that stands out in the list and in every panel. Another theme and a link found again keep it, and the
+  // angle whose budget is shown.
   function mark(name) {
-    marked = marked === name ? "" : name;
+    marked = name;
+    sessionStorage.setItem("marked", marked);
     if (last !== null) sources(last.sources);
+    tell({ marked });
   }
+  const toggle = (name) => mark(name === marked ? "" : name);
   // What the person chose goes to the server's model of this page alone: the plots follow it. Each telling differs from
   // the one before by its turn, so that the same wish can be told twice.
-  let choice = { angle: "", paused: false, seen: false }, chosen = null, turn = 0;
-  function tell(change, live = false) {
+  let choice = { paused: false, wanted: false, seen: null, marked }, chosen = null, turn = 0;
+  function tell(change, once = {}) {
     choice = { ...choice, ...change };
     if (!chosen) return;
     turn += 1;
-    chosen.data = Object.fromEntries(Object.entries({ ...choice, live, turn }).map(([name, value]) => [name, [value]]));
+    const told = { ...choice, live: false, angle: "", ...once, turn };
+    chosen.data = Object.fromEntries(Object.entries(told).map(([name, value]) => [name, [value]]));
   }
   function pause() {
     const isLive = at("paused").hidden;
     at("paused").hidden = !isLive;
-    tell({ paused: isLive }, !isLive);
+    tell({ paused: isLive }, { live: !isLive });
   }
 
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || /INPUT|SELECT|TEXTAREA/.test(event.target.tagName)) return;
     if ("123".includes(event.key)) document.querySelectorAll("#themes a")[event.key - 1].click();
+    if (event.key === "Escape") mark("");
     if (event.key === " ") { event.preventDefault(); if (!play()) pause(); }
     if (event.key in steps && move(event)) event.preventDefault();
   });
@@ -231,11 +242,43 @@ const monitor = (() => {
     return true;
   }
   at("alert").onclick = () => { if (last && last.alert.all.length) at("alerts").hidden = !at("alerts").hidden; };
-  at("plots-wanted").onclick = () => { document.body.classList.add("plots"); };
-  new IntersectionObserver((seen) => tell({ seen: seen.at(-1).isIntersecting }), { rootMargin: "-8px" })
-    .observe(at("panels"));
+  function showPlots() {
+    document.body.classList.add("plots");
+    sessionStorage.setItem("plots", "wanted");
+  }
+  if (sessionStorage.getItem("plots")) showPlots();
+  at("plots-wanted").onclick = showPlots;
+  // The panels are made when the first of them would be seen; then each says when it comes and goes, and rests meanwhile.
+  const want = new IntersectionObserver((entries) => {
+    if (!entries.at(-1).isIntersecting) return;
+    want.disconnect();
+    tell({ wanted: true });
+  }, { rootMargin: "-8px" });
+  want.observe(at("panels"));
+  const inSight = new Map();
+  const sight = new IntersectionObserver((entries) => {
+    for (const entry of entries) inSight.get(entry.target).isSeen = entry.isIntersecting;
+    tellSight();
+  });
+  function tellSight() {
+    const seen = [...inSight.values()].filter((panel) => panel.isSeen && !document.hidden).map((panel) => panel.name);
+    if (seen.join(" ") !== choice.seen) tell({ seen: seen.join(" ") });
+  }
+  document.addEventListener("visibilitychange", tellSight);
+  // Bokeh makes the views of new models a little later.
+  function watchPanels(models) {
+    const views = models.map((model) => Bokeh.index.find_one(model));
+    if (!views.every((view) => view && view.el.isConnected)) { setTimeout(watchPanels, 50, models); return; }
+    views.forEach((view, index) => { inSight.set(view.el, { name: models[index].name, isSeen: false }); });
+    for (const view of views) sight.observe(view.el);
+  }
   for (const each of document.querySelectorAll("#tiles .tile:not(.ages)")) {
-    each.onclick = () => { tell({ angle: each.id }); at("panels").scrollIntoView({ block: "start" }); };
+    each.onclick = () => {
+      showPlots();
+      sessionStorage.setItem("angle", each.id);
+      tell({ wanted: true }, { angle: each.id });
+      at("panels").scrollIntoView({ block: "start" });
+    };
     each.onpointermove = (event) => {
       if (!each.tip || event.pointerType === "touch") return;
       const tip = at("tip");
@@ -251,6 +294,7 @@ const monitor = (() => {
   return {
     limits,
     isLinked: () => linked && !lost,
+    watchPanels,
     show(model) {
       last = model;
       heardMs = performance.now();
@@ -262,7 +306,7 @@ const monitor = (() => {
     connected(source) {
       linked = true;
       chosen = source;
-      tell({});
+      tell({}, { angle: sessionStorage.getItem("angle") || "" });
     },
   };
 })();
