@@ -132,7 +132,7 @@ class TerminalApp(App[int]):
 
     def draw(self) -> None:
         """Show what is so now; paused, the picture of then with the alerts of now."""
-        now, now_s = self._suite.look(), time.monotonic()
+        now, now_s = self._suite.look(), _now_s()
         if self._picture is None or math.isnan(self._paused_s):
             self._picture = now
         view = View(
@@ -182,7 +182,7 @@ class TerminalApp(App[int]):
 
     def action_pause(self) -> None:
         """Let the picture stand still, or go on."""
-        self._paused_s = time.monotonic() if math.isnan(self._paused_s) else math.nan
+        self._paused_s = _now_s() if math.isnan(self._paused_s) else math.nan
         self.draw()
 
     def action_leave(self, exit_code: int) -> None:
@@ -202,8 +202,13 @@ class TerminalApp(App[int]):
         self._say(await asyncio.to_thread(question))
 
     def _say(self, note: str) -> None:
-        self._note, self._note_until_s = note, time.monotonic() + NOTE_S
+        self._note, self._note_until_s = note, _now_s() + NOTE_S
         self.draw()
+
+
+def _now_s() -> float:
+    """Seconds of a clock that never steps and goes on while the machine sleeps: what stands still grows older."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) * 1e-9
 
 
 def styles_of(theme: Theme) -> dict[Look, Style]:

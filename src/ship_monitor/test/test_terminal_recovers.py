@@ -1,0 +1,124 @@
+"""The terminal view of a live suite: a bag that starts over, and a machine that has slept."""
+
+import asyncio
+import contextlib
+import itertools
+import time
+
+import pytest
+
+from ship_bags.stamps import NS_PER_S
+from ship_monitor.live.live_watch import LiveWatch
+from ship_monitor.terminal.app import TerminalApp, _Lines
+from ship_monitor.terminal.pen import plain_text
+from ship_testing.publishing_ship import PublishingShip, attitude
+from ship_watch.limits import Limits
+
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+
+START_NS = 1_777_636_807 * NS_PER_S
+"""2026-05-01 12:00:07 UTC."""
+
+LIMIT_S = 20.0
+HOUR_NS = 3600 * NS_PER_S
+
+
+class Bridge:
+    """A ship that publishes, and the terminal view of it."""
+
+    def __init__(self, app, pilot, ship):
+        self.app, self.pilot, self.ship = app, pilot, ship
+        self._times = iter(())
+
+    def sail_from(self, time_ns):
+        self._times = itertools.count(time_ns, NS_PER_S // 50)
+
+    def rest(self):
+        self._times = iter(())
+
+    def rows(self):
+        return [plain_text(line).rstrip() for line in self.app.query_one(_Lines)._lines]
+
+    def heading(self):
+        return next(row for row in self.rows() if row.startswith(" HEADING"))
+
+    async def until(self, look):
+        """Go on until the view shows something."""
+        deadline_s = time.monotonic() + LIMIT_S
+        while not look():
+            assert time.monotonic() < deadline_s, "\n".join(self.rows())
+            for time_ns in itertools.islice(self._times, 3):
+                self.ship.say("ship/attitude", attitude(time_ns))
+            await self.pilot.pause(0.06)
+
+    def is_current(self):
+        return "057.30" in self.heading() and "OLD" not in self.heading()  # 1 rad
+
+
+@contextlib.asynccontextmanager
+async def bridge():
+    with contextlib.ExitStack() as left_open:
+        ship = PublishingShip()
+        left_open.callback(ship.stop)
+        suite = LiveWatch("monitor_terminal", "demo", Limits())
+        left_open.callback(suite.close)
+        app = TerminalApp(suite)
+        async with app.run_test(size=(80, 24)) as pilot:
+            yield Bridge(app, pilot, ship)
+
+
+@pytest.fixture
+def sleep(monkeypatch):
+    """The machine sleeps for a time: of all its clocks only that of CLOCK_BOOTTIME has gone on."""
+
+    def fall_asleep(duration_ns):
+        told_ns = time.clock_gettime_ns
+
+        def after(clock):
+            return told_ns(clock) + (duration_ns if clock == time.CLOCK_BOOTTIME else 0)
+
+        monkeypatch.setattr(time, "clock_gettime_ns", after)
+
+    return fall_asleep
+
+
+def test_a_bag_that_starts_over_is_shown_from_its_beginning_and_nothing_of_before():
+    async def watch():
+        async with bridge() as seen:
+            seen.sail_from(START_NS + HOUR_NS)
+            await seen.until(seen.is_current)
+            assert any("13:00:" in row for row in seen.rows())
+            seen.sail_from(START_NS)
+            await seen.until(lambda: any("12:00:" in row for row in seen.rows()))
+            await seen.until(seen.is_current)
+            assert not any("13:00:" in row for row in seen.rows())
+
+    asyncio.run(watch())
+
+
+def test_after_a_sleep_what_was_heard_before_is_old_by_the_sleep_and_then_the_suite_is_heard_again(sleep):
+    async def watch():
+        async with bridge() as seen:
+            seen.sail_from(START_NS)
+            await seen.until(seen.is_current)
+            seen.rest()
+            sleep(HOUR_NS)
+            await seen.until(lambda: "OLD 60 min" in seen.heading())
+            assert "057.30" not in seen.heading()
+            assert "UNSAFE" in seen.heading()
+            seen.sail_from(START_NS + HOUR_NS)
+            await seen.until(seen.is_current)
+
+    asyncio.run(watch())
+
+
+def test_a_picture_that_was_held_before_a_sleep_tells_that_it_is_so_much_older(sleep):
+    async def watch():
+        async with bridge() as seen:
+            seen.sail_from(START_NS)
+            await seen.until(seen.is_current)
+            await seen.pilot.press("p")
+            sleep(HOUR_NS)
+            await seen.until(lambda: any("PAUSED" in row and "60 min" in row for row in seen.rows()))
+
+    asyncio.run(watch())
