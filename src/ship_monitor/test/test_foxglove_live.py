@@ -181,11 +181,14 @@ def test_an_estimator_that_is_started_again_is_heard_by_the_same_subscription(sa
     assert sum(each["op"] == "advertise" for each in client.told) == 1
 
 
-@pytest.mark.usefixtures("watch")
-def test_a_topic_that_comes_back_with_another_type_is_offered_with_that(sail, connect):
+@pytest.mark.parametrize("is_awaited", [False, True])
+def test_a_topic_that_comes_back_with_another_type_is_offered_with_that(sail, connect, watch, is_awaited):
     ship, client = sail(), connect()
+    if is_awaited:  # Both types are there all the time: somebody listens with the one, the client with the other.
+        sail().node.create_subscription(Float64, "told", lambda _: None, 10)
     ship.say("told", String(data="a"))
     hear(client, ship, "told", String(data="a"))
+    client.until(lambda: len(watch._relayed._seen["/demo/told"]) == 1 + is_awaited)
     ship.stop()
     ship = sail()
     ship.say("told", Float64(data=1.0))
