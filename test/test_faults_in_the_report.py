@@ -1,10 +1,12 @@
 """A voyage with faults, in the report: the same events as those who watched had, at the times of the faults, by source.
 
-Faults, and when they could be known, are those of ``test_watched_faults``. The report sees the outputs alone: they are
-all that ``replay`` writes.
+Faults, and when they could be known, are those of ``test_watched_faults``. Events are told of the outputs alone: they
+are all that ``replay`` writes.
 """
 
+import base64
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -13,8 +15,9 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_replay.report.page import page
 from ship_replay.report.tables import outages
-from ship_replay.report.told import read_told
+from ship_replay.report.told import Told, read_told
 from ship_replay.report.wording import utc
+from ship_testing.browser import CHROMIUM, Browser
 from ship_testing.watched_voyages import END_S, FAULTS, KNOWN_S, SILENT, SILENT_WITHIN_S, WITHIN_S, replayed
 from ship_watch.picture import Event
 
@@ -34,17 +37,34 @@ TEXTS = {
 BACK_S = {"star.fore": (44.0, 46.0), "baselines": (14.0, 17.0), "encoder": (36.0, 37.0)}
 
 
-@pytest.mark.parametrize("bag", FAULTS)
-def test_the_report_lists_each_fault_with_its_time_and_source(bag: str, tmp_path: Path) -> None:
-    given, out = replayed(tmp_path, bag, FAULTS[bag])
+@dataclass(frozen=True)
+class Reported:
+    """A faulty voyage: the time of its first message, what was read of its outputs, and the page that tells it."""
+
+    bag: str
+    start_ns: int
+    told: Told
+    path: Path
+
+    def seconds(self, utc_ns: int) -> float:
+        """Seconds since the first message of the bag."""
+        return (utc_ns - self.start_ns) / NS_PER_S
+
+
+@pytest.fixture(scope="module", params=list(FAULTS))
+def reported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Reported:
+    folder = tmp_path_factory.mktemp(request.param)
+    given, out = replayed(folder, request.param, FAULTS[request.param])
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
-    told = read_told(out)
-    night, text = told.night, page(told)
+    told = read_told(out, given)
+    (folder / "report.html").write_text(page(told))
+    return Reported(request.param, start_ns, told, folder / "report.html")
 
-    def seconds(utc_ns: int) -> float:
-        return (utc_ns - start_ns) / NS_PER_S
 
+def test_the_report_lists_each_fault_with_its_time_and_source(reported: Reported) -> None:
+    bag, night, seconds = reported.bag, reported.told.night, reported.seconds
+    text = reported.path.read_text()
     known_s = KNOWN_S[bag]
     # Innocent sources are told with who is to blame, and nobody before the first fault.
     by_source: dict[str, list[Event]] = {}
@@ -64,7 +84,7 @@ def test_the_report_lists_each_fault_with_its_time_and_source(bag: str, tmp_path
         assert f'<tr><td class="w">{utc(raised[0].utc_ns)}</td>' in text
     assert {one.alert.source for one in night.alerts if seconds(one.utc_ns) < END_S[bag]} <= {*known_s, ""}
 
-    verdict = re.search(r'<div class="verdict"><p>(.*?)</p>', text, re.DOTALL)
+    verdict = re.search(r'<div class="verdict">(.*?)</div>', text, re.DOTALL)
     assert verdict is not None
     out_first = {one.source: one for one in reversed(outages(night))}
     for source in known_s.keys() - {"lights"}:  # exchanged lights are put right and remain in use
@@ -73,3 +93,26 @@ def test_the_report_lists_each_fault_with_its_time_and_source(bag: str, tmp_path
         if source in BACK_S:
             least_s, most_s = BACK_S[source]
             assert least_s <= seconds(first.to_ns) <= most_s
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+def test_the_page_opens_without_network_fits_its_window_and_prints(reported: Reported) -> None:
+    browser = Browser()
+    try:
+        for width, height in ((1280, 800), (390, 844)):
+            browser.open(reported.path.as_uri(), width, height)
+            assert browser.problems == []
+            assert [address for address in browser.addresses if not address.startswith("file:")] == []
+            # Nothing but tables and figures, which have scroll bars of their own, is wider than the window.
+            assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            browser.photograph(reported.path.with_name(f"report_{width}.png"))
+        browser.open(reported.path.as_uri(), 1000, 1180)
+        browser.photograph(reported.path.with_name("report.png"))
+        printed = base64.b64decode(browser.call("Page.printToPDF", preferCSSPageSize=True)["data"])
+    finally:
+        browser.close()
+    reported.path.with_suffix(".pdf").write_bytes(printed)
+    sizes = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", printed)
+    assert 5 <= len(sizes) <= 15
+    # A4 in points.
+    assert all((float(width), float(height)) == pytest.approx((595.0, 842.0), abs=1.0) for width, height in sizes)

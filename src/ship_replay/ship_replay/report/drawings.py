@@ -100,23 +100,28 @@ def status_svg(night: Night) -> str:
     return svg(figure, "status")
 
 
-def errors_svg(evaluation: Evaluation) -> str:
-    """Errors inside their ±3σ where the truth is known, innovations inside theirs elsewhere; empty without either."""
-    if evaluation.errors:
-        series = [thin_errors(errors) for errors in evaluation.errors]
-        figure = attitude_error_figure(series, "")
-        start_ns = min(int(errors.time_ns[0]) for errors in series)
-    else:
-        innovations = {name: thin_innovations(part) for name, part in evaluation.innovations.items()}
-        if not any(part.components() for part in innovations.values()):
-            return ""
-        figure = innovation_figure(innovations, "")
+def errors_svg(evaluation: Evaluation) -> list[str]:
+    """Errors inside their ±3σ where the truth is known, a figure an orientation; innovations inside theirs elsewhere.
+
+    Empty without either.
+    """
+    groups: dict[tuple[str, ...], list[AttitudeErrors]] = {}
+    for errors in evaluation.errors:
+        groups.setdefault(errors.channels, []).append(thin_errors(errors))
+    figures = [
+        (attitude_error_figure(series, ""), min(int(errors.time_ns[0]) for errors in series))
+        for series in groups.values()
+    ]
+    innovations = {name: thin_innovations(part) for name, part in evaluation.innovations.items()}
+    if not figures and any(part.components() for part in innovations.values()):
         start_ns = min(min(part.compared) for part in innovations.values() if part.compared)
-    last_row = {axes: place.rowspan.stop for axes in figure.axes if (place := axes.get_subplotspec()) is not None}
-    for axes, row in last_row.items():
-        if row == max(last_row.values()):
-            utc_axis(axes, start_ns)
-    return svg(figure, "errors")
+        figures = [(innovation_figure(innovations, ""), start_ns)]
+    for figure, start_ns in figures:
+        last_row = {axes: place.rowspan.stop for axes in figure.axes if (place := axes.get_subplotspec()) is not None}
+        for axes, row in last_row.items():
+            if row == max(last_row.values()):
+                utc_axis(axes, start_ns)
+    return [svg(figure, f"errors{number}") for number, (figure, _) in enumerate(figures)]
 
 
 def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:

@@ -65,7 +65,8 @@ def page(told: Told) -> str:
                if name.endswith((".yaml", ".yml"))},
         versions=versions(),
         recorded_versions=recorded_versions(night),
-        problems=sorted({*night.problems, *evaluation.problems}),
+        problems=night.problems,
+        left_out=[problem for problem in evaluation.problems if problem not in night.problems],
     )
 
 
