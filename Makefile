@@ -6,6 +6,8 @@ MAKEFLAGS += --no-print-directory
 
 # Tests and demonstrations stay on this machine unless told otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# What is compiled is kept for the many processes that tests start, whatever the user's environment says.
+export PYTHONDONTWRITEBYTECODE :=
 
 RUN := source tools/env.sh &&
 PYTEST_ARGS ?=
@@ -24,7 +26,7 @@ setup: ## environment and build; takes minutes once, then a moment
 	@tools/setup
 
 test: setup ## all tests; PYTEST_ARGS="-k name" for some
-	@$(RUN) pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+	@$(RUN) pytest -n 4 --dist loadgroup --no-loadscope-reorder $(PYTEST_ARGS)
 
 lint: setup ## style, types, directions of imports
 	@$(RUN) ruff check . && mypy && lint-imports --no-logo

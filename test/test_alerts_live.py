@@ -12,7 +12,7 @@ from ship_msgs.msg import Alert
 from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_simulation.inject_command import main as inject
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 ROOT = Path(__file__).parents[1]
 KNOCK_S, STEP_S = 15.0, 21.0

@@ -26,7 +26,6 @@ VERDICTS = {
 }
 """Bag → what verdicts there are on."""
 
-one_replay_of_each = pytest.mark.xdist_group("replayed_bags")
 every_bag = pytest.mark.parametrize("path", BAGS, ids=lambda path: path.stem)
 
 
@@ -64,7 +63,6 @@ def replayed(request, tmp_path_factory) -> tuple[Path, Path, list[str]]:
     return request.param, out, replay(request.param, out, ADAPTERS).problems
 
 
-@one_replay_of_each
 def test_an_offline_replay_meets_the_bounds(replayed):
     path, out, problems = replayed
     assert problems == []
@@ -74,7 +72,6 @@ def test_an_offline_replay_meets_the_bounds(replayed):
     assert [bound.line for bound in judged if not bound.met] == []
 
 
-@one_replay_of_each
 def test_clean_data_raise_no_verdict(replayed):
     path, out, _ = replayed
     told: dict[str, list[tuple[int, str]]] = {}

@@ -19,7 +19,7 @@ from tools.black_box_run import eventful_runs, verified
 
 ROOT = Path(__file__).parents[1]
 
-pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.xdist_group("dds")]
+pytestmark = [pytest.mark.live, pytest.mark.slow]
 
 DEMO = ROOT / "bags" / "demo.mcap"
 

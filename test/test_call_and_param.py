@@ -11,7 +11,7 @@ from ship_bags.live.ros_process import executable
 from ship_bringup.asked_node import text_of, unknown, value_from_text
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 ROOT = Path(__file__).parents[1]
 NODE = "/alpha/ship_attitude"

@@ -85,7 +85,6 @@ def wait_until_it_listens(process: LiveProcess) -> None:
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 @pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "docs" / "tutorial" / "first_hour.md"], ids=name)
 def test_the_three_terminals_of_a_page(page: Path, checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Node, recorder, and the bag in place of the instruments, as printed; then what is done with what they leave."""

@@ -138,7 +138,6 @@ def wait_for(text: str, process: LiveProcess) -> None:
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 @pytest.mark.parametrize(
     ("example", "package", "node", "arguments"),
     [
@@ -162,7 +161,6 @@ def test_a_node_starts_with_its_example_and_has_nothing_to_warn_of(
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 def test_mend_12_a_node_without_sensors_warns_at_its_start(tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     other.write_text("/**/radar: {ros__parameters: {gain: 1.0}}\n", encoding="utf-8")

@@ -21,8 +21,6 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import Exposure, Mode, SeenLight
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
-pytestmark = pytest.mark.xdist_group("pointing_consistency")  # one worker makes the sessions for all
-
 ROOT = Path(__file__).parents[1]
 
 SEEDS = 16

@@ -36,8 +36,6 @@ from ship_simulation.suite.suite import star_attitude_configuration as star_suit
 from ship_simulation.suite.suite import suite_configuration
 from ship_testing.adapter_runs import FACTORY
 
-pytestmark = pytest.mark.xdist_group("star_level_filter")  # one worker makes the runs for all
-
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = int(os.environ.get("SKY_SEEDS", "8"))
 FEW = int(os.environ.get("SKY_SEEDS", "4"))

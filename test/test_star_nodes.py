@@ -228,7 +228,6 @@ def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 def test_live_over_dds_it_gives_the_same_and_its_box_says_so(
     both: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

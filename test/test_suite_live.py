@@ -19,7 +19,7 @@ from ship_bags.stamps import ns_from_stamp
 from ship_msgs.msg import ShipAttitude
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 ROOT = Path(__file__).parents[1]
 DEMO, THEODOLITE = ROOT / "bags" / "demo.mcap", ROOT / "bags" / "theodolite.mcap"

@@ -152,7 +152,6 @@ class LiveSuite:
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 @pytest.mark.parametrize("bag", FAULTS)
 def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -394,7 +394,6 @@ def clock_of_the_ins(step_s: float) -> Lie:
     return Lie("ins.clock", np.array([step_s, 0.0, 0.0]), 30.0, end_s=50.0)
 
 
-@pytest.mark.xdist_group("clock_of_the_ins")  # one worker sails without lies for all
 @pytest.mark.parametrize("step_s", [0.0295, 0.012, -0.02, -0.035])
 def test_a_small_step_of_the_ins_clock_is_told_at_once_and_found_as_an_offset(step_s: float) -> None:
     sailed = sailed_with(clock_of_the_ins(step_s), seconds=65.0, **TWO)
@@ -406,7 +405,6 @@ def test_a_small_step_of_the_ins_clock_is_told_at_once_and_found_as_an_offset(st
     assert_nothing_left(sailed, 65.0)
 
 
-@pytest.mark.xdist_group("clock_of_the_ins")  # one worker sails without lies for all
 @pytest.mark.parametrize("lie", [clock_of_the_ins(-0.4), clock_of_the_ins(0.3), Lie("ins.axes", UP, 30.0, 50.0)])
 def test_an_ins_that_told_a_fault_is_excluded_and_not_the_stars(lie: Lie) -> None:
     sailed = sailed_with(lie, seconds=125.0, **TWO)

@@ -17,7 +17,7 @@ from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_dom
 from ship_replay.trials.live_run import executable
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, vector, write_imu_bag
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 SUITE = "ship_attitude: {ros__parameters: {use_sim_time: true, ins: {frame_id: ins}}}\n"
 

@@ -22,7 +22,7 @@ from ship_bags.message_factory import message_class
 from ship_bags.message_store import RosbagsFactory, message_store
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 START_NS = 1_700_000_000 * 10**9
 LATENCY_NS = 3_000_000

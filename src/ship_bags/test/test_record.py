@@ -117,7 +117,7 @@ def has_sample(path):
         return False  # nothing that is whole yet
 
 
-live = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+live = pytest.mark.live
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from ship_replay.offline.replay import replay
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_testing.hand_made_bags import START_NS, imu
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 PARAMETERS = """\
 /**/ship_attitude:

@@ -1,15 +1,16 @@
 """Nodes of these tests meet only each other: this machine, a domain of their own."""
 
-import os
 import time
 
 import pytest
+
+from ship_replay.trials.live_process import free_domain_id
 
 
 @pytest.fixture(autouse=True)
 def own_domain(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + os.getpid() % 80))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain_id()))
 
 
 @pytest.fixture

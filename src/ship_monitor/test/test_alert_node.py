@@ -21,7 +21,7 @@ from ship_monitor.alerts.alert_node import default_state, main
 from ship_msgs.msg import Alert, AlertArray, ShipAttitude
 from ship_msgs.srv import AcknowledgeAlert
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 START = "import sys; from ship_monitor.alerts.alert_node import main; sys.exit(main())"

@@ -24,7 +24,7 @@ from ship_testing.foxglove_client import FoxgloveClient
 from ship_testing.publishing_ship import PublishingShip, attitude
 from ship_watch.limits import Limits
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 START_NS = 1_700_000_000 * NS_PER_S
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

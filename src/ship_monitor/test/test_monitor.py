@@ -9,7 +9,6 @@ from ship_monitor.commands.monitor import main
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 def test_a_port_in_use_is_one_line_and_bad_input(capsys):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -44,7 +43,6 @@ def test_a_bag_is_not_served_to_foxglove_which_opens_it_by_itself(capsys):
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 def test_what_is_no_namespace_is_one_line_and_bad_input(capsys):
     assert main(["--namespace", "a b"]) == 2
     assert capsys.readouterr().err.startswith("monitor: '/a b' is not a namespace of ROS")

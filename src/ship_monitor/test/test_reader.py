@@ -12,7 +12,7 @@ from ship_monitor.live.reader import KEPT, TopicReader, steady_ns
 from ship_msgs.msg import AlertArray, Innovation, ShipAttitude
 from ship_testing.publishing_ship import PublishingShip, attitude
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

@@ -13,7 +13,6 @@ from ship_testing.publishing_ship import PublishingShip, attitude
 
 pytestmark = [
     pytest.mark.live,
-    pytest.mark.xdist_group("dds"),
     pytest.mark.skipif(shutil.which("tmux") is None, reason="tmux is not installed"),
 ]
 

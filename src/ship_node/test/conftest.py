@@ -1,16 +1,16 @@
 """Nodes of these tests meet only each other: this machine, a domain of their own."""
 
-import os
 from collections.abc import Iterator
 
 import pytest
 
+from ship_replay.trials.live_process import free_domain_id
+
 
 @pytest.fixture(autouse=True)
 def own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the domains that Linux has ports for, one that two test runs on a machine hardly share."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + os.getpid() % 80))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain_id()))
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from ship_testing.places import RELAY_PROGRAM
 
 REFUSAL = "parameter 'gate.count' = 13 is not wanted by the adapter"
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 
 def set_parameter(relay, name: str, value: object):

@@ -23,7 +23,7 @@ from ship_node.live.node_events import LARGEST_MESSAGE_BYTES
 from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
 from ship_testing.relay_adapter import EXPLOSIVE_FRAME
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 
 def set_parameter(relay, name: str, value: object):

@@ -24,7 +24,6 @@ def context(monkeypatch):
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 def test_each_message_is_handled_at_its_own_time(context):
     sim_time = [Parameter("use_sim_time", value=True)]
     node = rclpy.create_node("behind", context=context, parameter_overrides=sim_time)
@@ -60,7 +59,6 @@ def test_each_message_is_handled_at_its_own_time(context):
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 def test_wall_time_stays_as_it_is(context):
     node = rclpy.create_node("wall", context=context)
     queue_clock(node)

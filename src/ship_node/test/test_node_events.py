@@ -26,7 +26,6 @@ def context(own_domain):
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 def test_mend_18_events_do_not_pile_up_in_the_executor(context):
     node = rclpy.create_node("flooded", context=context)
     steady_ns = 0

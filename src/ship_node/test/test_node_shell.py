@@ -11,7 +11,7 @@ import pytest
 
 from ship_testing.places import RELAY_PROGRAM, ROOT
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 RELAY = [sys.executable, RELAY_PROGRAM]
 

@@ -30,7 +30,6 @@ RUNS = "/ship", "/fleet/ship", "/fleet/blue/ship"
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 @pytest.mark.parametrize(
     ("section", "fits"),
     [

@@ -18,8 +18,6 @@ from theodolite_calib.axis_fit.sighting_file import read_sightings
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
-pytestmark = pytest.mark.xdist_group("axis_sightings")
-
 BAGS = Path(__file__).parents[3] / "bags"
 
 

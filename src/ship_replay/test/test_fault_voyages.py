@@ -31,8 +31,6 @@ from ship_simulation.scenario.names import simulated_topics
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.places import ROOT
 
-pytestmark = pytest.mark.xdist_group("fault_voyages")  # one worker makes the bag for all
-
 SCENARIOS = ROOT / "bags" / "scenarios"
 KNOCK = "topic: star/fore/horizon_attitude, kind: knock, start_s: 20, end_s: 30, up_arcsec: 300"
 

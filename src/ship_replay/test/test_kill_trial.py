@@ -17,7 +17,6 @@ def this_machine_only(monkeypatch):
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_killed_recorder_loses_one_flush_period_at_most(tmp_path, seed):
     trial = kill_recorder(tmp_path, seed, flush_period_s=0.3)
@@ -26,7 +25,6 @@ def test_a_killed_recorder_loses_one_flush_period_at_most(tmp_path, seed):
 
 
 @pytest.mark.live
-@pytest.mark.xdist_group("dds")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_killed_node_has_its_inputs_in_the_box(tmp_path, seed):
     trial = kill_node(tmp_path, seed)

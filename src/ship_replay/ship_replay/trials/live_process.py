@@ -21,6 +21,7 @@ from rclpy.node import Node
 _FIRST_PORT = 7410
 _PORTS_PER_DOMAIN = 250
 _LAST_DOMAIN = 101
+_STEP = 37
 _END_S = 15.0
 
 _POLL_S = 0.02
@@ -32,9 +33,9 @@ def free_domain_id() -> int:
     Raises:
         OSError: all are taken.
     """
-    # Two runs at the same time begin their search at different domains.
+    # Two runs at the same time begin their search at different domains, and do not step onto each other's next ones.
     for step in range(_LAST_DOMAIN):
-        domain = 1 + (os.getpid() + step) % _LAST_DOMAIN
+        domain = 1 + (os.getpid() + _STEP * step) % _LAST_DOMAIN
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
                 probe.bind(("", _FIRST_PORT + _PORTS_PER_DOMAIN * domain))
