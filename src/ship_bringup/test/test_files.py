@@ -6,13 +6,17 @@ actions take (``launch/actions/*.py``, ``launch_ros/actions/*.py``, methods ``pa
 
 import configparser
 import re
+import shutil
+import subprocess
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
 import yaml
 
+from ship_bags.message_factory import RosidlFactory
 from ship_bringup.commands import suite as suite_command
+from ship_node.parameters.usage import usage_text
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.preflight.check_config import Findings, check_file
 
@@ -105,11 +109,11 @@ def test_every_executable_exists(launch):
 
 
 def test_every_parameter_and_file_that_is_named_exists(launch):
-    nodes = {adapter.node_name for adapter in ADAPTERS} | {"alerts"}
+    helps = {"alerts": ""} | {each.node_name: usage_text(each, "package", RosidlFactory()) for each in ADAPTERS}
     for node in launch.iter("node"):
-        names = {param.get("name") for param in node.iter("param")} - {None}
-        assert names <= {"use_sim_time", "black_box"}
-        assert not names or node.get("exec") in nodes
+        for name in {param.get("name") for param in node.iter("param")} - {None, "use_sim_time"}:
+            parameters = helps[node.get("exec")].partition("parameters (")[2]
+            assert re.search(rf"^  {re.escape(name)} ", parameters, re.MULTILINE), name
     for text in texts(launch):
         for path in re.findall(r"\$\(find-pkg-share ship_bringup\)/(\S+)", text):
             assert (PACKAGE / path).is_file()
@@ -123,6 +127,45 @@ def test_every_option_of_the_suite_that_is_named_exists(launch, capsys):
         if "exec-in-pkg suite" in text:
             for option in re.findall(r"--[\w-]+", text):
                 assert f"  {option} " in shown, option
+
+
+SLIPS = [
+    ("respawn_delay", "respawn_dely", test_every_tag_and_attribute_is_one_that_launch_takes),
+    ("push_ros_namespace", "push_namespace", test_every_tag_and_attribute_is_one_that_launch_takes),
+    ('type="bool"', 'type="boolean"', test_every_tag_and_attribute_is_one_that_launch_takes),
+    ("find-pkg-share", "find-package-share", test_every_substitution_exists_and_every_variable_is_declared),
+    ("$(var namespace)", "$(var name_space)", test_every_substitution_exists_and_every_variable_is_declared),
+    ('if="$(var star_attitude)"', 'if="true"', test_every_argument_is_used_and_says_what_it_is_for),
+    ('exec="optical_axis"', 'exec="optical_axes"', test_every_executable_exists),
+    ('pkg="ship_monitor"', 'pkg="ship_monitors"', test_every_executable_exists),
+    ("exec-in-pkg monitor", "exec-in-pkg monitors", test_every_executable_exists),
+    ('name="black_box"', 'name="blackbox"', test_every_parameter_and_file_that_is_named_exists),
+    ('exec="alerts"', 'exec="alert"', test_every_executable_exists),
+    ("config/two_sensors.yaml", "config/two_sensor.yaml", test_every_parameter_and_file_that_is_named_exists),
+]
+
+
+@pytest.mark.parametrize(("right", "wrong", "check"), SLIPS, ids=[wrong for _, wrong, _ in SLIPS])
+def test_a_slip_in_a_launch_file_is_found(right, wrong, check):
+    text = (PACKAGE / "launch" / "suite.launch.xml").read_text(encoding="utf-8")
+    assert right in text
+    with pytest.raises((AssertionError, KeyError)):
+        check(ET.fromstring(text.replace(right, wrong)))
+
+
+def test_a_slip_in_an_option_is_found(capsys):
+    text = (PACKAGE / "launch" / "replay.launch.xml").read_text(encoding="utf-8")
+    with pytest.raises(AssertionError):
+        test_every_option_of_the_suite_that_is_named_exists(ET.fromstring(text.replace("--rate", "--speed")), capsys)
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_ros2_launch_itself_reads_the_file(path):
+    pytest.importorskip("launch_ros", reason="ros2 launch is not installed here")
+    frontend = pytest.importorskip("launch.frontend", reason="ros2 launch is not installed here")
+    pytest.importorskip("launch_xml", reason="ros2 launch is not installed here")
+    root, parser = frontend.Parser.load(str(path))
+    assert parser.parse_description(root).entities
 
 
 def test_the_parameter_files_are_those_of_the_examples_and_good():
@@ -155,6 +198,19 @@ def test_the_service_never_starts_again_what_bad_input_has_ended():
     _, package, executable, file, *options = service["ExecStart"].split()
     assert (package, executable) in executables()
     assert (file, options) == ("/etc/ship/%i.yaml", ["--namespace", "%i", "--monitor"])
+
+
+@pytest.mark.parametrize("slip", [None, ("KillMode=mixed", "KillMode=mix")], ids=["as it is", "with a slip"])
+def test_systemd_takes_the_service(tmp_path, slip):
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("there is no systemd here")
+    text = (PACKAGE / "systemd" / "ship-suite@.service").read_text(encoding="utf-8")
+    text = text.replace("/opt/ship/ros2run", str(ROOT / "ros2run"))
+    (tmp_path / "ship-suite@demo.service").write_text(text.replace(*slip) if slip else text, encoding="utf-8")
+    command = ["systemd-analyze", "verify", str(tmp_path / "ship-suite@demo.service")]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    told = [line for line in run.stderr.splitlines() if "ship-suite@demo" in line]
+    assert (run.returncode, bool(told)) == (0, slip is not None), run.stderr
 
 
 # -- aggregator ---------------------------------------------------------------------------------------------------
@@ -194,9 +250,13 @@ def told_names():
 
 def test_every_name_in_the_aggregator_file_is_told_by_a_node():
     bare = told_names()
+    nodes = {adapter.node_name for adapter in ADAPTERS} | {"alerts"}
     for analyzer in tree():
         for name in analyzer.get("name", []):
-            assert name.partition(": ")[2] in bare, name
+            node, _, rest = name.partition(": ")
+            assert node in nodes
+            assert rest in bare, name
         for prefix in analyzer.get("startswith", []):
-            rest = prefix.partition(": ")[2]
+            node, _, rest = prefix.partition(": ")
+            assert node in nodes
             assert any(name.startswith(rest) for name in bare), prefix
