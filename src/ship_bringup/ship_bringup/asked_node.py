@@ -1,5 +1,6 @@
 """A running node that is asked something: found by its name, its services called, its parameters read and set."""
 
+import argparse
 import contextlib
 import difflib
 import os
@@ -14,11 +15,36 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.task import Future
 
+from ship_bags.command_line import CommandParser
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import command_node
+from ship_bags.live.ros_process import command_node, positive
 from ship_bags.parameter_yaml import full_name
 
 _POLL_S = 0.05
+_TIMEOUT_S = 5.0
+
+
+def asking_parser(prog: str, example: str, description: str, epilog: str) -> CommandParser:
+    """The parser of a command that asks a node: it takes the node's ``node`` and the ``timeout`` of its answers.
+
+    Args:
+        prog: name of the command.
+        example: arguments that it may be given.
+        description: what it does.
+        epilog: its exit codes.
+    """
+    parser = CommandParser(
+        prog=prog,
+        example=f"./ros2run ship_bringup {prog} {example}",
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("node", metavar="NODE", help="its name, with its namespace: /demo/ship_attitude")
+    parser.add_argument(
+        "--timeout", type=positive, default=_TIMEOUT_S, metavar="S", help=f"wait so many seconds ({_TIMEOUT_S:g})"
+    )
+    return parser
 
 
 @contextlib.contextmanager

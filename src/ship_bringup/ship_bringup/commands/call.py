@@ -6,10 +6,9 @@ from typing import Any
 
 from std_srvs.srv import Trigger
 
-from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bags.live.ros_process import positive
-from ship_bringup.asked_node import asked_node, unknown
+from ship_bringup.asked_node import asked_node, asking_parser, unknown
 from ship_msgs.srv import AcknowledgeAlert
 
 _DESCRIPTION = """\
@@ -17,27 +16,16 @@ Calls a service of a running node and shows the answer: save_alignment, reset, p
 and acknowledge of the alerts, which takes the alert's id and instance. Without SERVICE it lists those of the node.
 """
 _EPILOG = "exit code: 0 done; 1 the node says that it was not done; 2 bad input or usage, or no such node"
-_TIMEOUT_S = 5.0
 _KINDS: dict[str, Any] = {"std_srvs/srv/Trigger": Trigger, "ship_msgs/srv/AcknowledgeAlert": AcknowledgeAlert}
 """The types of services that nodes of the suite have."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``call``; returns the exit code."""
-    parser = CommandParser(
-        prog="call",
-        example="./ros2run ship_bringup call /ship_attitude save_alignment",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("node", metavar="NODE", help="its name, with its namespace: /demo/ship_attitude")
+    parser = asking_parser("call", "/ship_attitude save_alignment", _DESCRIPTION, _EPILOG)
     parser.add_argument("service", metavar="SERVICE", nargs="?", help="name of the service, without that of the node")
     parser.add_argument(
         "fields", metavar="FIELD=VALUE", nargs="*", help="what the request holds: id=heading.accuracy instance=3"
-    )
-    parser.add_argument(
-        "--timeout", type=positive, default=_TIMEOUT_S, metavar="S", help=f"wait so many seconds ({_TIMEOUT_S:g})"
     )
     return run_command(parser, _call, arguments)
 

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 from rcl_interfaces.msg import ParameterDescriptor, ParameterValue
 
-from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bags.live.ros_process import positive
-from ship_bringup.asked_node import asked_node, text_of, unknown, value_from_text
+from ship_bringup.asked_node import asked_node, asking_parser, text_of, unknown, value_from_text
 from ship_estimation.parameter_rows import in_columns
 
 _DESCRIPTION = """\
@@ -17,24 +16,13 @@ Lists the parameters of a running node with their values, units and meanings (* 
 NAME shows one, and with VALUE sets it. The node itself judges the value and says what it refuses.
 """
 _EPILOG = "exit code: 0 done; 1 the node refuses the value; 2 bad input or usage, or no such node or parameter"
-_TIMEOUT_S = 5.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ``param``; returns the exit code."""
-    parser = CommandParser(
-        prog="param",
-        example="./ros2run ship_bringup param /ship_attitude gate.probability 0.999",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("node", metavar="NODE", help="its name, with its namespace: /demo/ship_attitude")
+    parser = asking_parser("param", "/ship_attitude gate.probability 0.999", _DESCRIPTION, _EPILOG)
     parser.add_argument("name", metavar="NAME", nargs="?", help="dotted name of a parameter")
     parser.add_argument("value", metavar="VALUE", nargs="?", help="its new value; a list has commas in it")
-    parser.add_argument(
-        "--timeout", type=positive, default=_TIMEOUT_S, metavar="S", help=f"wait so many seconds ({_TIMEOUT_S:g})"
-    )
     return run_command(parser, _param, arguments)
 
 
