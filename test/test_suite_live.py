@@ -1,9 +1,11 @@
 """``suite`` with the real nodes over DDS: brought up from a file, kept running, apart from another suite."""
 
+import contextlib
 import itertools
 import os
 import re
 import signal
+import socket
 import subprocess
 import time
 from pathlib import Path
@@ -15,8 +17,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_bags.stamps import ns_from_stamp
-from ship_msgs.msg import ShipAttitude
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_bringup.suite.dds_ports import QUICK_TO_CONNECT, ports_of
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
@@ -111,53 +113,82 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
 
 
 def test_a_node_that_is_killed_is_back_within_two_seconds_with_its_last_saved_alignment(tmp_path, domain, monkeypatch):
-    # As the suite sets it for its own: shared memory is no quicker after a kill, and the observer's gap is measured.
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-    saved, path = tmp_path / "alignment.yaml", tmp_path / "suite.yaml"
+    """In the usual company: another node, page, alerts, a box, and a recorder, which has the gap of the data.
+
+    Measured with 25 processes that wanted the four cores, 10 kills: gap 0.8 s in the median, 1.7 s at most. It needs no
+    more than 0.2 s of work, as the successor has read its libraries before; the rest is the 0.5 s after which DDS
+    participants tell that they are there (``dds_profile.xml``).
+    """
+    for name, value in QUICK_TO_CONNECT.items():
+        monkeypatch.setenv(name, value)  # of who is not started by the suite
+    saved, path, recorded = tmp_path / "alignment.yaml", tmp_path / "suite.yaml", tmp_path / "recorded.mcap"
     with read_bag(DEMO) as bag:
         attached = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
     attached["/**/ship_attitude"]["ros__parameters"] |= {"alignment_file": str(saved), "alignment_autosave_s": 1.0}
     path.write_text(yaml.safe_dump(attached), encoding="utf-8")
-    heard: list[tuple[int, int]] = []
-    command = suite(path, "--bag", DEMO)
+    parameters = ["--ros-args", "--params-file", str(ROOT / "examples" / "theodolite.yaml")]
+    commands = {
+        "suite": suite(path, "--bag", DEMO, "--monitor", "--port", free_port(), "--box", f"{tmp_path}/boxes"),
+        "optical_axis": [*executable("theodolite_calib", "optical_axis"), *parameters, "-p", "use_sim_time:=true"],
+        "record": [*executable("ship_bags", "record"), "--out", str(recorded), "--topics", "ship/attitude"],
+    }
     environment = live_environment(domain, tmp_path)
-    with GraphObserver(domain) as observer, LiveProcess(command, tmp_path / "suite.log", environment) as process:
-        observer.node.create_subscription(
-            ShipAttitude,
-            "/ship/attitude",
-            lambda m: heard.append((ns_from_stamp(m.header.stamp), m.status)) if m.status != m.INVALID else None,
-            1000,
-        )
-        # Saved at least twice, so that something was learned.
-        assert observer.spin_until(lambda: saved.exists() and len(heard) > 500, 60.0), process.log()
+    with contextlib.ExitStack() as running:
+        others = [
+            running.enter_context(LiveProcess(commands[name], tmp_path / f"{name}.log", environment))
+            for name in ("record", "optical_axis")
+        ]
+        process = running.enter_context(LiveProcess(commands["suite"], tmp_path / "suite.log", environment))
+        wait_for(lambda: saved.exists() and has_reserve(process.pid, "ship_attitude"), process)
         assert re.search(r"no alignment at", process.log())
         os.kill(node_of(process.pid, "ship_attitude"), signal.SIGKILL)
-        killed_s = time.monotonic()
-        assert observer.spin_until(lambda: process.log().count("needs ins/imu") == 2, 30.0), process.log()
-        back_s = time.monotonic() - killed_s
-        # DDS connects the new one to its peers; nobody here can hurry that.
-        assert observer.spin_until(lambda: ", 0 min old" in process.log(), 30.0), process.log()
-        assert observer.spin_until(lambda: gap_ns(heard) > 100_000_000, 30.0), process.log()
+        wait_for(lambda: ", 0 min old" in process.log() and process.log().count("attitude: VALID") > 1, process)
         assert process.end(signal.SIGTERM) == 0
+        for other in others:
+            assert other.end() == 0, other.log()
         log = process.log()
-    print(f"back after {back_s:.2f} s, gap in ship/attitude {gap_ns(heard) * 1e-9:.2f} s of data")
-    assert back_s < 2.0, log  # a second of the bag is one of the clock on the wall
+    with read_bag(recorded) as bag:
+        stamps = {ns_from_stamp(record.decode().header.stamp) for record in bag.records()}
+    # A second of the bag is one of the clock on the wall.
+    gap_s = max(later - earlier for earlier, later in itertools.pairwise(sorted(stamps))) / NS_PER_S
+    print(f"gap in ship/attitude {gap_s:.2f} s")
+    assert 0.1 < gap_s < 2.0, log
     assert "signal 9, SIGKILL; started again at once (1 of 5)" in log
     assert f"alignment {saved}, 0 min old" in log
 
 
-def node_of(suite_pid, name):
-    """Process id of a node of a suite."""
+def wait_for(condition, process, timeout_s=60.0):
+    """Wait until a condition holds, while a process runs."""
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        assert process.exit_code is None, process.log()
+        assert time.monotonic() < deadline_s, process.log()
+        time.sleep(0.1)
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def processes_of(suite_pid, name):
+    """Process ids of a node of a suite: the one that runs, and the one in reserve, if it is there."""
     children = Path(f"/proc/{suite_pid}/task/{suite_pid}/children").read_text().split()
-    programs = {int(child): Path(f"/proc/{child}/cmdline").read_text().split("\0")[1] for child in children}
-    (pid,) = [child for child, program in programs.items() if program.endswith(f"/{name}")]
+    programs = {int(child): Path(f"/proc/{child}/cmdline").read_text().split("\0") for child in children}
+    return [child for child, words in programs.items() if len(words) > 1 and words[1].endswith(f"/{name}")]
+
+
+def node_of(suite_pid, name):
+    """Process id of the one that has a DDS participant."""
+    (pid,) = filter(ports_of, processes_of(suite_pid, name))
     return pid
 
 
-def gap_ns(heard):
-    """The longest time between two attitudes, by their stamps."""
-    stamps = sorted({stamp for stamp, _ in heard})
-    return max(later - earlier for earlier, later in itertools.pairwise(stamps))
+def has_reserve(suite_pid, name):
+    """Whether one has read its libraries, and waits to be told to begin."""
+    others = [pid for pid in processes_of(suite_pid, name) if not ports_of(pid)]
+    return any("pipe_read" in Path(f"/proc/{pid}/wchan").read_text() for pid in others)
 
 
 def test_every_status_that_the_nodes_tell_has_one_place_in_the_aggregator_file(tmp_path, domain):

@@ -70,6 +70,50 @@ def test_a_program_that_dies_is_started_again_up_to_the_limit():
     assert ends[2].endswith("not started again")
 
 
+SUCCESSOR = """
+import os, signal, sys, time
+from ship_node.live.start import WAITS
+waited = bool(os.environ.pop(WAITS, ""))
+if waited and not sys.stdin.readline():
+    raise SystemExit(7)
+print("in reserve" if waited else "from the start", flush=True)
+{then}
+"""
+
+
+def test_a_process_in_reserve_succeeds_the_one_that_died(monkeypatch):
+    monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
+    text = SUCCESSOR.format(then="time.sleep(0.0 if waited else 2.0)\nos.kill(os.getpid(), signal.SIGKILL)")
+    code, lines = kept(Program("node", (sys.executable, "-c", text), has_reserve=True), most_restarts=1)
+    assert code == 137
+    said = [line for line in lines if line.startswith("[node]")]
+    assert said == ["[node] from the start", "[node] in reserve"]
+    # It counts from when it was told to begin, and is no death of its own before.
+    assert [line.partition(": ")[2] for line in lines if "ended" in line] == [
+        "signal 9, SIGKILL; started again at once (1 of 1)",
+        "signal 9, SIGKILL; not started again",
+    ]
+
+
+def test_a_program_whose_reserve_has_died_is_started_as_before(monkeypatch):
+    monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
+    dies = SUCCESSOR.replace("waited = bool", "if WAITS in os.environ: raise SystemExit(3)\nwaited = bool")
+    text = dies.format(then="time.sleep(2.0)\nraise SystemExit(1)")
+    code, lines = kept(Program("node", (sys.executable, "-c", text), has_reserve=True), most_restarts=1)
+    assert code == 1
+    assert [line for line in lines if line.startswith("[node]")] == ["[node] from the start"] * 2
+    assert lines.count("[suite] node in reserve ended: exit code 3") == 2
+
+
+def test_a_process_in_reserve_does_not_outlive_its_program(monkeypatch):
+    monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
+    text = SUCCESSOR.format(then="time.sleep(1.0)").replace("waited = bool", "print(os.getpid())\nwaited = bool")
+    _, lines = kept(Program("node", (sys.executable, "-u", "-c", text), has_reserve=True))
+    pids = [int(line.split()[1]) for line in lines if line.split()[1].isdecimal()]
+    assert len(pids) == 2
+    assert all(map(is_gone, pids))
+
+
 def test_bad_input_is_never_started_again_and_the_others_go_on():
     code, lines = kept(
         program("wrong", "raise SystemExit(2)"),

@@ -33,7 +33,9 @@ _WITH, _WITHOUT = b"process_data_message_with_security", b"process_data_message_
 """Parts of names that the library exports: the second always, the first only where it was built with security."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
-_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+
+QUICK_PROFILE = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("dds_profile.xml"))}
+"""Environment of a program whose Fast DDS meets others and repeats what was lost quickly, where people set none."""
 
 
 def run_ros_command(
@@ -126,10 +128,10 @@ def namespace_name(text: str) -> str:
 def use_quick_repeats() -> None:
     """Let reliable publishers of this process, and of those that it starts, repeat quickly what was lost on the way.
 
-    It sets the Fast DDS profile, before ROS starts; a profile that is set already rules.
+    It sets the Fast DDS profile, before ROS starts; another profile that is set already rules.
     """
-    if _PROFILE_VARIABLE not in os.environ:
-        os.environ[_PROFILE_VARIABLE] = str(Path(__file__).with_name("play_profile.xml"))
+    if QUICK_PROFILE.items() <= (QUICK_PROFILE | os.environ).items():
+        os.environ.update(QUICK_PROFILE)
         os.environ["RMW_FASTRTPS_USE_QOS_FROM_XML"] = "1"
 
 

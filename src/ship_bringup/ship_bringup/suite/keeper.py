@@ -5,30 +5,26 @@ the next start. The programs are told by the kernel to end when this process end
 """
 
 import contextlib
-import ctypes
-import os
 import selectors
 import signal
 import socket
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from types import FrameType
-from typing import IO
 
 from ship_bags.command_line import EXIT_DONE
-from ship_bringup.suite.dds_ports import QUICK_TO_CONNECT, HeldPorts, ports_of
+from ship_bringup.suite.dds_ports import HeldPorts, ports_of
+from ship_bringup.suite.process import Process
 from ship_bringup.suite.restarts import Restarts, end_words, failure_of
 
 _END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _END_S = 10.0
 """A program that was asked to end has this long; then it is killed."""
-_LONGEST_LINE = 65536
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None, use_errno=True)
+_RESERVE_AFTER_S = 5.0
+"""A process in reserve is started so long after the program began, when the start of the others is over."""
 _SUITE = "suite"
 
 
@@ -45,30 +41,42 @@ class Role(Enum):
 
 @dataclass(frozen=True)
 class Program:
-    """One program of the suite: its name before its lines, its command line, and what its end means."""
+    """One program of the suite.
+
+    Attributes:
+        name: stands before its lines.
+        command: its command line.
+        role: what its end means.
+        has_reserve: whether a second process of it waits, with its libraries read, to be its successor.
+    """
 
     name: str
     command: tuple[str, ...]
     role: Role = Role.NODE
+    has_reserve: bool = False
 
 
 @dataclass
 class _Kept:
-    """A program with its process, if it runs, and the time of its next start, if it waits for one."""
+    """A program with its process, if it runs, the one in reserve, and the times at which they are to be started."""
 
     program: Program
     restarts: Restarts
-    process: "subprocess.Popen[bytes] | None" = None
-    pidfd: int = -1
-    started_s: float = 0.0
+    process: Process | None = None
     due_s: float | None = None
-    rest: bytes = field(default=b"")
+    reserve: Process | None = None
+    reserve_due_s: float | None = None
     ports: frozenset[int] = frozenset()
 
     @property
     def is_alive(self) -> bool:
         """Whether it runs or is to run again."""
         return self.process is not None or self.due_s is not None
+
+    @property
+    def processes(self) -> list[Process]:
+        """Those that there are."""
+        return [process for process in (self.process, self.reserve) if process is not None]
 
 
 class Keeper:
@@ -107,33 +115,25 @@ class Keeper:
         return self._failure
 
     def _start(self, kept: _Kept) -> None:
-        kept.due_s, kept.started_s, kept.rest = None, time.monotonic(), b""
-        kept.ports = frozenset()
-        parent = os.getpid()
+        """Start a program, or let the process that waits in reserve begin."""
+        kept.due_s, kept.ports = None, frozenset()
+        kept.process, kept.reserve = kept.reserve, None
+        if kept.process is None:
+            kept.process = self._started(kept, waits=False)
+        else:
+            kept.process.begin()
+        if kept.program.has_reserve:
+            kept.reserve_due_s = kept.process.began_s + _RESERVE_AFTER_S
 
-        def end_with_parent() -> None:
-            _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-            if os.getppid() != parent:
-                os._exit(1)
-
-        # In a session of its own: Ctrl-C on the terminal comes to this process alone, which ends the others in order.
-        kept.process = subprocess.Popen(
-            kept.program.command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env=QUICK_TO_CONNECT | os.environ | {"PYTHONUNBUFFERED": "1"},
-            start_new_session=True,
-            preexec_fn=end_with_parent,  # noqa: PLW1509 - there are no threads here
-        )
-        os.set_blocking(self._pipe(kept).fileno(), False)
-        kept.pidfd = os.pidfd_open(kept.process.pid)
-        self._selector.register(self._pipe(kept), selectors.EVENT_READ, lambda: self._read(kept))
-        self._selector.register(kept.pidfd, selectors.EVENT_READ, lambda: self._ended(kept))
+    def _started(self, kept: _Kept, waits: bool) -> Process:
+        process = Process(kept.program.command, waits)
+        self._selector.register(process.output, selectors.EVENT_READ, lambda: self._read(kept, process))
+        self._selector.register(process.pidfd, selectors.EVENT_READ, lambda: self._ended(kept, process))
+        return process
 
     def _wait(self) -> None:
         """Wait for the next event or time, and handle it."""
-        due = [kept.due_s for kept in self._kept if kept.due_s is not None]
+        due = [s for kept in self._kept for s in (kept.due_s, kept.reserve_due_s) if s is not None]
         due += [] if self._kill_due_s is None else [self._kill_due_s]
         timeout_s = max(0.0, min(due) - time.monotonic()) if due else None
         for key, _ in self._selector.select(timeout_s):
@@ -141,42 +141,33 @@ class Keeper:
             if key.fd in self._selector.get_map():
                 key.data()
 
-    def _read(self, kept: _Kept) -> bool:
+    def _read(self, kept: _Kept, process: Process) -> bool:
         """Show the whole lines of what a program has written; returns whether there may be more to read."""
-        pipe = self._pipe(kept)
-        try:
-            data = os.read(pipe.fileno(), _LONGEST_LINE)
-        except BlockingIOError:
-            return False
-        *lines, kept.rest = (kept.rest + data).split(b"\n")
-        if len(kept.rest) > _LONGEST_LINE or (kept.rest and not data):
-            lines, kept.rest = [*lines, kept.rest], b""
+        lines, may_be_more = process.lines()
         for line in lines:
-            self._say(kept.program.name, line.decode("utf-8", errors="replace").rstrip("\r"))
-        if not kept.ports and kept.process is not None:
+            self._say(kept.program.name, line)
+        if lines and not kept.ports and process is kept.process:
             # Who has something to say has a node, which will have these ports until it ends.
-            kept.ports = ports_of(kept.process.pid)
-        if not data:
-            self._selector.unregister(pipe)
-        return bool(data)
+            kept.ports = ports_of(process.pid)
+        if process.has_said_all:
+            self._selector.unregister(process.output)
+        return may_be_more
 
-    def _ended(self, kept: _Kept) -> None:
-        """Take note of the end of a program: it is started again, or it is not."""
-        assert kept.process is not None
-        self._selector.unregister(kept.pidfd)
-        os.close(kept.pidfd)
-        code, pipe = kept.process.wait(), self._pipe(kept)
-        while pipe in self._selector.get_map() and self._read(kept):
+    def _ended(self, kept: _Kept, process: Process) -> None:
+        """Take note of the end of a process: its program is started again, or it is not."""
+        while not process.has_said_all and self._read(kept, process):
             pass
-        if pipe in self._selector.get_map():
-            # Something that the program has started holds the pipe still.
-            self._selector.unregister(pipe)
-        pipe.close()
+        self._forget(process)
+        code, ran_s = process.close(), time.monotonic() - process.began_s
+        if process is kept.reserve:
+            kept.reserve = None
+            self._say(_SUITE, f"{kept.program.name} in reserve ended: {end_words(code)}")
+            return
         kept.process = None
         if self._ending:
             self._kill_due_s = None
         else:
-            self._judge(kept, code, time.monotonic() - kept.started_s)
+            self._judge(kept, code, ran_s)
 
     def _judge(self, kept: _Kept, code: int, ran_s: float) -> None:
         name, role = kept.program.name, kept.program.role
@@ -188,6 +179,7 @@ class Keeper:
             kept.due_s = time.monotonic() + delay_s
             self._held_ports.hold(kept.ports)
             return
+        self._drop_reserve(kept)
         failure = failure_of(code)
         self._failure = self._failure or failure
         self._say(_SUITE, f"{how}; not started again" if failure else how)
@@ -200,12 +192,31 @@ class Keeper:
         for kept in self._kept:
             if kept.due_s is not None and kept.due_s <= now_s:
                 self._start(kept)
+            if kept.reserve_due_s is not None and kept.reserve_due_s <= now_s:
+                kept.reserve_due_s = None
+                kept.reserve = self._started(kept, waits=True)
+
+    def _forget(self, process: Process) -> None:
+        """Wait for a process no more; something that it has started may hold its output still."""
+        self._selector.unregister(process.pidfd)
+        if not process.has_said_all:
+            self._selector.unregister(process.output)
+
+    def _drop_reserve(self, kept: _Kept) -> None:
+        """End the process in reserve, which holds nothing; none is started any more."""
+        kept.reserve_due_s = None
+        if kept.reserve is not None:
+            self._forget(kept.reserve)
+            kept.reserve.kill()
+            kept.reserve.close()
+            kept.reserve = None
 
     def _end(self) -> None:
         """Begin to end everything; what waited to be started is not."""
         self._ending, self._kill_due_s = True, None
         for kept in self._kept:
             kept.due_s = None
+            self._drop_reserve(kept)
 
     def _end_step_by_step(self) -> None:
         """While the suite ends: ask the last program that runs to end; kill it where it does not."""
@@ -216,17 +227,16 @@ class Keeper:
         assert process is not None
         if self._kill_due_s is None:
             self._kill_due_s = time.monotonic() + _END_S
-            process.send_signal(signal.SIGINT)
+            process.ask_to_end()
         elif time.monotonic() >= self._kill_due_s:
             self._say(_SUITE, f"{running[-1].program.name} does not end: killed")
             self._kill_due_s = time.monotonic() + _END_S
-            _kill(process)
+            process.kill()
 
     def _kill_all(self) -> None:
-        for kept in self._kept:
-            if kept.process is not None:
-                _kill(kept.process)
-                kept.process.wait()
+        for process in [process for kept in self._kept for process in kept.processes]:
+            process.kill()
+            process.close()
 
     def _say(self, name: str, line: str) -> None:
         try:
@@ -263,24 +273,11 @@ class Keeper:
             woken.close()
 
     def _kill_all_now(self) -> None:
-        for kept in self._kept:
-            if kept.process is not None:
-                _kill(kept.process)
-
-    @staticmethod
-    def _pipe(kept: _Kept) -> IO[bytes]:
-        assert kept.process is not None
-        assert kept.process.stdout is not None
-        return kept.process.stdout
+        for process in [process for kept in self._kept for process in kept.processes]:
+            process.kill()
 
 
 def say_line(line: str) -> None:
     """Write a line to stdout at once."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
-
-
-def _kill(process: "subprocess.Popen[bytes]") -> None:
-    """Kill a program and all that it has started."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)

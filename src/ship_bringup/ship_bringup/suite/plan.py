@@ -85,7 +85,7 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         name = adapter.node_name
         box = () if options.box is None else ("-p", f"black_box:={options.box.resolve()}/")
         arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box)
-        programs.append(Program(name, (*executable(packages[name], name), *arguments)))
+        programs.append(Program(name, (*executable(packages[name], name), *arguments), has_reserve=True))
     if options.monitor:
         programs += _watchers(options, ros)
     if options.bag is not None:

@@ -1,0 +1,106 @@
+"""One process of a suite: started in a session of its own, read line by line, told to begin, ended.
+
+A process can be started before it is needed: it reads its libraries, which takes most of a second and on a busy machine
+several, and then waits to be told to begin (:mod:`ship_node.live.start`).
+"""
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Sequence
+from typing import IO
+
+from ship_bringup.suite.dds_ports import QUICK_TO_CONNECT
+from ship_node.live.start import WAITS
+
+_LONGEST_LINE = 65536
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None, use_errno=True)
+
+
+class Process:
+    """A running process.
+
+    Attributes:
+        pid: its id.
+        pidfd: file descriptor that can be read once it has ended.
+        began_s: steady time at which it was told to begin, or was started where it need not be told.
+        has_said_all: whether its output is at its end.
+
+    Args:
+        command: program and arguments.
+        waits: whether it reads its libraries and then waits for :meth:`begin`.
+    """
+
+    def __init__(self, command: Sequence[str], waits: bool = False) -> None:
+        parent = os.getpid()
+
+        def end_with_parent() -> None:
+            _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+            if os.getppid() != parent:
+                os._exit(1)
+
+        # In a session of its own: Ctrl-C on the terminal comes to this process alone, which ends the others in order.
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE if waits else subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=QUICK_TO_CONNECT | os.environ | {"PYTHONUNBUFFERED": "1"} | ({WAITS: "1"} if waits else {}),
+            start_new_session=True,
+            preexec_fn=end_with_parent,  # noqa: PLW1509 - there are no threads here
+        )
+        self.pid = self._process.pid
+        self.pidfd = os.pidfd_open(self.pid)
+        self.began_s = time.monotonic()
+        self.has_said_all = False
+        self._rest = b""
+        os.set_blocking(self.output.fileno(), False)
+
+    @property
+    def output(self) -> IO[bytes]:
+        """What it writes, stdout and stderr."""
+        assert self._process.stdout is not None
+        return self._process.stdout
+
+    def begin(self) -> None:
+        """Tell a process that waits to begin; one that has died meanwhile is not told."""
+        self.began_s = time.monotonic()
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.write(b"\n")
+                self._process.stdin.flush()
+
+    def lines(self) -> tuple[list[str], bool]:
+        """The whole lines that it has written since the last call, and whether there may be more to read."""
+        try:
+            data = os.read(self.output.fileno(), _LONGEST_LINE)
+        except BlockingIOError:
+            return [], False
+        self.has_said_all = not data
+        *whole, self._rest = (self._rest + data).split(b"\n")
+        if len(self._rest) > _LONGEST_LINE or (self._rest and not data):
+            whole, self._rest = [*whole, self._rest], b""
+        return [line.decode("utf-8", errors="replace").rstrip("\r") for line in whole], bool(data)
+
+    def ask_to_end(self) -> None:
+        """Ask it to end in order."""
+        self._process.send_signal(signal.SIGINT)
+
+    def kill(self) -> None:
+        """Kill it and all that it has started."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
+
+    def close(self) -> int:
+        """Exit code of a process that has ended or was killed; nothing of it is left."""
+        code = self._process.wait()
+        os.close(self.pidfd)
+        self.output.close()
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.close()
+        return code
