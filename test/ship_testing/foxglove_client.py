@@ -5,6 +5,7 @@ Written after the protocol's own description (foxglove/ws-protocol on GitHub), n
 
 import asyncio
 import json
+import socket
 import struct
 import time
 from collections.abc import Callable
@@ -129,3 +130,18 @@ class FoxgloveClient:
 
     def _run(self, work: Any) -> Any:
         return self._loop.run_until_complete(work)
+
+
+def deaf_client(address: str, channel_id: int) -> socket.socket:
+    """The socket of a client that has subscribed to a channel and never reads."""
+    deaf = socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2])))
+    deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    deaf.sendall(
+        b"GET / HTTP/1.1\r\nHost: ship\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+    )
+    assert deaf.recv(12) == b"HTTP/1.1 101"
+    text = json.dumps({"op": "subscribe", "subscriptions": [{"id": 0, "channelId": channel_id}]}).encode()
+    # RFC 6455: one text frame, masked with zeros.
+    deaf.sendall(bytes([0x81, 0x80 | len(text)]) + bytes(4) + text)
+    return deaf

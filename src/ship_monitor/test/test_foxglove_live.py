@@ -20,7 +20,7 @@ from ship_monitor.live import reader as reader_module
 from ship_monitor.live.live_watch import LiveWatch
 from ship_msgs.msg import AlertArray, ErrorBudget, ShipAttitude
 from ship_replay.trials.live_process import LiveProcess
-from ship_testing.foxglove_client import FoxgloveClient
+from ship_testing.foxglove_client import FoxgloveClient, deaf_client
 from ship_testing.publishing_ship import PublishingShip, attitude
 from ship_watch.limits import Limits
 
@@ -230,7 +230,9 @@ def test_the_page_is_shown_the_same_with_a_client_and_without(sail, connect, wat
     client.until(heading)
 
 
-def test_the_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, tmp_path):
+@pytest.fixture
+def monitor(opened, tmp_path):
+    """The executable, and the address at which it serves Foxglove."""
     command = [*executable("ship_monitor", "monitor"), "--namespace", "demo", "--port", "0", "--foxglove", "0"]
     process = opened.enter_context(LiveProcess(command, tmp_path / "log", os.environ))
     deadline_s = time.monotonic() + 60.0
@@ -238,7 +240,11 @@ def test_the_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, open
         assert process.exit_code is None, process.log()
         assert time.monotonic() < deadline_s, process.log()
         time.sleep(0.05)
-    address = next(word for word in process.log().split() if word.startswith("ws://127.0.0.1:"))
+    return process, next(word for word in process.log().split() if word.startswith("ws://127.0.0.1:"))
+
+
+def test_the_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, monitor):
+    process, address = monitor
     ship, client = sail(), FoxgloveClient(address)
     opened.callback(client.close)
     ship.say("ship/attitude", attitude(START_NS))
@@ -247,3 +253,25 @@ def test_the_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, open
     assert process.end(signal.SIGINT) == 0
     client.until(lambda: client.is_over)
     assert len(process.log().splitlines()) == 2, process.log()
+
+
+def test_the_executable_ends_although_a_client_has_ceased_to_read(sail, opened, monitor):
+    process, address = monitor
+    ship, client = sail(), FoxgloveClient(address)
+    opened.callback(client.close)
+    message = String(data="x" * 60_000)
+    ship.say("told", message)
+    hear(client, ship, "told", message)
+    deaf = opened.enter_context(deaf_client(address, client.channels["/demo/told"]["id"]))
+    # More than the buffers of a connection take: what it does not read then waits in the server.
+    client.received.clear()
+
+    def has_come():
+        for _ in range(5):
+            ship.say("told", message)
+        return len(client.received) >= 200
+
+    client.until(has_come)
+    assert process.end(signal.SIGTERM) == 0
+    assert len(process.log().splitlines()) == 2, process.log()
+    assert deaf.fileno() >= 0

@@ -1,6 +1,5 @@
 """The server for Foxglove, asked by a client over a real websocket."""
 
-import json
 import socket
 import struct
 import threading
@@ -10,7 +9,7 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_monitor.foxglove.server import FoxgloveServer
-from ship_testing.foxglove_client import FoxgloveClient
+from ship_testing.foxglove_client import FoxgloveClient, deaf_client
 
 STRING = "std_msgs/msg/String"
 MESSAGE = b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00"
@@ -157,21 +156,6 @@ def test_nonsense_harms_neither_the_server_nor_others(server, connect):
     good.until(lambda: good.received)
 
 
-def deaf_client(server, topic_id):
-    """A client that subscribes and never reads."""
-    client = socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2])))
-    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    client.sendall(
-        b"GET / HTTP/1.1\r\nHost: ship\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-        b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
-    )
-    assert client.recv(12) == b"HTTP/1.1 101"
-    text = json.dumps({"op": "subscribe", "subscriptions": [{"id": 0, "channelId": topic_id}]}).encode()
-    # RFC 6455: final text frame, masked with zeros.
-    client.sendall(bytes([0x81, 0x80 | len(text)]) + bytes(4) + text)
-    return client
-
-
 def resident_mb():
     with open("/proc/self/statm", encoding="ascii") as file:
         return int(file.read().split()[1]) * 4096 / 1e6
@@ -181,7 +165,7 @@ def test_a_client_that_ceases_to_read_makes_nobody_wait_no_memory_grow_and_the_e
     server.offer("/demo/said", STRING, "string data")
     good = connect()
     subscribed(server, good, "/demo/said")
-    with deaf_client(server, good.channels["/demo/said"]["id"]):
+    with deaf_client(server.address, good.channels["/demo/said"]["id"]):
         good.until(server.newcomers)
         payload = bytes(4000)
         before_mb, begin_s = resident_mb(), time.monotonic()
