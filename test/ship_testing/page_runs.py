@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from queue import Queue
 
@@ -41,7 +41,7 @@ class SetPictures:
         self.picture = picture
         self.history = self.history if history is None else history
 
-    def controls(self) -> None:
+    def controls(self, _moved: Callable[[], None]) -> None:
         """None."""
 
 

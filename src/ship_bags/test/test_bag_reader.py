@@ -11,7 +11,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
@@ -105,6 +105,36 @@ def test_only_the_topics_asked_for(tmp_path):
         assert [record.log_time_ns for record in bag.records({"b"})] == list(range(2, 31, 3))
         assert bag.topics == {"a": VECTOR, "b": VECTOR, "c": VECTOR}
         assert (bag.start_ns, bag.end_ns) == (1, 30)
+
+
+@pytest.mark.parametrize("use_index", [True, False])
+@pytest.mark.parametrize("before", [0, 1, 40, 999, 5000])
+def test_the_last_message_of_a_topic_before_a_time(tmp_path, before, use_index):
+    rng = random.Random(before)
+    times = [START_NS + number + rng.randrange(-30, 30) for number in range(1000)]
+    index_types = IndexType.ALL if use_index else IndexType.ALL & ~IndexType.MESSAGE
+    path = write_numbered(tmp_path / "bag.mcap", times, ("a", "b", "c"), index_types=index_types)
+    before_ns = START_NS + before
+    earlier = [(time, number) for number, time in enumerate(times) if time < before_ns and number % 3 == 1]
+    with read_bag(path) as bag:
+        found = bag.last_before("b", before_ns)
+        assert (found and (found.log_time_ns, int(found.decode().x))) == (max(earlier) if earlier else None)
+        assert bag.last_before("unheard", before_ns) is None
+
+
+def test_chunks_without_the_topics_are_not_read(tmp_path):
+    with BagWriter(tmp_path / "bag.mcap") as writer:
+        for second in range(100):  # a chunk each
+            name = "rare" if second == 40 else "usual"
+            writer.write(name, imu(START_NS + second * 2 * 10**9), START_NS + second * 2 * 10**9)
+    with read_bag(tmp_path / "bag.mcap") as bag:
+        read, original = [], bag._files[0].messages
+        bag._files[0].messages = lambda place: read.append(place) or original(place)
+        assert [record.log_time_ns for record in bag.records({"rare"})] == [START_NS + 80 * 10**9]
+        assert len(read) == 1
+        assert bag.last_before("rare", bag.end_ns).log_time_ns == START_NS + 80 * 10**9
+        assert len(read) == 2
+        assert len(list(bag.records())) == 100
 
 
 @pytest.mark.parametrize("since", [0, 1, 500, 777, 1500])

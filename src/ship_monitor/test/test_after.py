@@ -7,11 +7,11 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
-from ship_bags.stamps import NS_PER_S
+from ship_bags.stamps import NS_PER_S, make_header
 from ship_monitor.after import recorded_pictures
 from ship_monitor.after.recorded_pictures import RecordedPictures
 from ship_monitor.after.recorded_suite import THINNED_NS, RecordedSuite
-from ship_testing.hand_made_bags import START_NS, ship_attitude, write_imu_bag
+from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, write_imu_bag
 from ship_testing.recorded_suites import TURN_RAD_PER_S, write_suite
 from ship_watch.history import KEPT_S
 from ship_watch.limits import Limits
@@ -171,7 +171,45 @@ class TestPictures:
         minute = sum(
             START_NS + 790 * NS_PER_S <= each.log_time_ns <= START_NS + 850 * NS_PER_S for each in suite.messages(0)
         )
-        assert len(heard) <= minute + 3  # the alerts, once for each of both watches, and one message of the ten minutes
+        at_first = len(heard)
+        assert at_first <= minute + 2  # the alerts, and one attitude that another start of its tenths leaves
+        pictures.look()
+        assert len(heard) <= at_first + 1  # one message of the ten minutes
+
+    def test_who_chooses_a_time_sees_it_without_waiting_for_the_next_look(self, pictures):
+        seen = []
+        pictures.controls(lambda: seen.append(pictures.look().utc_ns))
+        slide(pictures, 100.0)
+        assert seen == pytest.approx([START_NS + 100 * NS_PER_S], abs=0.1 * NS_PER_S)
+
+    def test_alerts_and_states_that_stand_for_longer_than_ten_minutes_are_shown(self, tmp_path):
+        """The nominal value of an installation angle is what was told first, as whoever watched all the time saw it."""
+
+        def alignment(stamp_ns, azimuth):
+            return FACTORY.make(
+                "ship_msgs/msg/AlignmentState",
+                header=make_header(FACTORY, stamp_ns),
+                names=["star.bow.azimuth"],
+                values=[azimuth],
+                covariance=[1e-12],
+                units=["rad"],
+            )
+
+        with BagWriter(tmp_path / "long.mcap") as writer:
+            for second in range(1500):
+                stamp_ns = START_NS + second * NS_PER_S
+                writer.write("ship/attitude", ship_attitude(stamp_ns), stamp_ns)
+                if second in (5, 300):
+                    writer.write("ship/alignment", alignment(stamp_ns, 1.0 + 1e-6 * second), stamp_ns)
+        pictures = RecordedPictures(RecordedSuite(tmp_path / "long.mcap"), Limits())
+        for at_s, expected in ((1400.0, (1.0003, 1.000005)), (200.0, (1.000005, 1.000005))):
+            pictures.go_to(at_s)
+            pictures.look()
+            (state,) = pictures.history.alignment
+            assert (state.value, state.nominal) == pytest.approx(expected, abs=1e-9)
+        pictures.go_to(1.0)
+        whole(pictures)
+        assert pictures.history.alignment == ()
 
     def test_playing_goes_on_by_the_time_that_passes_and_stops_at_the_end(self, pictures, monkeypatch):
         now = [0.0]

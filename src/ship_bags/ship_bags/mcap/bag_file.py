@@ -154,7 +154,11 @@ def _take_summary(file: McapFile, summary: Summary) -> None:
     file.channels.update(summary.channels)
     for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
         place = ChunkPlace(
-            index.chunk_start_offset, index.chunk_length, index.message_start_time, index.message_end_time
+            index.chunk_start_offset,
+            index.chunk_length,
+            index.message_start_time,
+            index.message_end_time,
+            channels=frozenset(index.message_index_offsets) or None,  # a writer may leave the index out
         )
         file.chunks.append(place)
     offsets = [index.offset for index in summary.attachment_indexes]

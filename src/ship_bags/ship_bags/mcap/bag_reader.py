@@ -147,12 +147,12 @@ class Bag:
         Args:
             topics: names of the topics wanted; None means all that can be read.
             since_ns: log time before which none is wanted; chunks that end before it are not read.
+
+        Chunks that hold no message of the topics, as the index of the bag says, are not read either.
         """
-        channels = [
-            {number: name for number, name in usable.items() if topics is None or name in topics}
-            for usable in self._usable_channels
-        ]
-        places = [entry for entry in self._places() if entry.place.end_ns >= since_ns]
+        channels = self._channels_with(topics)
+        places = self._places(None if topics is None else channels)
+        places = [entry for entry in places if entry.place.end_ns >= since_ns]
         waiting: list[tuple[int, int, BagRecord]] = []
         for number, bag_place in enumerate(places):
             waiting.extend(self._chunk_records(bag_place, channels[bag_place.file_number]))
@@ -173,6 +173,20 @@ class Bag:
                 self.last_time_ns = time_ns
                 yield record
             del waiting[:ready]
+
+    def last_before(self, topic: str, before_ns: int) -> BagRecord | None:
+        """The last message of a topic before a log time; None where there is none. Other chunks are hardly read."""
+        channels = self._channels_with({topic})
+        found: tuple[int, int, BagRecord] | None = None
+        for entry in sorted(self._places(channels), key=lambda entry: -entry.place.end_ns):
+            if found is not None and entry.place.end_ns < found[0]:
+                break
+            if entry.place.start_ns >= before_ns:
+                continue
+            for each in self._chunk_records(entry, channels[entry.file_number]):
+                if each[0] < before_ns and (found is None or each[:2] > found[:2]):
+                    found = each
+        return None if found is None else found[2]
 
     def records_in_file_order(self) -> Iterator[BagRecord]:
         """All messages as they lie in the bag, one file after the other, log times as they come."""
@@ -197,10 +211,21 @@ class Bag:
     ) -> None:
         self.close()
 
-    def _places(self) -> list[_BagPlace]:
-        """The places of all messages, by the time at which they begin."""
+    def _channels_with(self, topics: Collection[str] | None) -> list[dict[int, str]]:
+        """Of each file, channel → topic of the topics wanted; None means all."""
+        return [
+            {number: name for number, name in usable.items() if topics is None or name in topics}
+            for usable in self._usable_channels
+        ]
+
+    def _places(self, channels: list[dict[int, str]] | None) -> list[_BagPlace]:
+        """The places of the messages of some channels, None means all, by the time at which they begin."""
         in_bag_order = [(number, place) for number, file in enumerate(self._files) for place in file.chunks]
-        places = [_BagPlace(order, number, place) for order, (number, place) in enumerate(in_bag_order)]
+        places = [
+            _BagPlace(order, number, place)
+            for order, (number, place) in enumerate(in_bag_order)
+            if channels is None or place.channels is None or not place.channels.isdisjoint(channels[number])
+        ]
         return sorted(places, key=lambda entry: (entry.place.start_ns, entry.order))
 
     def _chunk_records(self, at: _BagPlace, channels: dict[int, str]) -> Iterator[tuple[int, int, BagRecord]]:

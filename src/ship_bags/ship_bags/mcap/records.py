@@ -65,6 +65,7 @@ class ChunkPlace:
         start_ns: earliest log time.
         end_ns: latest log time.
         loose: whether it is a run of messages outside any chunk.
+        channels: those of which it holds messages, as the index of the file says; None where that is not known.
     """
 
     offset: int
@@ -72,6 +73,7 @@ class ChunkPlace:
     start_ns: int
     end_ns: int
     loose: bool = False
+    channels: frozenset[int] | None = None
 
 
 @dataclass(frozen=True)

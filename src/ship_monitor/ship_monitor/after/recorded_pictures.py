@@ -2,13 +2,14 @@
 
 A watch has to hear the ten minutes before a time to show it whole, and that takes a second or two. So another time is
 shown at once from its last minute alone, which is all that words and verdicts rest on; the ten minutes, for plots,
-events and since when a source is out, are heard a little at each look, and take its place when they are through. What
-lies before them is not heard: a source that is out for longer is told to be out for ten minutes.
+events and since when a source is out, are heard a little at each look, and take its place when they are through. Of
+what lies before them only alerts and states that still stand are heard: a source that is out for longer is told to be
+out for ten minutes.
 """
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from bokeh.models.ui import UIElement
 
@@ -63,7 +64,8 @@ class RecordedPictures:
         self._suite, self._limits = suite, limits
         self._time_ns = suite.end_ns
         self._last_look_s = time.monotonic()
-        self._controls = TimeControls((suite.end_ns - suite.start_ns) / NS_PER_S, " · ".join(suite.notes), self.go_to)
+        self._controls = TimeControls((suite.end_ns - suite.start_ns) / NS_PER_S, " · ".join(suite.notes), self._move)
+        self._tell_moved: Callable[[], None] = lambda: None
         self._shown: _Heard | None = None
         self._whole: _Heard | None = None
 
@@ -109,16 +111,24 @@ class RecordedPictures:
         now_s = time.monotonic()
         self._play(now_s - self._last_look_s)
         self._last_look_s = now_s
+        is_begun = self._shown is None
         shown = self._heard()
         shown.hear(self._time_ns)
-        if self._whole is not None and self._whole.hear(self._time_ns, time.monotonic() + LOOK_S):
+        # Another time is shown before anything else is done.
+        if not is_begun and self._whole is not None and self._whole.hear(self._time_ns, time.monotonic() + LOOK_S):
             shown = self._shown = self._whole
             self._whole = None
         return shown.watch.look(self._time_ns)
 
-    def controls(self) -> UIElement:
-        """Slider and buttons that choose the time."""
+    def controls(self, moved: Callable[[], None]) -> UIElement:
+        """Slider and buttons that choose the time; ``moved`` is called when somebody has."""
+        self._tell_moved = moved
         return self._controls.layout
+
+    def _move(self, since_start_s: float) -> None:
+        """Somebody has chosen a time: the page does not wait for its next look."""
+        self.go_to(since_start_s)
+        self._tell_moved()
 
     def _heard(self) -> _Heard:
         """What hears for the picture; begun where the time is another one."""

@@ -7,13 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import BagRecord, read_bag, watched
+from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
 from ship_watch.topics import watched_topic
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing")
-_ALERTS = "ship/alerts"
+STANDING = ("ship/alerts", "ship/alignment", "theodolite/calibration")
+"""Topics whose last message stands until the next, however old it is."""
+
+_STATES = STANDING[1:]
+"""Of these the first message tells the nominal values, too."""
+
 THINNED_NS = 100_000_000
 """Where the newest message says all, one in so much time is decoded, ns: a watch judges no more often."""
 
@@ -57,18 +62,22 @@ class RecordedSuite:
         self.is_simulated = has_truth or SCENARIO_ATTACHMENT in self._bag.attachments
         self.notes = self._missing(set(usable), has_truth)
         self._told: set[str] = set()
-        alerts = usable.get(_ALERTS)
-        self._alerts = list(watched(self._bag.records({alerts}), self._bag)) if alerts else []
+        self._standing = {name: usable[name] for name in STANDING if name in usable}
+        self._first_states = [next(self._bag.records({usable[name]}), None) for name in _STATES if name in usable]
 
     def messages(self, since_ns: int) -> Iterator[Recorded]:
-        """What is watched from a log time on; first the alerts that stood then. What cannot be decoded is left out.
+        """What is watched from a log time on; first the alerts and states that stood then.
+
+        What cannot be decoded is left out.
 
         Args:
             since_ns: log time of the first message.
         """
-        standing = [record for record in self._alerts if record.log_time_ns < since_ns][-1:]
-        for record in standing:
-            yield from self._decoded(record, since_ns)
+        last = [self._bag.last_before(topic, since_ns) for topic in self._standing.values()]
+        first = [record for record in self._first_states if record is not None and record.log_time_ns < since_ns]
+        for record in (*first, *last):
+            if record is not None:
+                yield from self._decoded(record, since_ns)
         taken_ns: dict[str, int] = {}
         for record in self._bag.records(self._rows, since_ns):
             row = self._rows[record.topic][1]

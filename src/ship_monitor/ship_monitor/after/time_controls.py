@@ -6,7 +6,7 @@ Its colours are those of the page, which its styles take from the custom propert
 from collections.abc import Callable
 from typing import Any
 
-from bokeh.models import Button, Column, CustomJS, Div, InlineStyleSheet, Row, Slider, Toggle
+from bokeh.models import Button, CustomJS, Div, InlineStyleSheet, Row, Slider, Toggle
 
 SPEEDS = (1, 10, 60)
 STEP_S = 1.0
@@ -53,14 +53,13 @@ class TimeControls:
         self._slider.on_change("value", self._dragged)
         self._slider.on_change("value_throttled", self._moved)
         self._slider.js_on_change("value", CustomJS(args={"clock": self._clock, "length": length_s}, code=_CLOCK_JS))
-        row = Row(
-            children=[self._play, self._speed, self._slider, self._clock],
+        missing = Div(text=note, render_as_text=True, visible=bool(note), margin=0, stylesheets=[style])
+        missing.styles = {"max-width": "22rem"}
+        self.layout = Row(
+            children=[self._play, self._speed, self._clock, self._slider, missing],
             sizing_mode="stretch_width",
             styles={"align-items": "center", "gap": "4px 12px", "flex-wrap": "wrap"},
         )
-        missing = Div(text=note, render_as_text=True, visible=bool(note), margin=0, stylesheets=[style])
-        missing.sizing_mode = "stretch_width"
-        self.layout = Column(children=[row, missing], sizing_mode="stretch_width")
 
     @property
     def is_playing(self) -> bool:
@@ -115,7 +114,8 @@ clock.text = told(cb_obj.value) + " / " + told(length);
 """
 
 _CSS = """
-:host,.bk-btn,.bk-clearfix{font-family:inherit;color:var(--text);font-size:15px;font-variant-numeric:tabular-nums}
+:host,.bk-btn,.bk-clearfix{font-family:Watch,B612,"DejaVu Sans",sans-serif}
+:host,.bk-btn,.bk-clearfix{color:var(--text);font-size:15px;font-variant-numeric:tabular-nums}
 .bk-btn,.bk-btn.bk-active,.bk-btn:hover{background:var(--panel)!important;color:var(--text)!important;
   border:1px solid var(--second-text)!important;border-radius:2px;box-shadow:none!important;padding:6px 8px}
 .noUi-target{background:var(--grid)!important;border:1px solid var(--border)!important;box-shadow:none!important}

@@ -8,6 +8,7 @@ they come to somebody outside ROS, where there is one.
 import itertools
 import logging
 import threading
+from collections.abc import Callable
 from queue import Empty, SimpleQueue
 
 from ship_monitor.live.acknowledge import acknowledge
@@ -121,7 +122,7 @@ class LiveWatch:
         """Acknowledge one instance of an alert, and say in words what came of it. It may wait for seconds."""
         return acknowledge(self._reader.context, self._reader.namespace, alert_id, instance)
 
-    def controls(self) -> None:
+    def controls(self, _moved: Callable[[], None]) -> None:
         """There are none: time goes as it goes."""
 
     def close(self) -> None:

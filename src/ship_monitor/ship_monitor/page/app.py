@@ -62,7 +62,7 @@ class Page:
         document.js_on_event(
             "document_ready", CustomJS(args={"chosen": self._chosen}, code="monitor.connected(chosen)")
         )
-        controls = source.controls()
+        controls = source.controls(self._say)
         if controls is not None:
             controls.name = "controls"
             document.add_root(controls)
@@ -78,11 +78,14 @@ class Page:
         document.add_periodic_callback(self._update, TEXTS_PERIOD_MS)
 
     def _update(self) -> None:
-        """Say what is new. An error leaves the page without news, and it then says so itself."""
-        self._texts.data = {"text": [self._text()]}
+        """Say and draw what is new. An error leaves the page without news, and it then says so itself."""
+        self._say()
         self._count += 1
         if self._count % PLOTS_EVERY == 0:
             self._draw()
+
+    def _say(self) -> None:
+        self._texts.data = {"text": [self._text()]}
 
     def _draw(self) -> None:
         if self._panels is not None and not self._is_paused:

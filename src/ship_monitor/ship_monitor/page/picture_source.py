@@ -4,6 +4,7 @@ Of a running suite one source serves all browsers. Of a bag each browser has one
 another time.
 """
 
+from collections.abc import Callable
 from typing import Protocol
 
 from bokeh.models.ui import UIElement
@@ -39,6 +40,10 @@ class PictureSource(Protocol):
         """The picture now. Each browser asks twice a second: a source that serves several keeps the last one."""
         ...
 
-    def controls(self) -> UIElement | None:
-        """What stands under the top bar, as the time slider of a bag, made anew for each browser; None for nothing."""
+    def controls(self, moved: Callable[[], None]) -> UIElement | None:
+        """What stands under the top bar, as the time slider of a bag, made anew for each browser; None for nothing.
+
+        Args:
+            moved: to be called where the controls have changed the picture, which is then looked at once more.
+        """
         ...

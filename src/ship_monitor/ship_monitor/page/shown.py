@@ -56,13 +56,15 @@ def _tile(angle: AngleShown) -> dict[str, Any]:
     limit = words.limit_size(angle.limit)
     ratio = angle.accuracy_95 / (2.0 * angle.limit) if angle.limit > 0.0 else float("nan")
     reason = angle.reason or f"limit {limit}"
+    if angle.reason == "over the limit":  # a better word comes seconds after a better value
+        reason = f"{'was ' if angle.accuracy_95 <= angle.limit else ''}over the limit, {limit}"
     return {
         "number": reading.number,
         "sense": reading.sense or ("theodolite" if angle.name in _OF_THEODOLITE else ""),
         "accuracy": words.accuracy(angle),
         # The limit is in the middle of the bar. Nothing is drawn without a number.
         "bar": min(ratio, 1.0) if ratio >= 0.0 and not angle.is_old else None,
-        "reason": f"{reason}, {limit}" if angle.reason == "over the limit" else reason,
+        "reason": reason,
         "is_reason": bool(angle.reason),
         "is_old": angle.is_old,
         "age_s": angle.age_s if angle.age_s < float("inf") else None,

@@ -12,7 +12,7 @@ from ship_monitor.page.marking import is_about, with_mark
 from ship_monitor.page.themes import FONT, Theme
 from ship_watch.picture import Event, InputShown, Picture, Presence, SourceShown
 
-EVENTS_SHOWN = 10
+EVENTS_SHOWN = 16
 REASONS_SHOWN = 4
 
 
