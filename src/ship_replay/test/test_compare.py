@@ -1,5 +1,6 @@
 """Two runs side by side: what differs is told with its size and its time, what is equal is told as equal."""
 
+import contextlib
 import math
 import re
 from dataclasses import replace
@@ -23,6 +24,7 @@ from ship_replay.report.pair_tables import alignment_tables, budget_tables, erro
 from ship_replay.report.pair_verdict import pair_verdict
 from ship_replay.report.published import differences, read_published
 from ship_testing.bag_parts import beginning, part
+from ship_testing.browser import CHROMIUM, Browser
 from ship_testing.hand_made_bags import START_NS, imu, innovation, ship_attitude
 from ship_watch.picture import Event, Safety
 
@@ -116,7 +118,8 @@ class TestAnotherConfiguration:
         assert found.orientation.topic == "ship/attitude"
         assert found.time_ns.tolist() == list(by_hand)
         worst_ns = max(by_hand, key=lambda stamp: abs(by_hand[stamp]))
-        assert found.largest(0) == (by_hand[worst_ns], worst_ns)
+        largest, stamp_ns = found.largest(0)
+        assert (largest, stamp_ns) == (pytest.approx(by_hand[worst_ns]), worst_ns)
         assert abs(by_hand[worst_ns]) > 0.1
         assert found.rms_arcsec(0) == pytest.approx(math.sqrt(np.mean(np.square(list(by_hand.values())))))
         assert not any(found.channels_equal)
@@ -148,6 +151,19 @@ class TestAnotherConfiguration:
 
     def test_the_voyage_is_the_same(self, pair):
         assert origin(pair)[0].startswith("Both stem from the same simulated voyage")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
+def test_in_a_browser(told, folder):
+    """Nothing but the file itself is asked for, nothing is complained of, and a telephone need not scroll sideways."""
+    (folder / "told.html").write_text(told)
+    with contextlib.closing(Browser()) as browser:
+        for width, height in ((1280, 800), (390, 844)):
+            browser.open((folder / "told.html").as_uri(), width, height)
+            assert browser.problems == []
+            assert set(browser.addresses) == {(folder / "told.html").as_uri()}
+            assert browser.evaluate("document.documentElement.scrollWidth") <= width
+            assert browser.evaluate("document.querySelectorAll('figure svg').length") == 3
 
 
 class TestTheSameRecording:
@@ -192,6 +208,8 @@ def test_the_last_bit_counts(plain, folder):
     assert found.channels_equal == (False, True, True)
     assert found.messages_equal == len(found.time_ns) - 1
     assert not found.all_equal
+    # One bit of a heading of 0.6 rad, 2^-53 rad: 2.3e-11 arcsec.
+    assert found.largest(0)[0] == pytest.approx(2.0**-53 / ARCSEC)
 
 
 def test_an_angle_that_only_one_has(plain, noisier, folder):
@@ -274,6 +292,20 @@ def test_injected_faults_are_other_inputs(plain, folder):
             writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
     told = origin(read_pair(plain, folder / "injected.mcap"))
     assert told == ["They do not stem from the same inputs: faults were injected (seed 7 in B only)."]
+
+
+def test_last_bits_are_told_as_such(tmp_path):
+    """Of runs on two machines: not equal, and yet nothing to look for."""
+    a = write_attitudes(tmp_path / "a.mcap", 20, offset_rad=1.0)
+    b = write_attitudes(tmp_path / "b.mcap", 20, offset_rad=math.nextafter(1.0, 2.0))
+    assert "the angles differ in their last bits only, by less than 1e-06″." in " ".join(sentences(read_pair(a, b)))
+
+
+def test_a_difference_across_north(tmp_path):
+    a = write_attitudes(tmp_path / "a.mcap", 5, offset_rad=-1 * ARCSEC)
+    b = write_attitudes(tmp_path / "b.mcap", 5, offset_rad=2 * ARCSEC)
+    (found,) = differences(read_published(a), read_published(b))
+    assert found.difference_arcsec[:, 0] == pytest.approx([3.0] * 50)
 
 
 def write_attitudes(path, seconds, start_s=0, offset_rad=0.0, covariance=None, truth=True):

@@ -67,8 +67,14 @@ def states_svg(pair: Pair) -> str:
     return svg(figure, "states")
 
 
-def difference_svg(difference: OutputDifference, start_ns: int) -> str:
-    """B minus A at equal stamps, a row a channel, over ±1.96σ of both."""
+def difference_svg(difference: OutputDifference, span_ns: tuple[int, int]) -> str:
+    """B minus A at equal stamps, a row a channel, over ±1.96σ of both.
+
+    Args:
+        difference: of one output.
+        span_ns: times from which to which the axis goes, UTC in ns.
+    """
+    start_ns, end_ns = span_ns
     with plt.rc_context(SVG_STYLE):
         channels = difference.orientation.channels
         figure, grid = plt.subplots(
@@ -88,6 +94,7 @@ def difference_svg(difference: OutputDifference, start_ns: int) -> str:
             axes.set_ylabel(f"{channel_name(channels[channel])}\n[arcsec]", fontsize=8)
         figure.legend(*grid[0, 0].get_legend_handles_labels(), ncols=3, fontsize=8, frameon=False,
                       loc="outside upper right")
+        grid[0, 0].set_xlim(0.0, max((end_ns - start_ns) / NS_PER_S, 1.0))
         plain(grid[:, 0])
         utc_axis(grid[-1, 0], start_ns)
     return svg(figure, "difference-" + difference.orientation.label)

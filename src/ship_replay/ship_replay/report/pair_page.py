@@ -62,7 +62,7 @@ def pair_page(pair: Pair) -> str:
         states=states_svg(pair),
         differences=difference_rows(pair.differences),
         difference_drawings=[
-            difference_svg(found, start_ns) for found in pair.differences if not all(found.channels_equal)
+            difference_svg(found, pair.span_ns) for found in pair.differences if not all(found.channels_equal)
         ],
         sides=sides_svg(pair),
         errors=errors,

@@ -17,6 +17,9 @@ from ship_watch.picture import ANGLES, Safety
 _ALIKE = 0.02
 """Errors that differ by less than this part of themselves tell nothing of which is better."""
 
+_LAST_BITS_ARCSEC = 1e-6
+"""Below this, runs differ by the rounding of another machine or library."""
+
 _MOST_NAMED = 3
 _ON_SKY = "_cos_elevation"
 _NEVER_NS = 1 << 63
@@ -109,11 +112,13 @@ def _outputs(found: OutputDifference) -> str:
         rest = stamps - found.messages_equal
         told = f"; other fields differ in {rest} messages" if rest else ""
         return f"{text}; the angles are equal to the last bit{told}."
-    parts = []
-    for channel, name in enumerate(found.orientation.channels):
-        if not found.channels_equal[channel]:
-            largest, stamp_ns = found.largest(channel)
-            parts.append(f"{channel_name(name)} up to {number(abs(largest))}″ at {utc(stamp_ns)}")
+    largest = [found.largest(channel) for channel in range(len(found.orientation.channels))]
+    if all(abs(value) < _LAST_BITS_ARCSEC for value, _ in largest):
+        return f"{text}; the angles differ in their last bits only, by less than {_LAST_BITS_ARCSEC:g}″."
+    parts = [
+        f"{channel_name(name)} up to {number(abs(value))}″ at {utc(stamp_ns)}"
+        for name, (value, stamp_ns) in zip(found.orientation.channels, largest, strict=True)
+    ]
     return f"{text}; B differs from A in {', '.join(parts)}."
 
 

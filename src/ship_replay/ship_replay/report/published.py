@@ -138,12 +138,14 @@ def _difference(orientation: Orientation, a: Claims, b: Claims) -> OutputDiffere
     if not len(time_ns):
         return None
     angles_a, angles_b = a.angles[in_a], b.angles[in_b]
-    scale = orientation.scale(angles_a)
+    scale, apart = orientation.scale(angles_a), angles_b - angles_a
+    # Only what went around is wrapped: that rounds to the last bit of pi, which is more than that of a small angle.
+    apart = np.where(np.abs(apart) > np.pi, wrap_pi(apart), apart)
     equal = np.all(angles_a.view(np.int64) == angles_b.view(np.int64), axis=0).tolist()
     return OutputDifference(
         orientation,
         time_ns,
-        scale * wrap_pi(angles_b - angles_a) / ARCSEC,
+        scale * apart / ARCSEC,
         np.stack([scale * a.sigma[in_a], orientation.scale(angles_b) * b.sigma[in_b]]) / ARCSEC,
         (equal[0], equal[1], equal[2]),
         int(np.sum(a.digests[in_a] == b.digests[in_b])),
