@@ -26,6 +26,7 @@ from ship_replay.report.published import differences, read_published
 from ship_testing.bag_parts import beginning, part
 from ship_testing.browser import CHROMIUM, Browser
 from ship_testing.hand_made_bags import START_NS, imu, innovation, ship_attitude
+from ship_testing.refusals import refused
 from ship_watch.picture import Event, Safety
 
 BAGS = Path(__file__).parents[3] / "bags"
@@ -393,32 +394,26 @@ def test_events_match_by_text_and_time(pair):
 
 
 class TestBadInput:
-    def refused(self, capsys, *arguments):
-        assert main([str(argument) for argument in arguments]) == 2
-        lines = capsys.readouterr().err.splitlines()
-        assert len(lines) == 1
-        return lines[0]
-
     def test_a_bag_without_outputs(self, tmp_path, capsys):
         a = write_attitudes(tmp_path / "a.mcap", 5)
         with BagWriter(tmp_path / "in.mcap") as writer:
             writer.write("ins/imu", imu(START_NS), START_NS)
-        line = self.refused(capsys, a, tmp_path / "in.mcap", "--out", tmp_path / "c.html")
+        line = refused(main, capsys, a, tmp_path / "in.mcap", "--out", tmp_path / "c.html")
         expected = f"compare: {tmp_path / 'in.mcap'}: no outputs of the suite: expected topic ship/attitude or"
         assert line.startswith(expected)
 
     def test_a_truth_without_truth(self, tmp_path, capsys):
         a = write_attitudes(tmp_path / "a.mcap", 5, truth=False)
-        line = self.refused(capsys, a, a, "--truth", a, "--out", tmp_path / "c.html")
+        line = refused(main, capsys, a, a, "--truth", a, "--out", tmp_path / "c.html")
         assert line.startswith(f"compare: {a}: no truth: expected topic truth/attitude or truth/pointing")
 
     def test_no_overlap_in_time(self, tmp_path, capsys):
         a = write_attitudes(tmp_path / "a.mcap", 5)
         b = write_attitudes(tmp_path / "b.mcap", 5, start_s=60)
-        line = self.refused(capsys, a, b, "--out", tmp_path / "c.html")
+        line = refused(main, capsys, a, b, "--out", tmp_path / "c.html")
         assert line == (
             f"compare: {b}: no time in common with {a}: outputs from 2023-11-14 22:14:20 to 2023-11-14 22:14:24 UTC, "
-            "expected some from 2023-11-14 22:13:20 to 2023-11-14 22:13:24"
+            "expected some from 2023-11-14 22:13:20 to 2023-11-14 22:13:24\n"
         )
         assert not (tmp_path / "c.html").exists()
 
@@ -427,13 +422,13 @@ class TestBadInput:
         a = write_attitudes(tmp_path / "a.mcap", 5)
         with BagWriter(tmp_path / "in.mcap") as writer:
             writer.write("ins/imu", imu(START_NS), START_NS)
-        line = self.refused(capsys, a, tmp_path / "in.mcap", "--out", tmp_path / "c.html")
+        line = refused(main, capsys, a, tmp_path / "in.mcap", "--out", tmp_path / "c.html")
         assert line.startswith(f"compare: {tmp_path / 'in.mcap'}: no outputs of the suite: expected topic")
 
     def test_no_bag(self, tmp_path, capsys):
         a = write_attitudes(tmp_path / "a.mcap", 5)
         (tmp_path / "notes.mcap").write_text("no bag at all, although it is called one")
-        line = self.refused(capsys, a, tmp_path / "notes.mcap", "--out", tmp_path / "c.html")
+        line = refused(main, capsys, a, tmp_path / "notes.mcap", "--out", tmp_path / "c.html")
         assert line.startswith(f"compare: {tmp_path / 'notes.mcap'}: ")
 
     def test_a_suite_file_of_another_version(self, tmp_path, capsys):
@@ -442,7 +437,7 @@ class TestBadInput:
             writer.add_attachment("suite.yaml", "optical_axis:\n  ros__parameters:\n    frobnicate: 1\n")
             for record in bag.records():
                 writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
-        line = self.refused(capsys, a, tmp_path / "b.mcap", "--out", tmp_path / "c.html")
+        line = refused(main, capsys, a, tmp_path / "b.mcap", "--out", tmp_path / "c.html")
         assert f"{tmp_path / 'b.mcap'}: attachment suite.yaml" in line
         assert "frobnicate" in line
 

@@ -24,6 +24,7 @@ from ship_replay.report.tables import outages
 from ship_replay.report.told import read_told
 from ship_replay.report.wording import duration, number, utc
 from ship_testing.hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, innovation, ship_attitude, star_message
+from ship_testing.refusals import refused
 from ship_watch.alert_states import AlertState
 from ship_watch.picture import Event, Priority, Safety
 
@@ -144,17 +145,11 @@ def test_truth_of_another_bag(tmp_path):
 
 
 class TestBadInput:
-    def refused(self, capsys, *arguments):
-        assert main([str(argument) for argument in arguments]) == 2
-        lines = capsys.readouterr().err.splitlines()
-        assert len(lines) == 1
-        return lines[0]
-
     def test_a_bag_without_outputs(self, tmp_path, capsys):
         bag = tmp_path / "in.mcap"
         with BagWriter(bag) as writer:
             writer.write("ins/imu", imu(START_NS), START_NS + PERIOD_NS)
-        line = self.refused(capsys, bag, "--out", tmp_path / "a.html")
+        line = refused(main, capsys, bag, "--out", tmp_path / "a.html")
         assert line.startswith(f"report: {bag}: no outputs of the suite: expected topic ship/attitude or")
 
     @pytest.mark.parametrize("short_bytes", [0, 8_000_000])
@@ -164,24 +159,24 @@ class TestBadInput:
         bag = tmp_path / "out.mcap"
         with BagWriter(bag) as writer:
             writer.write("ship/attitude", ship_attitude(START_NS), START_NS)
-        line = self.refused(capsys, bag, "--out", tmp_path / "a.html")
+        line = refused(main, capsys, bag, "--out", tmp_path / "a.html")
         assert line.startswith(f"report: {bag}: nothing to evaluate: expected topics")
 
     def test_a_truth_without_truth(self, tmp_path, capsys):
         out = write_night(tmp_path / "out.mcap", 5, with_truth=False)
-        line = self.refused(capsys, out, "--truth", out, "--out", tmp_path / "a.html")
+        line = refused(main, capsys, out, "--truth", out, "--out", tmp_path / "a.html")
         assert line.startswith(f"report: {out}: no truth: expected topic truth/attitude or truth/pointing")
 
     def test_no_bag(self, tmp_path, capsys):
         bag = tmp_path / "notes.mcap"
         bag.write_text("no bag at all, although it is called one")
-        assert self.refused(capsys, bag, "--out", tmp_path / "a.html").startswith(f"report: {bag}: ")
+        assert refused(main, capsys, bag, "--out", tmp_path / "a.html").startswith(f"report: {bag}: ")
 
     def test_an_unknown_key_in_the_limits(self, tmp_path, capsys):
         limits = tmp_path / "limits.yaml"
         limits.write_text("heading_arcsec: 8.0\nheadding_arcsec: 8.0\n")
         out = write_night(tmp_path / "out.mcap", 5)
-        line = self.refused(capsys, out, "--limits", limits, "--out", tmp_path / "a.html")
+        line = refused(main, capsys, out, "--limits", limits, "--out", tmp_path / "a.html")
         assert f"{limits}:2" in line
         assert "headding_arcsec" in line
 

@@ -15,6 +15,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import main
 from ship_simulation.suite.suite import suite_yaml
+from ship_testing.refusals import refused
 from ship_testing.short_scenario import SHORT
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
@@ -27,16 +28,6 @@ def scenario(tmp_path):
     path = tmp_path / "short.yaml"
     path.write_text(SHORT)
     return path
-
-
-def refused(capsys, *arguments):
-    """The one line on stderr of a command that ends with exit code 2."""
-    code = main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    assert code == 2
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    return captured.err
 
 
 def test_the_same_seed_gives_the_same_bytes(scenario, tmp_path):
@@ -116,7 +107,7 @@ def test_a_record_that_is_too_short_is_refused(scenario, tmp_path, capsys):
     recording = tmp_path / "carrier.mcap"
     assert main([str(scenario), "--out", str(recording)]) == 0
     capsys.readouterr()
-    line = refused(capsys, SCENARIOS / "recorded.yaml", "--out", tmp_path / "x.mcap", "--carrier", recording)
+    line = refused(main, capsys, SCENARIOS / "recorded.yaml", "--out", tmp_path / "x.mcap", "--carrier", recording)
     assert "the recorded motion holds 4.0 s" in line
     assert "shorten duration_s" in line
     assert not (tmp_path / "x.mcap").exists()
@@ -172,21 +163,21 @@ def test_a_broken_scenario_is_one_line_with_file_line_and_key(case, scenario, tm
     before, after, expected = BROKEN[case]
     assert before in SHORT
     scenario.write_text(SHORT.replace(before, after, 1))
-    line = refused(capsys, scenario, "--out", tmp_path / "x.mcap")
+    line = refused(main, capsys, scenario, "--out", tmp_path / "x.mcap")
     assert str(scenario) in line
     assert expected in line
     assert list(tmp_path.iterdir()) == [scenario]
 
 
 def test_files_that_are_not_there_are_named(scenario, tmp_path, capsys):
-    line = refused(capsys, tmp_path / "none.yaml", "--out", tmp_path / "x.mcap")
+    line = refused(main, capsys, tmp_path / "none.yaml", "--out", tmp_path / "x.mcap")
     assert "none.yaml" in line
     assert "No such file" in line
-    line = refused(capsys, scenario, "--out", tmp_path / "no_folder" / "x.mcap")
+    line = refused(main, capsys, scenario, "--out", tmp_path / "no_folder" / "x.mcap")
     assert "no_folder/x.mcap: cannot be written" in line
     (tmp_path / "empty.yaml").write_text("")
     assert "empty.yaml:1: expected 'name: value' entries" in refused(
-        capsys, tmp_path / "empty.yaml", "--out", tmp_path / "x.mcap"
+        main, capsys, tmp_path / "empty.yaml", "--out", tmp_path / "x.mcap"
     )
 
 
@@ -199,5 +190,5 @@ def test_a_seed_is_a_whole_number(seed, scenario, tmp_path, capsys):
 
 
 def test_a_carrier_for_a_scenario_that_follows_none_is_refused(scenario, tmp_path, capsys):
-    line = refused(capsys, scenario, "--out", tmp_path / "x.mcap", "--carrier", tmp_path / "carrier.mcap")
+    line = refused(main, capsys, scenario, "--out", tmp_path / "x.mcap", "--carrier", tmp_path / "carrier.mcap")
     assert "short.yaml:4: 'carrier.kind' must be recorded" in line

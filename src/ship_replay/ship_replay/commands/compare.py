@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import add_force, check_file, write_whole
-from ship_replay.commands.report import add_limits, limits_of
+from ship_bags.output_files import check_file, write_whole
+from ship_replay.commands.report import add_page_options, limits_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,11 +25,7 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("a", type=Path, metavar="A.mcap", help="bag with the nodes' outputs, or rosbag2 folder")
     parser.add_argument("b", type=Path, metavar="B.mcap", help="the other one")
-    parser.add_argument("--truth", type=Path, metavar="TRUTH.mcap", help="bag with truth, where A or B have none")
-    parser.add_argument("--out", type=Path, metavar="FILE.html", help="file to write (default: A_B.html)")
-    add_limits(parser)
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bags")
-    add_force(parser)
+    add_page_options(parser, "A.mcap or B.mcap", "A_B.html")
     return parser
 
 

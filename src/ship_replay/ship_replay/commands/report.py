@@ -14,12 +14,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_command(_parser(), _run, arguments)
 
 
-def add_limits(parser: argparse.ArgumentParser) -> None:
-    """The option that names the limits of the ship."""
+def add_page_options(parser: argparse.ArgumentParser, bags: str, page_name: str) -> None:
+    """The options of a page: truth, file, limits of the ship, namespace.
+
+    Args:
+        parser: gets them.
+        bags: which bags may be without truth, for the help.
+        page_name: name of the page where none is given, for the help.
+    """
+    parser.add_argument("--truth", type=Path, metavar="TRUTH.mcap", help=f"bag with truth, where {bags} has none")
+    parser.add_argument("--out", type=Path, metavar="FILE.html", help=f"file to write (default: {page_name})")
     parser.add_argument(
         "--limits", type=Path, metavar="FILE",
         help="limits of the ship as YAML (default: heading 5, tilt 3, pointing 10 arcsec)",
     )
+    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bags")
+    add_force(parser)
 
 
 def limits_of(options: argparse.Namespace) -> Limits:
@@ -37,11 +47,7 @@ def _parser() -> CommandParser:
         "alerts, refusals, configuration.",
     )
     parser.add_argument("bag", type=Path, metavar="OUT.mcap", help="bag with the nodes' outputs, or rosbag2 folder")
-    parser.add_argument("--truth", type=Path, metavar="TRUTH.mcap", help="bag with truth, where OUT.mcap has none")
-    parser.add_argument("--out", type=Path, metavar="FILE.html", help="file to write (default: OUT.html)")
-    add_limits(parser)
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bags")
-    add_force(parser)
+    add_page_options(parser, "OUT.mcap", "OUT.html")
     return parser
 
 

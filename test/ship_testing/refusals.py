@@ -1,0 +1,15 @@
+"""What a command says when it refuses its arguments."""
+
+from collections.abc import Callable, Sequence
+
+import pytest
+
+
+def refused(main: Callable[[Sequence[str]], int], capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line on stderr, with its end, of a command that ends with exit code 2 and says nothing else."""
+    code = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    assert code == 2
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    return captured.err
