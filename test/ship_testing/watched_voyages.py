@@ -3,6 +3,9 @@
 The times of the faults are seconds after the first message of the bag, and so are the times told here.
 """
 
+import fcntl
+import hashlib
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -78,15 +81,34 @@ class Watched:
 
 
 def replayed(folder: Path, bag: str, faults: str = "") -> tuple[Path, Path]:
-    """A bag of the repository with faults (YAML of the group ``faults``), and what the suite makes of it."""
-    given, result = BAGS / f"{bag}.mcap", folder / "out.mcap"
-    if faults:
-        (folder / "faults.yaml").write_text(f"faults: {{{faults}}}\n")
-        named = ["--faults", str(folder / "faults.yaml"), "--out", str(folder / "in.mcap"), "--seed", "1"]
-        assert inject([str(given), *named]) == 0
-        given = folder / "in.mcap"
-    assert replay([str(given), "--out", str(result)]) == 0
+    """A bag of the repository with faults (YAML of the group ``faults``), and what the suite makes of it.
+
+    They are made once in a run of the tests, by the first worker that asks, and are not to be changed: ``folder`` is
+    one of pytest's, which tells where that run has its files.
+    """
+    run = folder.parents[1] if "PYTEST_XDIST_WORKER" in os.environ else folder.parent
+    place = run / f"replayed_{bag}_{hashlib.sha256(faults.encode()).hexdigest()[:16]}"
+    given, result = BAGS / f"{bag}.mcap", place / "out.mcap"
+    place.mkdir(exist_ok=True)
+    with (place / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if faults:
+            given = _with_faults(place, given, faults)
+        if not result.exists():
+            assert replay([str(given), "--out", str(place / "part.mcap")]) == 0
+            (place / "part.mcap").rename(result)
     return given, result
+
+
+def _with_faults(place: Path, given: Path, faults: str) -> Path:
+    """The bag with these faults."""
+    spoilt = place / "in.mcap"
+    if not spoilt.exists():
+        (place / "faults.yaml").write_text(f"faults: {{{faults}}}\n")
+        named = ["--faults", str(place / "faults.yaml"), "--out", str(place / "part.mcap"), "--seed", "1"]
+        assert inject([str(given), *named]) == 0
+        (place / "part.mcap").rename(spoilt)
+    return spoilt
 
 
 def records(*paths: Path) -> Iterator[tuple[int, str, Any]]:
