@@ -11,10 +11,11 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.mcap.records import MAX_CHUNK_RECORDS
+from ship_bags.mcap.chunk_content import MAX_CHUNK_RECORDS, records_of_chunk
 from ship_replay.commands import axis_sightings as axis_sightings_command
 from ship_replay.commands import calibrate_installation as calibrate_installation_command
 from ship_replay.commands import evaluate as evaluate_command
@@ -186,3 +187,12 @@ def test_mend_25_a_false_information_file_is_one_line(tmp_path, text, complaint)
     assert complaint in str(caught.value)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 400
+
+
+def test_the_records_of_a_chunk_are_those_that_the_library_of_mcap_finds(tmp_path):
+    bag = write_imu_bag(tmp_path / "a.mcap", count=3000)
+    with bag.open("rb") as stream:
+        chunks = [record for record in StreamReader(stream, emit_chunks=True).records if isinstance(record, Chunk)]
+    assert len(chunks) > 1
+    for chunk in chunks:
+        assert records_of_chunk(chunk) == breakup_chunk(chunk, validate_crc=True)

@@ -16,18 +16,9 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.summary import Summary
 
 from ship_bags.errors import BadInput
+from ship_bags.mcap.chunk_content import COMPRESSIONS, DamagedChunk, parsed
 from ship_bags.mcap.mcap_writer import MAGIC
-from ship_bags.mcap.records import (
-    COMPRESSIONS,
-    ChunkPlace,
-    DamagedChunk,
-    Gap,
-    RecordFile,
-    WalkedRecord,
-    has_header,
-    parsed,
-    walk,
-)
+from ship_bags.mcap.records import ChunkPlace, Gap, RecordFile, WalkedRecord, has_header, walk
 from ship_bags.stamps import utc_text
 
 _FOOTER = struct.Struct("<BQQQI8s")

@@ -8,35 +8,19 @@ that can stand between chunks, so that one wrong bit costs one record, whatever 
 import io
 import re
 import struct
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from typing import BinaryIO, TypeVar
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import BinaryIO
 
-import lz4.frame
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Chunk, McapRecord, Message
-from mcap.stream_reader import breakup_chunk
 
+from ship_bags.mcap.chunk_content import COMPRESSIONS, HEADER, DamagedChunk, guarded, parsed, records_of_chunk
 from ship_bags.stamps import END_OF_TIME_NS
 
-COMPRESSIONS = ("", "zstd", "lz4")
-"""Compressions that can be read; the empty name means none."""
-
-HEADER = struct.Struct("<BQ")
-"""Opcode and length, before the body of each record."""
-
-MAX_CHUNK_MB = 256
-"""The most that a chunk may hold, before compression. Writers make chunks of a few megabytes."""
-
-MAX_CHUNK_RECORDS = 1_000_000
-"""The most records that a chunk may hold: a record without content takes twenty times its bytes in memory."""
-
-_BYTES_PER_MB = 1_000_000
 # Log times end a day earlier than stamps do: the ticks of a replay may go on for so long.
 _LATEST_NS = END_OF_TIME_NS - 86_400_000_000_000
-_MAX_CHUNK_BYTES = MAX_CHUNK_MB * _BYTES_PER_MB
 
 _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
 _CHUNK_HEAD = struct.Struct("<QQQI")
@@ -47,12 +31,6 @@ _MESSAGE_LEAST = 2 + 4 + 8 + 8
 # file below a tebibyte.
 _RESTART = re.compile(rb"[\x06\x07\x09\x0c\x0f].{5}\x00\x00\x00", re.DOTALL)
 _WINDOW_BYTES = 1 << 20
-
-Result = TypeVar("Result")
-
-
-class DamagedChunk(Exception):
-    """The bytes of a chunk are not what was written."""
 
 
 @dataclass(frozen=True)
@@ -115,11 +93,8 @@ class RecordFile:
         record = self.record_at(place.offset)
         if record is None or record[0] != Opcode.CHUNK or len(record[1]) + HEADER.size != place.length:
             raise DamagedChunk("its header is wrong")
-        chunk = _guarded(lambda: parsed(Chunk.read, record[1]))
-        if chunk.compression not in COMPRESSIONS:
-            raise DamagedChunk(f"compression {chunk.compression!r} is unknown")
-        content = _unfolded(chunk)
-        records = _guarded(lambda: breakup_chunk(replace(chunk, data=content, compression=""), validate_crc=True))
+        chunk = guarded(lambda: parsed(Chunk.read, record[1]))
+        records = records_of_chunk(chunk)
         times = [record.log_time for record in records if isinstance(record, Message)]
         if check_times and times and (min(times) < place.start_ns or max(times) > place.end_ns):
             raise DamagedChunk("its header has other times than its messages")
@@ -133,11 +108,6 @@ class RecordFile:
                 raise DamagedChunk("it cannot be read")
             yield Message.read(ReadDataStream(io.BytesIO(record[1])), len(record[1]))
             offset += HEADER.size + len(record[1])
-
-
-def parsed(read: Callable[[ReadDataStream], Result], body: bytes) -> Result:
-    """A record from its body, by the ``read`` of its class."""
-    return read(ReadDataStream(io.BytesIO(body)))
 
 
 @dataclass(frozen=True)
@@ -197,54 +167,6 @@ def _of_our_time(records: list[McapRecord]) -> list[McapRecord]:
     if any(isinstance(record, Message) and record.log_time >= _LATEST_NS for record in records):
         raise DamagedChunk("it has log times beyond the year 2038, which no stamp can carry")
     return records
-
-
-def _unfolded(chunk: Chunk) -> bytes:
-    """Content of a chunk, decompressed. The sizes that its header and its bytes state are not trusted.
-
-    Raises:
-        DamagedChunk: it cannot be decompressed, or holds more than it may.
-    """
-    if chunk.uncompressed_size > _MAX_CHUNK_BYTES:
-        size_mb = chunk.uncompressed_size / _BYTES_PER_MB
-        raise DamagedChunk(f"it says that it unfolds to {size_mb:.0f} MB: at most {MAX_CHUNK_MB} are taken")
-    content = _guarded(lambda: _decompressed(chunk.compression, chunk.data))
-    if len(content) > _MAX_CHUNK_BYTES:
-        raise DamagedChunk(f"it unfolds to more than {MAX_CHUNK_MB} MB")
-    if chunk.uncompressed_crc == 0 and len(content) != chunk.uncompressed_size:
-        # Compressed bytes that are cut end without an error; here no checksum tells.
-        raise DamagedChunk(f"it unfolds to {len(content)} bytes and says {chunk.uncompressed_size}")
-    if _record_count(content) > MAX_CHUNK_RECORDS:
-        raise DamagedChunk(f"it holds more than {MAX_CHUNK_RECORDS} records")
-    return content
-
-
-def _decompressed(compression: str, data: bytes) -> bytes:
-    """Content of compressed bytes, up to one byte more than a chunk may hold."""
-    unfolded: bytes = data
-    if compression == "zstd":
-        with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-            unfolded = stream.read(_MAX_CHUNK_BYTES + 1)
-    elif compression == "lz4":
-        unfolded = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=_MAX_CHUNK_BYTES + 1)
-    return unfolded
-
-
-def _record_count(content: bytes) -> int:
-    """Records by their lengths, counted no further than one too many."""
-    count = offset = 0
-    while offset + HEADER.size <= len(content) and count <= MAX_CHUNK_RECORDS:
-        offset += HEADER.size + HEADER.unpack_from(content, offset)[1]
-        count += 1
-    return count
-
-
-def _guarded(parse: Callable[[], Result]) -> Result:
-    try:
-        return parse()
-    except Exception as problem:
-        # Decompressor and parser may fail in any way over damaged bytes.
-        raise DamagedChunk(str(problem) or type(problem).__name__) from problem
 
 
 def _sound_record(data: RecordFile, offset: int) -> WalkedRecord | None:
