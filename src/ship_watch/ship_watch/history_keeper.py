@@ -239,6 +239,8 @@ def innovation_point(message: Any) -> InnovationPoint:
 def _mean(values: FloatArray) -> FloatArray:
     """Mean of each column over what is finite; NaN of a column without any."""
     finite = np.isfinite(values)
+    if len(values) == 1:
+        return np.where(finite[0], values[0], math.nan)
     sums, counts = np.where(finite, values, 0.0).sum(axis=0), finite.sum(axis=0)
     return np.where(counts > 0, sums / np.maximum(counts, 1), math.nan)
 

@@ -21,6 +21,7 @@ class NisWindow:
     def __init__(self) -> None:
         self._entries: deque[tuple[int, float, int]] = deque()
         self._nis, self._degrees = 0.0, 0
+        self._verdict: NisVerdict | None = None
 
     def add(self, now_ns: int, nis: float, degrees: int) -> None:
         """Take the innovation of an accepted measurement; what is not finite is left out."""
@@ -28,6 +29,7 @@ class NisWindow:
             self._entries.append((now_ns, nis, degrees))
             self._nis += nis
             self._degrees += degrees
+            self._verdict = None
         self._forget(now_ns)
 
     def verdict(self, now_ns: int) -> NisVerdict:
@@ -37,6 +39,11 @@ class NisWindow:
         1/√(2 N).
         """
         self._forget(now_ns)
+        if self._verdict is None:  # it is asked for more often than something comes
+            self._verdict = self._judged()
+        return self._verdict
+
+    def _judged(self) -> NisVerdict:
         degrees = self._degrees
         if degrees == 0:
             return NisVerdict(math.nan, 0, "", is_as_stated=True)
@@ -53,6 +60,7 @@ class NisWindow:
             _, nis, degrees = entries.popleft()
             self._nis -= nis
             self._degrees -= degrees
+            self._verdict = None
         if not entries:
             self._nis = 0.0  # what rounding left
 
