@@ -8,8 +8,6 @@ the same messages heard live.
 
 import functools
 import math
-import re
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -17,11 +15,12 @@ import numpy as np
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.outcome import Status
+from ship_watch.events import SETTLED_NS, EventBook, alerts_shown
 from ship_watch.history import History
 from ship_watch.history_keeper import HistoryKeeper
 from ship_watch.limits import Limits
 from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
-from ship_watch.picture import ANGLES, AlertShown, AngleShown, Event, Picture, Presence, Priority, Safety, SourceShown
+from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Safety, SourceShown
 from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed
 from ship_watch.states import Claim, HeldWord, judged
 from ship_watch.topics import node_of, source_of_topic, watched_topic
@@ -31,11 +30,6 @@ STEP_NS = 100_000_000
 
 LONGEST_GAP_NS = 120 * NS_PER_S
 """In a gap longer than this nothing is judged any more: all that can become old has."""
-
-EVENTS_KEPT = 200
-
-SETTLED_NS = 3 * NS_PER_S
-"""Nodes that were running when the watch began have all reported after this, ns."""
 
 CLOCK_MET_NS = NS_PER_S // 10
 CLOCK_DOUBT_NS = 5 * NS_PER_S
@@ -79,8 +73,7 @@ class Watch:
         self._attitude, self._pointing = AttitudeHeard(self.limits), PointingHeard(self.limits)
         self._book = SourceBook(self.limits)
         self._words = {name: HeldWord(self.limits.better_after_s) for name in ANGLES}
-        self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
-        self._presence: dict[str, tuple[Presence, str]] = {}
+        self._events = EventBook()
         self._newest_ns, self._utc_offset_ns, self._offset_met_ns = 0, 0, 0
         self._first_ns: int | None = None
         self._judged_ns: int | None = None
@@ -130,12 +123,12 @@ class Watch:
         stamp_ns = ns_from_stamp(message.header.stamp)
         if message.status != Status.INVALID and stamp_ns < output.stamp_ns - BACK_NS:
             self._forget()
-            self._tell("node", "time", "time went back: the data begin anew", stamp_ns)
+            self._events.tell("node", "time", "time went back: the data begin anew", stamp_ns)
             output = self._attitude if output.topic == self._attitude.topic else self._pointing
         self._note_time(stamp_ns, now_ns)
         changes = output.note(message, stamp_ns, now_ns)
         for kind, text in changes:
-            self._tell(kind, output.topic, text, stamp_ns)
+            self._events.tell(kind, output.topic, text, stamp_ns)
         self._book.heard(output.topic, now_ns)
         self._keeper.note_output(output.topic, message, stamp_ns)
 
@@ -158,17 +151,11 @@ class Watch:
         self._note_time(ns_from_stamp(message.header.stamp), now_ns)
         has_started = self._book.note_health(message, now_ns)
         if has_started and self._first_ns is not None and now_ns - self._first_ns > SETTLED_NS:
-            self._tell_start(node_of(str(message.topic)), ns_from_stamp(message.header.stamp))
+            self._events.tell_start(node_of(str(message.topic)), ns_from_stamp(message.header.stamp))
 
     def _take_alerts(self, message: Any, now_ns: int) -> None:
-        alerts = [_alert(alert) for alert in message.alerts if alert.priority in _PRIORITIES]
-        before = {(alert.id, alert.instance): alert.state for alert in self._alerts or ()}
-        for alert in alerts:
-            if before.pop((alert.id, alert.instance), None) != alert.state:
-                text = f"{alert.priority.name} {_ALERT_WORDS.get(alert.state, '')}: {alert.text}"
-                self._tell("alert", alert.id, text, alert.changed_ns)
-        for name, _ in before:
-            self._tell("alert", name, f"{name} is over", ns_from_stamp(message.header.stamp))
+        alerts = alerts_shown(message)
+        self._events.tell_alerts(self._alerts or (), alerts, ns_from_stamp(message.header.stamp))
         self._alerts = tuple(sorted(alerts, key=lambda alert: alert.urgency))
 
     def _note_time(self, stamp_ns: int, now_ns: int) -> None:
@@ -207,7 +194,7 @@ class Watch:
             sources=tuple(sources),
             alerts=self._alerts,
             inputs=tuple(reports.shown(now_ns) for reports in self._book.inputs),
-            events=tuple(self._events),
+            events=tuple(self._events.events),
             waiting_for="" if self._attitude.is_heard else self._attitude.topic,
         )
 
@@ -223,14 +210,14 @@ class Watch:
 
     def _judge(self, now_ns: int) -> None:
         sources = self._book.shown(now_ns, self._utc_offset_ns)
-        self._tell_sources(sources, now_ns)
+        self._events.tell_sources(sources, now_ns + self._utc_offset_ns)
         for name, (word, reason) in self._judged(sources, now_ns).items():
             held = self._words[name]
             before = held.word
             if self._output(name).is_heard and held.note(word, reason, now_ns) and held.word is not None:
                 change = f"{before.name} → {held.word.name}" if before is not None else held.word.name
                 text = f"{name} {change}" + (f", {held.reason}" if held.reason else "")
-                self._tell("state", name, text, now_ns + self._utc_offset_ns)
+                self._events.tell("state", name, text, now_ns + self._utc_offset_ns)
         words = {name: None if self._output(name).is_old(now_ns) else self._words[name].word for name in ANGLES}
         if self._newest_ns:
             self._keeper.note_words(now_ns + self._utc_offset_ns, words)
@@ -290,52 +277,3 @@ class Watch:
 
     def _output(self, name: str) -> OutputHeard:
         return self._attitude if name in ANGLES[:3] else self._pointing
-
-    # -- events ---------------------------------------------------------------------------------------------
-
-    def _tell(self, kind: str, subject: str, text: str, utc_ns: int) -> None:
-        self._events.appendleft(Event(utc_ns, kind, subject, text))
-
-    def _tell_start(self, node: str, utc_ns: int) -> None:
-        """Tell of the start of a node once, though each of its topics shows it."""
-        told = any(event.kind == "node" and utc_ns - event.utc_ns < SETTLED_NS for event in self._events)
-        if not told:
-            self._tell("node", node, f"{node} started", utc_ns)
-
-    def _tell_sources(self, sources: list[SourceShown], now_ns: int) -> None:
-        """Tell of the sources that went out or came in, and of those of which something else is wrong now."""
-        utc_ns = now_ns + self._utc_offset_ns
-        for source in sources:
-            is_out = source.presence is Presence.OUT
-            kind = _NUMBER.sub("", source.reason if is_out else source.disagreement)
-            before = self._presence.get(source.name, (Presence.IN, ""))
-            if kind.endswith("accepted again") or before == (source.presence, kind):
-                continue
-            self._presence[source.name] = source.presence, kind
-            if is_out:
-                told = ", ".join(part for part in (source.reason, source.disagreement) if part)
-                self._tell("source", source.name, f"{source.name} OUT, {told}", utc_ns)
-            elif before[0] is Presence.OUT or kind:
-                text = f"{source.name} {source.presence.value}" + (f", {kind}" if kind else "")
-                self._tell("source", source.name, text, utc_ns)
-
-
-_NUMBER = re.compile(r"\d+ ")
-_PRIORITIES = {int(priority) for priority in Priority}
-_ALERT_WORDS = {0: "over", 1: "raised", 2: "silenced", 3: "acknowledged", 4: "rectified, not acknowledged"}
-
-
-def _alert(alert: Any) -> AlertShown:
-    return AlertShown(
-        id=str(alert.id),
-        instance=int(alert.instance),
-        priority=Priority(alert.priority),
-        state=int(alert.state),
-        source=str(alert.source),
-        text=str(alert.text),
-        value=float(alert.value),
-        limit=float(alert.limit),
-        unit=str(alert.unit),
-        raised_ns=ns_from_stamp(alert.raised),
-        changed_ns=ns_from_stamp(alert.changed),
-    )

@@ -1,0 +1,83 @@
+"""What changed, told once: sources that go out and come in, alerts, nodes that start, words and modes."""
+
+import re
+from collections import deque
+from collections.abc import Iterable
+from typing import Any
+
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_watch.picture import AlertShown, Event, Presence, Priority, SourceShown
+
+EVENTS_KEPT = 200
+
+SETTLED_NS = 3 * NS_PER_S
+"""Nodes that were running when the watch began have all reported after this, ns."""
+
+_NUMBER = re.compile(r"\d+ ")
+_PRIORITIES = {int(priority) for priority in Priority}
+_ALERT_WORDS = {0: "over", 1: "raised", 2: "silenced", 3: "acknowledged", 4: "rectified, not acknowledged"}
+
+
+class EventBook:
+    """The events of a picture, the newest first."""
+
+    def __init__(self) -> None:
+        self.events: deque[Event] = deque(maxlen=EVENTS_KEPT)
+        self._presence: dict[str, tuple[Presence, str]] = {}
+
+    def tell(self, kind: str, subject: str, text: str, utc_ns: int) -> None:
+        """Tell of a change; see :class:`~ship_watch.picture.Event`."""
+        self.events.appendleft(Event(utc_ns, kind, subject, text))
+
+    def tell_start(self, node: str, utc_ns: int) -> None:
+        """Tell of the start of a node once, though each of its topics shows it."""
+        told = any(event.kind == "node" and utc_ns - event.utc_ns < SETTLED_NS for event in self.events)
+        if not told:
+            self.tell("node", node, f"{node} started", utc_ns)
+
+    def tell_sources(self, sources: Iterable[SourceShown], utc_ns: int) -> None:
+        """Tell of the sources that went out or came in, and of those of which something else is wrong now."""
+        for source in sources:
+            is_out = source.presence is Presence.OUT
+            kind = _NUMBER.sub("", source.reason if is_out else source.disagreement)
+            before = self._presence.get(source.name, (Presence.IN, ""))
+            if kind.endswith("accepted again") or before == (source.presence, kind):
+                continue
+            self._presence[source.name] = source.presence, kind
+            if is_out:
+                told = ", ".join(part for part in (source.reason, source.disagreement) if part)
+                self.tell("source", source.name, f"{source.name} OUT, {told}", utc_ns)
+            elif before[0] is Presence.OUT or kind:
+                text = f"{source.name} {source.presence.value}" + (f", {kind}" if kind else "")
+                self.tell("source", source.name, text, utc_ns)
+
+    def tell_alerts(self, before: Iterable[AlertShown], now: Iterable[AlertShown], utc_ns: int) -> None:
+        """Tell of the alerts whose state has changed, and of those that are over."""
+        states = {(alert.id, alert.instance): alert.state for alert in before}
+        for alert in now:
+            if states.pop((alert.id, alert.instance), None) != alert.state:
+                text = f"{alert.priority.name} {_ALERT_WORDS.get(alert.state, '')}: {alert.text}"
+                self.tell("alert", alert.id, text, alert.changed_ns)
+        for name, _ in states:
+            self.tell("alert", name, f"{name} is over", utc_ns)
+
+
+def alerts_shown(message: Any) -> list[AlertShown]:
+    """The alerts of an AlertArray in its order, without those of a priority that nobody knows."""
+    return [_alert(alert) for alert in message.alerts if alert.priority in _PRIORITIES]
+
+
+def _alert(alert: Any) -> AlertShown:
+    return AlertShown(
+        id=str(alert.id),
+        instance=int(alert.instance),
+        priority=Priority(alert.priority),
+        state=int(alert.state),
+        source=str(alert.source),
+        text=str(alert.text),
+        value=float(alert.value),
+        limit=float(alert.limit),
+        unit=str(alert.unit),
+        raised_ns=ns_from_stamp(alert.raised),
+        changed_ns=ns_from_stamp(alert.changed),
+    )
