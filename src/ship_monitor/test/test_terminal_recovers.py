@@ -14,7 +14,7 @@ from ship_monitor.terminal.pen import plain_text
 from ship_testing.publishing_ship import PublishingShip, attitude
 from ship_watch.limits import Limits
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("dds")]
+pytestmark = pytest.mark.live
 
 START_NS = 1_777_636_807 * NS_PER_S
 """2026-05-01 12:00:07 UTC."""
