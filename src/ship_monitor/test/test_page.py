@@ -2,7 +2,9 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
+import matplotlib
 import pytest
 
 from ship_monitor.page.innovation_panel import InnovationPanel
@@ -101,6 +103,37 @@ def test_what_is_read_from_afar_is_large(browser, source, page, selector, least_
     browser.open(page)
     browser.until(LIVE)
     assert browser.evaluate(f"parseFloat(getComputedStyle(document.querySelector('{selector}')).fontSize)") >= least_px
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_without_the_cockpit_face_nothing_is_cut(source, page, size, tmp_path, monkeypatch):
+    """B612 may not be there: DejaVu, which is wider, then comes from the server."""
+    fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+    (tmp_path / "fonts.conf").write_text(
+        f'<?xml version="1.0"?><!DOCTYPE fontconfig SYSTEM "fonts.dtd"><fontconfig><dir>{fonts}</dir>'
+        f"<cachedir>{tmp_path}/cache</cachedir></fontconfig>"
+    )
+    monkeypatch.setenv("FONTCONFIG_FILE", str(tmp_path / "fonts.conf"))
+    source.set(pictures.faulty())
+    plain = Browser()
+    try:
+        plain.open(page, *SIZES[size])
+        plain.until(LIVE)
+        plain.evaluate("document.fonts.ready.then(() => true)")
+        plain.photograph(tmp_path / "page.png")
+        assert any(address.endswith("DejaVuSans-Bold.ttf") for address in plain.addresses)
+        wide = "[...document.querySelectorAll('.tile,.number,#foot')].filter((e) => e.scrollWidth > e.clientWidth)"
+        assert plain.evaluate(f"{wide}.map((each) => each.id || each.className)") == []
+    finally:
+        plain.close()
+
+
+def test_on_a_phone_the_reason_is_within_its_tile(browser, source, page):
+    source.set(pictures.faulty())
+    browser.open(page, *SIZES["phone"])
+    browser.until(LIVE)
+    below = "[...document.querySelectorAll('.tile')].filter((each) => each.scrollHeight > each.clientHeight)"
+    assert browser.evaluate(f"{below}.map((each) => each.id)") == []
 
 
 def test_on_a_phone_a_tile_is_92_px_high_and_the_order_is_alert_tiles_ages_sources(browser, page):

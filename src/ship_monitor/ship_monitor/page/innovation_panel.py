@@ -4,6 +4,7 @@ A dot is the mean of a measurement along one axis, a cross one that was refused.
 is out, its plot is shaded.
 """
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -151,11 +152,16 @@ def source_line(name: str, source: SourceShown | None, step: float) -> tuple[str
 
 def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[str, FloatArray]:
     """The columns of one axis, arcsec; NaN where a measurement has none of it."""
-    value, sigma = np.full(len(points), np.nan), np.full(len(points), np.nan)
-    for index, point in enumerate(points):
-        place = next((place for place, axis in enumerate(point.axes) if axis in axes), None)
-        if place is not None:
-            value[index], sigma[index] = ARCSEC_PER_RAD * point.mean[place], ARCSEC_PER_RAD * point.sigma[place]
+    # Hundreds of points are looked through for each browser once a second, and nearly all have the same axes.
+    places = {
+        told: next((place for place, axis in enumerate(told) if axis in axes), None)
+        for told in {p.axes for p in points}
+    }
+    rows = [
+        (math.nan, math.nan) if (place := places[point.axes]) is None else (point.mean[place], point.sigma[place])
+        for point in points
+    ]
+    value, sigma = ARCSEC_PER_RAD * np.array(rows, float).reshape(-1, 2).T
     used = np.array([point.is_accepted for point in points], bool)
     return {
         "value": value,

@@ -271,6 +271,7 @@ const monitor = (() => {
     if (!views.every((view) => view && view.el.isConnected)) { setTimeout(watchPanels, 50, models); return; }
     views.forEach((view, index) => { inSight.set(view.el, { name: models[index].name, isSeen: false }); });
     for (const view of views) sight.observe(view.el);
+    document.body.classList.add("drawn");
   }
   for (const each of document.querySelectorAll("#tiles .tile:not(.ages)")) {
     each.onclick = () => {
