@@ -13,6 +13,7 @@ from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import message_store
+from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.messages_out import INTEGRITY_TYPE
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main
@@ -148,6 +149,35 @@ def test_what_a_node_saves_by_itself_is_replayed_and_not_written_again(tmp_path,
     assert "outputs are equal to the last bit" in out
     assert "note" not in out
     assert not saved.exists()
+
+
+@pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
+def test_a_node_that_did_not_save_by_itself_yet_is_not_expected_to_have_saved(tmp_path, capsys, monkeypatch, node):
+    """Its box lacks the parameter, whose default is once a minute; here a minute passes within a second."""
+    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node).path
+
+    def without_the_parameter(record, _topics):
+        if not isinstance(record, Attachment) or record.name != SUITE_ATTACHMENT:
+            return record
+        data = re.sub(rb'(?m)^ *"alignment_autosave_s": .*\n', b"", record.data)
+        assert data != record.data
+        return replace(record, data=data)
+
+    is_time = SavedStart.is_time
+    monkeypatch.setattr(SavedStart, "is_time", lambda self, ns, period_s: is_time(self, ns, period_s / 60.0))
+    code, out, _ = verify(capsys, changed_copy(box, tmp_path / "old.mcap", without_the_parameter))
+    assert code == 0, out
+    assert "outputs are equal to the last bit" in out
+    suite = tmp_path / "suite.yaml"
+    with read_bag(box) as bag:
+        told = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
+    (section,) = told.values()
+    for period_s, same in ((None, True), (0.0, True), (60.0, False)):
+        section["ros__parameters"].pop("alignment_autosave_s", None)
+        section["ros__parameters"] |= {} if period_s is None else {"alignment_autosave_s": period_s}
+        suite.write_text(yaml.safe_dump(told), encoding="utf-8")
+        code, out, _ = verify(capsys, tmp_path / "old.mcap", "--config", suite)
+        assert (code == 0) is same, out
 
 
 def test_a_bag_replayed_or_checked_does_not_replace_what_a_ship_has_saved(tmp_path, capsys):

@@ -2,17 +2,23 @@
 
 import json
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import anywhere, full_name
 from ship_estimation.parameters import flatten
 from ship_node.black_box.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT, versions
 from ship_node.edge.adapter import Adapter
-from ship_replay.offline.adapter_chain import suite_config
+from ship_node.parameters.parameter_file import read, read_whatever_fits
+from ship_replay.offline.adapter_chain import suite_config, suite_text
 from ship_replay.offline.verification import ASIDE
+
+_OFF = {"alignment_autosave_s": 0.0}
+"""Parameters that came after the first boxes, by the value with which a node does as those did that knew them not."""
 
 
 def is_black_box(bag: Bag) -> bool:
@@ -55,7 +61,7 @@ def box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None,
     name = adapter_class.node_name
     # Its own parameters are this node's, wherever it ran; a file must fit it as it would have then.
     node = anywhere(name) if config_path is None else full_name(name, bag.metadata[METADATA].get("namespace", ""))
-    config = suite_config(bag, adapter_class, config_path, node)
+    config = _as_the_node_knew_it(suite_config(bag, adapter_class, config_path, node), bag, node, config_path)
     if config_path is not None:
         changes = _changes(bag, config, adapter_class)
         notes.append(f"replayed with {config_path} instead of the box's own parameters{changes}")
@@ -106,6 +112,17 @@ def _check_versions(bag: Bag, adapter_class: type[Adapter], config_path: Path | 
         _refuse_or_note(bag, f"written by another version of the suite ({differing})", config_path, notes)
     if differing := _differing(others, {key: here[key] for key in others}):
         notes.append(f"written elsewhere ({differing}): the last bits may differ")
+
+
+def _as_the_node_knew_it(config: Any, bag: Bag, node: str, config_path: Path | None) -> Any:
+    """The configuration without what the node that wrote the box could not do; a file may ask for it nevertheless.
+
+    A box holds all parameters of its node, also those at their defaults: the node did not know one that is missing.
+    """
+    known: set[str] = set() if config_path is None else set(read(config_path, node).values)
+    if SUITE_ATTACHMENT in bag.attachments:
+        known |= set(read_whatever_fits(suite_text(bag, None), anywhere(bag.metadata[METADATA]["node"])).values)
+    return replace(config, **{name: off for name, off in _OFF.items() if hasattr(config, name) and name not in known})
 
 
 def _refuse_or_note(bag: Bag, text: str, config_path: Path | None, notes: list[str]) -> None:
