@@ -18,7 +18,7 @@ from ship_replay.report.tables import outages
 from ship_replay.report.told import Told, read_told
 from ship_replay.report.wording import utc
 from ship_testing.browser import CHROMIUM, Browser
-from ship_testing.watched_voyages import END_S, FAULTS, KNOWN_S, SILENT, SILENT_WITHIN_S, WITHIN_S, replayed
+from ship_testing.watched_voyages import END_S, FAULTS, KNOWN_S, replayed, within_s
 from ship_watch.picture import Event
 
 # The report looks twice a second, and an alert is raised at the look after the one that found its reason.
@@ -73,14 +73,13 @@ def test_the_report_lists_each_fault_with_its_time_and_source(reported: Reported
             by_source.setdefault(event.subject, []).append(event)
     assert set(by_source) == set(known_s)
     for source, fault_s in known_s.items():
-        within_s = SILENT_WITHIN_S if source in SILENT else WITHIN_S
         event = next(one for one in by_source[source] if seconds(one.utc_ns) >= fault_s)
-        assert fault_s <= seconds(event.utc_ns) <= fault_s + within_s, event
+        assert fault_s <= seconds(event.utc_ns) <= fault_s + within_s(source), event
         assert re.fullmatch(TEXTS[source], event.text)
         row = f'<tr><td class="w">{utc(event.utc_ns)}</td><td>source</td><td>{event.text}</td></tr>'
         assert row in text
         raised = [one for one in night.alerts if one.what == "raised" and one.alert.source == source]
-        assert fault_s <= seconds(raised[0].utc_ns) <= fault_s + within_s + ALERTS_LATER_S, raised[0]
+        assert fault_s <= seconds(raised[0].utc_ns) <= fault_s + within_s(source) + ALERTS_LATER_S, raised[0]
         assert f'<tr><td class="w">{utc(raised[0].utc_ns)}</td>' in text
     assert {one.alert.source for one in night.alerts if seconds(one.utc_ns) < END_S[bag]} <= {*known_s, ""}
 

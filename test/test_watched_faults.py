@@ -1,6 +1,8 @@
 """A voyage with faults, from the bag to the eyes: page, terminal, alerts and diagnostics name the right source, soon.
 
-Times are seconds of the data after the first message of the bag, so that a loaded machine judges alike.
+Times are seconds of the data after the first message of the bag. A fault is named within 2 s of the moment at which it
+could be known: the first wrong measurement, or, of a silence, the moment at which a message is overdue. That holds
+live, too: with 15 processes that wanted four cores the last of the outputs named each source 0.3 s to 0.9 s after it.
 """
 
 import json
@@ -8,6 +10,7 @@ import math
 import os
 import socket
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -28,19 +31,18 @@ from ship_testing.watched_voyages import (
     END_S,
     FAULTS,
     KNOWN_S,
-    SILENT,
-    SILENT_WITHIN_S,
     WITHIN_S,
     records,
     replayed,
+    within_s,
 )
 from ship_watch.history import History
 from ship_watch.limits import Limits
 from ship_watch.picture import Picture, Presence
 from ship_watch.watch import Watch
 
-# Live, the time of the data goes on while a process waits for a core that others use.
-LIVE_LATE_S = 1.5
+LIVE_EARLY_S = 0.1
+"""So far off may be the time of the data that a picture has live, on its steady clock."""
 LOOK_NS = NS_PER_S // 5
 OUTPUTS = ("picture", "page", "terminal", "alerts", "diagnostics")
 
@@ -81,13 +83,12 @@ class Named:
         if text != "in" and "needs" not in text and "/" in path:
             self.note("diagnostics", path.rpartition("/")[2], utc_ns)
 
-    def check(self, late_s: float = 0.0) -> None:
-        """Every output named every source after its fault and soon, and nobody else before them."""
+    def check(self, soon_s: Callable[[str], float], early_s: float = 0.0) -> None:
+        """Every output named every source once its fault could be known and soon, and nobody else before them."""
         told = {(output, source): known_s for source, known_s in KNOWN_S[self._bag].items() for output in OUTPUTS}
         for (output, source), known_s in told.items():
-            within_s = SILENT_WITHIN_S if source in SILENT else WITHIN_S
             first_s = self.first_s.get((output, source), math.inf)
-            assert known_s <= first_s <= known_s + within_s + late_s, (output, source, self.first_s)
+            assert known_s - early_s <= first_s <= known_s + soon_s(source), (output, source, self.first_s)
         # What is wrong is all that is named; the attitude that the alerts speak of is no source.
         assert {source for _, source in self.first_s} <= {*KNOWN_S[self._bag], "", "attitude"}, self.first_s
 
@@ -113,7 +114,7 @@ def test_all_outputs_name_the_right_source_in_what_was_replayed(bag: str, tmp_pa
             due_ns += LOOK_NS
         watch.take(topic, message, time_ns)
         keeper.take(topic, message, time_ns)
-    named.check()
+    named.check(within_s)
 
 
 class LiveSuite:
@@ -178,4 +179,4 @@ def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkey
     assert "acknowledged" in acknowledged
     assert "not acknowledged" not in acknowledged
     assert any("acknowledged" in event.text for event in picture.events if event.kind == "alert")
-    named.check(LIVE_LATE_S)
+    named.check(lambda _: WITHIN_S, LIVE_EARLY_S)
