@@ -144,13 +144,15 @@ class BudgetPanel:
         times = np.asarray(columns["t"], float)
         found = peaks(times, totals, top)
         is_late = [at > self._times.range.end - 0.3e3 * KEPT_S for at, _ in found]  # no room for words to the right
-        self._peaks.data = {
+        told = {
             "x": [at for at, _ in found],
             "y": [top**2] * len(found),
             "text": [f"to {math.sqrt(height):.1f}″ ↑" for _, height in found],
             "align": ["right" if late else "left" for late in is_late],
             "ahead": [-4 if late else 4 for late in is_late],
         }
+        if told != self._peaks.data:
+            self._peaks.data = told
         last = {source: variances_arcsec2([points[-1]], self.angle, (source,))[0, 0] for source in self._sources}
         self._labels.write(band_labels(last, self._bands, top**2, self._marked))
         sigma = math.sqrt(total) if (total := sum(last.values())) >= 0.0 else math.nan

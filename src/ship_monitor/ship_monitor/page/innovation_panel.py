@@ -128,7 +128,9 @@ class _SourceRow:
         if source is not None and source.presence is Presence.OUT and source.out_since_ns:
             since = MS * source.out_since_ns
             spans = [*(span for span in spans if span[0] < since), (since, now)]
-        self._out.data = {"start": [start for start, _ in spans], "end": [end for _, end in spans]}
+        shade = {"start": [start for start, _ in spans], "end": [end for _, end in spans]}
+        if shade != self._out.data:  # the same data once more would be sent once more
+            self._out.data = shade
 
 
 def source_line(name: str, source: SourceShown | None, step: float) -> tuple[str, bool]:
@@ -193,5 +195,7 @@ def _side_texts(points: Sequence[InnovationPoint], step: float) -> dict[float, s
         if len(known):
             name = next(axis for point in points for axis in point.axes if axis in axes)
             means.append((float(np.mean(known)), f"{glyph} {name} {signed(float(np.mean(known)))}″"))
-    heights = placed([mean for mean, _ in means], 0.32 * step, -0.9 * step, 0.9 * step)
+    # At one of forty heights: labels that move by less than a pixel or two would be sent anew each time.
+    wanted = [round(20.0 * mean / step) * step / 20.0 for mean, _ in means]
+    heights = placed(wanted, 0.32 * step, -0.9 * step, 0.9 * step)
     return {height: text for height, (_, text) in zip(heights, means, strict=True)}
