@@ -6,6 +6,7 @@ a bar on a terminal.
 
 import argparse
 import contextlib
+import io
 import signal
 import sys
 import threading
@@ -72,6 +73,12 @@ def run_command(
             reason, code = "interrupted", EXIT_INTERRUPTED
         sys.stderr.write(f"{parser.prog}: {one_line(reason)}\n")
     return code
+
+
+def serve_a_command() -> None:
+    """Of a process that works for a command: Ctrl-C is the command's to answer, and the bar is its own to show."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.stderr = io.StringIO()
 
 
 def with_bar(

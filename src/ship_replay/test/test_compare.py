@@ -4,6 +4,7 @@ import contextlib
 import math
 import re
 from dataclasses import replace
+from multiprocessing import active_children
 from pathlib import Path
 
 import numpy as np
@@ -424,6 +425,7 @@ class TestBadInput:
             writer.write("ins/imu", imu(START_NS), START_NS)
         line = refused(main, capsys, a, tmp_path / "in.mcap", "--out", tmp_path / "c.html")
         assert line.startswith(f"compare: {tmp_path / 'in.mcap'}: no outputs of the suite: expected topic")
+        assert active_children() == []
 
     def test_no_bag(self, tmp_path, capsys):
         a = write_attitudes(tmp_path / "a.mcap", 5)

@@ -1,18 +1,15 @@
 """Two recordings side by side: both told, their outputs at equal stamps, and whether they stem from the same inputs."""
 
-import io
-import sys
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
-from ship_replay.report.night import Night
+from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.report.night import Night, read_night
 from ship_replay.report.published import OutputDifference, Published, differences, overlap_s, read_published, span
-from ship_replay.report.told import Told, is_short, read_told
+from ship_replay.report.told import Told, check_truth, is_short, other_processes, read_told
 from ship_replay.report.wording import duration, utc
 from ship_watch.limits import Limits
 
@@ -75,12 +72,17 @@ def _read_beside(
     a: Path, b: Path, truth: Path | None, limits: Limits | None, namespace: str
 ) -> tuple[Told, Told, tuple[Published, Published]]:
     """All that is read of both at the same time: one after the other would take twice as long."""
-    # Of the bars that show how far it is, one is enough.
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=_without_bar) as beside:
-        outputs_a, outputs_b = (beside.submit(read_published, path, namespace) for path in (a, b))
-        other = beside.submit(read_told, b, truth, limits, namespace)
-        told = read_told(a, truth, limits, namespace)
-        return told, other.result(), (outputs_a.result(), outputs_b.result())
+    check_truth(truth, namespace)
+    with other_processes(5) as others:
+        evaluated = [others.submit(evaluate, path, against=truth, namespace=namespace) for path in (a, b)]
+        night_b = others.submit(read_night, b, limits, namespace)
+        published = [others.submit(read_published, path, namespace) for path in (a, b)]
+        night_a = read_night(a, limits, namespace)
+        return (
+            Told(night_a, evaluated[0].result()),
+            Told(night_b.result(), evaluated[1].result()),
+            (published[0].result(), published[1].result()),
+        )
 
 
 def origin(pair: Pair) -> list[str]:
@@ -147,7 +149,3 @@ def _check_overlap(pair: Pair) -> None:
             f"no time in common with {pair.a.night.path}: outputs from {texts[1]} UTC, expected some from {texts[0]}",
             file=pair.b.night.path,
         )
-
-
-def _without_bar() -> None:
-    sys.stderr = io.StringIO()

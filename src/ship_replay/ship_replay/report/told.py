@@ -1,10 +1,13 @@
 """What a report tells: a recording read once as a night, and evaluated once."""
 
+import contextlib
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 
+from ship_bags.command_line import serve_a_command
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.topic_names import relative_topics
@@ -35,21 +38,47 @@ def read_told(
     Raises:
         BadInput: a bag cannot be read or lacks what is expected of it.
     """
-    if truth is not None and not has_truth(truth, namespace):
-        raise BadInput(f"no truth: expected topic {' or '.join(_TRUTH_TOPICS)}", file=truth)
+    check_truth(truth, namespace)
     if is_short(path):
         return Told(read_night(path, limits, namespace), evaluate(path, against=truth, namespace=namespace))
-    # Each takes half of the time; neither needs the other. A new process of its own: a copy of this one would take its
-    # threads' locks with it.
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as beside:
-        evaluated = beside.submit(evaluate, path, against=truth, namespace=namespace)
+    # Each takes half of the time; neither needs the other.
+    with other_processes(1) as others:
+        evaluated = others.submit(evaluate, path, against=truth, namespace=namespace)
         night = read_night(path, limits, namespace)
         return Told(night, evaluated.result())
+
+
+@contextlib.contextmanager
+def other_processes(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that work beside this one, and end where it fails or is interrupted, whatever they were at.
+
+    They are new ones: a copy of this one would take its threads' locks with it. What they do must not begin processes
+    of its own, which nobody would end.
+    """
+    known = {process.pid for process in active_children()}
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=serve_a_command) as executor:
+        try:
+            yield executor
+        except BaseException:
+            for process in active_children():
+                if process.pid not in known:
+                    process.terminate()
+            raise
 
 
 def is_short(path: Path) -> bool:
     """Whether a bag is read so soon that no other process needs to help."""
     return path.is_file() and path.stat().st_size <= SHORT_BYTES
+
+
+def check_truth(path: Path | None, namespace: str) -> None:
+    """Refuse what was named as a bag with truth and has none.
+
+    Raises:
+        BadInput: it has none, or cannot be read.
+    """
+    if path is not None and not has_truth(path, namespace):
+        raise BadInput(f"no truth: expected topic {' or '.join(_TRUTH_TOPICS)}", file=path)
 
 
 def has_truth(path: Path, namespace: str) -> bool:
