@@ -8,6 +8,7 @@ times in integer ns. NaN means that there is no value; an infinite age, that not
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 ANGLES = ("heading", "pitch", "roll", "azimuth", "elevation")
 """The angles of a picture, in the order in which they are shown."""
@@ -207,3 +208,26 @@ class Picture:
     inputs: tuple[InputShown, ...]
     events: tuple[Event, ...]
     waiting_for: str
+
+
+class Pictures(Protocol):
+    """Where whoever draws has pictures from: a running suite or a bag."""
+
+    @property
+    def label(self) -> str:
+        """Where the data are from: "LIVE", "BAG" or "SIMULATED", and what is to be added."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """The ship: its namespace without slashes, or the name of the bag."""
+        ...
+
+    @property
+    def place(self) -> str:
+        """Where it looks, in words, for who waits: namespace and domain."""
+        ...
+
+    def look(self) -> Picture:
+        """The picture now. Who draws asks twice a second: a source that serves several keeps the last one."""
+        ...

@@ -19,33 +19,18 @@ from ship_monitor.page.themes import THEMES, Theme
 from ship_monitor.terminal.details import details, help_page
 from ship_monitor.terminal.pen import Line, Look
 from ship_monitor.terminal.screen import View, choices, screen, shown_alert
-from ship_watch.picture import Picture
+from ship_watch.picture import Picture, Pictures
 
 TAKE_S = 0.25
 DRAW_S = 0.5
 NOTE_S = 5.0
 
 
-class Suite(Protocol):
+class Suite(Pictures, Protocol):
     """What the terminal shows: a suite on the network."""
-
-    @property
-    def label(self) -> str:
-        """LIVE, BAG or SIMULATED."""
-
-    @property
-    def name(self) -> str:
-        """Namespace of the suite."""
-
-    @property
-    def place(self) -> str:
-        """Where it is listened, in words."""
 
     def tick(self) -> None:
         """Take what has come."""
-
-    def look(self) -> Picture:
-        """The picture of this moment."""
 
     def acknowledge(self, alert_id: str, instance: int) -> str:
         """Acknowledge one instance of an alert, and say in words what came of it. It may wait for seconds."""
