@@ -50,10 +50,12 @@ class Watch:
 
     Args:
         limits: of the ship.
+        keeper: makes what fills the history; for whom not all of it is drawn, one that fills less.
     """
 
-    def __init__(self, limits: Limits | None = None) -> None:
+    def __init__(self, limits: Limits | None = None, keeper: Callable[[], HistoryKeeper] = HistoryKeeper) -> None:
         self.limits = limits or Limits()
+        self._make_keeper = keeper
         self._takers: dict[str, Callable[[Any, int], None] | None] = {}
         self._alerts: tuple[AlertShown, ...] | None = None
         self._forget()
@@ -68,7 +70,7 @@ class Watch:
         self._forget()
 
     def _forget(self) -> None:
-        self._keeper = HistoryKeeper()
+        self._keeper = self._make_keeper()
         self._takers.clear()
         self._attitude, self._pointing = AttitudeHeard(self.limits), PointingHeard(self.limits)
         self._book = SourceBook(self.limits)

@@ -22,6 +22,7 @@ from ship_watch.alert_conditions import conditions
 from ship_watch.alert_states import AlertState
 from ship_watch.alerts import AlertBook, AlertChange
 from ship_watch.history import BudgetPoint, ParameterShown, newer
+from ship_watch.history_keeper import HistoryKeeper
 from ship_watch.limits import Limits
 from ship_watch.picture import ANGLES, AlertShown, Event, Picture, Safety
 from ship_watch.topics import watched_topic
@@ -146,11 +147,24 @@ def read_night(path: Path, limits: Limits | None = None, namespace: str = "") ->
     return night
 
 
+class _FewKept(HistoryKeeper):
+    """Keeps words, budgets and parameters: errors and innovations are drawn from the evaluation, not from buffers."""
+
+    def note_error(self, topic: str, message: Any) -> None:
+        """Nothing."""
+
+    def note_innovation(self, source: str, message: Any, now_ns: int) -> None:
+        """Nothing."""
+
+    def note_seen(self, topic: str, message: Any, now_ns: int) -> None:
+        """Nothing."""
+
+
 class _Reading:
     """Goes through a bag once."""
 
     def __init__(self, night: Night, alerts_are_recorded: bool) -> None:
-        self._night, self._watch = night, Watch(night.limits)
+        self._night, self._watch = night, Watch(night.limits, _FewKept)
         night.alerts_are_recorded = alerts_are_recorded
         self._book = AlertBook(night.limits.alerts, (), night.start_ns)
         self._heard: dict[tuple[str, int], AlertShown] = {}
