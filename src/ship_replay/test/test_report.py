@@ -1,20 +1,11 @@
 """The report: all sections, numbers of evaluate, words of the watch, the same bytes, no word of the network."""
 
-import hashlib
-import html
-import json
-import math
 import re
 
 import numpy as np
 import pytest
 
-from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
-from ship_bags.mcap.folder import FolderWriter, SplitLimits
-from ship_bags.stamps import make_header
-from ship_estimation.refusals import Reason
-from ship_geometry.rotations import ARCSEC
 from ship_replay.commands.report import main
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.report.drawings import MOST_POINTS, thin_errors, thinned
@@ -22,36 +13,11 @@ from ship_replay.report.night import read_night
 from ship_replay.report.page import SECTIONS, page
 from ship_replay.report.tables import outages
 from ship_replay.report.told import read_told
-from ship_replay.report.wording import duration, number, utc
-from ship_testing.hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, innovation, ship_attitude, star_message
+from ship_replay.report.wording import duration, number
+from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, ship_attitude
 from ship_testing.refusals import refused
-from ship_watch.alert_states import AlertState
-from ship_watch.picture import Event, Priority, Safety
-
-SECOND_NS = 1_000_000_000
-SIGMA_ENU = np.diag([2.0, 3.0, 4.0]) * ARCSEC
-"""Of a ship that heads North: pitch 2″, roll 3″, heading 4″, so that 95 % are 3.9″, 5.9″ and 7.8″."""
-
-
-def write_night(path, seconds=40, with_truth=True, silent=(0, 0), refused=()):
-    """Attitudes ten times a second, 1″ off in heading, silent between two seconds; refusals of star.fore at seconds."""
-    with BagWriter(path) as bag:
-        bag.add_attachment("suite.yaml", "ship_attitude:\n  ros__parameters: {}\n")
-        for tick in range(10 * seconds):
-            stamp_ns = START_NS + tick * SECOND_NS // 10
-            if with_truth:
-                bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
-            if not silent[0] <= tick / 10 < silent[1]:
-                estimate = ship_attitude(stamp_ns, ARCSEC, covariance_enu=SIGMA_ENU @ SIGMA_ENU)
-                # Of (heading, pitch, roll), for a level ship that heads North.
-                estimate.covariance = (np.diag([4.0, 2.0, 3.0]) ** 2 * ARCSEC**2).ravel()
-                bag.write("ship/attitude", estimate, stamp_ns)
-            if tick % 10 == 0:
-                accepted = tick // 10 not in refused
-                reason = 0 if accepted else int(Reason.GATE)
-                told = innovation(stamp_ns, "star.fore", [ARCSEC, 0.0, 0.0], [ARCSEC] * 3, 1.0, accepted, reason)
-                bag.write("ship/innovation", told, stamp_ns)
-    return path
+from ship_testing.reported_nights import SECOND_NS, write_night
+from ship_watch.picture import Event, Safety
 
 
 @pytest.fixture(scope="module")
@@ -179,146 +145,6 @@ class TestBadInput:
         line = refused(main, capsys, out, "--limits", limits, "--out", tmp_path / "a.html")
         assert f"{limits}:2" in line
         assert "headding_arcsec" in line
-
-
-def copied(source, writer, prefix=""):
-    """The messages and attachments of a bag, in a bag or folder that is open for writing; its topics get a prefix."""
-    with read_bag(source) as bag:
-        for name, data in bag.attachments.items():
-            writer.add_attachment(name, data)
-        for number, record in enumerate(bag.records()):
-            writer.write_raw(prefix + record.topic, record.type_name, record.data, record.log_time_ns)
-            if number % 100 == 0:
-                writer.flush()
-    writer.close()
-
-
-def section(text, name):
-    """The part of a page from one heading to the next."""
-    return text[text.index(f'<h2 id="{name}"'):].partition("</h2>")[2].partition("<h2 ")[0]
-
-
-@pytest.mark.parametrize("namespace", ["vessel", "ship"])
-def test_a_recording_in_a_namespace(night_path, tmp_path, namespace):
-    copied(night_path, BagWriter(tmp_path / "recorded.mcap"), f"/{namespace}/")
-    out = tmp_path / "a.html"
-    assert main([str(tmp_path / "recorded.mcap"), "--namespace", f"/{namespace}", "--out", str(out)]) == 0
-    told = out.read_text()
-    for name in ("verdict", "errors", "consistency", "events", "refusals"):
-        assert section(told, name) == section(page(read_told(night_path)), name)
-
-
-def test_a_rosbag2_folder_of_several_files(night_path, tmp_path):
-    folder = tmp_path / "night"
-    copied(night_path, FolderWriter(folder, SplitLimits(size_bytes=10_000)))
-    told = page(read_told(folder))
-    alone = page(read_told(night_path))
-    for name in ("verdict", "errors", "consistency", "events", "refusals"):
-        assert section(told, name) == section(alone, name)
-    parts = sorted(folder.glob("*.mcap"))
-    assert len(parts) > 1
-    for part in parts:
-        assert f"{hashlib.sha256(part.read_bytes()).hexdigest()}  {part.name}" in section(told, "provenance")
-
-
-def test_the_hash_of_a_file_is_that_of_sha256sum(night_path):
-    whole = hashlib.sha256(night_path.read_bytes()).hexdigest()
-    assert f">{whole}</td>" in section(page(read_told(night_path)), "provenance")
-
-
-def alert(state, second, text="star.fore out: silent"):
-    stamp = make_header(FACTORY, START_NS + second * SECOND_NS, "").stamp
-    return FACTORY.make(
-        "ship_msgs/msg/Alert", id="star.fore.out", instance=1, priority=int(Priority.WARNING), state=int(state),
-        source="star.fore", text=text, value=math.nan, limit=math.nan, unit="",
-        raised=make_header(FACTORY, START_NS + 10 * SECOND_NS, "").stamp, changed=stamp,
-    )
-
-
-def test_alerts_that_were_recorded_stand_before_those_computed(night_path, tmp_path):
-    """With the words and times of the alert node, and with what a person did, which nobody can compute."""
-    path = tmp_path / "out.mcap"
-    course = [(10, AlertState.ACTIVE_UNACKNOWLEDGED), (14, AlertState.ACTIVE_ACKNOWLEDGED), (20, None)]
-    with BagWriter(path) as writer, read_bag(night_path) as bag:
-        records = [(record.log_time_ns, record) for record in bag.records()]
-        told = [(START_NS + second * SECOND_NS, (state, second)) for second, state in course]
-        for time_ns, what in sorted(records + told, key=lambda entry: entry[0]):
-            if isinstance(what, tuple):
-                header = make_header(FACTORY, time_ns, "")
-                alerts = [] if what[0] is None else [alert(*what)]
-                message = FACTORY.make("ship_msgs/msg/AlertArray", header=header, alerts=alerts)
-                writer.write("ship/alerts", message, time_ns)
-            else:
-                writer.write_raw(what.topic, what.type_name, what.data, time_ns)
-    reported = read_told(path)
-    assert [(one.what, one.alert.id) for one in reported.night.alerts] == [
-        ("active unacknowledged", "star.fore.out"), ("active acknowledged", "star.fore.out"), ("over", "star.fore.out")
-    ]
-    assert [one.utc_ns for one in reported.night.alerts[:2]] == [START_NS + second * SECOND_NS for second in (10, 14)]
-    assert reported.night.alerts[2].utc_ns == pytest.approx(START_NS + 20 * SECOND_NS, abs=SECOND_NS // 5)
-    shown = section(page(reported), "alerts")
-    assert "As recorded from ship/alerts." in shown
-    assert "WARNING" in shown
-
-
-def test_outputs_of_one_node_alone(tmp_path):
-    """A bag with nothing but solutions of star sensors has no angle to show, and errors all the same."""
-    with BagWriter(tmp_path / "out.mcap") as bag:
-        bag.add_attachment("suite.yaml", "star_attitude:\n  ros__parameters: {}\n")
-        for tick in range(50):
-            stamp_ns = START_NS + tick * SECOND_NS // 5
-            bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
-            told = star_message(stamp_ns, np.eye(3), SIGMA_ENU @ SIGMA_ENU, "joint")
-            bag.write("star/joint/solution", told, stamp_ns)
-    text = page(read_told(tmp_path / "out.mcap"))
-    assert "No angle was ever told." in section(text, "verdict")
-    assert "<td>star.joint</td>" in section(text, "errors")
-
-
-def test_versions_of_the_bag_and_of_the_report_are_told_apart(night_path, tmp_path):
-    shown = section(page(read_told(night_path)), "provenance")
-    assert "The bag does not say which versions of the suite made it." in shown
-    assert shown.count("<h3>") == 1
-    path = tmp_path / "box.mcap"
-    writer = BagWriter(path)
-    told = {"suite": {"ship_node": "0.0.7"}, "python": "3.9.2", "machine": "riscv64", "libraries": {"numpy": "1.2.3"}}
-    writer.add_attachment("versions.json", json.dumps(told))
-    copied(night_path, writer)
-    made, _, here = section(page(read_told(path)), "provenance").partition("Versions that made this report")
-    rows = [("ship_node", "0.0.7"), ("numpy", "1.2.3"), ("python", "3.9.2"), ("machine", "riscv64")]
-    for name, version in rows:
-        assert f"<td>{name}</td><td>{version}</td>" in made
-        assert f"<td>{version}</td>" not in here
-    assert f"<td>numpy</td><td>{np.__version__}</td>" in here
-
-
-@pytest.mark.parametrize("damaged", [b"not JSON", b"[]", b'{"suite": 3}'])
-def test_damaged_versions_are_none(night_path, tmp_path, damaged):
-    writer = BagWriter(tmp_path / "box.mcap")
-    writer.add_attachment("versions.json", damaged)
-    copied(night_path, writer)
-    assert "The bag does not say" in section(page(read_told(tmp_path / "box.mcap")), "provenance")
-
-
-@pytest.mark.parametrize(("left", "end_s"), [(0.97, 40.0), (0.5, 30.0)])
-def test_a_truncated_bag_is_told_as_far_as_it_goes(tmp_path, capsys, left, end_s):
-    """A night whose recorder died is worth a report; its first lines say that it is not whole, and where it ends."""
-    whole = tmp_path / "whole.mcap"
-    copied(write_night(tmp_path / "night.mcap"), writer := BagWriter(whole))
-    assert writer.message_count > 800
-    out = tmp_path / "out.mcap"
-    out.write_bytes(whole.read_bytes()[: round(left * whole.stat().st_size)])
-    with read_bag(out) as bag:
-        last_ns = max(record.log_time_ns for record in bag.records())
-        problems = bag.problems
-    assert 5.0 < (last_ns - START_NS) / SECOND_NS < end_s
-    assert main([str(out), "--out", str(tmp_path / "a.html")]) == 0
-    assert "warning: " in capsys.readouterr().out
-    head = (tmp_path / "a.html").read_text().partition("<nav>")[0]
-    assert f"to {utc(last_ns)} UTC" in head
-    (warning,) = re.findall(r'<p class="warn">(.*?)</p>', head)
-    assert html.unescape(warning) == problems[0]
-    assert utc(last_ns) in warning
 
 
 def test_limits_of_the_ship_change_the_words(tmp_path, night_path):
