@@ -241,7 +241,8 @@ class AlertBook:
             kept.unanswered_from_ns = now_ns
             what = f"repeated: nobody acknowledged it for {self._times.escalate_after_s:g} s"
             if kept.becomes_alarm:
-                kept.alert = dataclasses.replace(alert, priority=Priority.ALARM)
+                # An instance of its own: who has seen a warning has not seen an alarm.
+                kept.alert = dataclasses.replace(alert, priority=Priority.ALARM, instance=alert.instance + 1)
                 what = f"became an alarm: nobody acknowledged it for {self._times.escalate_after_s:g} s"
             return [self._happens(kept, AlertEvent.UNANSWERED, utc_ns, what)]
         if alert.state == AlertState.ACTIVE_SILENCED and now_ns - kept.silenced_ns >= _ns(self._times.silence_s):

@@ -12,6 +12,7 @@ import numpy as np
 
 from ship_watch.limits import Limits
 from ship_watch.picture import AngleShown, Picture, Presence, Priority, Safety, SourceShown
+from ship_watch.states import OVER_THE_LIMIT
 
 ATTITUDE, POINTING = "attitude", "pointing"
 """The outputs that functions come by."""
@@ -60,8 +61,9 @@ class FunctionShown:
 
     @property
     def is_over(self) -> bool:
-        """Whether the accuracy is not within the limit, or there is no angle at all."""
-        return self.safety is Safety.UNSAFE or not self.angle.accuracy_95 <= self.angle.limit
+        """Whether the accuracy is not within the limit, or was not a moment ago, or there is no angle at all."""
+        is_held = self.angle.reason == OVER_THE_LIMIT
+        return self.safety is Safety.UNSAFE or is_held or not self.angle.accuracy_95 <= self.angle.limit
 
     @property
     def priority(self) -> Priority | None:
@@ -81,8 +83,8 @@ class FunctionShown:
 
     @property
     def reason(self) -> str:
-        """Why, without figures that run."""
-        return still(self.angle.reason)
+        """Why, without figures that run; where only the accuracy is to blame, where to look for its causes."""
+        return "see its error budget" if self.angle.reason == OVER_THE_LIMIT else still(self.angle.reason)
 
 
 def still(text: str) -> str:

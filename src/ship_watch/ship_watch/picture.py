@@ -146,9 +146,18 @@ class AlertShown:
         return self.state in (0, 3)
 
     @property
-    def urgency(self) -> tuple[bool, int, int, str]:
-        """Its place in a list: unacknowledged before acknowledged, then by priority, then the newest first."""
-        return self.is_acknowledged, -self.priority, -self.raised_ns, self.id
+    def is_over(self) -> bool:
+        """Whether its situation is gone, and nobody acknowledged it."""
+        return self.state == 4
+
+    @property
+    def urgency(self) -> tuple[int, int, int, int, str]:
+        """Its place: unacknowledged, over but unacknowledged, acknowledged; in each by priority, newest first.
+
+        The newest is the one that changed last: raised, graver, repeated, over or acknowledged.
+        """
+        tier = 2 if self.is_acknowledged else int(self.is_over)
+        return tier, -self.priority, -self.changed_ns, -self.raised_ns, self.id
 
 
 @dataclass(frozen=True)

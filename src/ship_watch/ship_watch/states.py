@@ -18,6 +18,10 @@ NORMAL_95 = 1.96
 """95 % of a normal error lie within so many sigmas to both sides."""
 
 
+OVER_THE_LIMIT = "over the limit"
+"""Reason of a CAUTION where only the accuracy is to blame, and no source."""
+
+
 @dataclass(frozen=True)
 class Protection:
     """What an Integrity message says of one angle.
@@ -84,7 +88,7 @@ def judged(claim: Claim) -> tuple[Safety, str]:
     if claim.status is not Status.VALID:
         return Safety.CAUTION, guilty or claim.hint or claim.status.name.lower()
     if not claim.accuracy_95 <= claim.limit:
-        return Safety.CAUTION, guilty or "over the limit"
+        return Safety.CAUTION, guilty or OVER_THE_LIMIT
     if state is None:
         return Safety.CAUTION, "integrity not told"
     if state is IntegrityState.UNAVAILABLE or not math.isfinite(protection.level):

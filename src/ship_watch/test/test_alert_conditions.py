@@ -110,6 +110,13 @@ def test_table_for_people_is_that_of_the_code() -> None:
     assert all(len(row) == 5 and all(cell.strip() for cell in row) for row in rows)
 
 
+def test_word_that_is_held_is_told_as_what_it_is_held_for() -> None:
+    """An accuracy that was over its limit a moment ago is no lack of a check; the text says where to look."""
+    for share in (1.5, 0.98):
+        (found,) = told(picture(over("roll", share=share))).values()
+        assert (found.priority, found.text) == (Priority.WARNING, "tilt over its limit: see its error budget")
+
+
 def test_all_well_is_no_alert() -> None:
     """Nothing at all, with good statuses of nodes, too."""
     assert conditions(picture(), LIMITS, node("black box", 0)) == []

@@ -178,9 +178,11 @@ def test_unacknowledged_warning_becomes_an_alarm() -> None:
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
     changes = voyage.go(0.5, lost)
     assert [change.what for change in changes] == ["became an alarm: nobody acknowledged it for 60 s"]
+    # Who has seen the warning has not seen the alarm.
+    assert voyage.book.acknowledge("star.bow.out", 1, 0)[0] is None
     voyage.go(600.0, lost)
     assert voyage.states() == {"star.bow.out": "ALARM ACTIVE_UNACKNOWLEDGED"}
-    voyage.acknowledge("star.bow.out")
+    voyage.acknowledge("star.bow.out", 2)
     voyage.go(30.0, lost)
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_ACKNOWLEDGED"}
 
@@ -321,10 +323,24 @@ def test_spoilt_file_is_refused(spoilt: dict[str, object]) -> None:
 
 
 def test_most_urgent_comes_first() -> None:
-    """Unacknowledged before acknowledged, then by priority, cautions last."""
+    """Unacknowledged before acknowledged, then by priority, cautions last; what is over after what is there."""
     voyage = Voyage()
     kinds = {"a": Priority.CAUTION, "b": Priority.ALARM, "c": Priority.WARNING, "d": Priority.ALARM}
     voyage.go(2.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items()))
     voyage.acknowledge("b")
     told: tuple[AlertShown, ...] = voyage.book.alerts
     assert [alert.id for alert in told] == ["d", "c", "b", "a"]
+    voyage.go(10.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items() if id_ != "d"))
+    assert [alert.id for alert in voyage.book.alerts] == ["c", "d", "b", "a"]
+
+
+def test_what_changed_last_comes_first_among_equals() -> None:
+    """Of two warnings the newer one; the older one again when it is told once more."""
+    voyage = Voyage()
+    older, newer = replace(OUT, id="older"), replace(OUT, id="newer")
+    voyage.go(20.0, older)
+    voyage.go(20.0, older, newer)
+    assert [alert.id for alert in voyage.book.alerts] == ["newer", "older"]
+    changes = voyage.go(21.0, older, newer)
+    assert [(change.alert.id, change.what[:8]) for change in changes] == [("older", "repeated")]
+    assert [alert.id for alert in voyage.book.alerts] == ["older", "newer"]

@@ -10,6 +10,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_watch import words
 from ship_watch.history import History, SafetyPoint
 from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Presence, Safety, SourceShown
+from ship_watch.states import OVER_THE_LIMIT
 
 RIBBON_S = 600
 """Length of the ribbons, s."""
@@ -56,8 +57,8 @@ def _tile(angle: AngleShown) -> dict[str, Any]:
     limit = words.limit_size(angle.limit)
     ratio = angle.accuracy_95 / (2.0 * angle.limit) if angle.limit > 0.0 else float("nan")
     reason = angle.reason or f"limit {limit}"
-    if angle.reason == "over the limit":  # a better word comes seconds after a better value
-        reason = f"{'was ' if angle.accuracy_95 <= angle.limit else ''}over the limit, {limit}"
+    if angle.reason == OVER_THE_LIMIT:  # a better word comes seconds after a better value
+        reason = f"{'was ' if angle.accuracy_95 <= angle.limit else ''}{OVER_THE_LIMIT}, {limit}"
     return {
         "number": reading.number,
         "sense": reading.sense or ("theodolite" if angle.name in _OF_THEODOLITE else ""),
