@@ -71,11 +71,15 @@ class ErrorsBeside:
         if stamp_ns - self._last_ns >= _LEAST_BETWEEN_ERRORS_NS:
             self._last_ns = stamp_ns
             variances = np.array([message.covariance[0], message.covariance[4], message.covariance[8]])
-            self._waiting.append((stamp_ns, self._orientation.angles_of(message), variances))
+            angles = self._orientation.angles_of(message)
+            if np.all(np.isfinite(angles)):
+                self._waiting.append((stamp_ns, angles, variances))
 
     def note_truth(self, message: Any) -> None:
         """Take a sample of the truth, and tell the errors of the outputs before it."""
-        self._truth.insert(self._orientation.sample(message))
+        sample = self._orientation.sample(message)
+        if sample is not None:
+            self._truth.insert(sample)
         newest = self._truth.newest
         while self._waiting and newest is not None and self._waiting[0][0] <= newest.time_ns:
             stamp_ns, angles, variances = self._waiting.popleft()

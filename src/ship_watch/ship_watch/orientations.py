@@ -38,15 +38,18 @@ class Orientation:
         """The three angles of a message, rad, shape (3,)."""
         return np.array([getattr(message, name) for name in self.angles])
 
-    def sample(self, message: Any) -> AttitudeSample:
-        """The orientation of a message, with its rate where that is given and finite."""
+    def sample(self, message: Any) -> AttitudeSample | None:
+        """The orientation of a message, with its rate where that is given and finite; None without finite angles."""
+        angles = self.angles_of(message)
+        if not np.all(np.isfinite(angles)):
+            return None
         rate_d = None
         if hasattr(message, "angular_velocity"):
             rate = message.angular_velocity
             rate_d = device_vector_from_ros(np.array([rate.x, rate.y, rate.z]))
         return AttitudeSample(
             time_ns=ns_from_stamp(message.header.stamp),
-            rotation_nd=rotation_from_angles(*self.angles_of(message)),
+            rotation_nd=rotation_from_angles(*angles),
             rate_d=rate_d if rate_d is not None and np.all(np.isfinite(rate_d)) else None,
         )
 

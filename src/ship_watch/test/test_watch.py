@@ -159,6 +159,21 @@ def test_where_no_covariance_is_given_an_error_against_truth_has_no_sigma() -> N
     assert all(math.isnan(sigma) for sigma in point.sigma.values())
 
 
+@pytest.mark.parametrize("heading", [math.inf, -math.inf, math.nan])
+def test_an_orientation_that_is_no_number_is_not_compared_with_the_truth(heading: float) -> None:
+    """Neither a truth nor an output; nothing is calculated with it."""
+    watch = Watch()
+    with np.errstate(all="raise"):
+        for tenth in range(6):
+            ns, no_number = UTC + tenth * SECOND // 5, {} if tenth % 2 == 0 else {"heading": heading}
+            watch.take("truth/attitude", attitude(ns + 1, **no_number), at(tenth / 5))
+            watch.take("truth/attitude", attitude(ns), at(tenth / 5))
+            watch.take("ship/attitude", attitude(ns, **no_number), at(tenth / 5))
+    points = watch.history.errors["ship/error_arcsec"]
+    assert points
+    assert all(abs(error) < 1e-6 for point in points for error in point.error.values())
+
+
 def test_one_variance_of_zero_is_no_accuracy_either() -> None:
     watch = heard(10.0)
     message = attitude(UTC + 10_500_000_000)

@@ -36,8 +36,10 @@ class Truth:
         self._has_rates = True
 
     def add(self, message: Any) -> None:
-        """A message of the truth."""
+        """A message of the truth; one without an orientation is left out."""
         sample = self.orientation.sample(message)
+        if sample is None:
+            return
         self._has_rates &= sample.rate_d is not None
         self._track.insert(sample)
         self._rotations[sample.time_ns] = sample.rotation_nd

@@ -29,8 +29,10 @@ class TruthErrors:
         self._waiting: deque[tuple[int, Any]] = deque()
 
     def add_truth(self, message: Any) -> None:
-        """A message of the truth."""
-        self._truth.insert(self.orientation.sample(message))
+        """A message of the truth; one without an orientation is left out."""
+        sample = self.orientation.sample(message)
+        if sample is not None:
+            self._truth.insert(sample)
 
     def add_attitude(self, message: Any) -> None:
         """A message of the orientation as published."""
