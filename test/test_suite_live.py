@@ -91,6 +91,7 @@ def namespaces(node, topic):
 
 def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
+    statuses: dict[str, set[str]] = {}
 
     def started(name, bag):
         command = suite("--bag", bag, "--namespace", name, "--loop", "0")
@@ -107,6 +108,15 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
             # Names of nodes come later than their topics.
             assert observer.spin_until(lambda t=topic, own=own: namespaces(observer.node, t) == {own}), topic
             assert observer.node.count_publishers(topic) == 1
+        # Suites share this topic alone: what a node tells of itself says whose it is.
+        observer.node.create_subscription(
+            DiagnosticArray,
+            "/diagnostics",
+            lambda m: [statuses.setdefault(s.name, set()).add(s.hardware_id) for s in m.status],
+            1000,
+        )
+        wanted = {"ship_attitude: clock": {"/alpha/ship_attitude"}, "optical_axis: clock": {"/beta/optical_axis"}}
+        assert observer.spin_until(lambda: wanted.items() <= statuses.items()), statuses
         assert alpha.end(signal.SIGTERM) == 0
         assert beta.exit_code is None
         assert observer.node.count_publishers("/beta/theodolite/pointing") == 1

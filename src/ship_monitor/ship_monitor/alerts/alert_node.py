@@ -111,6 +111,7 @@ class AlertNode:
 
     def __init__(self, node: Node, limits: Limits, state: Path | None) -> None:
         self._node = node
+        self._full_name = node.get_fully_qualified_name()
         self._factory = RosidlFactory()
         self._guard = Guard(node.get_logger(), time.monotonic_ns)
         self._reader = TopicReader("alerts_reader", node.get_namespace(), _wanted)
@@ -165,10 +166,12 @@ class AlertNode:
         namespaces = self._namespaces()
         for status in message.status:
             node, _, name = status.name.partition(": ")
-            where = namespaces.get(node, {self._node.get_namespace()})
+            where = namespaces.get(node, set())
+            if status.hardware_id.startswith("/"):
+                where = {status.hardware_id.rpartition("/")[0] or "/"}
             if node == _NAME or self._node.get_namespace() not in where:
                 continue
-            # The messages themselves do not tell from which of two nodes of one name they are.
+            # Messages of others than our nodes do not tell from which of two nodes of one name they are.
             other = "" if len(where) == 1 else f" (this is the node of one of {', '.join(sorted(where))})"
             values = {pair.key: pair.value for pair in status.values}
             told = NodeStatus(node, name, status.level[0], status.message + other, values)
@@ -226,7 +229,7 @@ class AlertNode:
             DiagnosticStatus(f"functions/{branch.path}", Level(branch.level), branch.text)
             for branch in self._keeper.tree()
         ]
-        self._diagnostics.publish(diagnostic_array(self._factory, self._utc_ns(), _NAME, statuses))
+        self._diagnostics.publish(diagnostic_array(self._factory, self._utc_ns(), _NAME, statuses, self._full_name))
 
     def _utc_ns(self) -> int:
         """The suite's time; the machine's until the suite tells one."""

@@ -52,22 +52,23 @@ class DiagnosticStatus:
 
 
 def diagnostic_array(
-    factory: MessageFactory, now_ns: int, hardware_id: str, statuses: Iterable[DiagnosticStatus]
+    factory: MessageFactory, now_ns: int, node: str, statuses: Iterable[DiagnosticStatus], full_name: str = ""
 ) -> Any:
     """A diagnostic_msgs/DiagnosticArray.
 
     Args:
         factory: makes the messages.
         now_ns: time of the report.
-        hardware_id: name of the node; each status is named ``"<hardware_id>: <name>"``.
+        node: name of the node; each status is named ``"<node>: <name>"``.
         statuses: what there is to say.
+        full_name: the node's name with its namespace, where it runs in one; it is the hardware_id then.
     """
     told = [
         {
             "level": int(status.level),
-            "name": f"{hardware_id}: {status.name}",
+            "name": f"{node}: {status.name}",
             "message": status.message,
-            "hardware_id": hardware_id,
+            "hardware_id": full_name or node,
             "values": [{"key": key, "value": value} for key, value in status.values.items()],
         }
         for status in statuses
