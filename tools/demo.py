@@ -24,8 +24,8 @@ from ship_replay.evaluation.bounds import judge, read_bounds
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
 from ship_replay.evaluation.figures import attitude_error_figure, save_figure
 from ship_replay.evaluation.tables import attitude_table
-from ship_replay.offline.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from ship_replay.trials.live_run import LiveFailure, LiveRun
+from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ROOT = Path(__file__).resolve().parents[1]
