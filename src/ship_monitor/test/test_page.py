@@ -373,7 +373,7 @@ def test_a_mark_is_in_every_panel_stays_through_updates_and_goes_with_escape(bro
         counted(other, 0)
     finally:
         other.close()
-    browser.press("Escape")
+    browser.evaluate("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))")
     counted(browser, 0)
     assert browser.evaluate("document.querySelector('#sources li.marked')") is None
     browser.evaluate("document.querySelector('#sources li:nth-child(2)').click()")
