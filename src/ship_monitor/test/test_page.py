@@ -412,10 +412,12 @@ def test_only_the_panels_in_sight_are_drawn(browser, source, page, monkeypatch):
         ("document.querySelector('#panels').scrollIntoView()", InnovationPanel, InputsPanel),
         ("scrollTo(0, document.body.scrollHeight)", InputsPanel, InnovationPanel),
     ):
-        browser.evaluate(where)
-        browser.wait(
-            lambda wanted=wanted, unwanted=unwanted: wanted in drawn[-3:] and unwanted not in drawn[-3:], where
-        )
+
+        def is_so(where=where, wanted=wanted, unwanted=unwanted):
+            browser.evaluate(where)  # once more: the page grows while its panels come
+            return wanted in drawn[-3:] and unwanted not in drawn[-3:]
+
+        browser.wait(is_so, where, 90.0)
     browser.evaluate("scrollTo(0, 0)")
 
     def rests():
