@@ -330,7 +330,9 @@ MARKED = f"""(() => {{
   const framed = {FIGURES}.filter((each) => each.outline_line_width === 3).length;
   const rows = {INSIDE}.filter((each) => each.tagName === 'TR' && each.classList.contains('marked')).length;
   const states = {FIGURES}.flatMap((each) => [...each.left, ...each.right])
-    .flatMap((axis) => [...axis.major_label_overrides?.values() ?? []]).filter((text) => String(text).startsWith('▶'));
+    .flatMap((axis) => axis.major_label_overrides ?? [])
+    .flatMap((told) => told instanceof Map ? [...told.values()] : Object.values(told))
+    .filter((text) => String(text).startsWith('▶'));
   return [titled.length, framed, rows, states.length];
 }})()"""
 """Titles, frames, rows of tables and labels of axes that are marked in the panels."""
