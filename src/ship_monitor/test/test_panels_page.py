@@ -115,8 +115,7 @@ def evaluated(browser, expression):
 @pytest.mark.parametrize("theme", list(THEMES))
 @pytest.mark.parametrize("width", [1280, 390])
 def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_path):
-    # In the low plots of a phone the pointer meets a line only as the minutes go on.
-    with served(theme, goes_on=width < 700) as (address, _):
+    with served(theme) as (address, _):
         opened(browser, address, theme, width)
         browser.wait(lambda: evaluated(browser, "found('Figure').length") == 14, "all plots")
         browser.wait(lambda: is_told_at(browser, "found('Figure')[4]"), "what is told of the error of pitch")
