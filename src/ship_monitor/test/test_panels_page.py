@@ -55,7 +55,7 @@ class Minutes:
 
 
 @contextlib.contextmanager
-def served(theme, *, goes_on=True):
+def served(theme):
     """Address of a page that holds the panels alone, and the panels; the minutes go on where that is said."""
     told: Queue = Queue()
     minutes = Minutes()
@@ -70,8 +70,7 @@ def served(theme, *, goes_on=True):
             minutes.go_on()
             panels.update(minutes.history, minutes.picture)
 
-        if goes_on:
-            document.add_periodic_callback(go_on, 1000)
+        document.add_periodic_callback(go_on, 1000)
         told.put(panels)
 
     def run():

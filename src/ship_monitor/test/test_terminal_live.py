@@ -24,7 +24,8 @@ class Terminal:
     """A terminal of 80 by 24 with the view in it."""
 
     def __init__(self, *arguments, language="C.UTF-8"):
-        self._tmux = ["tmux", "-L", f"ship_monitor_{os.getpid()}", "-f", os.devnull]
+        # A socket of its own: the server of the terminal before may still be ending.
+        self._tmux = ["tmux", "-L", f"ship_monitor_{os.getpid()}_{id(self)}", "-f", os.devnull]
         view = f'{sys.executable} -c "{COMMAND}" {" ".join(arguments)}; echo EXIT CODE $?; exec sleep 60'
         self._call("new-session", "-d", "-x", "80", "-y", "24", f"LANG={language} LC_ALL={language} {view}")
         self._call("set", "-g", "status", "off")
