@@ -60,7 +60,7 @@ def lost(name: str, because_of: str = "") -> AngleShown:
 def over(name: str, because_of: str = "", share: float = 1.5) -> AngleShown:
     """An angle that is over its limit, by this share."""
     limit = Limits().of_angle(name)
-    changes = {"accuracy_95": share * limit, "safety": Safety.CAUTION, "reason": "over the limit"}
+    changes = {"accuracy_95": share * limit, "safety": Safety.CAUTION, "reason": "over the limit", "over_s": 7.0}
     return angle(name, because_of=because_of, **changes)
 
 
@@ -84,11 +84,12 @@ def source(name: str, **changes: Any) -> SourceShown:
         reason="",
         disagreement="",
         residual=math.nan,
+        out_since_ns=0,
+        because_of="",
         verdict=verdict,
         age_s=_AGES.get(name, 0.5),
         rate_hz=2.0,
         refused=0,
-        out_since_ns=0,
         topics=(f"{name.replace('.', '/')}/topic",),
     )
     return replace(well, **changes)

@@ -6,7 +6,7 @@ what no source explains is an alert of an output. docs/explanation/alerts.md has
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from ship_watch.alert_states import Condition
 from ship_watch.functions import ATTITUDE, POINTING, FunctionShown, functions, still
@@ -73,11 +73,14 @@ class Machine:
 
 
 def conditions(picture: Picture, limits: Limits, machine: Machine | None = None) -> list[Condition]:
-    """All situations that are there now, for :meth:`ship_watch.alerts.AlertBook.take`."""
-    shown = functions(picture)
+    """All situations that are there now, for :meth:`ship_watch.alerts.AlertBook.take`.
+
+    They rest on the words of this moment: how long something must last to be told is the book's to know.
+    """
+    shown = functions(replace(picture, angles=tuple(angle.held_by_nothing for angle in picture.angles)))
     machine = machine or Machine()
     return [
-        *_outputs(picture, shown),
+        *_outputs(picture, shown, limits),
         *_sources_out(picture, shown),
         *_unreported(picture),
         *_ages(picture, limits),
@@ -88,7 +91,7 @@ def conditions(picture: Picture, limits: Limits, machine: Machine | None = None)
     ]
 
 
-def _outputs(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:
+def _outputs(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits) -> Iterable[Condition]:
     """Outputs that do not come, and what is lost of the others: alerts where no source that is out explains it."""
     outs = (STARS_OUT, *(f"{source.name}.out" for source in picture.sources))
     for output, topic in ((ATTITUDE, "ship/attitude"), (POINTING, "theodolite/pointing")):
@@ -103,6 +106,7 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Con
                 under=above[:1] if never else (), lost=_lost(silent),
             )
             continue
+        members = [one for one in members if not _is_over_for_a_moment(one, limits)]
         if members:
             worst = max(members, key=lambda one: (one.priority or 0, one.accuracy_arcsec))
             priority = worst.priority or Priority.CAUTION
@@ -111,6 +115,11 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Con
                 worst.limit_arcsec, "arcsec", becomes_alarm=priority is Priority.WARNING,
                 needs_start=True, under=(*above, *outs), lost=_lost(members),
             )
+
+
+def _is_over_for_a_moment(function: FunctionShown, limits: Limits) -> bool:
+    """Whether it is over its limit, and not lost, for less time than people want to be told of."""
+    return function.priority is Priority.WARNING and function.over_s < limits.alerts.over_after_s
 
 
 def _sources_out(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:

@@ -98,7 +98,7 @@ class AlertBook:
         """
         changes = []
         there = {each.id: each for each in conditions}
-        self._forget_pending(there, now_ns)
+        self._forget_pending(now_ns)
         # Those that explain others come first, so that nothing is told twice within one call.
         for condition in sorted(there.values(), key=lambda each: (len(each.under), each.id)):
             changes += self._present(condition, now_ns, utc_ns)
@@ -131,11 +131,17 @@ class AlertBook:
                 changes.append(self._happens(kept, AlertEvent.SILENCED, utc_ns, "silenced"))
         return tuple(changes)
 
-    def _forget_pending(self, there: Mapping[str, Condition], now_ns: int) -> None:
-        """Situations that went before they had lasted long enough to be told."""
-        for id_, (_, last_ns) in list(self._pending.items()):
-            if id_ not in there and now_ns - last_ns > _ns(FORGOTTEN_S):
-                del self._pending[id_]
+    def _forget_pending(self, now_ns: int) -> None:
+        """What went before it had lasted long enough to be told."""
+        for what, (_, last_ns) in list(self._pending.items()):
+            if now_ns - last_ns > _ns(FORGOTTEN_S):
+                del self._pending[what]
+
+    def _has_lasted(self, what: str, now_ns: int) -> bool:
+        """Whether what was told to nobody yet has lasted long enough to be told; it is there now."""
+        first_ns, _ = self._pending.get(what, (now_ns, now_ns))
+        self._pending[what] = first_ns, now_ns
+        return now_ns - first_ns >= _ns(self._times.raise_after_s)
 
     def _is_explained(self, condition: Condition) -> bool:
         """Whether an alert that is active, or about to be, tells this situation already."""
@@ -156,18 +162,20 @@ class AlertBook:
                 return []
             return [self._happens(kept, AlertEvent.EXPLAINED, utc_ns, "told by another alert")]
         if kept is None or kept.alert.state not in ACTIVE:
-            first_ns, _ = self._pending.get(condition.id, (now_ns, now_ns))
-            self._pending[condition.id] = first_ns, now_ns
+            has_lasted = self._has_lasted(condition.id, now_ns)
             starting = condition.needs_start and now_ns - self._start_ns < _ns(self._times.start_s)
-            if starting or now_ns - first_ns < _ns(self._times.raise_after_s):
+            if starting or not has_lasted:
                 return []
             del self._pending[condition.id]
             return [self._raise(condition, kept, now_ns, utc_ns)]
         kept.present_ns, kept.becomes_alarm = now_ns, condition.becomes_alarm
         if condition.is_blind:
             return []
-        more, kept.lost = condition.lost - kept.lost, kept.lost | condition.lost
-        if condition.priority > kept.alert.priority:
+        more, is_graver = condition.lost - kept.lost, condition.priority > kept.alert.priority
+        if (more or is_graver) and not self._has_lasted(f"{condition.id}, graver", now_ns):
+            return []
+        kept.lost |= condition.lost
+        if is_graver:
             what = f"was a {kept.alert.priority.name.lower()}, is a{_n(condition.priority)} now"
             return [self._worsen(condition, kept, what, now_ns, utc_ns)]
         if more and condition.priority is not Priority.CAUTION:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_watch.picture import AlertShown, Event, Presence, Priority, SourceShown
+from ship_watch.picture import AlertShown, Event, Presence, Priority, SourceStanding
 
 EVENTS_KEPT = 200
 
@@ -35,11 +35,12 @@ class EventBook:
         if not told:
             self.tell("node", node, f"{node} started", utc_ns)
 
-    def tell_sources(self, sources: Iterable[SourceShown], utc_ns: int) -> None:
+    def tell_sources(self, sources: Iterable[SourceStanding], utc_ns: int) -> None:
         """Tell of the sources that went out or came in, and of those of which something else is wrong now."""
         for source in sources:
             is_out = source.presence is Presence.OUT
-            kind = _NUMBER.sub("", source.reason if is_out else source.disagreement)
+            text = source.reason if is_out else source.disagreement
+            kind = _NUMBER.sub("", text) if text else ""
             before = self._presence.get(source.name, (Presence.IN, ""))
             if kind.endswith("accepted again") or before == (source.presence, kind):
                 continue

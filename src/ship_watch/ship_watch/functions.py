@@ -38,6 +38,7 @@ class FunctionShown:
         because_of: the source that is to blame where it is not SAFE, or "attitude" for a pointing that is lost with the
             attitude; empty where nobody is known.
         is_silent: whether its output does not come any more, or never came.
+        over_s: for how long the accuracy of one of its angles has been over its limit; 0 where none is.
         sources: those that it rests on, as in the picture.
     """
 
@@ -47,6 +48,7 @@ class FunctionShown:
     angle: AngleShown
     because_of: str
     is_silent: bool
+    over_s: float
     sources: tuple[SourceShown, ...]
 
     @property
@@ -114,7 +116,10 @@ def functions(picture: Picture) -> tuple[FunctionShown, ...]:
             because_of = next((one.because_of for one in lost_before if one.because_of), ATTITUDE)
         words = (*_THEODOLITE, *_SHIP) if output == POINTING else _SHIP
         sources = tuple(one for one in picture.sources if one.name.partition(".")[0] in words)
-        found.append(FunctionShown(name, output, safety, worst, because_of, bool(safety) and worst.is_old, sources))
+        over_s = max(angles[member].over_s for member in members)
+        found.append(
+            FunctionShown(name, output, safety, worst, because_of, bool(safety) and worst.is_old, over_s, sources)
+        )
     return tuple(found)
 
 

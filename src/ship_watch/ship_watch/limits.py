@@ -54,6 +54,12 @@ class AlertTimes:
     raise_after_s: float = parameter(
         0.2, doc="a situation is told when it has lasted so long", unit="s", minimum=0.0, maximum=60.0
     )
+    over_after_s: float = parameter(
+        5.0,
+        doc="an accuracy over its limit that no source explains is told when it has lasted so long: in a seaway it is "
+        "over for moments",
+        unit="s", minimum=0.0, maximum=600.0,
+    )
     start_s: float = parameter(
         10.0, doc="what was never heard is told so long after the start", unit="s", minimum=0.0, maximum=600.0
     )

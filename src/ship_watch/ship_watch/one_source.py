@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ship_estimation.refusals import Reason
-from ship_watch.picture import Presence, SourceShown
+from ship_watch.picture import Presence, SourceShown, SourceStanding
 from ship_watch.reports import TopicReports
-from ship_watch.streak import NO_DISAGREEMENT, SHOWN_NS, Disagreement, Streak
+from ship_watch.streak import NO_DISAGREEMENT, SHOWN_NS, Streak
 from ship_watch.topics import member_of
 from ship_watch.verdict import NisWindow
 
@@ -42,10 +42,17 @@ class SourceFault:
 
 
 class HeardSource:
-    """All that was told of one source."""
+    """All that was told of one source.
+
+    Attributes:
+        first_word: what its name begins with: "star" of all star sensors.
+        period_ns: the usual time between its messages, ns; NaN where unknown.
+        used: how many of its messages were used so far, by the node that has used most of them.
+    """
 
     def __init__(self, name: str) -> None:
         self.name = name
+        self.period_ns, self.used = math.nan, 0
         self.topics: dict[str, TopicReports] = {}
         self.streaks: dict[tuple[str, str], Streak] = {}
         self.used_at_refusal: dict[tuple[str, str], int] = {}
@@ -56,16 +63,18 @@ class HeardSource:
         self.put_right_ns: int | None = None
         self.put_right = ""
         self.blamed_on = ""
+        self.first_word = name.partition(".")[0]
+        self._well = SourceStanding(name, Presence.IN, "", "", math.nan, 0, "")
 
-    @property
-    def first_word(self) -> str:
-        """What its name begins with: "star" of all star sensors."""
-        return self.name.partition(".")[0]
+    def add(self, reports: TopicReports) -> None:
+        """Take a further topic that it comes by; they are kept in the order of their names."""
+        self.topics = dict(sorted({**self.topics, reports.topic: reports}.items()))
 
-    def period_ns(self) -> float:
-        """The usual time between its messages, ns; NaN where unknown."""
-        periods = [period for topic in self.topics.values() if not math.isnan(period := topic.period_ns())]
-        return min(periods, default=math.nan)
+    def note_reports(self) -> None:
+        """Take note that there is a new report on one of its topics."""
+        periods = [topic.period_ns for topic in self.topics.values() if not math.isnan(topic.period_ns)]
+        self.period_ns = min(periods, default=math.nan)
+        self.used = max(topic.used for topic in self.topics.values())
 
     def age_s(self, now_ns: int) -> float:
         """Time since anything of it arrived, s; infinite where nothing did."""
@@ -84,26 +93,24 @@ class HeardSource:
                 if streak := self.streaks.get((topic, f"light.{light}")):
                     streak.note_whole(stamp_ns, True, now_ns)
 
-    def fault(self, longest_s: float, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
+    def fault(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
         """What puts it out; None where it is in. What it says itself stands before what is said of it.
 
         Args:
-            longest_s: silence after which it is out, s.
             now_ns: the caller's time.
             utc_offset_ns: UTC minus the caller's time.
         """
         topics = list(self.topics.values())
         if missed := [topic for topic in topics if topic.is_expected]:
             return SourceFault(_with_members("never heard", missed, topics))
-        if silent := [topic for topic in topics if topic.is_silent(now_ns, longest_s)]:
+        if silent := [topic for topic in topics if topic.is_silent(now_ns)]:
             since_ns = min(topic.arrived_ns or 0 for topic in silent) + utc_offset_ns
             if all(topic.is_untold(now_ns) for topic in silent):
                 return SourceFault("not reported", since_ns, "its node")
             return SourceFault(_with_members("silent", silent, topics), since_ns)
         worst: tuple[str, Streak] | None = None
         for key, streak in self.streaks.items():
-            used = max((reports.used for reports in self.topics.values()), default=0)
-            streak.used_silently(now_ns, self.period_ns(), used - self.used_at_refusal.get(key, 0))
+            streak.used_silently(now_ns, self.period_ns, self.used - self.used_at_refusal.get(key, 0))
             if streak.is_out and (worst is None or streak.refused > worst[1].refused):
                 worst = key[1], streak
         since_ns = min(worst[1].out_since_ns, now_ns + utc_offset_ns) if worst else 0  # stamps may be of the future
@@ -115,10 +122,10 @@ class HeardSource:
 
     def _unusable(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
         """It is judged, arrives, and has given nothing that could be judged for some time."""
-        word, period_ns = _NOTHING_USABLE.get(self.first_word), self.period_ns()
-        if word is None or self.judged_ns is None or math.isnan(period_ns):
+        word = _NOTHING_USABLE.get(self.first_word)
+        if word is None or self.judged_ns is None or math.isnan(self.period_ns):
             return None
-        if now_ns - self.judged_ns <= max(2e9, _UNUSABLE_PERIODS * period_ns):
+        if now_ns - self.judged_ns <= max(2e9, _UNUSABLE_PERIODS * self.period_ns):
             return None
         return SourceFault(word, self.judged_ns + utc_offset_ns)
 
@@ -138,35 +145,37 @@ class HeardSource:
         self.blamed_on = blamed
         return replace(fault, reason=f"needs {blamed}", because_of=blamed) if blamed else fault
 
-    def shown(self, fault: SourceFault | None, now_ns: int) -> SourceShown:
-        """What is shown of it with this fault, or in where it has none."""
-        streaks = self.streaks.values()
-        off = [streak.disagreement for streak in streaks if fault and not fault.because_of]
+    def standing(self, fault: SourceFault | None, now_ns: int) -> SourceStanding:
+        """How it stands with this fault; in where it has none, unless nothing was ever heard of it."""
+        if fault is None:
+            if not self.streaks and all(topic.arrived_ns is None for topic in self.topics.values()):
+                return standing_off(self.name)
+            is_put_right = self.put_right_ns is not None and now_ns - self.put_right_ns <= SHOWN_NS
+            return replace(self._well, disagreement=self.put_right) if is_put_right else self._well
+        off = [] if fault.because_of else [streak.disagreement for streak in self.streaks.values()]
         furthest = max(off, key=lambda one: abs(one.sigmas) if one.text else -1.0, default=NO_DISAGREEMENT)
-        if fault is None and self.put_right_ns is not None and now_ns - self.put_right_ns <= SHOWN_NS:
-            furthest = Disagreement(self.put_right, math.nan)
+        return SourceStanding(
+            self.name, Presence.OUT, fault.reason, furthest.text, furthest.sigmas, fault.since_ns, fault.because_of
+        )
+
+    def shown(self, standing: SourceStanding, now_ns: int) -> SourceShown:
+        """What is shown of it where it stands so."""
+        streaks = self.streaks.values()
         rates = [topic.rate_hz for topic in self.topics.values() if not math.isnan(topic.rate_hz)]
         judged = any(streak.is_judged for streak in streaks)
         return SourceShown(
-            name=self.name,
-            presence=self._presence(fault),
-            reason=fault.reason if fault else "",
-            disagreement=furthest.text,
-            residual=furthest.sigmas,
+            **vars(standing),
             verdict=self.window.verdict(now_ns) if judged else None,
             age_s=self.age_s(now_ns),
             rate_hz=max(rates, default=math.nan),
             refused=max((streak.refused for streak in streaks), default=0),
-            out_since_ns=fault.since_ns if fault else 0,
-            topics=tuple(sorted(self.topics)),
-            because_of=fault.because_of if fault else "",
+            topics=tuple(self.topics),
         )
 
-    def _presence(self, fault: SourceFault | None) -> Presence:
-        if fault is not None:
-            return Presence.OUT
-        never = all(topic.arrived_ns is None for topic in self.topics.values())
-        return Presence.OFF if never and not self.streaks else Presence.IN
+
+def standing_off(name: str) -> SourceStanding:
+    """How a source stands that is not configured."""
+    return SourceStanding(name, Presence.OFF, "", "", math.nan, 0, "")
 
 
 def _refusal_text(source: str, name: str, streak: Streak) -> str:

@@ -7,7 +7,7 @@ times in integer ns. NaN means that there is no value; an infinite age, that not
 
 import enum
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 ANGLES = ("heading", "pitch", "roll", "azimuth", "elevation")
@@ -56,6 +56,9 @@ class AngleShown:
         stamp_ns: time of the value, UTC as POSIX time; 0 before the first.
         since_ns: UTC since which the word stands; 0 before the first.
         because_of: the source that is to blame for a word that is not SAFE; empty where none is known.
+        over_s: for how long the accuracy has been over its limit; 0 where it is not.
+        now: word and reason of this moment, which the shown ones follow at once where they get worse and after some
+            time where they get better; None where they are those that are shown.
     """
 
     name: str
@@ -70,6 +73,16 @@ class AngleShown:
     stamp_ns: int
     since_ns: int
     because_of: str = ""
+    over_s: float = 0.0
+    now: tuple[Safety, str] | None = None
+
+    @property
+    def held_by_nothing(self) -> "AngleShown":
+        """The angle with the word of this moment, for whom has a patience of his own."""
+        if self.now is None:
+            return self
+        safety, reason = self.now
+        return replace(self, safety=safety, reason=reason, because_of=self.because_of if safety else "", now=None)
 
 
 @dataclass(frozen=True)
@@ -90,8 +103,8 @@ class NisVerdict:
 
 
 @dataclass(frozen=True)
-class SourceShown:
-    """One source: an instrument, or what belongs together of one.
+class SourceStanding:
+    """Whether a source takes part, and what is wrong with it: by this words and events are judged.
 
     Attributes:
         name: "ins", "star.<id>", "reference.<name>", "lights", "encoder", "baselines", "gnss", "weather".
@@ -100,12 +113,7 @@ class SourceShown:
         disagreement: how it disagrees, "right +49″"; of one that is IN what is put right in it, "names exchanged" of
             lights; empty where nothing is known.
         residual: mean of its last residuals over its sigma where it disagrees, NaN elsewhere.
-        verdict: of its sigma; None where it has no innovations.
-        age_s: time since the last message arrived.
-        rate_hz: mean rate of arrival; NaN before two messages.
-        refused: messages refused in a row, in input or filter.
         out_since_ns: UTC of the first refusal or of the silence; 0 where it is IN.
-        topics: relative topics it comes by.
         because_of: the source that is to blame where this one is OUT only because it needs that one, or "its node"
             where the node that reads it says nothing any more; empty where it is to blame itself.
     """
@@ -115,13 +123,27 @@ class SourceShown:
     reason: str
     disagreement: str
     residual: float
+    out_since_ns: int
+    because_of: str
+
+
+@dataclass(frozen=True)
+class SourceShown(SourceStanding):
+    """One source: an instrument, or what belongs together of one.
+
+    Attributes:
+        verdict: of its sigma; None where it has no innovations.
+        age_s: time since the last message arrived.
+        rate_hz: mean rate of arrival; NaN before two messages.
+        refused: messages refused in a row, in input or filter.
+        topics: relative topics it comes by.
+    """
+
     verdict: NisVerdict | None
     age_s: float
     rate_hz: float
     refused: int
-    out_since_ns: int
     topics: tuple[str, ...]
-    because_of: str = ""
 
 
 @dataclass(frozen=True)

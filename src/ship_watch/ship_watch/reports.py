@@ -52,26 +52,33 @@ class _Reporter:
 class TopicReports:
     """All reports on one topic.
 
+    Args:
+        topic: its name.
+        longest_s: it is silent when it has not come for so long, s; 0 for three periods, 2 s at least.
+
     Attributes:
         topic: its name.
         arrived_ns: when its last message arrived, by the caller's time; None where none was ever told.
         reported_ns: when the last report came.
         rate_hz: mean rate of arrival; NaN before it is known.
+        period_ns: the usual time between two messages, ns; NaN where unknown.
         used: messages used so far, by the node that has used most of them.
     """
 
-    def __init__(self, topic: str) -> None:
+    def __init__(self, topic: str, longest_s: float = 0.0) -> None:
         self.topic = topic
+        self._longest_ns = longest_s * 1e9
         self.arrived_ns: int | None = None
         self.reported_ns: int | None = None
         self.rate_hz = math.nan
+        self.period_ns = math.nan
         self.used = 0
-        self._usual_rate_hz = math.nan
         self._latency_s = math.nan
         self._report_period_ns = _REPORT_PERIOD_NS
         self._level = 0
         self._has_come = False
         self._reporters: list[_Reporter] = []
+        self._silence_ns = self._silence()
         self._nodes = 0
         self._refused: deque[tuple[int, int, int, dict[str, int]]] = deque()
 
@@ -92,15 +99,12 @@ class TopicReports:
         if report.received:
             self._note_arrival(message, report, before)
         self.used = max(reporter.accepted for reporter in self._reporters)
+        self._silence_ns = self._silence()
         return is_new
 
     def heard(self, now_ns: int) -> None:
         """Take note that a message of the topic itself came, or a word on one."""
         self.arrived_ns = now_ns if self.arrived_ns is None else max(self.arrived_ns, now_ns)
-
-    def period_ns(self) -> float:
-        """The usual time between two messages, ns; NaN where unknown."""
-        return 1e9 / self._usual_rate_hz if self._usual_rate_hz > 0.0 else math.nan
 
     @property
     def is_expected(self) -> bool:
@@ -119,18 +123,20 @@ class TopicReports:
             now_ns = reported_ns
         return max(0, now_ns - self.arrived_ns) * 1e-9
 
-    def is_silent(self, now_ns: int, longest_s: float = 0.0) -> bool:
-        """Whether it has not come for ``longest_s``; for three periods, 2 s at least, where that is 0.
+    def is_silent(self, now_ns: int) -> bool:
+        """Whether it has not come for too long."""
+        return self.arrived_ns is not None and now_ns - self.arrived_ns >= self._silence_ns
+
+    def _silence(self) -> float:
+        """After how long it is silent, ns.
 
         A report says nothing of a message that came after it, so that reports that are rare lengthen this.
         """
-        if self.arrived_ns is None:
-            return False
-        known_ns = self.period_ns()
-        period_ns = 0.0 if math.isnan(known_ns) else known_ns
-        least_ns = UNKNOWN_PERIOD_NS if math.isnan(known_ns) else LEAST_SILENCE_NS
-        limit_ns = longest_s * 1e9 or max(least_ns, SILENT_PERIODS * period_ns)
-        return now_ns - self.arrived_ns >= max(limit_ns, 1.5 * self._report_period_ns + period_ns)
+        is_unknown = math.isnan(self.period_ns)
+        period_ns = 0.0 if is_unknown else self.period_ns
+        least_ns = UNKNOWN_PERIOD_NS if is_unknown else LEAST_SILENCE_NS
+        limit_ns = self._longest_ns or max(least_ns, SILENT_PERIODS * period_ns)
+        return max(limit_ns, 1.5 * self._report_period_ns + period_ns)
 
     def is_untold(self, now_ns: int) -> bool:
         """Whether the node that reads it has not reported for three of its periods."""
@@ -163,13 +169,12 @@ class TopicReports:
         come = report.received - (before.received if before else 0)
         self._has_come = come > 0
         if self._has_come and message.rate_hz > 0.0:
-            self._usual_rate_hz = float(message.rate_hz)
+            self.period_ns = 1e9 / float(message.rate_hz)
         since_s = float(message.age_s - message.latency_s)
         if math.isfinite(since_s):
             self.heard(report.heard_ns - round(max(since_s, 0.0) * 1e9))
         if before and self._has_come and (self.arrived_ns is None or self.arrived_ns <= before.heard_ns):
-            period_ns = self.period_ns()
-            passed_ns = 0.0 if math.isnan(period_ns) else come * period_ns
+            passed_ns = 0.0 if math.isnan(self.period_ns) else come * self.period_ns
             self.heard(min(report.heard_ns, before.heard_ns + round(passed_ns)))
 
     def _assign(self, report: _Reporter) -> tuple[bool, _Reporter | None]:

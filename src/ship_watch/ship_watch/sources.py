@@ -11,8 +11,8 @@ from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
 from ship_watch.limits import Limits
-from ship_watch.one_source import HeardSource, SourceFault
-from ship_watch.picture import Presence, SourceShown
+from ship_watch.one_source import HeardSource, SourceFault, standing_off
+from ship_watch.picture import Presence, SourceShown, SourceStanding
 from ship_watch.reports import TopicReports
 from ship_watch.streak import Streak
 from ship_watch.topics import place_of, source_of_name, source_of_topic
@@ -27,9 +27,15 @@ _NS = 1e-9
 
 
 class SourceBook:
-    """What innovations, health and integrity tell of the sources, held against the limits of the ship."""
+    """What innovations, health and integrity tell of the sources, held against the limits of the ship.
+
+    Attributes:
+        has_theodolite: whether a node reads the encoders or the lights of a theodolite.
+        beacon_count: how many lights have a baseline.
+    """
 
     def __init__(self, limits: Limits) -> None:
+        self.has_theodolite, self.beacon_count = False, 0
         self._limits = limits
         self._sources: dict[str, HeardSource] = {}
         self._reports: dict[str, TopicReports] = {}
@@ -38,14 +44,6 @@ class SourceBook:
     def inputs(self) -> list[TopicReports]:
         """The topics on which nodes report, in the order of their names."""
         return [self._reports[topic] for topic in sorted(self._reports)]
-
-    def has_theodolite(self) -> bool:
-        """Whether a node reads the encoders or the lights of a theodolite."""
-        return any(topic.startswith("theodolite/") for topic in self._reports)
-
-    def beacon_count(self) -> int:
-        """How many lights have a baseline."""
-        return sum(1 for topic in self._reports if topic.startswith("beacon/") and topic.endswith("/baseline"))
 
     def used_age_s(self, name: str, now_ns: int) -> float:
         """Time since a measurement of a source was used, as told by innovations, s; infinite where none was."""
@@ -63,10 +61,16 @@ class SourceBook:
         """Take an InputHealth; the answer is whether the node that tells it has started since the last one."""
         topic = str(message.topic)
         if topic not in self._reports:
-            self._reports[topic] = TopicReports(topic)
-            if name := source_of_topic(topic):
-                self._source(name).topics[topic] = self._reports[topic]
-        return self._reports[topic].note(message, now_ns)
+            name = source_of_topic(topic)
+            reports = self._reports[topic] = TopicReports(topic, self._limits.of_input(name).age_s)
+            if name:
+                self._source(name).add(reports)
+            self.has_theodolite |= topic.startswith("theodolite/")
+            self.beacon_count += topic.startswith("beacon/") and topic.endswith("/baseline")
+        has_started = self._reports[topic].note(message, now_ns)
+        if name := source_of_topic(topic):
+            self._source(name).note_reports()
+        return has_started
 
     def heard(self, topic: str, now_ns: int) -> None:
         """Take note that a message of an input topic came."""
@@ -81,11 +85,11 @@ class SourceBook:
         source, stamp_ns = self._source(name), ns_from_stamp(message.header.stamp)
         key = (topic, str(message.source))
         streak = self._streak(source, key)
-        streak.note(stamp_ns, message, now_ns, source.period_ns())
+        streak.note(stamp_ns, message, now_ns, source.period_ns)
         if message.accepted:
             source.note_use(topic, stamp_ns, message, now_ns)
         else:
-            source.used_at_refusal[key] = max((reports.used for reports in source.topics.values()), default=0)
+            source.used_at_refusal[key] = source.used
         if len(message.components):
             source.judged_ns = now_ns
         return name
@@ -108,8 +112,8 @@ class SourceBook:
 
     # -- what it comes to -----------------------------------------------------------------------------------
 
-    def shown(self, now_ns: int, utc_offset_ns: int) -> list[SourceShown]:
-        """All sources now: OUT first, those that are to blame before those that need them, then in a fixed order.
+    def standings(self, now_ns: int, utc_offset_ns: int) -> list[SourceStanding]:
+        """How all sources stand: OUT first, those that are to blame before those that need them, in a fixed order.
 
         Args:
             now_ns: the caller's time.
@@ -117,19 +121,24 @@ class SourceBook:
         """
         faults: dict[str, SourceFault] = {}
         for name, source in self._sources.items():
-            fault = source.fault(self._limits.of_input(name).age_s, now_ns, utc_offset_ns)
+            fault = source.fault(now_ns, utc_offset_ns)
             if fault is not None:
                 faults[name] = fault
         guilty = {name for name, fault in faults.items() if not fault.because_of}
         because = {name: self._sources[name].blamed(fault, guilty) for name, fault in faults.items()}
-        shown = [source.shown(because.get(name), now_ns) for name, source in self._sources.items()]
-        shown += [_off(name) for name in self._not_configured()]
-        return sorted(shown, key=_order)
+        standings = [source.standing(because.get(name), now_ns) for name, source in self._sources.items()]
+        standings += [standing_off(name) for name in self._not_configured()]
+        return sorted(standings, key=_order)
+
+    def shown(self, now_ns: int, utc_offset_ns: int) -> list[SourceShown]:
+        """All sources with all that is known of them, in the order of :meth:`standings`, for the same times."""
+        standings = self.standings(now_ns, utc_offset_ns)
+        return [self._sources.get(each.name, HeardSource(each.name)).shown(each, now_ns) for each in standings]
 
     def _not_configured(self) -> list[str]:
         """The instruments that a ship usually has, of which no topic was ever named."""
         usual = ["ins", "gnss", "weather"] if "ins" in self._sources else []
-        usual += ["lights", "encoder", "baselines"] if self.has_theodolite() else []
+        usual += ["lights", "encoder", "baselines"] if self.has_theodolite else []
         return [name for name in usual if name not in self._sources]
 
     def _streak(self, source: HeardSource, key: tuple[str, str]) -> Streak:
@@ -151,7 +160,7 @@ class SourceBook:
         return self._sources[name]
 
 
-def blamed(sources: Iterable[SourceShown], words: tuple[str, ...]) -> SourceShown | None:
+def blamed(sources: Iterable[SourceStanding], words: tuple[str, ...]) -> SourceStanding | None:
     """The first source that is out by a fault of its own, among those whose name begins with one of some words."""
     for source in sources:
         if source.presence is Presence.OUT and not source.because_of and source.name.partition(".")[0] in words:
@@ -159,11 +168,6 @@ def blamed(sources: Iterable[SourceShown], words: tuple[str, ...]) -> SourceShow
     return None
 
 
-def _off(name: str) -> SourceShown:
-    nan = math.nan
-    return SourceShown(name, Presence.OFF, "", "", nan, None, math.inf, nan, 0, 0, ())
-
-
-def _order(source: SourceShown) -> tuple[int, bool, tuple[int, str]]:
-    ranks = {Presence.OUT: 0, Presence.IN: 1, Presence.OFF: 2}
-    return ranks[source.presence], bool(source.because_of), place_of(source.name)
+def _order(source: SourceStanding) -> tuple[bool, bool, bool, tuple[int, str]]:
+    presence = source.presence
+    return presence is not Presence.OUT, presence is Presence.OFF, bool(source.because_of), place_of(source.name)

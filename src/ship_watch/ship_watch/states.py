@@ -12,11 +12,13 @@ from dataclasses import dataclass
 
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
-from ship_watch.picture import Safety, SourceShown
+from ship_watch.picture import Safety, SourceStanding
 
 NORMAL_95 = 1.96
 """95 % of a normal error lie within so many sigmas to both sides."""
 
+BRIEF_NS = 1_000_000_000
+"""An accuracy that was below its limit for less time than this was over it all the while, ns."""
 
 OVER_THE_LIMIT = "over the limit"
 """Reason of a CAUTION where only the accuracy is to blame, and no source."""
@@ -67,7 +69,7 @@ class Claim:
     hint: str
     is_lessened: bool
     protection: Protection
-    guilty: SourceShown | None
+    guilty: SourceStanding | None
 
 
 def judged(claim: Claim) -> tuple[Safety, str]:
@@ -101,7 +103,7 @@ def _is_within(protection: Protection) -> bool:
     return protection.level <= protection.alert_limit or math.isnan(protection.alert_limit)
 
 
-def _guilty(source: SourceShown | None) -> str:
+def _guilty(source: SourceStanding | None) -> str:
     """Few words for a source that is out; how many were refused is told where sources are listed."""
     return "" if source is None else f"{source.name} {_RUN.sub('refused', source.reason)}"
 
@@ -144,3 +146,21 @@ class HeldWord:
             if level in self._last and now_ns - self._last[level][0] < self._hold_ns:
                 return level, self._last[level][1]
         return Safety.SAFE, ""
+
+
+class TimeOver:
+    """For how long an accuracy has been over its limit, moments below it not counted as an end."""
+
+    def __init__(self) -> None:
+        self._first_ns = self._last_ns = -BRIEF_NS
+
+    def note(self, claim: Claim, now_ns: int) -> None:
+        """Take what is claimed now."""
+        if not claim.accuracy_95 <= claim.limit:
+            if now_ns - self._last_ns >= BRIEF_NS:
+                self._first_ns = now_ns
+            self._last_ns = now_ns
+
+    def lasted_s(self, now_ns: int) -> float:
+        """Time between its first moment over the limit and its last, s; 0 where it has been below for a second."""
+        return (self._last_ns - self._first_ns) * 1e-9 if now_ns - self._last_ns < BRIEF_NS else 0.0

@@ -3,6 +3,7 @@
 Names of topics are relative to the namespace of the suite, as in the reference of topics.
 """
 
+import functools
 import re
 from dataclasses import dataclass
 
@@ -120,6 +121,7 @@ def member_of(name: str) -> str:
 _PLACES = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
 
 
+@functools.cache
 def place_of(source: str) -> tuple[int, str]:
     """Where a source stands in the fixed order of all."""
     first = source.partition(".")[0]

@@ -8,7 +8,7 @@ the same messages heard live.
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,9 +20,9 @@ from ship_watch.history import History
 from ship_watch.history_keeper import HistoryKeeper
 from ship_watch.limits import Limits
 from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
-from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Safety, SourceShown
+from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Safety, SourceStanding
 from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed
-from ship_watch.states import Claim, HeldWord, judged
+from ship_watch.states import Claim, HeldWord, TimeOver, judged
 from ship_watch.topics import node_of, source_of_topic, watched_topic
 
 STEP_NS = 100_000_000
@@ -75,6 +75,7 @@ class Watch:
         self._attitude, self._pointing = AttitudeHeard(self.limits), PointingHeard(self.limits)
         self._book = SourceBook(self.limits)
         self._words = {name: HeldWord(self.limits.better_after_s) for name in ANGLES}
+        self._over = {name: TimeOver() for name in ANGLES}
         self._events = EventBook()
         self._newest_ns, self._utc_offset_ns, self._offset_met_ns = 0, 0, 0
         self._first_ns: int | None = None
@@ -178,11 +179,7 @@ class Watch:
         """The picture of this moment, by the caller's time; it is the same however often somebody looks."""
         self._judge_until(now_ns)
         sources = self._book.shown(now_ns, self._utc_offset_ns)
-        words = self._judged(sources, now_ns)
-        guilty = {name: self._guilty(name, sources, now_ns) for name in words}
-        shown = [
-            self._shown(name, *self._words[name].shown(*words[name], now_ns), guilty[name], now_ns) for name in words
-        ]
+        shown = [self._shown(name, claim, now_ns) for name, claim in self._claims(sources, now_ns).items()]
         return Picture(
             utc_ns=now_ns + self._utc_offset_ns if self._newest_ns else 0,
             angles=tuple(shown),
@@ -211,9 +208,11 @@ class Watch:
             self._judge(self._judged_ns)
 
     def _judge(self, now_ns: int) -> None:
-        sources = self._book.shown(now_ns, self._utc_offset_ns)
+        sources = self._book.standings(now_ns, self._utc_offset_ns)
         self._events.tell_sources(sources, now_ns + self._utc_offset_ns)
-        for name, (word, reason) in self._judged(sources, now_ns).items():
+        for name, claim in self._claims(sources, now_ns).items():
+            word, reason = judged(claim)
+            self._over[name].note(claim, now_ns)
             held = self._words[name]
             before = held.word
             if self._output(name).is_heard and held.note(word, reason, now_ns) and held.word is not None:
@@ -224,24 +223,18 @@ class Watch:
         if self._newest_ns:
             self._keeper.note_words(now_ns + self._utc_offset_ns, words)
 
-    def _judged(self, sources: list[SourceShown], now_ns: int) -> dict[str, tuple[Safety, str]]:
-        """Word and reason of each angle at this moment, held by nothing."""
-        has_pointing = self._pointing.is_heard or self._book.has_theodolite()
-        return {
-            name: judged(self._claim(name, self._guilty(name, sources, now_ns), now_ns))
-            for name in ANGLES
-            if has_pointing or name in ANGLES[:3]
-        }
-
-    def _guilty(self, name: str, sources: list[SourceShown], now_ns: int) -> SourceShown | None:
-        """The source that is to blame where an angle is not SAFE; None where none is known."""
+    def _claims(self, sources: Sequence[SourceStanding], now_ns: int) -> dict[str, Claim]:
+        """What is claimed of each angle; of those of a theodolite where there is one."""
         ship = blamed(sources, _SHIP_SOURCES if self._attitude.is_claimed(now_ns) else _SHIP_NEEDS)
-        if name in ANGLES[:3]:
-            return ship
-        return blamed(sources, _POINTING_SOURCES if self._pointing.is_claimed(now_ns) else _POINTING_NEEDS) or ship
+        claims = {name: self._claim(name, ship, now_ns) for name in ANGLES[:3]}
+        if self._pointing.is_heard or self._book.has_theodolite:
+            needed = _POINTING_SOURCES if self._pointing.is_claimed(now_ns) else _POINTING_NEEDS
+            guilty = blamed(sources, needed) or ship
+            claims |= {name: self._claim(name, guilty, now_ns) for name in ANGLES[3:]}
+        return claims
 
-    def _claim(self, name: str, guilty: SourceShown | None, now_ns: int) -> Claim:
-        output, beacons = self._output(name), self._book.beacon_count()
+    def _claim(self, name: str, guilty: SourceStanding | None, now_ns: int) -> Claim:
+        output, beacons = self._output(name), self._book.beacon_count
         return Claim(
             topic=output.topic,
             is_heard=output.is_heard,
@@ -257,24 +250,25 @@ class Watch:
             guilty=guilty,
         )
 
-    def _shown(
-        self, name: str, word: Safety, reason: str, guilty: SourceShown | None, now_ns: int
-    ) -> AngleShown:
-        output, held = self._output(name), self._words[name]
+    def _shown(self, name: str, claim: Claim, now_ns: int) -> AngleShown:
+        output, held, now = self._output(name), self._words[name], judged(claim)
+        word, reason = held.shown(*now, now_ns)
         is_held = held.word is word
         return AngleShown(
             name=name,
-            value=output.values.get(name, math.nan),
-            accuracy_95=output.accuracies_95.get(name, math.nan),
-            limit=self.limits.of_angle(name),
-            protection_level=output.protection(name, now_ns).level,
+            value=claim.value,
+            accuracy_95=claim.accuracy_95,
+            limit=claim.limit,
+            protection_level=claim.protection.level,
             safety=word,
             reason=reason,
             age_s=output.age_s(now_ns),
-            is_old=output.is_old(now_ns),
+            is_old=claim.is_old,
             stamp_ns=output.stamp_ns,
-            since_ns=(held.since_ns if is_held else now_ns) + self._utc_offset_ns if output.is_heard else 0,
-            because_of=guilty.name if guilty is not None and word is not Safety.SAFE else "",
+            since_ns=(held.since_ns if is_held else now_ns) + self._utc_offset_ns if claim.is_heard else 0,
+            because_of=claim.guilty.name if claim.guilty is not None and word is not Safety.SAFE else "",
+            over_s=self._over[name].lasted_s(now_ns),
+            now=now,
         )
 
     def _output(self, name: str) -> OutputHeard:

@@ -117,6 +117,24 @@ def test_word_that_is_held_is_told_as_what_it_is_held_for() -> None:
         assert (found.priority, found.text) == (Priority.WARNING, "tilt over its limit: see its error budget")
 
 
+def test_alert_rests_on_the_word_of_this_moment() -> None:
+    """The shown word waits before it gets better; the book of alerts has a patience of its own, and one is enough."""
+    well_again = replace(over("roll", "ins", share=0.98), now=(Safety.SAFE, ""))
+    assert conditions(picture(well_again), LIMITS) == []
+    worse_now = replace(over("roll"), now=(Safety.UNSAFE, "invalid"))
+    (found,) = conditions(picture(worse_now), LIMITS)
+    assert (found.priority, found.text) == (Priority.ALARM, "tilt lost: invalid")
+
+
+def test_function_that_is_over_its_limit_for_a_moment_is_no_alert_and_a_lost_one_is() -> None:
+    """The words of an angle tell the moment; where a source takes it away, the source's alert does so at once."""
+    moment = {"over_s": 4.9}
+    assert conditions(picture(replace(over("roll"), **moment)), LIMITS) == []
+    assert list(told(picture(replace(lost("roll"), **moment)))) == ["attitude.degraded"]
+    by_ins = conditions(picture(out("ins", "silent"), replace(over("roll", "ins"), **moment)), LIMITS)
+    assert [each.lost for each in by_ins] == [{"tilt"}]
+
+
 def test_all_well_is_no_alert() -> None:
     """Nothing at all, with good statuses of nodes, too."""
     assert conditions(picture(), LIMITS, node("black box", 0)) == []

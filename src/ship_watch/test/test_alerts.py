@@ -170,6 +170,22 @@ def test_glitch_of_one_look_is_no_alert() -> None:
     assert voyage.changes == []
 
 
+def test_glitch_of_one_look_makes_no_alert_graver() -> None:
+    """Graver, too, is told when it has lasted, or was there twice within a second; so is what is lost beside."""
+    alarm = replace(OUT, priority=Priority.ALARM)
+    more = replace(OUT, lost=frozenset({"tilt"}))
+    for graver in (alarm, more):
+        voyage = Voyage()
+        voyage.go(1.0, OUT)
+        voyage.acknowledge("star.bow.out")
+        for _ in range(20):
+            assert voyage.go(0.25, graver) == []
+            assert voyage.go(2.0, OUT) == []
+        voyage.go(0.25, graver)
+        voyage.go(0.25, OUT)
+        assert [change.alert.instance for change in voyage.go(0.25, graver)] == [2]
+
+
 def test_unacknowledged_warning_becomes_an_alarm() -> None:
     """A warning of something lost becomes an alarm after a minute, and keeps being one until it is acknowledged."""
     voyage = Voyage()

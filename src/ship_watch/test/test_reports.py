@@ -27,8 +27,8 @@ def at(second: float) -> int:
     return round(second * SECOND)
 
 
-def heard(seconds: int, **of_report: float) -> TopicReports:
-    reports = TopicReports("star/bow/solution")
+def heard(seconds: int, longest_s: float = 0.0, **of_report: float) -> TopicReports:
+    reports = TopicReports("star/bow/solution", longest_s)
     for second in range(seconds + 1):
         reports.note(report(second, 5 * second, **of_report), at(second))  # type: ignore[arg-type]
     return reports
@@ -64,16 +64,16 @@ def test_silent_after_two_seconds_or_three_periods() -> None:
 
 
 def test_a_ship_may_set_the_longest_silence_herself() -> None:
-    reports = heard(10)
-    assert not reports.is_silent(at(20.0), longest_s=30.0)
-    assert reports.is_silent(at(40.0), longest_s=30.0)
+    reports = heard(10, longest_s=30.0)
+    assert not reports.is_silent(at(20.0))
+    assert reports.is_silent(at(40.0))
 
 
 def test_the_mean_rate_that_sinks_in_silence_does_not_lengthen_it() -> None:
     reports = heard(10)
     for second in range(11, 15):
         reports.note(report(second, 50, age_s=second - 9.8, rate_hz=5.0 * (20 - second) / 20), at(second))
-    assert reports.period_ns() == pytest.approx(0.2e9)
+    assert reports.period_ns == pytest.approx(0.2e9)
     assert reports.is_silent(at(11.9))
 
 

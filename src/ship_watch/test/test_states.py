@@ -8,11 +8,11 @@ import pytest
 
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
-from ship_watch.picture import Presence, Safety, SourceShown
+from ship_watch.picture import Presence, Safety, SourceStanding
 from ship_watch.states import Claim, HeldWord, Protection, judged
 
 SECOND = 1_000_000_000
-KNOCKED = SourceShown("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, None, 0.1, 5.0, 81, 1, ())
+KNOCKED = SourceStanding("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
 FLOAT = replace(KNOCKED, name="baselines", reason="a 81 refused in a row: not fixed")
 GOOD = Claim(
     topic="ship/attitude",

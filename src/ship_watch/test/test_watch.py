@@ -9,6 +9,8 @@ import pytest
 
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
+from ship_watch.alert_conditions import conditions
+from ship_watch.alerts import AlertBook
 from ship_watch.limits import Limits
 from ship_watch.picture import ANGLES, Presence, Safety
 from ship_watch.topics import TOPICS, source_of_name, source_of_topic, watched_topic
@@ -123,6 +125,31 @@ def test_after_it_was_old_it_is_better_only_after_five_seconds() -> None:
     assert not held.is_old
     go_on(watch, 17.1, 18.0)
     assert watch.look(at(18.0)).angles[0].safety is Safety.SAFE
+
+
+@pytest.mark.parametrize(
+    ("seconds", "every", "alerts"),
+    [
+        (0.1, 1, []),
+        (4.0, 1, []),
+        (6.0, 1, ["attitude.degraded"]),
+        (8.0, 9, ["attitude.degraded"]),
+        (8.0, 11, []),
+    ],
+)
+def test_accuracy_over_its_limit_for_a_moment_is_shown_and_no_alert(
+    seconds: float, every: int, alerts: list[str]
+) -> None:
+    """The word follows at once; an alert tells what lasts for five seconds, moments below the limit among them."""
+    watch, book, shown = Watch(), AlertBook(Limits().alerts), set()
+    for tenth in range(300):
+        second, is_over = tenth / 10, 200 <= tenth < 200 + 10 * seconds and tenth % every == 0
+        go_on(watch, second, second, sigma_arcsec=3.0 if is_over else 1.0)
+        picture = watch.look(at(second))
+        shown |= {angle.safety for angle in picture.angles if second > 15}
+        book.take(conditions(picture, Limits()), at(second), picture.utc_ns)
+    assert shown == {Safety.SAFE, Safety.CAUTION}
+    assert [alert.id for alert in book.alerts] == alerts
 
 
 def test_nan_is_unsafe_in_each_angle() -> None:

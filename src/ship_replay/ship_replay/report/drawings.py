@@ -203,8 +203,14 @@ def thin_innovations(part: SourceInnovations) -> SourceInnovations:
     stamps = np.array(sorted(part.compared))
     if len(stamps) <= MOST_POINTS:
         return part
-    worst = [float(np.nanmax(np.abs(part.compared[stamp].residual), initial=0.0)) for stamp in stamps.tolist()]
-    least = [float(np.nanmin(part.compared[stamp].residual, initial=0.0)) for stamp in stamps.tolist()]
+    # One row of numbers, a zero before those of each stamp: a call of numpy for each stamp takes longer than all else.
+    residuals: list[float] = []
+    starts: list[int] = []
+    for stamp in stamps.tolist():
+        starts.append(len(residuals))
+        residuals += [0.0, *part.compared[stamp].residual]
+    values = np.array(residuals)
+    worst, least = np.fmax.reduceat(np.abs(values), starts), np.fmin.reduceat(values, starts)
     kept = thinned(np.column_stack([worst, least]), MOST_POINTS)
     return SourceInnovations({stamp: part.compared[stamp] for stamp in stamps[kept].tolist()}, part.refused)
 
