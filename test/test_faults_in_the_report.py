@@ -15,7 +15,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_replay.report.page import page
 from ship_replay.report.tables import outages
-from ship_replay.report.told import Told, read_told
+from ship_replay.report.told import ToldNight, read_told
 from ship_replay.report.wording import utc
 from ship_testing.browser import CHROMIUM, Browser
 from ship_testing.watched_voyages import END_S, FAULTS, KNOWN_S, replayed, within_s
@@ -43,7 +43,7 @@ class Reported:
 
     bag: str
     start_ns: int
-    told: Told
+    told: ToldNight
     path: Path
 
     def seconds(self, utc_ns: int) -> float:

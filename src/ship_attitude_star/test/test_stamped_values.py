@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.stamped_values import Limits, StampedValues
+from ship_attitude_star.sky.stamped_values import JumpLimits, StampedValues
 from ship_estimation.refusals import Reason
 
 SECOND_NS = 1_000_000_000
-LIMITS = Limits(at_once=10.0, per_s=2.0, lasts_s=60.0, unit="m")
+LIMITS = JumpLimits(at_once=10.0, per_s=2.0, lasts_s=60.0, unit="m")
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def test_a_good_source_is_not_refused() -> None:
     # Ten hours at 1 Hz, noise as stated, nothing at once and nothing in time: the five sigmas alone carry it. The
     # difference of two is normal with sqrt(2) sigma: beyond five of them with 5.7e-7, 0.02 in 36 000.
     rng = np.random.default_rng(20260301)
-    values, refused = StampedValues[Reading](Limits(0.0, 0.0, 60.0, "m")), 0
+    values, refused = StampedValues[Reading](JumpLimits(0.0, 0.0, 60.0, "m")), 0
     for number, value in enumerate(rng.standard_normal(36_000).tolist()):
         refused += values.refusal(ns(number), Reading(value, 1.0)) is not None
         values.insert(ns(number), Reading(value, 1.0))
@@ -134,7 +134,7 @@ def test_a_good_source_is_not_refused() -> None:
     assert refused == 0
 
 
-BRIEF = Limits(at_once=10.0, per_s=2.0, lasts_s=8.0, unit="m")
+BRIEF = JumpLimits(at_once=10.0, per_s=2.0, lasts_s=8.0, unit="m")
 
 
 def drawn(rng: np.random.Generator) -> list[tuple[int, Reading]]:
@@ -194,7 +194,7 @@ def test_nothing_that_was_believed_before_the_stamp_it_says_has_changed(seed: in
 
 
 def test_a_jump_that_lasts_for_long_takes_no_memory_and_what_comes_too_late_is_told() -> None:
-    values = StampedValues[Reading](Limits(10.0, 2.0, 1e6, "m"))
+    values = StampedValues[Reading](JumpLimits(10.0, 2.0, 1e6, "m"))
     values.insert(0, Reading(0.0))
     values.insert(ns(1), Reading(0.0))
     for number in range(1000):

@@ -40,7 +40,7 @@ class Protection:
 
 
 @dataclass(frozen=True)
-class Claim:
+class AngleClaim:
     """What an output claims of one angle at one moment, and what speaks against it.
 
     Attributes:
@@ -72,7 +72,7 @@ class Claim:
     guilty: SourceStanding | None
 
 
-def judged(claim: Claim) -> tuple[Safety, str]:
+def judged(claim: AngleClaim) -> tuple[Safety, str]:
     """The word of an angle, and why it is not SAFE."""
     if not claim.is_heard:
         return Safety.UNSAFE, f"waiting for {claim.topic}"
@@ -154,7 +154,7 @@ class TimeOver:
     def __init__(self) -> None:
         self._first_ns = self._last_ns = -BRIEF_NS
 
-    def note(self, claim: Claim, now_ns: int) -> None:
+    def note(self, claim: AngleClaim, now_ns: int) -> None:
         """Take what is claimed now."""
         if not claim.accuracy_95 <= claim.limit:
             if now_ns - self._last_ns >= BRIEF_NS:

@@ -22,7 +22,7 @@ from ship_watch.limits import Limits
 from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
 from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Safety, SourceStanding
 from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed
-from ship_watch.states import Claim, HeldWord, TimeOver, judged
+from ship_watch.states import AngleClaim, HeldWord, TimeOver, judged
 from ship_watch.topics import node_of, source_of_topic, watched_topic
 
 STEP_NS = 100_000_000
@@ -223,7 +223,7 @@ class Watch:
         if self._newest_ns:
             self._keeper.note_words(now_ns + self._utc_offset_ns, words)
 
-    def _claims(self, sources: Sequence[SourceStanding], now_ns: int) -> dict[str, Claim]:
+    def _claims(self, sources: Sequence[SourceStanding], now_ns: int) -> dict[str, AngleClaim]:
         """What is claimed of each angle; of those of a theodolite where there is one."""
         ship = blamed(sources, _SHIP_SOURCES if self._attitude.is_claimed(now_ns) else _SHIP_NEEDS)
         claims = {name: self._claim(name, ship, now_ns) for name in ANGLES[:3]}
@@ -233,9 +233,9 @@ class Watch:
             claims |= {name: self._claim(name, guilty, now_ns) for name in ANGLES[3:]}
         return claims
 
-    def _claim(self, name: str, guilty: SourceStanding | None, now_ns: int) -> Claim:
+    def _claim(self, name: str, guilty: SourceStanding | None, now_ns: int) -> AngleClaim:
         output, beacons = self._output(name), self._book.beacon_count
-        return Claim(
+        return AngleClaim(
             topic=output.topic,
             is_heard=output.is_heard,
             is_old=output.is_old(now_ns),
@@ -250,7 +250,7 @@ class Watch:
             guilty=guilty,
         )
 
-    def _shown(self, name: str, claim: Claim, now_ns: int) -> AngleShown:
+    def _shown(self, name: str, claim: AngleClaim, now_ns: int) -> AngleShown:
         output, held, now = self._output(name), self._words[name], judged(claim)
         word, reason = held.shown(*now, now_ns)
         is_held = held.word is word

@@ -9,12 +9,12 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
 from ship_watch.picture import Presence, Safety, SourceStanding
-from ship_watch.states import Claim, HeldWord, Protection, judged
+from ship_watch.states import AngleClaim, HeldWord, Protection, judged
 
 SECOND = 1_000_000_000
 KNOCKED = SourceStanding("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
 FLOAT = replace(KNOCKED, name="baselines", reason="a 81 refused in a row: not fixed")
-GOOD = Claim(
+GOOD = AngleClaim(
     topic="ship/attitude",
     is_heard=True,
     is_old=False,

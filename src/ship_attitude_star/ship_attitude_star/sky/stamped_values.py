@@ -2,8 +2,8 @@
 
 What all stars share, the ship's place and the air around her, is told by one receiver and one instrument. No star tells
 that these are wrong: all of them move alike, as if the INS tilted. But a ship sails no faster than she can, and the air
-changes no faster than weather does. A value further from the last one believed than that (:class:`Limits`) has jumped.
-It is refused, and so are those after it that hang together with it, until
+changes no faster than weather does. A value further from the last one believed than that (:class:`JumpLimits`) has
+jumped. It is refused, and so are those after it that hang together with it, until
 
 - a value is again where the last one believed allows it, and not where the refused ones lead; or
 - they have hung together for as long as a value holds: then nothing older holds any more, and they are believed anew.
@@ -50,7 +50,7 @@ Value = TypeVar("Value", bound=Quantity)
 
 
 @dataclass(frozen=True)
-class Limits:
+class JumpLimits:
     """How far a true value may be from an earlier one.
 
     Attributes:
@@ -111,7 +111,7 @@ class StampedValues(Generic[Value]):
         anew: whether the value had jumped, so that nothing leads from the one before to it; of the same length.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: JumpLimits) -> None:
         self.times: list[int] = []
         self.values: list[Value] = []
         self.anew: list[bool] = []

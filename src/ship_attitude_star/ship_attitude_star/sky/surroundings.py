@@ -15,7 +15,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import AirReading, PositionFix, SkyInput
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.stamped_values import Limits, StampedValues
+from ship_attitude_star.sky.stamped_values import JumpLimits, StampedValues
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.geodetic import (
     ecef_from_geodetic,
@@ -134,7 +134,7 @@ class _Quantity:
         limits: what the air cannot have changed by; a reading holds for as long as these say that a jump must last.
     """
 
-    def __init__(self, default: _Value, measured_sigma: float, limits: Limits) -> None:
+    def __init__(self, default: _Value, measured_sigma: float, limits: JumpLimits) -> None:
         self._default = default
         self._measured_sigma = measured_sigma
         self._max_age_ns = limits.lasts_s * SECOND_NS
@@ -171,7 +171,7 @@ class Surroundings:
     def __init__(self, config: SkyConfig) -> None:
         self._fix_max_age_s = config.fix_max_age_s
         self._fix_max_age_ns = round(config.fix_max_age_s * SECOND_NS)
-        reach = Limits(FIX_AT_ONCE_M, config.max_speed_m_per_s, config.fix_max_age_s, "m")
+        reach = JumpLimits(FIX_AT_ONCE_M, config.max_speed_m_per_s, config.fix_max_age_s, "m")
         self._fixes: StampedValues[_Fix] = StampedValues(reach)
         pressure = _Value(config.pressure_hpa, config.pressure_sigma_hpa)
         temperature = _Value(config.temperature_c, config.temperature_sigma_k)
@@ -179,12 +179,12 @@ class Surroundings:
         # by 2.5 K at 35 °C. For the same reason no change of it is a jump.
         humidity = _Value(config.relative_humidity, 0.0)
         max_age_s = config.weather_max_age_s
-        by_weather = Limits(PRESSURE_AT_ONCE_HPA, PRESSURE_PER_H_HPA / 3600.0, max_age_s, "hPa")
-        by_warmth = Limits(TEMPERATURE_AT_ONCE_K, TEMPERATURE_PER_H_K / 3600.0, max_age_s, "K")
+        by_weather = JumpLimits(PRESSURE_AT_ONCE_HPA, PRESSURE_PER_H_HPA / 3600.0, max_age_s, "hPa")
+        by_warmth = JumpLimits(TEMPERATURE_AT_ONCE_K, TEMPERATURE_PER_H_K / 3600.0, max_age_s, "K")
         self._air = {
             "pressure": _Quantity(pressure, config.measured_pressure_sigma_hpa, by_weather),
             "temperature": _Quantity(temperature, config.measured_temperature_sigma_k, by_warmth),
-            "humidity": _Quantity(humidity, 0.0, Limits(1.0, 0.0, max_age_s, "")),
+            "humidity": _Quantity(humidity, 0.0, JumpLimits(1.0, 0.0, max_age_s, "")),
         }
 
     # -- inputs ---------------------------------------------------------------------------------------------

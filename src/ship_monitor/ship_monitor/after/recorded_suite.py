@@ -113,7 +113,7 @@ class RecordedSuite:
         name = self.path.name
         if usable.isdisjoint(OUTPUTS):
             outputs = f"no {OUTPUTS[0]} and no {OUTPUTS[1]}"
-            remedy = f"make them with 'ship_replay replay {name} --out OUT.mcap', then look at OUT.mcap"
+            remedy = f"make them with './ros2run ship_replay replay {self.path} --out OUT.mcap', then look at OUT.mcap"
             return (f"{name} holds {outputs}, only inputs: {remedy}",)
         lines = [] if has_truth else [f"{name} holds no truth: innovations are shown, errors are not"]
         if OUTPUTS[0] not in usable:

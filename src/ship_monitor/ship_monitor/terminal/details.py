@@ -4,8 +4,8 @@ import math
 from textwrap import wrap
 
 from ship_geometry.rotations import ARCSEC
-from ship_monitor.terminal.pen import Line, Look, Pen, Span
-from ship_monitor.terminal.screen import View, alert_spans, event_lines, input_line, reasons_text, source_line, top_bar
+from ship_monitor.terminal.pen import Ink, Line, Look, Pen
+from ship_monitor.terminal.screen import View, alert_pieces, event_lines, input_line, reasons_text, source_line, top_bar
 from ship_watch import words
 from ship_watch.picture import AlertShown, AngleShown, Picture, SourceShown
 
@@ -33,7 +33,7 @@ _HELP = """\
 
 def help_page(picture: Picture, view: View) -> tuple[Line, ...]:
     """What the words and keys mean."""
-    texts = [Span(text, Look.TEXT) for text in _HELP.splitlines()]
+    texts = [Ink(text, Look.TEXT) for text in _HELP.splitlines()]
     return _page(picture, view, "help", [view.pen.line(text) for text in texts])
 
 
@@ -52,12 +52,12 @@ def _page(picture: Picture, view: View, title: str, body: list[Line]) -> tuple[L
     pen = view.pen
     rows = [top_bar(picture, view), pen.rule(title), *body][: max(view.height - 1, 0)]
     rows += [pen.line()] * (view.height - 1 - len(rows))
-    keys = Span(f" {view.note}", Look.STRONG) if view.note else Span(_BACK, Look.SECOND)
+    keys = Ink(f" {view.note}", Look.STRONG) if view.note else Ink(_BACK, Look.SECOND)
     return (*rows, pen.line(keys))[-view.height :]
 
 
 def _row(pen: Pen, name: str, text: str) -> Line:
-    return pen.line(Span(f" {pen.cell(name, 18)}", Look.SECOND), Span(text, Look.TEXT))
+    return pen.line(Ink(f" {pen.cell(name, 18)}", Look.SECOND), Ink(text, Look.TEXT))
 
 
 def _of_angle(angle: AngleShown, picture: Picture, pen: Pen) -> list[Line]:
@@ -104,8 +104,8 @@ def _of_alerts(alerts: tuple[AlertShown, ...] | None, picture: Picture, pen: Pen
     none = "no alerts" if alerts is not None else "no alert node is heard"
     made: list[Line] = []
     for alert in alerts or ():
-        made.append(pen.line(*alert_spans(alert, pen, pen.width - 24)))
+        made.append(pen.line(*alert_pieces(alert, pen, pen.width - 24)))
         whole = wrap(pen.clean(alert.text), max(pen.width - 6, 1))
-        made += [pen.line(Span(f"     {part}", Look.TEXT)) for part in whole]
-    made = made or [pen.line(Span(f" {none}", Look.SECOND))]
+        made += [pen.line(Ink(f"     {part}", Look.TEXT)) for part in whole]
+    made = made or [pen.line(Ink(f" {none}", Look.SECOND))]
     return [*made, pen.rule("inputs"), *(input_line(each, pen) for each in picture.inputs)]

@@ -38,15 +38,15 @@ class Look(enum.Enum):
     """Reversed: chosen, or paused."""
 
 
-class Span(NamedTuple):
+class Ink(NamedTuple):
     """A piece of a line that looks alike."""
 
     text: str
     look: Look
 
 
-Line = tuple[Span, ...]
-"""One row of the terminal; its spans fill the width exactly."""
+Line = tuple[Ink, ...]
+"""One row of the terminal; its pieces fill the width exactly."""
 
 
 @dataclass(frozen=True)
@@ -80,24 +80,24 @@ class Pen:
         """How many cells a text takes."""
         return cell_len(self.clean(text))
 
-    def line(self, *spans: Span) -> Line:
-        """A row of spans, cut or padded to the whole width."""
+    def line(self, *pieces: Ink) -> Line:
+        """A row of pieces, cut or padded to the whole width."""
         room, made = self.width, []
-        for span in spans:
-            text = self.clean(span.text)
+        for piece in pieces:
+            text = self.clean(piece.text)
             if cell_len(text) > room:
                 text = self.cell(text, room)
             room -= cell_len(text)
             if text:
-                made.append(Span(text, span.look))
-        return (*made, Span(" " * room, Look.TEXT)) if room else tuple(made)
+                made.append(Ink(text, piece.look))
+        return (*made, Ink(" " * room, Look.TEXT)) if room else tuple(made)
 
     def rule(self, *titles: str) -> Line:
         """A horizontal line with titles in it: ── sources ── 7 of 8 in ─────."""
         text = "".join(f"── {title} " for title in titles)
-        return self.line(Span(text + "─" * max(self.width - self.length(text), 0), Look.SECOND))
+        return self.line(Ink(text + "─" * max(self.width - self.length(text), 0), Look.SECOND))
 
 
 def plain_text(line: Line) -> str:
     """A line without its looks."""
-    return "".join(span.text for span in line)
+    return "".join(piece.text for piece in line)

@@ -7,7 +7,7 @@ there; where there are too few, one line says the worst.
 import math
 from dataclasses import dataclass
 
-from ship_monitor.terminal.pen import Line, Look, Pen, Span
+from ship_monitor.terminal.pen import Ink, Line, Look, Pen
 from ship_watch import words
 from ship_watch.picture import AlertShown, AngleShown, InputShown, Picture, Presence, Priority, Safety, SourceShown
 
@@ -82,7 +82,7 @@ def screen(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View) 
     bottom.append(pen.rule("events"))
     event_rows = view.height - len(top) - len(middle) - len(bottom) - 1
     bottom += event_lines(picture, pen, max(event_rows, 0))
-    keys = pen.line(Span(f" {view.note}", Look.STRONG) if view.note else Span(KEYS, Look.SECOND))
+    keys = pen.line(Ink(f" {view.note}", Look.STRONG) if view.note else Ink(KEYS, Look.SECOND))
     return (*_filled([*top, *middle, *bottom], view)[: view.height - 1], keys)
 
 
@@ -100,22 +100,22 @@ def top_bar(picture: Picture, view: View) -> Line:
     """Whose picture it is, of when, and whether it stands still."""
     pen = view.pen
     is_paused = not math.isnan(view.paused_s)
-    left = [Span(" ", Look.TEXT), Span(view.name, Look.STRONG), Span(f"  {view.label}  {view.theme}", Look.SECOND)]
+    left = [Ink(" ", Look.TEXT), Ink(view.name, Look.STRONG), Ink(f"  {view.label}  {view.theme}", Look.SECOND)]
     if is_paused:
-        left += [Span("  ", Look.TEXT), Span(f" PAUSED {words.age(view.paused_s)} ago ", Look.MARKED)]
+        left += [Ink("  ", Look.TEXT), Ink(f" PAUSED {words.age(view.paused_s)} ago ", Look.MARKED)]
     right = f"{words.clock(picture.utc_ns)} UTC "
     room = max(view.width - pen.length(right), 0)
-    return pen.line(*Pen(room, view.is_ascii).line(*left), Span(right, Look.STRONG))
+    return pen.line(*Pen(room, view.is_ascii).line(*left), Ink(right, Look.STRONG))
 
 
-def alert_spans(alert: AlertShown, pen: Pen, text_width: int) -> list[Span]:
+def alert_pieces(alert: AlertShown, pen: Pen, text_width: int) -> list[Ink]:
     """Icon, priority, text, time and state of an alert."""
     look = _ALERT_LOOKS[alert.priority]
     head = f" {_ALERT_MARKS[alert.priority]} {alert.priority.name} "
     text = pen.cell(alert.text or alert.id, max(text_width - len(head), 1))
     state = pen.cell(_ALERT_STATES.get(alert.state, ""), 12)
     state_look = Look.TEXT if alert.is_acknowledged else Look.STRONG
-    return [Span(head + text, look), Span(f" {words.clock(alert.raised_ns)}  ", Look.SECOND), Span(state, state_look)]
+    return [Ink(head + text, look), Ink(f" {words.clock(alert.raised_ns)}  ", Look.SECOND), Ink(state, state_look)]
 
 
 def source_line(source: SourceShown, pen: Pen, *, is_chosen: bool) -> Line:
@@ -130,10 +130,10 @@ def source_line(source: SourceShown, pen: Pen, *, is_chosen: bool) -> Line:
     middle = f" {pen.cell(words.age(source.age_s), 8, to_right=True)} {rate}   "
     look = Look.OUT if is_out else Look.TEXT
     return pen.line(
-        Span(name, Look.MARKED if is_chosen else look),
-        Span(f" {source.presence.value:3}", look),
-        Span(middle, Look.SECOND),
-        Span(", ".join(filter(None, told)), look if is_out else Look.SECOND),
+        Ink(name, Look.MARKED if is_chosen else look),
+        Ink(f" {source.presence.value:3}", look),
+        Ink(middle, Look.SECOND),
+        Ink(", ".join(filter(None, told)), look if is_out else Look.SECOND),
     )
 
 
@@ -144,8 +144,8 @@ def input_line(shown: InputShown, pen: Pen) -> Line:
     numbers = f"{rate} {latency} {pen.cell(words.age(shown.age_s), 8, to_right=True)}"
     look = Look.OUT if shown.level else Look.TEXT
     return pen.line(
-        Span(f"   {pen.cell(shown.topic, 30)}", look),
-        Span(f"{numbers}  {shown.refused_60s:4d} refused  {reasons_text(shown)}", Look.SECOND),
+        Ink(f"   {pen.cell(shown.topic, 30)}", look),
+        Ink(f"{numbers}  {shown.refused_60s:4d} refused  {reasons_text(shown)}", Look.SECOND),
     )
 
 
@@ -159,8 +159,8 @@ def event_lines(picture: Picture, pen: Pen, room: int, subject: str = "") -> lis
     events = [event for event in picture.events if not subject or event.subject == subject]
     return [
         pen.line(
-            Span(f" {words.clock(event.utc_ns)}  ", Look.SECOND),
-            Span(event.text if event.kind == "alert" else f"{event.kind}: {event.text}", Look.TEXT),
+            Ink(f" {words.clock(event.utc_ns)}  ", Look.SECOND),
+            Ink(event.text if event.kind == "alert" else f"{event.kind}: {event.text}", Look.TEXT),
         )
         for event in events[:room]
     ]
@@ -180,29 +180,29 @@ def _one_line(picture: Picture, view: View) -> Line:
         told = "all SAFE" if worst.safety is Safety.SAFE else f"{worst.safety.name} {', '.join(alike)}"
     look = Look.TEXT if worst is None else _LOOKS[worst.safety]
     small = f"  {words.clock(picture.utc_ns)}  too small: {LEAST_WIDTH} by {LEAST_HEIGHT} needed"
-    return view.pen.line(Span(told, look), Span(small, Look.SECOND))
+    return view.pen.line(Ink(told, look), Ink(small, Look.SECOND))
 
 
 def _waiting(picture: Picture, view: View) -> list[Line]:
     if not picture.waiting_for:
         return []
     told = f" waiting for {picture.waiting_for}: {view.place}"
-    return [view.pen.line(Span(told, Look.MARKED))]
+    return [view.pen.line(Ink(told, Look.MARKED))]
 
 
 def _alert_line(alerts: tuple[AlertShown, ...] | None, pen: Pen) -> Line:
     alert = shown_alert(alerts)
     if alerts is None or alert is None:
-        return pen.line(Span(" no alerts" if alerts is not None else " no alert node is heard", Look.SECOND))
+        return pen.line(Ink(" no alerts" if alerts is not None else " no alert node is heard", Look.SECOND))
     unacknowledged = sum(not each.is_acknowledged for each in alerts)
     active = sum(each.state != 4 for each in alerts)
     counts = f"{unacknowledged} unack, {active} active "
-    return pen.line(*alert_spans(alert, pen, pen.width - 24 - len(counts)), Span(counts, Look.TEXT))
+    return pen.line(*alert_pieces(alert, pen, pen.width - 24 - len(counts)), Ink(counts, Look.TEXT))
 
 
 def _angles(picture: Picture, view: View) -> list[Line]:
     header = f"{'':11}{'value':18}{'95 %':>10}{'limit':>7}  {'state':11} why"
-    return [view.pen.line(Span(header, Look.SECOND)), *(_angle(angle, picture, view) for angle in picture.angles)]
+    return [view.pen.line(Ink(header, Look.SECOND)), *(_angle(angle, picture, view) for angle in picture.angles)]
 
 
 def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
@@ -217,20 +217,20 @@ def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
     is_chosen = view.chosen == angle.name
     name = f"{'>' if is_chosen else ' '}{angle.name.upper():10}"
     return pen.line(
-        Span(name, Look.MARKED if is_chosen else Look.TEXT),
-        Span(value.rstrip(), Look.OLD if angle.is_old else Look.STRONG),
-        Span(" " * (len(value) - len(value.rstrip())), Look.TEXT),
-        Span(accuracy, Look.STRONG if angle.is_old else Look.TEXT),
-        Span(f"{limit}  ", Look.SECOND),
-        Span(f"{_MARKS[angle.safety]} {angle.safety.name:7} ", _LOOKS[angle.safety]),
-        Span(f"  {why}", Look.TEXT if angle.reason else Look.SECOND),
+        Ink(name, Look.MARKED if is_chosen else Look.TEXT),
+        Ink(value.rstrip(), Look.OLD if angle.is_old else Look.STRONG),
+        Ink(" " * (len(value) - len(value.rstrip())), Look.TEXT),
+        Ink(accuracy, Look.STRONG if angle.is_old else Look.TEXT),
+        Ink(f"{limit}  ", Look.SECOND),
+        Ink(f"{_MARKS[angle.safety]} {angle.safety.name:7} ", _LOOKS[angle.safety]),
+        Ink(f"  {why}", Look.TEXT if angle.reason else Look.SECOND),
     )
 
 
 def _ages(picture: Picture, pen: Pen) -> Line:
     ages = "   ".join(f"{name} {words.age(age_s)}" for name, age_s in picture.ages_s.items())
     horizon = f"       horizon {picture.horizon}" if picture.horizon else ""
-    return pen.line(Span(" ages   ", Look.SECOND), Span(ages, Look.TEXT), Span(horizon, Look.SECOND))
+    return pen.line(Ink(" ages   ", Look.SECOND), Ink(ages, Look.TEXT), Ink(horizon, Look.SECOND))
 
 
 def _sources_rule(picture: Picture, pen: Pen) -> Line:
@@ -258,5 +258,5 @@ def _sources(picture: Picture, view: View, room: int) -> list[Line]:
     ]
     if told:
         look = Look.OUT if counts[Presence.OUT] else Look.SECOND
-        made.append(view.pen.line(Span(f"   {', '.join(told)}", look)))
+        made.append(view.pen.line(Ink(f"   {', '.join(told)}", look)))
     return made

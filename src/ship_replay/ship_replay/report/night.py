@@ -48,7 +48,7 @@ class AlertTold:
 
 
 @dataclass(frozen=True)
-class Refusal:
+class RefusalTold:
     """A measurement that was not used: by which source, why, and whether its node or the filter refused it.
 
     A note is no refusal: the measurement was used all the same.
@@ -100,7 +100,7 @@ class Night:
     events: list[Event] = field(default_factory=list)
     alerts: list[AlertTold] = field(default_factory=list)
     alerts_are_recorded: bool = False
-    refusals: list[Refusal] = field(default_factory=list)
+    refusals: list[RefusalTold] = field(default_factory=list)
     budgets: dict[str, list[BudgetPoint]] = field(default_factory=dict)
     before: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
     after: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
@@ -251,7 +251,7 @@ class _Reading:
     def _note_innovation(self, message: Any) -> None:
         if not message.accepted:
             stamp_ns = ns_from_stamp(message.header.stamp)
-            self._night.refusals.append(Refusal(stamp_ns, str(message.source), reason_name(message), "filter"))
+            self._night.refusals.append(RefusalTold(stamp_ns, str(message.source), reason_name(message), "filter"))
 
     def _note_health(self, message: Any) -> None:
         """Counts of a node only grow; one that is less is that of a node that began anew."""
@@ -264,7 +264,7 @@ class _Reading:
             self._counts[topic, str(reason)] = int(count)
             more = int(count) - (before if count >= before else 0)
             if more:
-                self._night.refusals.append(Refusal(stamp_ns, topic, str(reason), "node", more, is_note))
+                self._night.refusals.append(RefusalTold(stamp_ns, topic, str(reason), "node", more, is_note))
 
     def _note_recorded(self, picture: Picture) -> None:
         """What became of the alerts that an alert node published."""

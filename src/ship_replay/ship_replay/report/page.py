@@ -12,7 +12,7 @@ from ship_replay.report.consistency import consistency
 from ship_replay.report.drawings import budget_svg, errors_svg, refusals_svg, status_svg
 from ship_replay.report.night import Night
 from ship_replay.report.tables import before_after, refusal_rows, shares, verdict
-from ship_replay.report.told import Told
+from ship_replay.report.told import ToldNight
 from ship_replay.report.wording import duration, number, utc
 
 SECTIONS = (
@@ -37,7 +37,7 @@ _PACKAGES = (
 )
 
 
-def page(told: Told) -> str:
+def page(told: ToldNight) -> str:
     """The report of one recording as one HTML file that names no other; the same recording gives the same text."""
     night, evaluation = told.night, told.evaluation
     start_ns = night.start_utc_ns

@@ -9,7 +9,7 @@ from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.report.night import Night, read_night
 from ship_replay.report.published import OutputDifference, Published, differences, overlap_s, read_published, span
-from ship_replay.report.told import Told, check_truth, is_short, other_processes, read_told
+from ship_replay.report.told import ToldNight, check_truth, is_short, other_processes, read_told
 from ship_replay.report.wording import duration, utc
 from ship_watch.limits import Limits
 
@@ -28,8 +28,8 @@ class Pair:
         differences: of the outputs at equal stamps, B minus A, by orientation.
     """
 
-    a: Told
-    b: Told
+    a: ToldNight
+    b: ToldNight
     published: tuple[Published, Published]
     differences: list[OutputDifference]
 
@@ -70,7 +70,7 @@ def read_pair(
 
 def _read_beside(
     a: Path, b: Path, truth: Path | None, limits: Limits | None, namespace: str
-) -> tuple[Told, Told, tuple[Published, Published]]:
+) -> tuple[ToldNight, ToldNight, tuple[Published, Published]]:
     """All that is read of both at the same time: one after the other would take twice as long."""
     check_truth(truth, namespace)
     with other_processes(5) as others:
@@ -79,8 +79,8 @@ def _read_beside(
         published = [others.submit(read_published, path, namespace) for path in (a, b)]
         night_a = read_night(a, limits, namespace)
         return (
-            Told(night_a, evaluated[0].result()),
-            Told(night_b.result(), evaluated[1].result()),
+            ToldNight(night_a, evaluated[0].result()),
+            ToldNight(night_b.result(), evaluated[1].result()),
             (published[0].result(), published[1].result()),
         )
 

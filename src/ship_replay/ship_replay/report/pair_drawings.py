@@ -23,7 +23,7 @@ from ship_replay.report.drawings import (
 )
 from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
-from ship_replay.report.told import Told
+from ship_replay.report.told import ToldNight
 from ship_watch.orientations import ORIENTATIONS, channel_name
 from ship_watch.picture import ANGLES
 from ship_watch.states import NORMAL_95
@@ -168,7 +168,7 @@ def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
     axes.set_ylabel(f"{name}\n95 % [″]", fontsize=8)
 
 
-def _errors(told: Told) -> dict[str, _Line]:
+def _errors(told: ToldNight) -> dict[str, _Line]:
     lines = {}
     outputs = [orientation.label for orientation in ORIENTATIONS]
     for series in told.evaluation.errors:
@@ -181,7 +181,7 @@ def _errors(told: Told) -> dict[str, _Line]:
     return lines
 
 
-def _innovations(told: Told) -> dict[str, _Line]:
+def _innovations(told: ToldNight) -> dict[str, _Line]:
     lines = {}
     for source, part in told.evaluation.innovations.items():
         thin = thin_innovations(part)

@@ -9,7 +9,7 @@ from ship_replay.report.night import Night
 from ship_replay.report.pair import Pair, origin
 from ship_replay.report.pair_tables import SAME_MOMENT_NS, ErrorRow
 from ship_replay.report.published import OutputDifference
-from ship_replay.report.tables import Outage, outages
+from ship_replay.report.tables import SourceOutage, outages
 from ship_replay.report.wording import number, utc
 from ship_watch.orientations import ORIENTATIONS, channel_name
 from ship_watch.picture import ANGLES, Safety
@@ -154,14 +154,14 @@ def _sources(pair: Pair) -> list[str]:
     return sentences if a or b else ["No source was out in either."]
 
 
-def _beyond(outages_here: list[Outage], elsewhere: list[Outage]) -> list[Outage]:
+def _beyond(outages_here: list[SourceOutage], elsewhere: list[SourceOutage]) -> list[SourceOutage]:
     """The parts of outages in which it was in elsewhere; of a moment or less they tell nothing."""
     for other in elsewhere:
         outages_here = [left for outage in outages_here for left in _without(outage, other)]
     return [one for one in outages_here if (one.to_ns or _NEVER_NS) - one.from_ns > SAME_MOMENT_NS]
 
 
-def _without(outage: Outage, other: Outage) -> list[Outage]:
+def _without(outage: SourceOutage, other: SourceOutage) -> list[SourceOutage]:
     """What of an outage is before another, and what is after it."""
     end_ns, other_end_ns = outage.to_ns or _NEVER_NS, other.to_ns or _NEVER_NS
     left = []
@@ -173,12 +173,12 @@ def _without(outage: Outage, other: Outage) -> list[Outage]:
     return left
 
 
-def _unrecorded(pair: Pair, letter: str, source: str) -> list[Outage]:
+def _unrecorded(pair: Pair, letter: str, source: str) -> list[SourceOutage]:
     """The times of the other recording of which this one tells nothing, as if the source had been out."""
     (start_ns, end_ns), (_, other_end_ns) = (
         night.span_ns for night in (pair.nights if letter == "A" else reversed(pair.nights))
     )
-    before, after = Outage(source, 0, start_ns, ""), Outage(source, end_ns, 0, "")
+    before, after = SourceOutage(source, 0, start_ns, ""), SourceOutage(source, end_ns, 0, "")
     return [before, after] if other_end_ns > end_ns + SAME_MOMENT_NS else [before]
 
 

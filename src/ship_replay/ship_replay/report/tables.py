@@ -36,7 +36,7 @@ def verdict(night: Night) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Outage:
+class SourceOutage:
     """A source that was out: from when to when, UTC in ns, 0 where it never came back; and why, as first told."""
 
     source: str
@@ -50,9 +50,9 @@ class Outage:
         return f"{utc(self.from_ns)} to {utc(self.to_ns) if self.to_ns else 'the end'} ({self.why})"
 
 
-def outages(night: Night) -> list[Outage]:
+def outages(night: Night) -> list[SourceOutage]:
     """Which source was out when: one for each time, though its reason may have been told anew meanwhile."""
-    found: list[Outage] = []
+    found: list[SourceOutage] = []
     last: dict[str, int] = {}
     for event in night.events:
         if event.kind != "source":
@@ -60,7 +60,7 @@ def outages(night: Night) -> list[Outage]:
         number, is_out = last.get(event.subject), f"{event.subject} OUT" in event.text
         if is_out and number is None:
             last[event.subject] = len(found)
-            found.append(Outage(event.subject, event.utc_ns, 0, event.text.partition(", ")[2]))
+            found.append(SourceOutage(event.subject, event.utc_ns, 0, event.text.partition(", ")[2]))
         elif not is_out and number is not None:
             found[number] = replace(found[number], to_ns=event.utc_ns)
             del last[event.subject]

@@ -23,7 +23,7 @@ _TRUTH_TOPICS = [orientation.truth_topic for orientation in ORIENTATIONS]
 
 
 @dataclass(frozen=True)
-class Told:
+class ToldNight:
     """A recording and what it was worth: all that a page is made of."""
 
     night: Night
@@ -32,7 +32,7 @@ class Told:
 
 def read_told(
     path: Path, truth: Path | None = None, limits: Limits | None = None, namespace: str = ""
-) -> Told:
+) -> ToldNight:
     """Read a bag with outputs, and evaluate it.
 
     Raises:
@@ -40,12 +40,12 @@ def read_told(
     """
     check_truth(truth, namespace)
     if is_short(path):
-        return Told(read_night(path, limits, namespace), evaluate(path, against=truth, namespace=namespace))
+        return ToldNight(read_night(path, limits, namespace), evaluate(path, against=truth, namespace=namespace))
     # Each takes half of the time; neither needs the other.
     with other_processes(1) as others:
         evaluated = others.submit(evaluate, path, against=truth, namespace=namespace)
         night = read_night(path, limits, namespace)
-        return Told(night, evaluated.result())
+        return ToldNight(night, evaluated.result())
 
 
 @contextlib.contextmanager
