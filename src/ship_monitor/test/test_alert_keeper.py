@@ -62,13 +62,15 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
-    """The INS steps by 100″ at 20 s, a star sensor is knocked by 50″ at 40 s: two alerts of two sources."""
+    """The INS steps by 100″ at 20 s, a star sensor is knocked by 50″ at 40 s: two alerts of two sources.
+
+    The step takes the heading for three tenths of a second; what is over its limit from then on is told.
+    """
     voyage = Voyage(faulty)
     time_s, ins = voyage.first("ins.out")
     assert 20.0 <= time_s <= 22.0
-    assert (ins.alert.priority, ins.alert.source) == (Priority.ALARM, "ins")
-    assert ins.alert.text.startswith("ins out: ")
-    assert "heading lost" in ins.alert.text
+    assert (ins.alert.priority, ins.alert.source) == (Priority.WARNING, "ins")
+    assert ins.alert.text == "ins out: refused in a row; heading and tilt over its limit"
     time_s, star = voyage.first("star.starboard.out")
     assert 40.0 <= time_s <= 42.0
     assert star.alert.priority is Priority.WARNING

@@ -124,8 +124,14 @@ class TopicReports:
         return max(0, now_ns - self.arrived_ns) * 1e-9
 
     def is_silent(self, now_ns: int) -> bool:
-        """Whether it has not come for too long."""
-        return self.arrived_ns is not None and now_ns - self.arrived_ns >= self._silence_ns
+        """Whether it has not come for too long.
+
+        While reports tell that it comes, only a report can tell that it comes no more: one that is late, on a busy
+        computer, is no silence. Where none comes any more it is not known, see :meth:`is_untold`.
+        """
+        if self.arrived_ns is None or (self._has_come and not self.is_untold(now_ns)):
+            return False
+        return now_ns - self.arrived_ns >= self._silence_ns
 
     def _silence(self) -> float:
         """After how long it is silent, ns.

@@ -54,13 +54,25 @@ def test_stamps_of_another_time_are_no_silence() -> None:
 
 def test_silent_after_two_seconds_or_three_periods() -> None:
     reports = heard(10)
+    reports.note(report(11, 50, age_s=1.2), at(11))
     assert not reports.is_silent(at(11.8))
     assert reports.is_silent(at(11.9))
     slow = TopicReports("met/pressure")
-    for second in range(41):
+    for second in range(42):
         slow.note(report(second, 1 + second // 4, age_s=0.1 + second % 4, rate_hz=0.25), at(second))
     assert not slow.is_silent(at(51.9))
     assert slow.is_silent(at(52.1))
+
+
+def test_a_report_that_is_late_is_no_silence_of_the_topic() -> None:
+    """While messages came until the last report, only the next one, or that there is none for long, tells otherwise."""
+    reports = heard(10)
+    assert not reports.is_silent(at(12.9))
+    assert not reports.is_untold(at(12.9))
+    reports.note(report(12.9, 64), at(12.9))
+    assert not reports.is_silent(at(15.8))
+    assert reports.is_silent(at(30.0))
+    assert reports.is_untold(at(30.0))
 
 
 def test_a_ship_may_set_the_longest_silence_herself() -> None:

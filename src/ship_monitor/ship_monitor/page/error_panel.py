@@ -83,7 +83,7 @@ class _ErrorRow:
         for edge in BAND[2:]:
             self.figure.line("t", edge, source=source, line_color=colour, line_dash="dashed")
         line = self.figure.line("t", "error", source=source, line_color=theme.text, line_width=1.2)
-        hover(theme, self.figure, "@error{+0.0}″, σ @sigma{0.0}″", [line])
+        hover(theme, self.figure, "@error{+0.0}″, σ @sigma{0.0}″", [line], is_line=True)
 
     def update(self, points: Sequence[ErrorPoint], chosen: str) -> float:
         """Draw what is new; the answer is half the height of the axis, arcsec."""

@@ -110,14 +110,18 @@ class SideLabels:
         self._axis.major_label_overrides = dict(texts)
 
 
-def hover(theme: Theme, made: figure, html: str, renderers: list[Any]) -> None:
-    """Show a point's figures under the pointer; ``html`` names columns as ``@column{0.0}``."""
+def hover(theme: Theme, made: figure, html: str, renderers: list[Any], *, is_line: bool = False) -> None:
+    """Show a point's figures under the pointer, of a line wherever the pointer is above or below it.
+
+    ``html`` names columns as ``@column{0.0}``.
+    """
     body = f'<div style="color:{theme.text};font:13px {FONT}">@t{{%H:%M:%S}} {html}</div>'
     made.add_tools(
         HoverTool(
             tooltips=body,
             formatters={"@t": "datetime"},
             renderers=renderers,
+            mode="vline" if is_line else "mouse",
             show_arrow=False,
             point_policy="snap_to_data",
         )
