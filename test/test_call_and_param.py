@@ -75,7 +75,8 @@ def test_a_name_that_is_not_there_is_answered_with_the_nearest(environment):
     code, _, told = asked(environment, "call", NODE, "restet")
     assert (code, "did you mean 'reset'?" in told) == (2, True)
     code, _, told = asked(environment, "param", NODE, "gate.probabilty")
-    assert (code, "did you mean 'gate.probability'?" in told) == (2, True)
+    said = f"param: node {NODE}: no parameter 'gate.probabilty': did you mean 'gate.probability'?\n"
+    assert (code, told) == (2, said)
 
 
 def test_parameters_are_listed_with_units_read_and_set(environment):

@@ -66,6 +66,12 @@ def test_neither_a_file_nor_a_bag():
     assert ended.stderr == "suite: no FILE: expected a suite file, or --bag with a bag that has one attached\n"
 
 
+def test_a_folder_for_boxes_that_cannot_be_written_starts_nothing():
+    ended = run("--bag", DEMO, "--box", "/proc/boxes")
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert re.fullmatch(r"suite: --box /proc/boxes: .*: expected a folder that can be written\n", ended.stderr)
+
+
 def test_a_bag_without_what_the_nodes_need_starts_nothing():
     ended = run(ROOT / "examples" / "theodolite.yaml", "--bag", DEMO)
     assert ended.returncode == 2
@@ -79,7 +85,7 @@ def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_pa
         assert process.wait(120) == 0, process.log()
         log = process.log()
     assert re.search(r"^\[ship_attitude\] .*attitude: VALID: INS and stars", log, re.MULTILINE), log
-    assert re.search(r"^\[suite\] play ended after .*: exit code 0$", log, re.MULTILINE), log
+    assert re.search(r"^\[suite\] play ended after .*: exit code 0; the suite ends with it$", log, re.MULTILINE), log
     assert "suite.yaml: ship_attitude has no alignment_file" in log
 
 

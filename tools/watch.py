@@ -49,7 +49,7 @@ def _check_port(port: int) -> None:
             probe.bind((ADDRESS, port))
         except (OSError, OverflowError) as problem:
             reason = problem.strerror if isinstance(problem, OSError) else str(problem)
-            raise BadInput(f"port {port} of {ADDRESS}: {reason}: name another, make watch PORT=5007") from problem
+            raise BadInput(f"port {port} of {ADDRESS}: {reason}: name another, make watch PORT={port + 1}") from problem
 
 
 def _bag() -> Path:

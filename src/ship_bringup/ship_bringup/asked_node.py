@@ -21,6 +21,8 @@ from ship_bags.live.ros_process import command_node, positive
 from ship_bags.parameter_yaml import full_name
 
 _POLL_S = 0.05
+_MOST_LISTED = 12
+"""Of more names than this only the nearest is told, so that it is not lost among them."""
 _TIMEOUT_S = 5.0
 
 
@@ -160,6 +162,8 @@ def unknown(what: str, name: str, known: Collection[str]) -> str:
     nearest = difflib.get_close_matches(name, known, 1) or [
         bare[each] for each in difflib.get_close_matches(name.rpartition("/")[2], bare, 1)
     ]
+    if nearest and len(known) > _MOST_LISTED:
+        return f"no {what} '{name}': did you mean '{nearest[0]}'?"
     meant = f"did you mean '{nearest[0]}'? There are" if nearest else "there are"
     return f"no {what} '{name}': {meant} {', '.join(sorted(known)) or 'none'}"
 

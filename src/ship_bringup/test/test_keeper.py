@@ -126,21 +126,44 @@ def test_bad_input_is_never_started_again_and_the_others_go_on():
     assert "[right] still here" in lines
 
 
+WAITS = (
+    "import signal, time\n"
+    "def end(*_):\n    print('ends', flush=True)\n    raise SystemExit(0)\n"
+    "signal.signal(signal.SIGINT, end)\nprint('ready', flush=True)\ntime.sleep(60)"
+)
+
+
 def test_the_suite_ends_with_its_player_and_in_the_opposite_order():
-    waits = (
-        "import signal, time\n"
-        "def end(*_):\n    print('ends', flush=True)\n    raise SystemExit(0)\n"
-        "signal.signal(signal.SIGINT, end)\nprint('ready', flush=True)\ntime.sleep(60)"
-    )
     code, lines = kept(
-        program("first", waits),
-        program("second", waits),
-        program("watcher", waits, Role.WATCHER),
+        program("first", WAITS),
+        program("second", WAITS),
+        program("watcher", WAITS, Role.WATCHER),
         program("player", "import time; time.sleep(1.5); raise SystemExit(1)", Role.PLAYER),
         most_restarts=5,
     )
     assert code == 1
     assert [line for line in lines if line.endswith("ends")] == ["[watcher] ends", "[second] ends", "[first] ends"]
+    assert any(line.endswith("exit code 1; not started again; the suite ends with it") for line in lines)
+
+
+def test_who_watches_ends_before_who_plays():
+    """Without the bag all would be silent, and the alerts would say so."""
+    code, lines = kept(
+        program("node", "import time; time.sleep(1.5)"),
+        program("page", WAITS, Role.WATCHER),
+        program("alerts", WAITS, Role.WATCHER),
+        program("player", WAITS, Role.PLAYER),
+    )
+    assert code == 0
+    assert [line for line in lines if line.endswith("ends")] == ["[alerts] ends", "[page] ends", "[player] ends"]
+
+
+def test_a_watcher_that_cannot_be_is_missed_by_nobody_and_said():
+    code, lines = kept(
+        program("node", "import time; time.sleep(1.0)"), program("page", "raise SystemExit(2)", Role.WATCHER)
+    )
+    assert code == 2
+    assert any(line.endswith("exit code 2; not started again; the suite goes on without it") for line in lines)
 
 
 def test_watchers_do_not_keep_a_suite_without_nodes():

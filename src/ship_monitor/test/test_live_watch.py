@@ -3,10 +3,12 @@
 import time
 
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.live.live_watch import LiveWatch, messages_wanted
-from ship_monitor.live.reader import KEPT
+from ship_monitor.live.reader import DISCOVERY_NS, KEPT
+from ship_msgs.msg import Alert, AlertArray
 from ship_testing.publishing_ship import PublishingShip, attitude
 from ship_watch.limits import Limits
 
@@ -90,6 +92,21 @@ def test_a_played_bag_with_the_truth_is_no_live_ship(watch, ship, until):
     assert watch.label == "LIVE"
     ship.say("truth/attitude", attitude(START_NS))
     until(lambda: heading(watch) and watch.label == "SIMULATED")
+    ship.stop()
+    until(lambda: heading(watch).is_old)
+    time.sleep(2 * DISCOVERY_NS / NS_PER_S)
+    assert watch.label == "SIMULATED"  # what stands there still is that of the simulation
+
+
+def test_alerts_of_a_node_that_has_ended_are_not_shown_any_more(watch, until):
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    for _ in range(2):
+        ship = PublishingShip()
+        alert = Alert(id="ins.out", priority=Alert.ALARM, instance=1, state=Alert.ACTIVE_UNACKNOWLEDGED)
+        ship.say("ship/alerts", AlertArray(alerts=[alert]), latched)
+        until(lambda: heading(watch) and [alert.id for alert in watch.look().alerts or ()] == ["ins.out"])
+        ship.stop()
+        until(lambda: heading(watch) and watch.look().alerts is None)
 
 
 @pytest.mark.parametrize(

@@ -121,9 +121,11 @@ class HeardSource:
         return self._unusable(now_ns, utc_offset_ns)
 
     def _unusable(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
-        """It is judged, arrives, and has given nothing that could be judged for some time."""
+        """It is judged, arrives as reports tell, and has given nothing that could be judged for some time."""
         word = _NOTHING_USABLE.get(self.first_word)
         if word is None or self.judged_ns is None or math.isnan(self.period_ns):
+            return None
+        if not all(topic.is_told(now_ns) for topic in self.topics.values()):
             return None
         if now_ns - self.judged_ns <= max(2e9, _UNUSABLE_PERIODS * self.period_ns):
             return None

@@ -118,9 +118,8 @@ class TopicReports:
         """
         if self.arrived_ns is None:
             return math.inf
-        reported_ns = self.reported_ns
-        if self._has_come and reported_ns is not None and now_ns - reported_ns <= 1.5 * self._report_period_ns:
-            now_ns = reported_ns
+        if self._has_come and self.reported_ns is not None and self.is_told(now_ns):
+            now_ns = self.reported_ns
         return max(0, now_ns - self.arrived_ns) * 1e-9
 
     def is_silent(self, now_ns: int) -> bool:
@@ -147,6 +146,10 @@ class TopicReports:
     def is_untold(self, now_ns: int) -> bool:
         """Whether the node that reads it has not reported for three of its periods."""
         return self.reported_ns is not None and now_ns - self.reported_ns > 3.0 * self._report_period_ns
+
+    def is_told(self, now_ns: int) -> bool:
+        """Whether the node that reads it reports when it should."""
+        return self.reported_ns is not None and now_ns - self.reported_ns <= 1.5 * self._report_period_ns
 
     def shown(self, now_ns: int) -> InputShown:
         """What is shown of the topic."""

@@ -69,6 +69,10 @@ class Watch:
         """Forget all that was heard but alerts: the data begin anew, as when a bag is played in a loop."""
         self._forget()
 
+    def forget_alerts(self) -> None:
+        """There is no alert node any more: what it told last is not told now."""
+        self._alerts = None
+
     def _forget(self) -> None:
         self._keeper = self._make_keeper()
         self._takers.clear()

@@ -239,6 +239,20 @@ def test_a_silent_source_is_out_after_two_seconds_and_named_by_the_angle() -> No
     assert picture.sources[0].out_since_ns == pytest.approx(UTC + 9.9 * SECOND, abs=1e6)
 
 
+def test_where_nothing_is_told_any_more_no_sky_is_blamed() -> None:
+    """All ends at once, as with a bag: for three seconds nobody knows why, then the node says nothing any more."""
+    watch = heard(10.0)
+    told = refused(UTC + 10 * SECOND, "star.bow", Reason.NONE)
+    told.accepted, told.components, told.residual, told.sigma, told.nis = True, ["up"], [1e-6], [1e-6], 1.0
+    watch.take("ship/innovation", told, at(10.0))
+    reasons = set()
+    for tenth in range(100, 200):
+        picture = watch.look(at(tenth / 10))
+        reasons |= {source.reason for source in picture.sources if source.presence is Presence.OUT}
+        reasons |= {angle.reason for angle in picture.angles}
+    assert reasons == {"", "ship/attitude silent", "not reported"}
+
+
 def test_an_excluded_source_is_out_and_in_again() -> None:
     watch = heard(10.0)
     watch.take("ship/integrity", integrity(UTC + 10 * SECOND, 2, ("star.bow",)), at(10.05))

@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = asking_parser("call", "/ship_attitude save_alignment", _DESCRIPTION, _EPILOG)
     parser.add_argument("service", metavar="SERVICE", nargs="?", help="name of the service, without that of the node")
     parser.add_argument(
-        "fields", metavar="FIELD=VALUE", nargs="*", help="what the request holds: id=heading.accuracy instance=3"
+        "fields", metavar="FIELD=VALUE", nargs="*", default=[], help="what the request holds: id=ins.out instance=1"
     )
     return run_command(parser, _call, arguments)
 

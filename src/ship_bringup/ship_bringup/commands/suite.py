@@ -78,6 +78,8 @@ def _suite(parsed: argparse.Namespace) -> int:
     if parsed.file is None and parsed.bag is None:
         raise BadInput("no FILE: expected a suite file, or --bag with a bag that has one attached")
     require_demanded_security()
+    if parsed.box is not None:
+        _check_folder(parsed.box)
     options = SuiteOptions(
         namespace=parsed.namespace,
         bag=parsed.bag,
@@ -99,6 +101,20 @@ def _suite(parsed: argparse.Namespace) -> int:
             print(f"suite: warning: {one_line(_named(warning, path, parsed))}", file=sys.stderr)
         say_line(f"[suite] starts {', '.join(program.name for program in plan.programs)}")
         return Keeper(plan.programs, parsed.restarts, say_line).run()
+
+
+def _check_folder(box: Path) -> None:
+    """Make the folder of the black boxes where it is not there.
+
+    Raises:
+        BadInput: nothing can be written there.
+    """
+    try:
+        box.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=box):
+            pass
+    except OSError as problem:
+        raise BadInput(f"--box {box}: {problem.strerror}: expected a folder that can be written") from problem
 
 
 def _written(bag: Path, folder: Path) -> Path:

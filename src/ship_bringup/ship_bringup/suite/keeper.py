@@ -39,6 +39,9 @@ class Role(Enum):
     """It feeds the nodes, once: the suite ends with it, and it is not started again."""
 
 
+_END_ORDER = (Role.WATCHER, Role.PLAYER, Role.NODE)
+
+
 @dataclass(frozen=True)
 class Program:
     """One program of the suite.
@@ -83,7 +86,8 @@ class Keeper:
     """Runs programs until they have ended, or until a signal asks for the end.
 
     Args:
-        programs: in the order of their start; they are ended in the opposite order.
+        programs: in the order of their start. They are ended in the opposite one, but first who watches, for whom the
+            end of the others would be a fault, then who plays a bag, then the nodes.
         most_restarts: of one program in a row.
         write: takes each line, without its end.
     """
@@ -182,7 +186,10 @@ class Keeper:
         self._drop_reserve(kept)
         failure = failure_of(code)
         self._failure = self._failure or failure
-        self._say(_SUITE, f"{how}; not started again" if failure else how)
+        if failure:
+            without = "; the suite goes on without it" if role is Role.WATCHER else ""
+            how += f"; not started again{without}"
+        self._say(_SUITE, f"{how}; the suite ends with it" if role is Role.PLAYER else how)
         nodes_left = any(each.is_alive for each in self._kept if each.program.role is Role.NODE)
         if role is Role.PLAYER or not nodes_left:
             self._end()
@@ -219,17 +226,18 @@ class Keeper:
             self._drop_reserve(kept)
 
     def _end_step_by_step(self) -> None:
-        """While the suite ends: ask the last program that runs to end; kill it where it does not."""
+        """While the suite ends: ask the next program that runs to end; kill it where it does not."""
         running = [kept for kept in self._kept if kept.process is not None]
         if not self._ending or not running:
             return
-        process = running[-1].process
+        ending = min(reversed(running), key=lambda kept: _END_ORDER.index(kept.program.role))
+        process = ending.process
         assert process is not None
         if self._kill_due_s is None:
             self._kill_due_s = time.monotonic() + _END_S
             process.ask_to_end()
         elif time.monotonic() >= self._kill_due_s:
-            self._say(_SUITE, f"{running[-1].program.name} does not end: killed")
+            self._say(_SUITE, f"{ending.program.name} does not end: killed")
             self._kill_due_s = time.monotonic() + _END_S
             process.kill()
 

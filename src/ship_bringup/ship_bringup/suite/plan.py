@@ -135,7 +135,8 @@ def _watchers(options: SuiteOptions, ros: tuple[str, ...]) -> list[Program]:
     where = ("--namespace", options.namespace) if options.namespace else ()
     page = (*executable("ship_monitor", "monitor"), *where, *limits, *options.monitor_arguments)
     alerts = (*executable("ship_monitor", "alerts"), *limits, "--ros-args", *ros)
-    return [Program("alerts", alerts, Role.WATCHER), Program("monitor", page, Role.WATCHER)]
+    # In this order, so that the alerts end first: for them the end of all others would be a fault.
+    return [Program("monitor", page, Role.WATCHER), Program("alerts", alerts, Role.WATCHER)]
 
 
 def _player(path: Path, chain: AdapterChain, options: SuiteOptions) -> Program:

@@ -19,7 +19,7 @@ from ship_bags.live.ros_process import command_node, on_end_signals, run_ros_com
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.alerts.alert_keeper import AlertKeeper
-from ship_monitor.live.reader import KEPT, TopicReader, steady_ns
+from ship_monitor.live.reader import ALERTS_TOPIC, KEPT, TopicReader, steady_ns
 from ship_msgs.msg import AlertArray
 from ship_msgs.srv import AcknowledgeAlert
 from ship_node.edge.messages_out import (
@@ -36,7 +36,6 @@ from ship_watch.limits import Limits, read_limits
 from ship_watch.picture import AlertShown, Priority
 from ship_watch.topics import watched_topic
 
-ALERTS_TOPIC = "ship/alerts"
 LOOK_NS = NS_PER_S // 5
 """How often the suite is looked at, ns."""
 
@@ -125,7 +124,8 @@ class AlertNode:
         node.create_service(Trigger, "~/silence", self._silence)
         self._is_stopped = False
         kept = ", ".join(alert.id for alert in self._keeper.alerts)
-        node.get_logger().info(f"alerts of {self._reader.place}; kept in {state or 'no file'}: {kept or 'none'}")
+        known = f"; known from before: {kept}" if kept else ""
+        node.get_logger().info(f"alerts of {self._reader.place}; kept in {state or 'no file'}{known}")
         self._publish()
 
     def stop(self) -> None:

@@ -63,6 +63,8 @@ class LiveWatch:
                 return
             if taken.is_anew:
                 self._watch.start_anew()
+            if taken.alerts_ended:
+                self._watch.forget_alerts()
             for arrived in taken.messages:
                 self._watch.take(arrived.topic, arrived.message, arrived.arrival_ns)
 
@@ -93,7 +95,7 @@ class LiveWatch:
 
     def _take(self) -> None:
         taken = self._reader.take()
-        if taken.is_anew or taken.messages:
+        if taken.is_anew or taken.messages or taken.alerts_ended:
             self._waiting.put(taken)
 
     @property

@@ -22,6 +22,8 @@ from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topic
 from ship_monitor.live.raw_subscription import RawSubscription, are_latched
 
+ALERTS_TOPIC = "ship/alerts"
+
 KEPT = 256
 """Messages of a topic that may wait between two looks where each counts: a quarter of a second at 1 kHz."""
 
@@ -37,6 +39,11 @@ _STAMPS_BACK_NS = 5 * NS_PER_S
 """Outputs increase in time: stamps that go back by more are those of another voyage."""
 _OUTPUTS = ("ship/attitude", "theodolite/pointing")
 _ASLEEP_NS = 5 * NS_PER_S
+
+AFTERWARDS_NS = 10 * NS_PER_S
+"""An output is that of a bag or a simulation where the clock or the truth was there so long before, ns: these may be
+gone when it is shown still."""
+
 
 
 def steady_ns() -> int:
@@ -60,10 +67,12 @@ class Taken:
     Attributes:
         is_anew: the time of the suite has gone back, as when a bag starts over: what was heard before is of no use.
         messages: in the order of their arrival; of before the jump, none.
+        alerts_ended: whether the alert node has left since the last time.
     """
 
     is_anew: bool
     messages: tuple[Arrived, ...]
+    alerts_ended: bool
 
 
 @dataclass
@@ -82,7 +91,6 @@ class TopicReader:
 
     Attributes:
         domain_id: ROS domain it listens in.
-        is_played: whether somebody sets the time, as the player of a bag does.
         namespace: with its slash in front; "/" for none.
 
     Args:
@@ -100,7 +108,8 @@ class TopicReader:
         self._name, self._wants = name, wants
         self._asleep_ns = self._last_take_ns = self._next_discovery_ns = 0
         self._latest_ns: dict[str, int] = {}
-        self.is_played = False
+        self._output_ns = 0
+        self._truth_ns = self._clock_ns = -AFTERWARDS_NS
         self._open()
 
     def take(self) -> Taken:
@@ -109,25 +118,35 @@ class TopicReader:
         if asleep_ns - self._asleep_ns > _ASLEEP_NS:
             self.close()
             self._open()
-        now_ns = steady_ns()
+        now_ns, present = steady_ns(), self._present
         if now_ns >= self._next_discovery_ns:
             self._discover()
             self._next_discovery_ns = now_ns + DISCOVERY_NS
+        alerts_ended = ALERTS_TOPIC in present - self._present
         arrived = sorted(self._fetched(now_ns), key=lambda each: each.arrival_ns)
         self._last_take_ns = now_ns
+        # Who says something is there, though the next look for new topics is still to come.
+        self._present |= {each.topic for each in arrived if each.topic == ALERTS_TOPIC}
+        self._output_ns = max([self._output_ns, *(each.arrival_ns for each in arrived if each.topic in _OUTPUTS)])
         jump_ns = max(filter(None, map(self._jump_ns, arrived)), default=None)
         kept = (each for each in arrived if each.topic != CLOCK_TOPIC)
         if jump_ns is None:
-            return Taken(False, tuple(kept))
+            return Taken(False, tuple(kept), alerts_ended)
         # Outputs follow /clock a moment later, and that is the same jump.
         self._latest_ns = {CLOCK_TOPIC: self._latest_ns[CLOCK_TOPIC]} if CLOCK_TOPIC in self._latest_ns else {}
         latched = {heard.relative for heard in self._heard.values() if heard.subscription.is_latched}
-        return Taken(True, tuple(each for each in kept if each.arrival_ns >= jump_ns or each.topic in latched))
+        kept = (each for each in kept if each.arrival_ns >= jump_ns or each.topic in latched)
+        return Taken(True, tuple(kept), alerts_ended)
 
     @property
     def is_simulated(self) -> bool:
-        """Whether the suite's truth is on the network, which no real ship has."""
-        return any(topic.startswith(TRUTH_PREFIX) for topic in self._present)
+        """Whether the suite's truth is on the network, which no real ship has, or was when it put out what is shown."""
+        return self._output_ns - self._truth_ns < AFTERWARDS_NS
+
+    @property
+    def is_played(self) -> bool:
+        """Whether somebody sets the time, as the player of a bag does, or did when the suite put out what is shown."""
+        return self._output_ns - self._clock_ns < AFTERWARDS_NS
 
     @property
     def place(self) -> str:
@@ -188,7 +207,8 @@ class TopicReader:
         ending = "/" + _OUTPUTS[0]
         self._elsewhere = tuple(sorted(name[1 : -len(ending)] for name, _ in names if name.endswith(ending)))
         clock_topic = self._clock_topic(dict(names))
-        self.is_played = bool(self._node.count_publishers(clock_topic))
+        if self._node.count_publishers(clock_topic):
+            self._clock_ns = steady_ns()
         present = set()
         for topic, types in names:
             relative = CLOCK_TOPIC if topic == clock_topic else self.relative_name(topic)
@@ -205,6 +225,8 @@ class TopicReader:
             if depths.get(type_name):
                 self._subscribe(topic, relative, type_name, depths[type_name], are_latched(publishers))
         self._present = present
+        if any(topic.startswith(TRUTH_PREFIX) for topic in present):
+            self._truth_ns = steady_ns()
 
     def _clock_topic(self, types: Mapping[str, list[str]]) -> str:
         """The clock of the suite: one of its own namespace, as of a bag that is played into it alone; else /clock.
