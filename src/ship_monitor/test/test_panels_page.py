@@ -171,8 +171,8 @@ def test_a_drag_zooms_the_time_of_all_plots_and_a_double_click_returns(browser):
 
 
 def is_told_at(browser, view):
-    """Whether something is told once the pointer has moved across the middle of a plot, which may still be laid out."""
-    box = f"((box) => [box.left + box.width / 2, box.top + box.height / 2])({view}.el.getBoundingClientRect())"
+    """Whether something is told once the pointer has moved across a plot above its line; it may be laid out yet."""
+    box = f"((box) => [box.left + box.width / 2, box.top + box.height * 0.3])({view}.el.getBoundingClientRect())"
     x, y = evaluated(browser, box)
     for step in range(-10, 1):
         browser.call("Input.dispatchMouseEvent", type="mouseMoved", x=x + step, y=y, button="none")

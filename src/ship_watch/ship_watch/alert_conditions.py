@@ -75,7 +75,8 @@ class Machine:
 def conditions(picture: Picture, limits: Limits, machine: Machine | None = None) -> list[Condition]:
     """All situations that are there now, for :meth:`ship_watch.alerts.AlertBook.take`.
 
-    They rest on the words of this moment: how long something must last to be told is the book's to know.
+    They rest on the words of this moment, which nothing holds. The book knows how long a situation must last to be
+    told; an accuracy over its limit is a situation only after ``alerts.over_after_s``.
     """
     shown = functions(replace(picture, angles=tuple(angle.held_by_nothing for angle in picture.angles)))
     machine = machine or Machine()

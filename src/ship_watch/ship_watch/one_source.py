@@ -125,7 +125,7 @@ class HeardSource:
         word = _NOTHING_USABLE.get(self.first_word)
         if word is None or self.judged_ns is None or math.isnan(self.period_ns):
             return None
-        if not all(topic.is_told(now_ns) for topic in self.topics.values()):
+        if not all(topic.is_fresh(now_ns) for topic in self.topics.values()):
             return None
         if now_ns - self.judged_ns <= max(2e9, _UNUSABLE_PERIODS * self.period_ns):
             return None

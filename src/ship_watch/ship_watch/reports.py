@@ -118,15 +118,15 @@ class TopicReports:
         """
         if self.arrived_ns is None:
             return math.inf
-        if self._has_come and self.reported_ns is not None and self.is_told(now_ns):
+        if self._has_come and self.reported_ns is not None and self.is_fresh(now_ns):
             now_ns = self.reported_ns
         return max(0, now_ns - self.arrived_ns) * 1e-9
 
     def is_silent(self, now_ns: int) -> bool:
         """Whether it has not come for too long.
 
-        While reports tell that it comes, only a report can tell that it comes no more: one that is late, on a busy
-        computer, is no silence. Where none comes any more it is not known, see :meth:`is_untold`.
+        After a report that messages came, only the next report can tell that they ceased. A report that is late, as on
+        a busy computer, is no silence. Reports that have ceased, too, are (:meth:`is_untold`).
         """
         if self.arrived_ns is None or (self._has_come and not self.is_untold(now_ns)):
             return False
@@ -147,8 +147,8 @@ class TopicReports:
         """Whether the node that reads it has not reported for three of its periods."""
         return self.reported_ns is not None and now_ns - self.reported_ns > 3.0 * self._report_period_ns
 
-    def is_told(self, now_ns: int) -> bool:
-        """Whether the node that reads it reports when it should."""
+    def is_fresh(self, now_ns: int) -> bool:
+        """Whether the last report is no older than reports usually are."""
         return self.reported_ns is not None and now_ns - self.reported_ns <= 1.5 * self._report_period_ns
 
     def shown(self, now_ns: int) -> InputShown:

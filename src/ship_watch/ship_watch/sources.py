@@ -133,7 +133,7 @@ class SourceBook:
     def shown(self, now_ns: int, utc_offset_ns: int) -> list[SourceShown]:
         """All sources with all that is known of them, in the order of :meth:`standings`, for the same times."""
         standings = self.standings(now_ns, utc_offset_ns)
-        return [self._sources.get(each.name, HeardSource(each.name)).shown(each, now_ns) for each in standings]
+        return [(self._sources.get(each.name) or HeardSource(each.name)).shown(each, now_ns) for each in standings]
 
     def _not_configured(self) -> list[str]:
         """The instruments that a ship usually has, of which no topic was ever named."""

@@ -121,7 +121,7 @@ def member_of(name: str) -> str:
 _PLACES = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
 
 
-@functools.cache
+@functools.lru_cache(256)
 def place_of(source: str) -> tuple[int, str]:
     """Where a source stands in the fixed order of all."""
     first = source.partition(".")[0]

@@ -78,8 +78,6 @@ def _suite(parsed: argparse.Namespace) -> int:
     if parsed.file is None and parsed.bag is None:
         raise BadInput("no FILE: expected a suite file, or --bag with a bag that has one attached")
     require_demanded_security()
-    if parsed.box is not None:
-        _check_folder(parsed.box)
     options = SuiteOptions(
         namespace=parsed.namespace,
         bag=parsed.bag,
@@ -97,14 +95,16 @@ def _suite(parsed: argparse.Namespace) -> int:
             plan = plan_of(path, options)
         except BadInput as problem:
             raise BadInput(_named(str(problem), path, parsed)) from problem
+        if parsed.box is not None:
+            _make_folder(parsed.box)
         for warning in plan.warnings:
             print(f"suite: warning: {one_line(_named(warning, path, parsed))}", file=sys.stderr)
         say_line(f"[suite] starts {', '.join(program.name for program in plan.programs)}")
         return Keeper(plan.programs, parsed.restarts, say_line).run()
 
 
-def _check_folder(box: Path) -> None:
-    """Make the folder of the black boxes where it is not there.
+def _make_folder(box: Path) -> None:
+    """Make the folder of the black boxes where there is none yet.
 
     Raises:
         BadInput: nothing can be written there.

@@ -40,10 +40,9 @@ _STAMPS_BACK_NS = 5 * NS_PER_S
 _OUTPUTS = ("ship/attitude", "theodolite/pointing")
 _ASLEEP_NS = 5 * NS_PER_S
 
-AFTERWARDS_NS = 10 * NS_PER_S
-"""An output is that of a bag or a simulation where the clock or the truth was there so long before, ns: these may be
-gone when it is shown still."""
-
+_AFTERWARDS_NS = 10 * NS_PER_S
+"""An output belongs to a bag or a simulation when its clock or truth was on the network at most so long before it, ns.
+Both may have left while the output is still shown."""
 
 
 def steady_ns() -> int:
@@ -109,7 +108,7 @@ class TopicReader:
         self._asleep_ns = self._last_take_ns = self._next_discovery_ns = 0
         self._latest_ns: dict[str, int] = {}
         self._output_ns = 0
-        self._truth_ns = self._clock_ns = -AFTERWARDS_NS
+        self._truth_ns = self._clock_ns = -_AFTERWARDS_NS
         self._open()
 
     def take(self) -> Taken:
@@ -141,12 +140,12 @@ class TopicReader:
     @property
     def is_simulated(self) -> bool:
         """Whether the suite's truth is on the network, which no real ship has, or was when it put out what is shown."""
-        return self._output_ns - self._truth_ns < AFTERWARDS_NS
+        return self._output_ns - self._truth_ns < _AFTERWARDS_NS
 
     @property
     def is_played(self) -> bool:
         """Whether somebody sets the time, as the player of a bag does, or did when the suite put out what is shown."""
-        return self._output_ns - self._clock_ns < AFTERWARDS_NS
+        return self._output_ns - self._clock_ns < _AFTERWARDS_NS
 
     @property
     def place(self) -> str:
