@@ -91,6 +91,9 @@ class MachineLimits:
         0.05, doc="largest distance of stamps into the future of the computer's clock", unit="s",
         minimum=0.001, maximum=1e6,
     )
+    require_security: bool = parameter(
+        False, doc="whether a suite is not to start without DDS security, enforced, with the ship's own keystore"
+    )
 
 
 @dataclass(frozen=True)

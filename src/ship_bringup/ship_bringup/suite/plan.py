@@ -1,14 +1,16 @@
 """Which programs a suite consists of: a node for each section of its file, who watches them, and a bag's player."""
 
+import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import executable
+from ship_bags.live.ros_process import executable, is_demanded
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.parameter_yaml import anywhere, full_name, read_sections
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
+from ship_bringup.security.demand import enclave_command
 from ship_bringup.suite.keeper import Program, Role
 from ship_node.parameters.parameter_file import unknown_sections
 from ship_replay.commands.replay import ADAPTERS
@@ -16,7 +18,8 @@ from ship_replay.offline.adapter_chain import AdapterChain, suite_text
 from ship_replay.offline.replay import match_inputs
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
 
-_SAVED_FILES = "alignment_file", "calibration_file"
+SAVED_FILES = "alignment_file", "calibration_file"
+"""Parameters with a file that a node reads at its start and writes now and then."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         BadInput: names the file, the line, the parameter or section, and what was expected; or the bag and what it
             lacks; or a program that is not installed.
     """
-    nodes, warnings = _checked_nodes(path, options.namespace)
+    nodes, warnings = checked_nodes(path, options.namespace)
     chain = AdapterChain([node.adapter for node in nodes])
     packages = {kind.node_name: kind.__module__.partition(".")[0] for kind in ADAPTERS}
     ros = _ros_arguments(options)
@@ -90,10 +93,17 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         programs += _watchers(options, ros)
     if options.bag is not None:
         programs.append(_player(options.bag, chain, options))
-    return Plan(tuple(programs), (*warnings, *_without_saved_file(path, nodes)))
+    if is_demanded(os.environ):
+        programs = [_in_enclave(each, options) for each in programs]
+    return Plan(tuple(programs), (*warnings, *without_saved_file(path, nodes)))
 
 
-def _checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
+def checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
+    """The nodes of a suite file, and what should be said of it.
+
+    Raises:
+        BadInput: see :func:`plan_of`.
+    """
     findings = Findings()
     nodes = check_file(path, ADAPTERS, findings, namespace)
     if findings.errors:
@@ -108,11 +118,17 @@ def _checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[
     return nodes, findings.warnings
 
 
-def _without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
+def without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
+    """Nodes that save nothing, one line each."""
     for node in nodes:
-        for name in _SAVED_FILES:
+        for name in SAVED_FILES:
             if getattr(node.config, name, None) == "":
                 yield f"{path}: {node.adapter.node_name} has no {name}: a restart begins without what it has learned"
+
+
+def _in_enclave(program: Program, options: SuiteOptions) -> Program:
+    """A program with the identity that DDS security gives it."""
+    return replace(program, command=(*enclave_command(options.topic(program.name)), *program.command))
 
 
 def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:
