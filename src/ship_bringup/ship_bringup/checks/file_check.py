@@ -2,6 +2,7 @@
 
 import getpass
 import os
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,6 @@ class PathState:
         what: who names it, with its place.
         is_device: whether it must be there already.
         is_there: whether it is.
-        is_folder: whether it is a folder.
         readable: by this user.
         writable: by this user; where it is not there: whether it can be made.
     """
@@ -32,7 +32,6 @@ class PathState:
     what: str
     is_device: bool
     is_there: bool
-    is_folder: bool
     readable: bool
     writable: bool
 
@@ -81,17 +80,22 @@ def _problem(state: PathState, user: str) -> tuple[str, str]:
 
 
 def _state(path: Path, what: str, is_device: bool = False, makes_parents: bool = False) -> PathState:
-    there = path.exists()
-    if there:
-        folder = path.is_dir()
-        writable = os.access(path, os.W_OK | os.X_OK if folder else os.W_OK)
+    if path.is_dir():
+        return PathState(path, what, is_device, True, os.access(path, os.R_OK), _takes_files(path))
+    if path.exists():
         # A saved file is replaced whole: its folder must take the new one.
-        if not folder and not is_device:
-            writable = writable and os.access(path.parent, os.W_OK | os.X_OK)
-        return PathState(path, what, is_device, True, folder, os.access(path, os.R_OK), writable)
-    above = path.parent
-    if makes_parents:
-        while not above.exists() and above != above.parent:
-            above = above.parent
-    can_be_made = above.is_dir() and os.access(above, os.W_OK | os.X_OK)
-    return PathState(path, what, is_device, False, False, False, can_be_made)
+        writable = os.access(path, os.W_OK) and (is_device or _takes_files(path.parent))
+        return PathState(path, what, is_device, True, os.access(path, os.R_OK), writable)
+    above = path.absolute().parent
+    while makes_parents and not above.exists() and above != above.parent:
+        above = above.parent
+    return PathState(path, what, is_device, False, False, above.is_dir() and _takes_files(above))
+
+
+def _takes_files(folder: Path) -> bool:
+    """Whether a file can be made in a folder: tried with one that has no name and is gone at once."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False

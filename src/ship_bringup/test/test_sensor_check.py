@@ -1,0 +1,87 @@
+"""What was heard of each sensor, judged: one thing wrong at a time."""
+
+import dataclasses
+
+import pytest
+
+from ship_bringup.checks.check_line import Verdict
+from ship_bringup.checks.network_look import HeardTopic, NetworkState, Publisher
+from ship_bringup.checks.sensor_check import judge_sensors, wants_reliable
+from ship_node.edge.topics import InputTopic
+from ship_watch.limits import InputLimits, Limits
+
+IMU = "sensor_msgs/msg/Imu"
+DRIVER = Publisher("/ins_driver", IMU)
+GOOD = HeardTopic(InputTopic("ins/imu", IMU, True, 1000), (DRIVER,), 100.0, 316.0, 500, 0.012)
+LIMITS = Limits(inputs={"ins": InputLimits(rate_hz=90.0)})
+
+
+def judged(limits=LIMITS, reliable=frozenset(), **changes):
+    heard = dataclasses.replace(GOOD, **changes)
+    (row,) = judge_sensors(NetworkState("rmw", heard=(heard,)), limits, {"ins/imu": 2.0}, reliable)
+    return row.verdict, row.found
+
+
+def test_a_good_sensor():
+    assert judged() == (Verdict.OK, "ins/imu: 100 Hz from /ins_driver, stamps 0.012 s old")
+    assert judged(age_s=None) == (Verdict.OK, "ins/imu: 100 Hz from /ins_driver")
+    assert judged(reliable={"ins/imu"})[0] is Verdict.OK
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [({"publishers": ()}, "nobody publishes it"),
+     ({"publishers": (Publisher("/d", "std_msgs/msg/String"),)}, "/d publishes std_msgs/msg/String, expected " + IMU),
+     ({"count": 0}, "/ins_driver publishes it, and no message came"),
+     ({"rate_hz": 89.9}, "expected 90 Hz at least"),
+     ({"rate_hz": float("nan")}, "expected 90 Hz at least"),
+     ({"age_s": -0.051}, "stamps 0.051 s in the future"),
+     ({"age_s": 10.1}, "stamps 10.100 s old"),
+     ({"age_s": 2.1}, "later than lag_s"),
+     ({"age_s": float("nan")}, "stamps nan")],
+)  # fmt: skip
+def test_a_sensor_that_the_suite_cannot_use_fails(changes, told):
+    verdict, found = judged(**changes)
+    assert verdict is Verdict.FAIL
+    assert told in found
+
+
+@pytest.mark.parametrize("age_s", [-0.049, 1.99])
+def test_stamps_just_inside_the_limits(age_s):
+    assert judged(age_s=age_s)[0] is Verdict.OK
+
+
+def test_a_sensor_that_is_neither_required_nor_named_is_a_warning():
+    topic = InputTopic("met/humidity", IMU, required=False, depth=100)
+    assert judged(input=topic, publishers=())[0] is Verdict.WARN
+    assert judged(input=topic, count=0)[0] is Verdict.WARN
+    assert judged(input=dataclasses.replace(topic, named=True), publishers=())[0] is Verdict.FAIL
+
+
+def test_best_effort_does_not_come_where_reliable_is_asked_for():
+    publishers = (dataclasses.replace(DRIVER, is_reliable=False),)
+    assert judged(publishers=publishers)[0] is Verdict.OK
+    verdict, found = judged(publishers=publishers, reliable={"ins/imu"})
+    assert verdict is Verdict.FAIL
+    assert "offers best effort, and the suite file asks for reliable" in found
+
+
+def test_two_publishers_of_one_sensor_are_a_warning():
+    assert judged(publishers=(DRIVER, Publisher("/again", IMU)))[0] is Verdict.WARN
+
+
+def test_a_suite_whose_sensors_could_not_be_heard_fails():
+    (row,) = judge_sensors(NetworkState(failure="no rmw"), LIMITS, {}, frozenset())
+    assert (row.verdict, row.found) == (Verdict.FAIL, "nothing could be heard: no rmw")
+
+
+def test_what_a_suite_file_asks_of_the_quality_of_service(tmp_path):
+    path = tmp_path / "suite.yaml"
+    path.write_text(
+        "/**/ship_attitude:\n  ros__parameters:\n    qos_overrides:\n"
+        "      /demo/ins/imu: {subscription: {reliability: reliable}}\n"
+        "      /demo/gnss/fix: {subscription: {reliability: best_effort}}\n"
+    )
+    topics = ["ins/imu", "gnss/fix", "met/pressure"]
+    assert wants_reliable(path, topics, "demo") == {"ins/imu"}
+    assert wants_reliable(path, topics, "aurora") == frozenset()
