@@ -2,9 +2,11 @@
 
 import dataclasses
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from ship_bringup.checks.check_line import Verdict
 from ship_bringup.checks.security_check import judge_keystore
@@ -258,6 +260,18 @@ def test_locked_policies_and_open_ones_are_told_apart(tmp_path):
     told = [fault.text for fault in keystore_faults(store.path, use(rights=rights_in("demo", True)))]
     assert any("allow more than the code declares: publish of rq/demo/alerts/set_parameters_atomicallyRequest" in text
                for text in told)  # fmt: skip
+
+
+def test_a_file_that_is_signed_by_hand_as_the_page_says(keystore, tmp_path):
+    text, certificate, key = (tmp_path / name for name in ("permissions.xml", "ca.cert.pem", "ca.key.pem"))
+    text.write_text(permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR))
+    keystore.write_certificate(certificate, AUTHORITY.certificate)
+    key.write_bytes(AUTHORITY.key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    out = keystore.folder(NODE) / "permissions.p7s"
+    out.unlink()
+    command = ["openssl", "smime", "-sign", "-text", "-in", text, "-out", out, "-signer", certificate, "-inkey", key]
+    subprocess.run(list(map(str, command)), check=True, capture_output=True)
+    assert keystore_faults(keystore.path, use()) == []
 
 
 def test_faults_come_together(keystore):
