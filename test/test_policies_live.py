@@ -61,7 +61,7 @@ def test_every_program_has_the_rights_to_what_it_has_on_the_network(tmp_path, do
             for kind, has, may in zip(("publishes", "subscribes", "serves", "requests"), found, allowed, strict=True):
                 beyond = [name for name in has if not any(fnmatch.fnmatchcase(name, each) for each in may)]
                 assert not beyond, (program, kind, beyond)
-            if granted.is_node:
+            if granted.is_needed:
                 assert found[0] == granted.publishes
                 assert found[1] == granted.subscribes
                 assert found[2] == granted.serves

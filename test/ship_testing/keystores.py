@@ -38,22 +38,21 @@ def certificate_of(
     subject: str,
     key: ec.EllipticCurvePrivateKey,
     authority: Authority | None = None,
-    first: datetime.datetime = NOW - DAY,
-    last: datetime.datetime = NOW + YEAR,
+    now: datetime.datetime = NOW,
 ) -> x509.Certificate:
     """A certificate of an authority; signed by its own key without one."""
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, subject)])
     issuer = name if authority is None else authority.certificate.subject
     builder = x509.CertificateBuilder().subject_name(name).issuer_name(issuer).public_key(key.public_key())
-    builder = builder.serial_number(x509.random_serial_number()).not_valid_before(first).not_valid_after(last)
+    builder = builder.serial_number(x509.random_serial_number()).not_valid_before(now - DAY).not_valid_after(now + YEAR)
     constraints = x509.BasicConstraints(ca=authority is None, path_length=1 if authority is None else None)
     builder = builder.add_extension(constraints, critical=authority is None)
     return builder.sign(key if authority is None else authority.key, hashes.SHA256())
 
 
-def new_authority(name: str = "sros2CA", last: datetime.datetime = NOW + YEAR) -> Authority:
+def new_authority(name: str = "sros2CA", now: datetime.datetime = NOW) -> Authority:
     key = new_key()
-    return Authority(key, certificate_of(name, key, last=last))
+    return Authority(key, certificate_of(name, key, now=now))
 
 
 def signed(text: str, authority: Authority) -> bytes:
@@ -64,10 +63,10 @@ def signed(text: str, authority: Authority) -> bytes:
 
 
 class Keystore:
-    """A keystore being made; what is written later replaces what was written before."""
+    """A keystore being made at some time; what is written later replaces what was written before."""
 
-    def __init__(self, path: Path, authority: Authority, domain_id: int = 7) -> None:
-        self.path, self.authority, self.domain_id = path, authority, domain_id
+    def __init__(self, path: Path, authority: Authority, domain_id: int = 7, now: datetime.datetime = NOW) -> None:
+        self.path, self.authority, self.domain_id, self.now = path, authority, domain_id, now
 
     def folder(self, enclave: str) -> Path:
         return self.path / "enclaves" / enclave.lstrip("/")
@@ -80,14 +79,14 @@ class Keystore:
             for name in ("identity_ca.cert.pem", "permissions_ca.cert.pem"):
                 self.write_certificate(folder / name, self.authority.certificate)
             key = new_key()
-            self.write_certificate(folder / "cert.pem", certificate_of(rights.enclave, key, self.authority))
+            self.write_certificate(folder / "cert.pem", certificate_of(rights.enclave, key, self.authority, self.now))
             self.write_key(rights.enclave, key)
             self.sign(folder / "governance.p7s", governance_text(self.domain_id))
             self.permit(rights.enclave, rights)
         return self
 
-    def permit(self, enclave: str, rights: Rights, last: datetime.datetime = NOW + YEAR) -> None:
-        text = permissions_text(rights, self.domain_id, NOW - DAY, last)
+    def permit(self, enclave: str, rights: Rights, valid: datetime.timedelta = YEAR) -> None:
+        text = permissions_text(rights, self.domain_id, self.now - DAY, self.now + valid)
         self.sign(self.folder(enclave) / "permissions.p7s", text)
 
     def sign(self, path: Path, text: str, authority: Authority | None = None) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ship_bringup.checks.check_line import Verdict
+from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.clock_check import (
     ClockState,
     arcsec_in_a_turn,
@@ -76,7 +76,7 @@ def test_chrony_as_printed():
     # The manual: clock_error <= |system_time_offset| + root_dispersion + 0.5 x root_delay.
     assert state.bound_s == pytest.approx(1.501e-6 + 0.024780 + 0.5 * 0.373169)
     row = judge_clock(state, Limits())
-    assert row.verdict is Verdict.OK
+    assert row.result is Result.OK
     assert row.found.startswith('chrony: 0.0015 ms off, 0.027" at 5 deg/s (at most 211 ms')
 
 
@@ -87,19 +87,19 @@ def test_the_sign_of_the_offset_is_not_asked_for():
 def test_a_clock_that_follows_nothing_fails_though_its_offset_is_zero():
     state = chrony_state(NEVER_SYNCHRONISED)
     assert (state.offset_s, state.is_synchronised) == (0.0, False)
-    assert judge_clock(state, Limits()).verdict is Verdict.FAIL
+    assert judge_clock(state, Limits()).result is Result.FAIL
 
 
 @pytest.mark.parametrize(
-    ("offset", "verdict", "told"),
-    [("0.000277000", Verdict.OK, '4.99"'), ("0.000278000", Verdict.WARN, '5" at 5 deg/s'),
-     ("0.001000000", Verdict.WARN, '1 ms off, 18"'), ("0.050000000", Verdict.WARN, '900"'),
-     ("0.050100000", Verdict.FAIL, "over machine.clock_offset_s, 50 ms")],
+    ("offset", "result", "told"),
+    [("0.000277000", Result.OK, '4.99"'), ("0.000278000", Result.WARN, '5" at 5 deg/s'),
+     ("0.001000000", Result.WARN, '1 ms off, 18"'), ("0.050000000", Result.WARN, '900"'),
+     ("0.050100000", Result.FAIL, "over machine.clock_offset_s, 50 ms")],
 )  # fmt: skip
-def test_the_offset_is_held_against_the_heading_and_the_stamps(offset, verdict, told):
+def test_the_offset_is_held_against_the_heading_and_the_stamps(offset, result, told):
     """5 arcsec, the limit of the heading, are 0.2778 ms at 5 deg/s."""
     row = judge_clock(chrony_state(CHRONY.replace("0.000001501", offset)), Limits())
-    assert row.verdict is verdict
+    assert row.result is result
     assert told in row.found
 
 
@@ -107,12 +107,12 @@ def test_ptp_as_printed():
     state = ptp_state(PTP)
     assert (state.source, state.is_synchronised) == ("PTP", True)
     assert state.offset_s == pytest.approx(310e-9)
-    assert judge_clock(state, Limits()).verdict is Verdict.OK
+    assert judge_clock(state, Limits()).result is Result.OK
     assert ptp_state(PTP.replace(" 310", " -310")).offset_s == pytest.approx(310e-9)
 
 
 def test_a_ptp_without_a_grandmaster_fails():
-    assert judge_clock(ptp_state(PTP.replace("true", "false")), Limits()).verdict is Verdict.FAIL
+    assert judge_clock(ptp_state(PTP.replace("true", "false")), Limits()).result is Result.FAIL
 
 
 @pytest.mark.parametrize("text", ["", "506 Cannot talk to daemon", PTP, CHRONY[:100], CHRONY.replace("0.0000", "x")])
@@ -126,7 +126,7 @@ def test_what_is_not_pmcs_text_says_nothing(text):
 
 
 def test_an_offset_that_is_no_number_fails():
-    assert judge_clock(ClockState("chrony", math.nan, math.nan, True), Limits()).verdict is Verdict.FAIL
+    assert judge_clock(ClockState("chrony", math.nan, math.nan, True), Limits()).result is Result.FAIL
 
 
 def program(folder: Path, name: str, text: str, code: int = 0):
@@ -140,7 +140,7 @@ def test_chrony_is_asked_first_then_ptp_and_neither_is_a_warning(tmp_path, monke
     (tmp_path / "cat").symlink_to(shutil.which("cat"))
     monkeypatch.setenv("PATH", str(tmp_path))
     row = judge_clock(look_at_clock(), Limits())
-    assert (row.verdict, row.found) == (Verdict.WARN, "neither chrony nor PTP: no chronyc, no pmc")
+    assert (row.result, row.found) == (Result.WARN, "neither chrony nor PTP: no chronyc, no pmc")
     assert row.advice.startswith("set up chrony")
     program(tmp_path, "chronyc", "506 Cannot talk to daemon\n", 1)
     assert look_at_clock().detail == "chronyc says: 506 Cannot talk to daemon, no pmc"

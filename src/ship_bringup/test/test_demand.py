@@ -1,15 +1,19 @@
 """A demand for DDS security fails closed: whatever is missing, or cannot be told, is told and nothing starts."""
 
+import datetime
+import shutil
 from pathlib import Path
 
 import pytest
 
 from ship_bags.errors import BadInput
 from ship_bags.live.ros_process import dds_has_security, loaded_libraries
-from ship_bringup.checks.check_line import CheckLine, Verdict, bounded, exit_code, table
+from ship_bringup.checks.check_line import CheckLine, Result, bounded, exit_code, table
 from ship_bringup.checks.security_check import judge_keystore, judge_security
 from ship_bringup.security.demand import enclave_command, require_profile, shortcomings
-from ship_bringup.suite.plan import SuiteOptions, plan_of
+from ship_bringup.security.rights import suite_rights
+from ship_bringup.suite.plan import SuiteOptions, checked_nodes, plan_of
+from ship_testing.keystores import Keystore, new_authority
 from ship_watch.limits import Limits, MachineLimits, read_limits
 
 ROOT = Path(__file__).parents[3]
@@ -33,7 +37,7 @@ def test_nothing_is_missing_where_all_is_there(good, monkeypatch):
     assert shortcomings(good, True) == []
     set_to(monkeypatch, good)
     require_profile(REQUIRED, Path("ship.yaml"), True)
-    assert [row.verdict for row in judge_security(good, True, True)] == [Verdict.OK]
+    assert [row.result for row in judge_security(good, True, True)] == [Result.OK]
 
 
 BAD = [
@@ -77,39 +81,67 @@ def test_the_profile_is_a_key_of_the_ships_limits():
         read_limits("machine: {require_security: 1.5}\n")
 
 
-@pytest.mark.parametrize(("required", "verdict"), [(True, Verdict.FAIL), (False, Verdict.WARN)])
-def test_no_security_fails_only_where_it_is_required(required, verdict):
+@pytest.mark.parametrize(("required", "result"), [(True, Result.FAIL), (False, Result.WARN)])
+def test_no_security_fails_only_where_it_is_required(required, result):
     rows = list(judge_security({}, False, required))
-    assert {row.verdict for row in rows} == {verdict}
+    assert {row.result for row in rows} == {result}
     assert len(rows) == (4 if required else 1)
 
 
 def test_what_the_environment_demands_is_required_too():
-    assert {row.verdict for row in judge_security({"ROS_SECURITY_ENABLE": "1"}, False, False)} == {Verdict.FAIL}
+    assert {row.result for row in judge_security({"ROS_SECURITY_ENABLE": "1"}, False, False)} == {Result.FAIL}
 
 
 def test_no_keystore_fails_where_security_is_required():
-    assert [row.verdict for row in judge_keystore("", None, True)] == [Verdict.FAIL]
+    assert [row.result for row in judge_keystore("", None, True)] == [Result.FAIL]
 
 
-def test_every_program_of_a_secured_suite_has_an_enclave_of_its_own(good, monkeypatch):
-    def commands():
-        options = SuiteOptions(namespace="demo", monitor=True, bag=ROOT / "bags" / "demo.mcap")
-        return {p.name: p.command for p in plan_of(ROOT / "examples" / "two_sensors.yaml", options).programs}
+def programs(**options):
+    plan = plan_of(ROOT / "examples" / "two_sensors.yaml", SuiteOptions(namespace="demo", monitor=True, **options))
+    return {program.name: program.command for program in plan.programs}, plan.warnings
 
+
+def keystore_for_now(path, **options):
+    nodes, _ = checked_nodes(ROOT / "examples" / "two_sensors.yaml", "demo")
+    now = datetime.datetime.now(datetime.timezone.utc)
+    store = Keystore(path, new_authority(now=now), 7, now)
+    return store.add(suite_rights([node.adapter for node in nodes], "demo", **options))
+
+
+def test_every_program_of_a_secured_suite_has_an_enclave_of_its_own(tmp_path, good, monkeypatch):
     set_to(monkeypatch, {})
-    plain = commands()
-    set_to(monkeypatch, good)
-    secured = commands()
+    options = {"bag": ROOT / "bags" / "demo.mcap"}
+    plain, warnings = programs(**options)
+    store = keystore_for_now(tmp_path / "keystore", played=True)
+    set_to(monkeypatch, {**good, "ROS_SECURITY_KEYSTORE": str(store.path)})
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    secured, told = programs(**options)
+    assert told == warnings
     assert set(plain) == {"ship_attitude", "monitor", "alerts", "play"}
     for name, command in plain.items():
         assert secured[name] == (*enclave_command(f"/demo/{name}"), *command)
     assert enclave_command("/demo/x") == ("/usr/bin/env", "ROS_SECURITY_ENCLAVE_OVERRIDE=/demo/x")
 
 
+def test_a_secured_suite_needs_the_enclave_of_each_program_and_the_ships_authority(tmp_path, good, monkeypatch):
+    store = keystore_for_now(tmp_path / "keystore", locked=True)
+    set_to(monkeypatch, {**good, "ROS_SECURITY_KEYSTORE": str(store.path)})
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    assert len(programs()[1]) == 1  # of the file that the node has not
+    limits = tmp_path / "ship.yaml"
+    limits.write_text(f"machine: {{authority_sha256: '{'0' * 64}'}}\n")
+    with pytest.raises(BadInput, match=r"an authority of another ship: .*: not started"):
+        programs(limits=limits)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "8")
+    assert len(programs()[1]) > 1
+    shutil.rmtree(store.folder("/demo/monitor"))
+    with pytest.raises(BadInput, match=r"/demo/monitor: has no identity_ca"):
+        programs()
+
+
 def test_the_table_tells_the_worst_first_and_counts_the_rest():
-    lines = [CheckLine("disk", Verdict.OK, "good"), *(CheckLine("disk", Verdict.WARN, f"{n}") for n in range(20))]
-    lines.append(CheckLine("disk", Verdict.FAIL, "full\nand over", "free some"))
+    lines = [CheckLine("disk", Result.OK, "good"), *(CheckLine("disk", Result.WARN, f"{n}") for n in range(20))]
+    lines.append(CheckLine("disk", Result.FAIL, "full\nand over", "free some"))
     shown = bounded(lines)
     assert (len(shown), shown[0].found, shown[-1].found) == (12, "full\nand over", "and 11 more")
     text = table(shown)
@@ -119,8 +151,8 @@ def test_the_table_tells_the_worst_first_and_counts_the_rest():
 
 
 @pytest.mark.parametrize(
-    ("verdicts", "code"),
-    [([Verdict.OK], 0), ([Verdict.OK, Verdict.WARN, Verdict.NOT_CHECKED], 0), ([Verdict.WARN, Verdict.FAIL], 1)],
+    ("results", "code"),
+    [([Result.OK], 0), ([Result.OK, Result.WARN, Result.NOT_CHECKED], 0), ([Result.WARN, Result.FAIL], 1)],
 )
-def test_the_exit_code(verdicts, code):
-    assert exit_code(CheckLine("clock", verdict, "") for verdict in verdicts) == code
+def test_the_exit_code(results, code):
+    assert exit_code(CheckLine("clock", result, "") for result in results) == code

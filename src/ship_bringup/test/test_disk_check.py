@@ -7,7 +7,7 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
-from ship_bringup.checks.check_line import Verdict
+from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.disk_check import DiskState, judge_disk, look_at_disk, night_bytes
 from ship_bringup.checks.network_look import HeardTopic
 from ship_node.edge.topics import InputTopic
@@ -88,20 +88,20 @@ def test_a_faster_ins_needs_more():
 
 
 @pytest.mark.parametrize(
-    ("free_gb", "verdict"), [(30.1, Verdict.OK), (29.9, Verdict.WARN), (20.1, Verdict.WARN), (19.9, Verdict.FAIL)]
+    ("free_gb", "result"), [(30.1, Result.OK), (29.9, Result.WARN), (20.1, Result.WARN), (19.9, Result.FAIL)]
 )
-def test_what_is_free_against_what_is_needed_and_what_is_to_be_left(free_gb, verdict):
+def test_what_is_free_against_what_is_needed_and_what_is_to_be_left(free_gb, result):
     """20 GB in 10 h, and 10 GB to be left."""
     limits = Limits(machine=MachineLimits(disk_free_gb=10.0))
     state = DiskState(Path("/box"), 1, round(free_gb * GB))
     (row,) = judge_disk(state, 20.0 * GB / (10.0 * HOUR_S), 10.0, limits)
-    assert row.verdict is verdict
+    assert row.result is result
     assert "10 h need 20.0 GB" in row.found
 
 
 def test_a_disk_that_cannot_be_asked_fails():
     (row,) = judge_disk(DiskState(Path("/box"), None, None), 1.0, 1.0, Limits())
-    assert row.verdict is Verdict.FAIL
+    assert row.result is Result.FAIL
 
 
 def test_a_folder_that_is_not_there_yet_lies_on_the_disk_above_it(tmp_path):

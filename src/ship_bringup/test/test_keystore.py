@@ -2,15 +2,18 @@
 
 import dataclasses
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from ship_bringup.checks.check_line import Verdict
+from ship_bags.errors import BadInput
+from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.security_check import judge_keystore
-from ship_bringup.security.keystore import KeystoreUse, keystore_faults
+from ship_bringup.security.keystore import KeystoreUse, keystore_faults, require_keystore
 from ship_bringup.security.policy_xml import governance_text, permissions_text
 from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import checked_nodes
@@ -51,7 +54,7 @@ def only(faults):
 def test_a_good_keystore_has_no_fault(keystore):
     assert keystore_faults(keystore.path, use()) == []
     rows = list(judge_keystore(str(keystore.path), use(), True))
-    assert [(row.check, row.verdict) for row in rows] == [("keystore", Verdict.OK), ("policies", Verdict.OK)]
+    assert [(row.check, row.result) for row in rows] == [("keystore", Result.OK), ("policies", Result.OK)]
     assert "2 enclaves" in rows[0].found
 
 
@@ -84,6 +87,42 @@ def test_an_authority_of_the_same_name_and_another_key_is_another_one(keystore):
     keystore.write_certificate(keystore.folder(NODE) / "cert.pem", certificate_of(NODE, key, namesake))
     keystore.write_key(NODE, key)
     assert "not signed by" in only(keystore_faults(keystore.path, use())).text
+
+
+def test_a_whole_enclave_of_another_ship_by_the_authority_that_it_brings(keystore, tmp_path):
+    """In itself it is good: certificate, key, signatures and name fit one another."""
+    other = Keystore(tmp_path / "other", OTHER_AUTHORITY, DOMAIN).add(USED)
+    monitor = keystore.folder("/demo/monitor")
+    shutil.rmtree(monitor)
+    shutil.copytree(other.folder("/demo/monitor"), monitor)
+    ours, theirs = (each.certificate.fingerprint(hashes.SHA256()).hex() for each in (AUTHORITY, OTHER_AUTHORITY))
+    fault = only(keystore_faults(keystore.path, use()))
+    told = f"an authority of another ship: its SHA-256 is {theirs}, expected {ours}, as in {keystore.folder(NODE)}"
+    assert fault.text == f"{monitor}/identity_ca.cert.pem: {told}/identity_ca.cert.pem"
+
+
+def test_a_whole_keystore_of_a_ship_of_the_same_name_by_what_the_limits_tell(keystore):
+    told = AUTHORITY.certificate.fingerprint(hashes.SHA256()).hex(":").upper()
+    assert keystore_faults(keystore.path, use(authority_sha256=told)) == []
+    other = OTHER_AUTHORITY.certificate.fingerprint(hashes.SHA256()).hex()
+    faults = keystore_faults(keystore.path, use(authority_sha256=other))
+    assert len(faults) == len(USED)
+    assert all(f"expected {other}, as in machine.authority_sha256" in fault.text for fault in faults)
+
+
+def test_a_suite_does_not_start_with_a_keystore_of_another_ship(tmp_path):
+    other = Keystore(tmp_path / "keystore", OTHER_AUTHORITY, DOMAIN).add(rights_in("aurora")[:2])
+    told = r"/enclaves: a keystore of another ship: it has /aurora/alerts, .*: not started; set ROS_SECURITY_KEYSTORE"
+    with pytest.raises(BadInput, match=told) as refused:
+        require_keystore(other.path, use())
+    assert "\n" not in str(refused.value)
+
+
+def test_a_suite_starts_with_an_old_policy_and_says_so(keystore):
+    assert require_keystore(keystore.path, use()) == []
+    keystore.permit(NODE, dataclasses.replace(OF_NODE, declared=()))
+    (text,) = require_keystore(keystore.path, use())
+    assert "are older than the code" in text
 
 
 def test_permissions_of_another_ship_name_file_line_key_and_what_was_expected(keystore):
@@ -137,7 +176,7 @@ def test_dates_of_certificates_and_permissions(keystore, later, told, is_error):
 
 
 def test_permissions_may_end_before_the_certificate(keystore):
-    keystore.permit(NODE, OF_NODE, last=NOW + 2 * DAY)
+    keystore.permit(NODE, OF_NODE, 2 * DAY)
     fault = only(keystore_faults(keystore.path, use()))
     assert "permissions.p7s: not_after 2026-06-03 is in 2.0 days" in fault.text
 
@@ -276,7 +315,7 @@ def test_a_file_that_is_signed_by_hand_as_the_page_says(keystore, tmp_path):
 
 def test_faults_come_together(keystore):
     keystore.write_key(NODE, new_key(), mode=0o644)
-    keystore.permit(NODE, OF_NODE, last=NOW - DAY)
+    keystore.permit(NODE, OF_NODE, -DAY / 2)
     (keystore.folder("/demo/monitor") / "cert.pem").write_text("rubbish")
     texts = " ".join(fault.text for fault in keystore_faults(keystore.path, use(domain_id=8)))
     for part in ("mode 644", "is not the key of", "is over", "no rule for domain 8", "is no certificate"):
@@ -286,13 +325,13 @@ def test_faults_come_together(keystore):
 def test_without_openssl_a_keystore_is_not_checked_and_has_failed_where_it_is_required(keystore, monkeypatch):
     monkeypatch.setenv("PATH", "/nonexistent")
     (row,) = judge_keystore(str(keystore.path), use(), False)
-    assert (row.verdict, row.advice) == (Verdict.NOT_CHECKED, "sudo apt install openssl")
+    assert (row.result, row.advice) == (Result.NOT_CHECKED, "sudo apt install openssl")
     (row,) = judge_keystore(str(keystore.path), use(), True)
-    assert row.verdict is Verdict.FAIL
+    assert row.result is Result.FAIL
 
 
 def test_rows_of_a_bad_keystore_fail(keystore):
     keystore.permit(NODE, dataclasses.replace(OF_NODE, publishes=frozenset()))
     (keystore.folder("/demo/monitor") / "key.pem").chmod(0o644)
     rows = list(judge_keystore(str(keystore.path), use(), False))
-    assert {(row.check, row.verdict) for row in rows} == {("keystore", Verdict.FAIL), ("policies", Verdict.FAIL)}
+    assert {(row.check, row.result) for row in rows} == {("keystore", Result.FAIL), ("policies", Result.FAIL)}

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from ship_bringup.checks.check_line import Verdict
+from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.network_look import HeardTopic, NetworkState, Publisher
 from ship_bringup.checks.sensor_check import judge_sensors, wants_reliable
 from ship_node.edge.topics import InputTopic
@@ -19,13 +19,13 @@ LIMITS = Limits(inputs={"ins": InputLimits(rate_hz=90.0)})
 def judged(limits=LIMITS, reliable=frozenset(), **changes):
     heard = dataclasses.replace(GOOD, **changes)
     (row,) = judge_sensors(NetworkState("rmw", heard=(heard,)), limits, {"ins/imu": 2.0}, reliable)
-    return row.verdict, row.found
+    return row.result, row.found
 
 
 def test_a_good_sensor():
-    assert judged() == (Verdict.OK, "ins/imu: 100 Hz from /ins_driver, stamps 0.012 s old")
-    assert judged(age_s=None) == (Verdict.OK, "ins/imu: 100 Hz from /ins_driver")
-    assert judged(reliable={"ins/imu"})[0] is Verdict.OK
+    assert judged() == (Result.OK, "ins/imu: 100 Hz from /ins_driver, stamps 0.012 s old")
+    assert judged(age_s=None) == (Result.OK, "ins/imu: 100 Hz from /ins_driver")
+    assert judged(reliable={"ins/imu"})[0] is Result.OK
 
 
 @pytest.mark.parametrize(
@@ -41,38 +41,38 @@ def test_a_good_sensor():
      ({"age_s": float("nan")}, "stamps nan")],
 )  # fmt: skip
 def test_a_sensor_that_the_suite_cannot_use_fails(changes, told):
-    verdict, found = judged(**changes)
-    assert verdict is Verdict.FAIL
+    result, found = judged(**changes)
+    assert result is Result.FAIL
     assert told in found
 
 
 @pytest.mark.parametrize("age_s", [-0.049, 1.99])
 def test_stamps_just_inside_the_limits(age_s):
-    assert judged(age_s=age_s)[0] is Verdict.OK
+    assert judged(age_s=age_s)[0] is Result.OK
 
 
 def test_a_sensor_that_is_neither_required_nor_named_is_a_warning():
     topic = InputTopic("met/humidity", IMU, required=False, depth=100)
-    assert judged(input=topic, publishers=())[0] is Verdict.WARN
-    assert judged(input=topic, count=0)[0] is Verdict.WARN
-    assert judged(input=dataclasses.replace(topic, named=True), publishers=())[0] is Verdict.FAIL
+    assert judged(input=topic, publishers=())[0] is Result.WARN
+    assert judged(input=topic, count=0)[0] is Result.WARN
+    assert judged(input=dataclasses.replace(topic, named=True), publishers=())[0] is Result.FAIL
 
 
 def test_best_effort_does_not_come_where_reliable_is_asked_for():
     publishers = (dataclasses.replace(DRIVER, is_reliable=False),)
-    assert judged(publishers=publishers)[0] is Verdict.OK
-    verdict, found = judged(publishers=publishers, reliable={"ins/imu"})
-    assert verdict is Verdict.FAIL
+    assert judged(publishers=publishers)[0] is Result.OK
+    result, found = judged(publishers=publishers, reliable={"ins/imu"})
+    assert result is Result.FAIL
     assert "offers best effort, and the suite file asks for reliable" in found
 
 
 def test_two_publishers_of_one_sensor_are_a_warning():
-    assert judged(publishers=(DRIVER, Publisher("/again", IMU)))[0] is Verdict.WARN
+    assert judged(publishers=(DRIVER, Publisher("/again", IMU)))[0] is Result.WARN
 
 
 def test_a_suite_whose_sensors_could_not_be_heard_fails():
     (row,) = judge_sensors(NetworkState(failure="no rmw"), LIMITS, {}, frozenset())
-    assert (row.verdict, row.found) == (Verdict.FAIL, "nothing could be heard: no rmw")
+    assert (row.result, row.found) == (Result.FAIL, "nothing could be heard: no rmw")
 
 
 def test_what_a_suite_file_asks_of_the_quality_of_service(tmp_path):

@@ -12,7 +12,7 @@ MOST_ROWS = 12
 """Of one check no more rows are shown than this; the others are counted."""
 
 
-class Verdict(Enum):
+class Result(Enum):
     """What a row means, from good to bad."""
 
     OK = "OK"
@@ -21,7 +21,7 @@ class Verdict(Enum):
     FAIL = "FAIL"
 
 
-_ORDER = (Verdict.FAIL, Verdict.WARN, Verdict.NOT_CHECKED, Verdict.OK)
+_ORDER = (Result.FAIL, Result.WARN, Result.NOT_CHECKED, Result.OK)
 
 
 @dataclass(frozen=True)
@@ -30,20 +30,20 @@ class CheckLine:
 
     Attributes:
         check: which check it is of.
-        verdict: how it went.
+        result: how it went.
         found: what was found.
         advice: what to do; empty where there is nothing to do.
     """
 
     check: str
-    verdict: Verdict
+    result: Result
     found: str
     advice: str = ""
 
 
 def table(lines: Sequence[CheckLine]) -> list[str]:
     """The rows as lines of text; what to do stands below what was found."""
-    shown = in_columns([("check", "result", "found"), *((x.check, x.verdict.value, one_line(x.found)) for x in lines)])
+    shown = in_columns([("check", "result", "found"), *((x.check, x.result.value, one_line(x.found)) for x in lines)])
     indent = shown[0].index("found")
     text = shown[:1]
     for row, line in zip(shown[1:], lines, strict=True):
@@ -55,13 +55,13 @@ def table(lines: Sequence[CheckLine]) -> list[str]:
 
 def bounded(lines: Iterable[CheckLine]) -> list[CheckLine]:
     """The worst rows of one check first, each once, and how many more there are."""
-    ordered = sorted(dict.fromkeys(lines), key=lambda line: _ORDER.index(line.verdict))
+    ordered = sorted(dict.fromkeys(lines), key=lambda line: _ORDER.index(line.result))
     if len(ordered) <= MOST_ROWS:
         return ordered
     rest = ordered[MOST_ROWS - 1 :]
-    return [*ordered[: MOST_ROWS - 1], CheckLine(rest[0].check, rest[0].verdict, f"and {len(rest)} more")]
+    return [*ordered[: MOST_ROWS - 1], CheckLine(rest[0].check, rest[0].result, f"and {len(rest)} more")]
 
 
 def exit_code(lines: Iterable[CheckLine]) -> int:
     """0 where no check failed, else 1."""
-    return EXIT_BOUND_NOT_MET if any(line.verdict is Verdict.FAIL for line in lines) else EXIT_DONE
+    return EXIT_BOUND_NOT_MET if any(line.result is Result.FAIL for line in lines) else EXIT_DONE

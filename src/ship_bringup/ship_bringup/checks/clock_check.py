@@ -10,7 +10,7 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 
-from ship_bringup.checks.check_line import CheckLine, Verdict
+from ship_bringup.checks.check_line import CheckLine, Result
 from ship_watch.limits import Limits
 
 TURN_DEG_PER_S = 5.0
@@ -92,20 +92,20 @@ def ptp_state(text: str) -> ClockState | None:
 def judge_clock(state: ClockState, limits: Limits) -> CheckLine:
     """Hold the clock against the ship's limits: FAIL over the limit of stamps, WARN over that of the heading."""
     if not state.source:
-        return CheckLine(_CHECK, Verdict.WARN, f"neither chrony nor PTP: {state.detail}", _TO_DO)
+        return CheckLine(_CHECK, Result.WARN, f"neither chrony nor PTP: {state.detail}", _TO_DO)
     if not state.is_synchronised:
-        return CheckLine(_CHECK, Verdict.FAIL, f"{state.source} is not synchronised ({state.detail})", _TO_DO)
+        return CheckLine(_CHECK, Result.FAIL, f"{state.source} is not synchronised ({state.detail})", _TO_DO)
     turn_arcsec = arcsec_in_a_turn(state.offset_s)
     found = f"{state.source}: {state.offset_s * 1e3:.3g} ms off, {turn_arcsec:.3g}\" at {TURN_DEG_PER_S:g} deg/s"
     if math.isfinite(state.bound_s):
         found += f" (at most {state.bound_s * 1e3:.3g} ms, {arcsec_in_a_turn(state.bound_s):.3g}\")"
     if not state.offset_s <= limits.machine.clock_offset_s:
         over = f"over machine.clock_offset_s, {limits.machine.clock_offset_s * 1e3:g} ms"
-        return CheckLine(_CHECK, Verdict.FAIL, f"{found}: {over}", "wait until it has settled: chronyc waitsync")
+        return CheckLine(_CHECK, Result.FAIL, f"{found}: {over}", "wait until it has settled: chronyc waitsync")
     if not turn_arcsec <= limits.heading_arcsec:
         advice = "wait until it has settled, or take a nearer source: a GNSS receiver with PPS"
-        return CheckLine(_CHECK, Verdict.WARN, f"{found}: over heading_arcsec, {limits.heading_arcsec:g}\"", advice)
-    return CheckLine(_CHECK, Verdict.OK, found)
+        return CheckLine(_CHECK, Result.WARN, f"{found}: over heading_arcsec, {limits.heading_arcsec:g}\"", advice)
+    return CheckLine(_CHECK, Result.OK, found)
 
 
 def arcsec_in_a_turn(offset_s: float) -> float:

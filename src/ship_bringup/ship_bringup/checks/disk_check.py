@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ship_bringup.checks.check_line import CheckLine, Verdict
+from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.checks.network_look import HeardTopic
 from ship_node.edge.adapter import Adapter
 from ship_watch.limits import Limits
@@ -92,17 +92,17 @@ def judge_disk(state: DiskState, needs_bytes_per_s: float, hours: float, limits:
     needs = f"{hours:g} h need {need_gb:.1f} GB"
     advice = "free some, or record elsewhere"
     if state.free_bytes is None:
-        yield CheckLine(_CHECK, Verdict.FAIL, f"{state.folder}: cannot be asked how much is free; {needs}", "mount it")
+        yield CheckLine(_CHECK, Result.FAIL, f"{state.folder}: cannot be asked how much is free; {needs}", "mount it")
         return
     free_gb = state.free_bytes / _GB
     found = f"{state.folder}: {free_gb:.1f} GB free, {needs}"
     if not free_gb >= need_gb:
-        yield CheckLine(_CHECK, Verdict.FAIL, found, advice)
+        yield CheckLine(_CHECK, Result.FAIL, found, advice)
     elif not free_gb - need_gb >= limits.machine.disk_free_gb:
         left = f"{found}: less than machine.disk_free_gb, {limits.machine.disk_free_gb:g}, would be left"
-        yield CheckLine(_CHECK, Verdict.WARN, left, advice)
+        yield CheckLine(_CHECK, Result.WARN, left, advice)
     else:
-        yield CheckLine(_CHECK, Verdict.OK, found)
+        yield CheckLine(_CHECK, Result.OK, found)
 
 
 def _stream_bytes(topic: str, streams: Mapping[str, tuple[float, float]]) -> float:

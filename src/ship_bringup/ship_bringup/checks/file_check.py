@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, read_sections
-from ship_bringup.checks.check_line import CheckLine, Verdict
+from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.suite.plan import SAVED_FILES
 
 _CHECK = "files"
@@ -58,13 +58,13 @@ def judge_files(states: Sequence[PathState], without: Sequence[str]) -> Iterator
     """
     user = getpass.getuser()
     for text in without:
-        yield CheckLine(_CHECK, Verdict.WARN, text, "give it a file: docs/how-to/bring_up.md")
+        yield CheckLine(_CHECK, Result.WARN, text, "give it a file: docs/how-to/bring_up.md")
     for state in states:
         problem, advice = _problem(state, user)
-        verdict = Verdict.FAIL if problem else Verdict.OK
-        yield CheckLine(_CHECK, verdict, f"{state.what} {state.path}: {problem or 'good'}", advice)
+        result = Result.FAIL if problem else Result.OK
+        yield CheckLine(_CHECK, result, f"{state.what} {state.path}: {problem or 'good'}", advice)
     if not states and not without:
-        yield CheckLine(_CHECK, Verdict.OK, "the suite file names no file and no device")
+        yield CheckLine(_CHECK, Result.OK, "the suite file names no file and no device")
 
 
 def _problem(state: PathState, user: str) -> tuple[str, str]:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from ship_bags.parameter_yaml import full_name, read_sections
-from ship_bringup.checks.check_line import CheckLine, Verdict
+from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.checks.network_look import HeardTopic, NetworkState
 from ship_node.edge.input_record import MAX_AGE_S
 from ship_watch.limits import Limits
@@ -41,43 +41,43 @@ def judge_sensors(
     if state.failure:
         # A suite whose sensors nobody has heard is not ready, whatever the reason.
         found = f"nothing could be heard: {state.failure}"
-        yield CheckLine(_CHECK, Verdict.FAIL, found, "set right what the other rows tell, then again")
+        yield CheckLine(_CHECK, Result.FAIL, found, "set right what the other rows tell, then again")
         return
     for heard in state.heard:
-        verdict, found, advice = _judged(heard, limits, lags_s, heard.input.topic in reliable)
-        yield CheckLine(_CHECK, verdict, f"{heard.input.topic}: {found}", advice)
+        result, found, advice = _judged(heard, limits, lags_s, heard.input.topic in reliable)
+        yield CheckLine(_CHECK, result, f"{heard.input.topic}: {found}", advice)
 
 
 def _judged(
     heard: HeardTopic, limits: Limits, lags_s: Mapping[str, float], is_reliable_wanted: bool
-) -> tuple[Verdict, str, str]:
+) -> tuple[Result, str, str]:
     topic = heard.input.topic
-    needed = Verdict.FAIL if heard.input.required or heard.input.named else Verdict.WARN
+    needed = Result.FAIL if heard.input.required or heard.input.named else Result.WARN
     if not heard.publishers:
         return needed, "nobody publishes it", "start its driver, or remap its topic to this name"
     of_type = [each for each in heard.publishers if each.type_name == heard.input.type_name]
     who = ", ".join(sorted({each.node for each in heard.publishers}))
     if not of_type:
         other = heard.publishers[0].type_name
-        return Verdict.FAIL, f"{who} publishes {other}, expected {heard.input.type_name}", "change the driver or remap"
+        return Result.FAIL, f"{who} publishes {other}, expected {heard.input.type_name}", "change the driver or remap"
     if is_reliable_wanted and not all(each.is_reliable for each in of_type):
         found = f"{who} offers best effort, and the suite file asks for reliable: nothing will come"
-        return Verdict.FAIL, found, "let the driver publish reliably, or take qos_overrides out"
+        return Result.FAIL, found, "let the driver publish reliably, or take qos_overrides out"
     if not heard.count:
         return needed, f"{who} publishes it, and no message came", "is the device on? for slow ones: a longer --listen"
     found = f"{heard.rate_hz:.3g} Hz from {who}"
     least_hz = limits.of_input(source_of_topic(topic)).rate_hz
     if not heard.rate_hz >= least_hz:
-        return Verdict.FAIL, f"{found}: expected {least_hz:g} Hz at least", "look at the device and the network"
+        return Result.FAIL, f"{found}: expected {least_hz:g} Hz at least", "look at the device and the network"
     if heard.age_s is not None:
         found += f", stamps {_age_words(heard.age_s)}"
         if not -limits.machine.clock_offset_s <= heard.age_s <= MAX_AGE_S:
-            return Verdict.FAIL, found, "set the clock of the device, or of this computer: nodes will refuse them"
+            return Result.FAIL, found, "set the clock of the device, or of this computer: nodes will refuse them"
         if not heard.age_s <= lags_s.get(topic, MAX_AGE_S):
-            return Verdict.FAIL, f"{found}: later than lag_s", "look at delays on the way, or raise lag_s"
+            return Result.FAIL, f"{found}: later than lag_s", "look at delays on the way, or raise lag_s"
     if len(heard.publishers) > 1:
-        return Verdict.WARN, f"{found}: {len(heard.publishers)} publishers", "one device, one publisher: end the others"
-    return Verdict.OK, found, ""
+        return Result.WARN, f"{found}: {len(heard.publishers)} publishers", "one device, one publisher: end the others"
+    return Result.OK, found, ""
 
 
 def _age_words(age_s: float) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.live.ros_process import namespace_name
 from ship_bags.output_files import add_force, check_folder, write_whole
-from ship_bringup.checks.domain_check import DOMAIN, domain_of
+from ship_bringup.security.demand import DOMAIN, LAST_DOMAIN, domain_of
 from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text
 from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import checked_nodes
@@ -81,8 +81,8 @@ def _policies(options: argparse.Namespace) -> int:
 
 
 def _domain(text: str) -> int:
-    if not text.isascii() or not text.isdigit() or int(text) > 232:
-        raise argparse.ArgumentTypeError(f"{text} is no domain of ROS: expected 0 to 232")
+    if not text.isascii() or not text.isdigit() or int(text) > LAST_DOMAIN:
+        raise argparse.ArgumentTypeError(f"{text} is no domain of ROS: expected 0 to {LAST_DOMAIN}")
     return int(text)
 
 

@@ -17,15 +17,15 @@ from ship_bags.live.ros_process import (
     positive,
 )
 from ship_bags.parameter_yaml import full_name
-from ship_bringup.checks.check_line import CheckLine, Verdict, bounded, exit_code, table
+from ship_bringup.checks.check_line import CheckLine, Result, bounded, exit_code, table
 from ship_bringup.checks.clock_check import judge_clock, look_at_clock
 from ship_bringup.checks.disk_check import judge_disk, look_at_disk, night_bytes
-from ship_bringup.checks.domain_check import domain_of, judge_domain, judge_settings
+from ship_bringup.checks.domain_check import judge_domain, judge_settings
 from ship_bringup.checks.file_check import judge_files, look_at_files
 from ship_bringup.checks.network_look import NetworkState, look_at_network
 from ship_bringup.checks.security_check import judge_keystore, judge_security
 from ship_bringup.checks.sensor_check import judge_sensors, wants_reliable
-from ship_bringup.security.demand import KEYSTORE
+from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
 from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import without_saved_file
@@ -109,19 +109,19 @@ def _preflight(options: argparse.Namespace) -> int:
     checks += [_files(suite), _sensors(suite, network)]
     lines = [line for check in checks for line in bounded(check)]
     print("\n".join(table(lines)))
-    counts = {verdict: sum(line.verdict is verdict for line in lines) for verdict in (Verdict.FAIL, Verdict.WARN)}
-    print(f"{options.file}: failed: {counts[Verdict.FAIL]}, warnings: {counts[Verdict.WARN]}")
+    counts = {result: sum(line.result is result for line in lines) for result in (Result.FAIL, Result.WARN)}
+    print(f"{options.file}: failed: {counts[Result.FAIL]}, warnings: {counts[Result.WARN]}")
     return exit_code(lines)
 
 
 def _parameters(suite: _Suite) -> Iterable[CheckLine]:
     for text in suite.findings.errors:
-        yield CheckLine("parameters", Verdict.FAIL, text, "./ros2run ship_replay check_config tells more")
+        yield CheckLine("parameters", Result.FAIL, text, "./ros2run ship_replay check_config tells more")
     for text in suite.findings.warnings:
-        yield CheckLine("parameters", Verdict.WARN, text)
+        yield CheckLine("parameters", Result.WARN, text)
     if not suite.findings.errors:
         names = ", ".join(adapter.node_name for adapter in suite.chain.adapters)
-        yield CheckLine("parameters", Verdict.OK, f"{suite.options.file}: good for {names}")
+        yield CheckLine("parameters", Result.OK, f"{suite.options.file}: good for {names}")
 
 
 def _security(suite: _Suite) -> Iterable[CheckLine]:
@@ -134,6 +134,7 @@ def _security(suite: _Suite) -> Iterable[CheckLine]:
             domain_id=domain_of(os.environ),
             now=datetime.datetime.now(datetime.timezone.utc),
             voyage=datetime.timedelta(days=suite.options.days),
+            authority_sha256=suite.limits.machine.authority_sha256,
         )
         yield from judge_keystore(keystore, use, is_demand)
 
@@ -163,7 +164,7 @@ def _files(suite: _Suite) -> Iterable[CheckLine]:
     try:
         states = look_at_files(suite.options.file, suite.options.box)
     except BadInput as problem:
-        yield CheckLine("files", Verdict.FAIL, str(problem))
+        yield CheckLine("files", Result.FAIL, str(problem))
         return
     yield from judge_files(states, list(without_saved_file(suite.options.file, suite.nodes)))
 

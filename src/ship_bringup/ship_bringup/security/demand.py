@@ -16,6 +16,8 @@ KEYSTORE = "ROS_SECURITY_KEYSTORE"
 ENCLAVE = "ROS_SECURITY_ENCLAVE_OVERRIDE"
 """Names the enclave of a process, whatever its nodes are called; without it ROS takes the enclave ``/``."""
 
+DOMAIN, LAST_DOMAIN = "ROS_DOMAIN_ID", 232
+
 _ENFORCE = "Enforce"
 
 
@@ -64,6 +66,12 @@ def require_profile(limits: Limits, limits_path: Path | None, has_security: bool
         more = f" (and {len(found) - 1} more: see ship_bringup preflight)" if len(found) > 1 else ""
         reason = f"machine.require_security is true, and {text}: not started; {advice}{more}"
         raise BadInput(reason, file=limits_path)
+
+
+def domain_of(environment: Mapping[str, str]) -> int:
+    """The domain that an environment names; 0 where it names none that ROS takes."""
+    text = environment.get(DOMAIN, "")
+    return int(text) if text.isascii() and text.isdigit() and int(text) <= LAST_DOMAIN else 0
 
 
 def enclave_command(enclave: str) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from typing import Any
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
 
 from ship_bags.errors import BadInput
@@ -59,16 +60,18 @@ class KeystoreUse:
     """What a keystore is to be good for.
 
     Attributes:
-        rights: of all programs of the suite. Enclaves of those that are no nodes may be on other computers.
+        rights: of all programs of the suite; enclaves that are not needed here may be on other computers.
         domain_id: ROS_DOMAIN_ID.
         now: UTC.
         voyage: until so long after `now` everything must be valid.
+        authority_sha256: of the ship's identity authority, in hexadecimal; empty where the ship does not tell it.
     """
 
     rights: Sequence[Rights]
     domain_id: int
     now: datetime.datetime
     voyage: datetime.timedelta
+    authority_sha256: str = ""
 
 
 def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
@@ -82,15 +85,50 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
         expected = f"expected the folders {_PUBLIC} and {ENCLAVES}, as 'ros2 security create_keystore' makes them"
         return [KeystoreFault(f"{keystore}: is no keystore: {expected}", "set ROS_SECURITY_KEYSTORE to the ship's")]
     there = sorted("/" + path.parent.relative_to(enclaves).as_posix() for path in enclaves.glob("**/cert.pem"))
-    nodes = [rights.enclave for rights in use.rights if rights.is_node]
+    nodes = [rights.enclave for rights in use.rights if rights.is_needed]
     if there and not set(there) & {rights.enclave for rights in use.rights}:
         text = f"{enclaves}: a keystore of another ship: it has {_few(there)}, expected {_few(nodes)}"
         return [KeystoreFault(text, "set ROS_SECURITY_KEYSTORE to this ship's, or --namespace to its own")]
-    faults: list[KeystoreFault] = []
-    for rights in use.rights:
-        if rights.enclave in there or rights.is_node:
-            faults += _Enclave(enclaves / rights.enclave.lstrip("/"), rights, use).faults()
+    used = [rights for rights in use.rights if rights.enclave in there or rights.is_needed]
+    folders = [enclaves / rights.enclave.lstrip("/") for rights in used]
+    faults = list(_authority_faults([keystore / _PUBLIC, *folders], use.authority_sha256))
+    for folder, rights in zip(folders, used, strict=True):
+        faults += _Enclave(folder, rights, use).faults()
     return list(dict.fromkeys(faults))
+
+
+def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
+    """Refuse a keystore with which the suite could not run as this ship's; returns what else is wrong, one line each.
+
+    What is about policies does not keep a suite down that is started again at sea.
+
+    Raises:
+        BadInput: names the file, the line and what was expected.
+    """
+    try:
+        faults = keystore_faults(keystore, use)
+    except LookupError:
+        return ["signatures of the keystore are not checked: there is no program openssl"]
+    for fault in faults:
+        if fault.is_error and not fault.of_policy:
+            raise BadInput(f"{fault.text}: not started; {fault.advice}")
+    return [fault.text for fault in faults]
+
+
+def _authority_faults(folders: Sequence[Path], told: str) -> Iterator[KeystoreFault]:
+    """Identities of another ship: all folders must hold one authority, the one that the ship tells, else the first."""
+    paths = [path for folder in folders if (path := folder / _IDENTITY_CA).is_file()]
+    expected, by = told.replace(":", "").lower(), "machine.authority_sha256"
+    for path in paths:
+        try:
+            digest = _read_certificate(path).fingerprint(SHA256()).hex()
+        except BadInput:
+            continue  # told with its enclave
+        if not expected:
+            expected, by = digest, str(path)
+        if digest != expected:
+            text = f"{path}: an authority of another ship: its SHA-256 is {digest}, expected {expected}, as in {by}"
+            yield KeystoreFault(text, "take the enclave from this ship's own keystore")
 
 
 class _Enclave:

@@ -44,7 +44,7 @@ class Rights:
         requests: services that it calls.
         declared: what else the code declares of the node, types and parameters: it grants nothing, and a policy made
             before it changed is out of date all the same.
-        is_node: whether it is an estimator of the suite, which cannot start without the enclave.
+        is_needed: whether the enclave must be on this computer, as those of the nodes.
     """
 
     enclave: str
@@ -53,7 +53,7 @@ class Rights:
     serves: frozenset[str] = frozenset()
     requests: frozenset[str] = frozenset()
     declared: tuple[str, ...] = field(default=(), repr=False)
-    is_node: bool = False
+    is_needed: bool = False
 
     @property
     def fingerprint(self) -> str:
@@ -141,7 +141,7 @@ class _SuiteRights:
             subscribes=self._topics(t.topic for t in adapter.inputs) | self._clock,
             serves=frozenset(f"{name}/{service}" for service in adapter.services) | _own_services(name),
             declared=tuple(sorted([*types, *parameters])),
-            is_node=True,
+            is_needed=True,
         )
 
     def _of_alerts(self) -> Rights:

@@ -1,5 +1,6 @@
 """Which programs a suite consists of: a node for each section of its file, who watches them, and a bag's player."""
 
+import datetime
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -10,13 +11,16 @@ from ship_bags.live.ros_process import executable, is_demanded
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.parameter_yaml import anywhere, full_name, read_sections
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
-from ship_bringup.security.demand import enclave_command
+from ship_bringup.security.demand import KEYSTORE, domain_of, enclave_command
+from ship_bringup.security.keystore import KeystoreUse, require_keystore
+from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.keeper import Program, Role
 from ship_node.parameters.parameter_file import unknown_sections
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import AdapterChain, suite_text
 from ship_replay.offline.replay import match_inputs
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
+from ship_watch.limits import Limits, read_limits
 
 SAVED_FILES = "alignment_file", "calibration_file"
 """Parameters with a file that a node reads at its start and writes now and then."""
@@ -94,6 +98,7 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
     if options.bag is not None:
         programs.append(_player(options.bag, chain, options))
     if is_demanded(os.environ):
+        warnings += _keystore_warnings(chain, [options.topic(each.name) for each in programs], options)
         programs = [_in_enclave(each, options) for each in programs]
     return Plan(tuple(programs), (*warnings, *without_saved_file(path, nodes)))
 
@@ -124,6 +129,24 @@ def without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str
         for name in SAVED_FILES:
             if getattr(node.config, name, None) == "":
                 yield f"{path}: {node.adapter.node_name} has no {name}: a restart begins without what it has learned"
+
+
+def _keystore_warnings(chain: AdapterChain, enclaves: Sequence[str], options: SuiteOptions) -> list[str]:
+    """What people should know of the keystore that the programs are to run with.
+
+    Raises:
+        BadInput: they cannot, or it is that of another ship.
+    """
+    limits = Limits() if options.limits is None else read_limits(options.limits)
+    rights = suite_rights(chain.adapters, options.namespace, played=options.bag is not None)
+    use = KeystoreUse(
+        rights=[replace(each, is_needed=True) for each in rights if each.enclave in enclaves],
+        domain_id=domain_of(os.environ),
+        now=datetime.datetime.now(datetime.timezone.utc),
+        voyage=datetime.timedelta(0),
+        authority_sha256=limits.machine.authority_sha256,
+    )
+    return require_keystore(Path(os.environ.get(KEYSTORE, "")), use)
 
 
 def _in_enclave(program: Program, options: SuiteOptions) -> Program:
