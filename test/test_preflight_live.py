@@ -103,6 +103,17 @@ def test_faults_come_together_and_all_are_told(tmp_path, domain):
     assert [result for check, result, _ in rows if check == "clock"] == ["WARN"] or os.path.exists("/usr/bin/chronyc")
 
 
+def test_a_domain_that_dds_would_not_take_is_told_and_nothing_is_heard(tmp_path, domain):
+    environment = live_environment(domain, tmp_path) | {"ROS_DOMAIN_ID": "300"}
+    with GraphObserver(domain) as observer:
+        code, rows, _ = preflight(observer, environment, EXAMPLE)
+    wrong = "ROS_DOMAIN_ID is '300': expected a number from 0 to 232"
+    assert code == 1
+    assert ("domain", "FAIL", wrong) in rows
+    assert ("domain", "not checked", wrong) in rows
+    assert ("sensors", "FAIL", f"nothing could be heard: {wrong}") in rows
+
+
 def test_bad_input_is_one_line_and_exit_code_2(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
     empty, strange, limits = tmp_path / "empty.yaml", tmp_path / "strange.yaml", tmp_path / "limits.yaml"

@@ -53,7 +53,7 @@ def test_a_sensor_publishes_its_own_topics_and_hears_no_other(example):
             device = name.rpartition("/")[2]
             own = {device_of(topic.removeprefix("/demo/")) for topic in rights.publishes if topic.startswith("/demo/")}
             assert own == {device}
-            assert not rights.subscribes
+            assert rights.subscribes == {"/parameter_events"}
         assert may(rights, "publish", "rt/demo/ins/imu") == (name == "/demo/sensors/ins")
 
 

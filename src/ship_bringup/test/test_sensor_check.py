@@ -51,6 +51,14 @@ def test_stamps_just_inside_the_limits(age_s):
     assert judged(age_s=age_s)[0] is Result.OK
 
 
+def test_weather_and_position_may_be_later_than_the_filter_takes_measurements():
+    for name in ("gnss/fix", "met/pressure"):
+        topic = InputTopic(name, IMU, required=True, depth=100)
+        heard = dataclasses.replace(GOOD, input=topic, age_s=2.1)
+        (row,) = judge_sensors(NetworkState("rmw", heard=(heard,)), LIMITS, {name: 2.0}, frozenset())
+        assert row.result is Result.OK
+
+
 def test_a_sensor_that_is_neither_required_nor_named_is_a_warning():
     topic = InputTopic("met/humidity", IMU, required=False, depth=100)
     assert judged(input=topic, publishers=())[0] is Result.WARN

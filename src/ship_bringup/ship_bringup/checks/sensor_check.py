@@ -11,6 +11,8 @@ from ship_watch.limits import Limits
 from ship_watch.topics import source_of_topic
 
 _CHECK = "sensors"
+_NOT_IN_THE_LOG = "gnss", "weather"
+"""Their values are taken as they come: nothing is applied at their time."""
 _OVERRIDES = "qos_overrides."
 
 
@@ -73,7 +75,7 @@ def _judged(
         found += f", stamps {_age_words(heard.age_s)}"
         if not -limits.machine.clock_offset_s <= heard.age_s <= MAX_AGE_S:
             return Result.FAIL, found, "set the clock of the device, or of this computer: nodes will refuse them"
-        if not heard.age_s <= lags_s.get(topic, MAX_AGE_S):
+        if source_of_topic(topic) not in _NOT_IN_THE_LOG and not heard.age_s <= lags_s.get(topic, MAX_AGE_S):
             return Result.FAIL, f"{found}: later than lag_s", "look at delays on the way, or raise lag_s"
     if len(heard.publishers) > 1:
         return Result.WARN, f"{found}: {len(heard.publishers)} publishers", "one device, one publisher: end the others"

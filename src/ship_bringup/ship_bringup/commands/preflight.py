@@ -3,6 +3,7 @@
 import argparse
 import datetime
 import os
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,10 +103,10 @@ def _preflight(options: argparse.Namespace) -> int:
     suite = _Suite(options, limits, nodes, findings, AdapterChain([node.adapter for node in nodes]))
     # Before anything that makes a node: that would fail first where security is demanded and not there.
     security = list(_security(suite))
-    network = look_at_network(
-        suite.chain.inputs, [topic.topic for topic in suite.chain.outputs], options.namespace, options.listen
-    )
-    checks = [_parameters(suite), security, _clock(suite), _domain(suite, network), _disk(suite, network)]
+    settings = list(judge_settings(os.environ))
+    network = _network(suite, settings)
+    domain = [*settings, *judge_domain(network, suite.names)]
+    checks = [_parameters(suite), security, _clock(suite), domain, _disk(suite, network)]
     checks += [_files(suite), _sensors(suite, network)]
     lines = [line for check in checks for line in bounded(check)]
     print("\n".join(table(lines)))
@@ -143,9 +144,15 @@ def _clock(suite: _Suite) -> Iterable[CheckLine]:
     yield judge_clock(look_at_clock(), suite.limits)
 
 
-def _domain(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
-    yield from judge_settings(os.environ)
-    yield from judge_domain(network, suite.names)
+def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
+    """What is seen on the network; with a wrong setting DDS would end this process instead of looking."""
+    for line in settings:
+        if line.result is Result.FAIL:
+            return NetworkState(failure=line.found)
+    if sys.stderr.isatty():
+        print(f"preflight: listens to the sensors for {suite.options.listen:g} s", file=sys.stderr)
+    given = [topic.topic for topic in suite.chain.outputs]
+    return look_at_network(suite.chain.inputs, given, suite.options.namespace, suite.options.listen)
 
 
 def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:

@@ -160,7 +160,9 @@ class _SuiteRights:
             topics = self._topics(topic for topic in self._from_outside if device_of(topic) == device)
             node = self._full(device)
             enclave = self._full(f"{SENSORS}/{device}")
-            yield Rights(enclave, topics | _OF_EVERY_NODE | {DIAGNOSTICS_TOPIC}, self._clock, _own_services(node))
+            # A node of rclcpp hears /parameter_events, too, and does not start without that.
+            heard = self._clock | {"/parameter_events"}
+            yield Rights(enclave, topics | _OF_EVERY_NODE | {DIAGNOSTICS_TOPIC}, heard, _own_services(node))
 
     def _tool(
         self,
