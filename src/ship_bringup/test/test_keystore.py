@@ -224,6 +224,28 @@ def test_a_signature_of_another_ship(keystore, name):
     assert fault.text.startswith(f"{path}: its signature is not that of {path.parent}/permissions_ca.cert.pem")
 
 
+@pytest.mark.parametrize(
+    ("right", "wrong", "told"),
+    [("grant", "gift", "has no grant"), ("subject_name>", "name>", "has no subject_name"),
+     ("2027-06-01T12:00:00", "next year", "not_after is 'next year': expected a date as 2026-05-01T00:00:00"),
+     ("<default>DENY</default>", "", "has no default"), ("</dds>", "", "holds no XML")],
+)  # fmt: skip
+def test_permissions_that_are_signed_and_say_nothing_of_use(keystore, right, wrong, told):
+    text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
+    assert right in text
+    keystore.sign(keystore.folder(NODE) / "permissions.p7s", text.replace(right, wrong))
+    fault = only(keystore_faults(keystore.path, use()))
+    assert told in fault.text
+    assert fault.text.startswith(f"{keystore.folder(NODE)}/permissions.p7s")
+
+
+def test_a_file_beyond_all_bounds_is_not_read(keystore):
+    path = keystore.folder(NODE) / "permissions.p7s"
+    with path.open("r+b") as file:
+        file.truncate(1 << 40)
+    assert "is larger than 4000000 bytes" in only(keystore_faults(keystore.path, use())).text
+
+
 def test_another_domain(keystore):
     faults = keystore_faults(keystore.path, use(domain_id=8))
     assert len(faults) == 4

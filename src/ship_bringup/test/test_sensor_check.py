@@ -1,12 +1,13 @@
 """What was heard of each sensor, judged: one thing wrong at a time."""
 
 import dataclasses
+from types import MappingProxyType
 
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.network_look import HeardTopic, NetworkState, Publisher
-from ship_bringup.checks.sensor_check import judge_sensors, wants_reliable
+from ship_bringup.checks.network_look import STRONGER, HeardTopic, NetworkState, Publisher
+from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
 from ship_node.edge.topics import InputTopic
 from ship_watch.limits import InputLimits, Limits
 
@@ -16,16 +17,16 @@ GOOD = HeardTopic(InputTopic("ins/imu", IMU, True, 1000), (DRIVER,), 100.0, 316.
 LIMITS = Limits(inputs={"ins": InputLimits(rate_hz=90.0)})
 
 
-def judged(limits=LIMITS, reliable=frozenset(), **changes):
+def judged(limits=LIMITS, asked=MappingProxyType({}), **changes):
     heard = dataclasses.replace(GOOD, **changes)
-    (row,) = judge_sensors(NetworkState("rmw", heard=(heard,)), limits, {"ins/imu": 2.0}, reliable)
+    (row,) = judge_sensors(NetworkState("rmw", heard=(heard,)), limits, {"ins/imu": 2.0}, asked)
     return row.result, row.found
 
 
 def test_a_good_sensor():
     assert judged() == (Result.OK, "ins/imu: 100 Hz from /ins_driver, stamps 0.012 s old")
     assert judged(age_s=None) == (Result.OK, "ins/imu: 100 Hz from /ins_driver")
-    assert judged(reliable={"ins/imu"})[0] is Result.OK
+    assert judged(asked={"ins/imu": STRONGER})[0] is Result.OK
 
 
 @pytest.mark.parametrize(
@@ -55,7 +56,7 @@ def test_weather_and_position_may_be_later_than_the_filter_takes_measurements():
     for name in ("gnss/fix", "met/pressure"):
         topic = InputTopic(name, IMU, required=True, depth=100)
         heard = dataclasses.replace(GOOD, input=topic, age_s=2.1)
-        (row,) = judge_sensors(NetworkState("rmw", heard=(heard,)), LIMITS, {name: 2.0}, frozenset())
+        (row,) = judge_sensors(NetworkState("rmw", heard=(heard,)), LIMITS, {name: 2.0}, {})
         assert row.result is Result.OK
 
 
@@ -66,12 +67,13 @@ def test_a_sensor_that_is_neither_required_nor_named_is_a_warning():
     assert judged(input=dataclasses.replace(topic, named=True), publishers=())[0] is Result.FAIL
 
 
-def test_best_effort_does_not_come_where_reliable_is_asked_for():
-    publishers = (dataclasses.replace(DRIVER, is_reliable=False),)
-    assert judged(publishers=publishers)[0] is Result.OK
-    result, found = judged(publishers=publishers, reliable={"ins/imu"})
+@pytest.mark.parametrize("quality", ["reliable", "transient_local"])
+def test_nothing_comes_where_more_is_asked_for_than_is_offered(quality):
+    weak = (dataclasses.replace(DRIVER, offers=STRONGER - {quality}),)
+    assert judged(publishers=weak)[0] is Result.OK
+    result, found = judged(publishers=weak, asked={"ins/imu": frozenset({quality})})
     assert result is Result.FAIL
-    assert "offers best effort, and the suite file asks for reliable" in found
+    assert f"does not offer {quality}, as the suite file asks for" in found
 
 
 def test_two_publishers_of_one_sensor_are_a_warning():
@@ -79,7 +81,7 @@ def test_two_publishers_of_one_sensor_are_a_warning():
 
 
 def test_a_suite_whose_sensors_could_not_be_heard_fails():
-    (row,) = judge_sensors(NetworkState(failure="no rmw"), LIMITS, {}, frozenset())
+    (row,) = judge_sensors(NetworkState(failure="no rmw"), LIMITS, {}, {})
     assert (row.result, row.found) == (Result.FAIL, "nothing could be heard: no rmw")
 
 
@@ -89,7 +91,8 @@ def test_what_a_suite_file_asks_of_the_quality_of_service(tmp_path):
         "/**/ship_attitude:\n  ros__parameters:\n    qos_overrides:\n"
         "      /demo/ins/imu: {subscription: {reliability: reliable}}\n"
         "      /demo/gnss/fix: {subscription: {reliability: best_effort}}\n"
+        "      /demo/met/pressure: {subscription: {durability: transient_local, depth: 5}}\n"
     )
     topics = ["ins/imu", "gnss/fix", "met/pressure"]
-    assert wants_reliable(path, topics, "demo") == {"ins/imu"}
-    assert wants_reliable(path, topics, "aurora") == frozenset()
+    assert asked_qualities(path, topics, "demo") == {"ins/imu": {"reliable"}, "met/pressure": {"transient_local"}}
+    assert asked_qualities(path, topics, "aurora") == {}

@@ -27,6 +27,9 @@ from ship_node.edge.topics import InputTopic
 
 NAME = "preflight"
 
+STRONGER = frozenset({"reliable", "transient_local"})
+"""Qualities of service by which a subscriber hears nobody who does not offer them."""
+
 _DEPTH = 200
 _MOST_STAMPS = 200
 """Of each topic the stamps of the newest messages, so many, are compared with the clock."""
@@ -37,11 +40,11 @@ _DISCOVERY_S = 2.0
 
 @dataclass(frozen=True)
 class Publisher:
-    """One publisher of a topic: its node's full name, its type, and what it offers."""
+    """One publisher of a topic: its node's full name, its type, and which of the stronger qualities it offers."""
 
     node: str
     type_name: str
-    is_reliable: bool = True
+    offers: frozenset[str] = STRONGER
 
 
 @dataclass(frozen=True)
@@ -184,7 +187,7 @@ def _publishers(node: Node, topic: str) -> tuple[Publisher, ...]:
         Publisher(
             full_name(info.node_name, info.node_namespace),
             info.topic_type,
-            info.qos_profile.reliability == ReliabilityPolicy.RELIABLE,
+            STRONGER & {info.qos_profile.reliability.name.lower(), info.qos_profile.durability.name.lower()},
         )
         for info in node.get_publishers_info_by_topic(name)
     )

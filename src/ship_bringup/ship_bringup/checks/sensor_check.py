@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ship_bags.parameter_yaml import full_name, read_sections
 from ship_bringup.checks.check_line import CheckLine, Result
-from ship_bringup.checks.network_look import HeardTopic, NetworkState
+from ship_bringup.checks.network_look import STRONGER, HeardTopic, NetworkState
 from ship_node.edge.input_record import MAX_AGE_S
 from ship_watch.limits import Limits
 from ship_watch.topics import source_of_topic
@@ -16,21 +16,26 @@ _NOT_IN_THE_LOG = "gnss", "weather"
 _OVERRIDES = "qos_overrides."
 
 
-def wants_reliable(path: Path, topics: Iterable[str], namespace: str) -> frozenset[str]:
-    """Relative names of the topics that the suite file has a node subscribe to reliably.
+def asked_qualities(path: Path, topics: Iterable[str], namespace: str) -> dict[str, frozenset[str]]:
+    """Relative topic → qualities of service that the suite file has a node ask for beyond its own.
 
     Args:
         path: the suite file.
         topics: relative names of inputs.
         namespace: of the suite.
     """
-    keys = {f"{_OVERRIDES}{full_name(topic, namespace)}.subscription.reliability": topic for topic in topics}
-    given = (item for section in read_sections(path)[1] for item in section.parameters.items())
-    return frozenset(keys[key] for key, (value, _) in given if key in keys and value == "reliable")
+    begins = {f"{_OVERRIDES}{full_name(topic, namespace)}.subscription.": topic for topic in topics}
+    found: dict[str, frozenset[str]] = {}
+    for section in read_sections(path)[1]:
+        for key, (value, _) in section.parameters.items():
+            topic = begins.get(key.rpartition(".")[0] + ".")
+            if topic is not None and value in STRONGER:
+                found[topic] = found.get(topic, frozenset()) | {value}
+    return found
 
 
 def judge_sensors(
-    state: NetworkState, limits: Limits, lags_s: Mapping[str, float], reliable: frozenset[str]
+    state: NetworkState, limits: Limits, lags_s: Mapping[str, float], asked: Mapping[str, frozenset[str]]
 ) -> Iterator[CheckLine]:
     """Rows of all inputs.
 
@@ -38,7 +43,7 @@ def judge_sensors(
         state: what was heard.
         limits: of the ship; ``inputs.<id>.rate_hz`` says what rate is expected.
         lags_s: relative topic → age beyond which a node no longer applies a message, s.
-        reliable: see :func:`wants_reliable`.
+        asked: see :func:`asked_qualities`.
     """
     if state.failure:
         # A suite whose sensors nobody has heard is not ready, whatever the reason.
@@ -46,12 +51,12 @@ def judge_sensors(
         yield CheckLine(_CHECK, Result.FAIL, found, "set right what the other rows tell, then again")
         return
     for heard in state.heard:
-        result, found, advice = _judged(heard, limits, lags_s, heard.input.topic in reliable)
+        result, found, advice = _judged(heard, limits, lags_s, asked.get(heard.input.topic, frozenset()))
         yield CheckLine(_CHECK, result, f"{heard.input.topic}: {found}", advice)
 
 
 def _judged(
-    heard: HeardTopic, limits: Limits, lags_s: Mapping[str, float], is_reliable_wanted: bool
+    heard: HeardTopic, limits: Limits, lags_s: Mapping[str, float], asked: frozenset[str]
 ) -> tuple[Result, str, str]:
     topic = heard.input.topic
     needed = Result.FAIL if heard.input.required or heard.input.named else Result.WARN
@@ -62,9 +67,9 @@ def _judged(
     if not of_type:
         other = heard.publishers[0].type_name
         return Result.FAIL, f"{who} publishes {other}, expected {heard.input.type_name}", "change the driver or remap"
-    if is_reliable_wanted and not all(each.is_reliable for each in of_type):
-        found = f"{who} offers best effort, and the suite file asks for reliable: nothing will come"
-        return Result.FAIL, found, "let the driver publish reliably, or take qos_overrides out"
+    if lacking := [quality for quality in sorted(asked) if any(quality not in each.offers for each in of_type)]:
+        found = f"{who} does not offer {' and '.join(lacking)}, as the suite file asks for: nothing will come"
+        return Result.FAIL, found, "let the driver offer it, or take qos_overrides out of the suite file"
     if not heard.count:
         return needed, f"{who} publishes it, and no message came", "is the device on? for slow ones: a longer --listen"
     found = f"{heard.rate_hz:.3g} Hz from {who}"

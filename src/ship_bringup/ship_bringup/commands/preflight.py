@@ -25,7 +25,7 @@ from ship_bringup.checks.domain_check import judge_domain, judge_settings
 from ship_bringup.checks.file_check import judge_files, look_at_files
 from ship_bringup.checks.network_look import NetworkState, look_at_network
 from ship_bringup.checks.security_check import judge_keystore, judge_security
-from ship_bringup.checks.sensor_check import judge_sensors, wants_reliable
+from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
 from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
 from ship_bringup.security.rights import suite_rights
@@ -182,8 +182,8 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
         for topic in node.adapter.inputs:
             lag_s = float(getattr(node.config, "lag_s", 2.0))
             lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
-    reliable = wants_reliable(suite.options.file, lags_s, suite.options.namespace)
-    yield from judge_sensors(network, suite.limits, lags_s, reliable)
+    asked = asked_qualities(suite.options.file, lags_s, suite.options.namespace)
+    yield from judge_sensors(network, suite.limits, lags_s, asked)
 
 
 if __name__ == "__main__":
