@@ -64,8 +64,8 @@ def test_a_ship_that_is_ready(tmp_path, domain):
     assert len(sensors) == 3
     rates_hz = {found.split(":")[0]: float(re.search(r": ([\d.]+) Hz", found)[1]) for found in sensors}
     # Wide: the machine may be busy.
-    assert 20.0 < rates_hz["ins/imu"] < 60.0
-    assert 2.0 < rates_hz["star/fore/horizon_attitude"] < 7.0
+    assert 5.0 < rates_hz["ins/imu"] < 75.0
+    assert 0.4 < rates_hz["star/fore/horizon_attitude"] < 8.0
     assert ("domain", "OK", f"ROS_DOMAIN_ID is {domain}") in rows
     assert ("domain", "OK", "rmw_fastrtps_cpp; sensors: /observer") in rows
 
