@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
@@ -55,6 +56,7 @@ def test_a_ship_that_is_ready(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
     with GraphObserver(domain) as observer:
         publish(observer.node, "/demo/ins/imu", Imu, 50.0)
+        publish(observer.node, "/diagnostics", DiagnosticArray, 1.0)  # as drivers do
         for sensor in ("fore", "starboard"):
             publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 5.0)
         code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "2")

@@ -12,7 +12,7 @@ import pytest
 
 from ship_bringup.commands import policies
 from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text, published, subscribed
-from ship_bringup.security.rights import device_of, suite_rights
+from ship_bringup.security.rights import device_of, nmea_nodes, suite_rights
 from ship_bringup.suite.plan import checked_nodes
 
 PACKAGE = Path(__file__).parents[1]
@@ -77,6 +77,24 @@ def test_nobody_may_set_the_clock_or_tell_a_truth_unless_bags_are_played():
     assert [name for name, rights in played.items() if may(rights, "publish", "rt/clock")] == ["/demo/play"]
     assert may(played["/demo/ship_attitude"], "subscribe", "rt/clock")
     assert may(played["/demo/play"], "publish", "rt/demo/truth/attitude")
+
+
+def test_nmea_out_hears_what_it_tells_and_acknowledges_nmea_in_gives_what_instruments_say():
+    every = rights_of("two_sensors", nmea=["nmea_out", "nmea_in"])
+    out, into = every["/demo/nmea_out"], every["/demo/nmea_in"]
+    assert out.subscribes == {"/demo/ship/attitude", "/demo/ship/alerts"}
+    assert out.requests == {"/demo/alerts/acknowledge"}
+    assert {topic for topic in out.publishes if topic.startswith("/demo/")} == set()
+    assert "/demo/ins/imu" in into.publishes
+    assert not into.subscribes | into.requests
+    assert not any("star" in topic or "ship/" in topic for topic in into.publishes)
+    assert not {"/demo/nmea_out", "/demo/nmea_in"} & set(rights_of("two_sensors"))
+
+
+def test_the_nmea_nodes_of_a_suite_file(tmp_path):
+    path = tmp_path / "suite.yaml"
+    path.write_text("/**/ship_attitude: {ros__parameters: {lag_s: 2.0}}\n/**/nmea_in: {ros__parameters: {a: 1}}\n")
+    assert nmea_nodes(path, "demo") == ("nmea_in",)
 
 
 def test_services_are_two_topics_one_each_way():

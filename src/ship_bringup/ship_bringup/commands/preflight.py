@@ -28,7 +28,7 @@ from ship_bringup.checks.security_check import judge_keystore, judge_security
 from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
 from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
-from ship_bringup.security.rights import suite_rights
+from ship_bringup.security.rights import nmea_nodes, suite_rights
 from ship_bringup.suite.plan import without_saved_file
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import AdapterChain
@@ -130,8 +130,10 @@ def _security(suite: _Suite) -> Iterable[CheckLine]:
     yield from judge_security(os.environ, dds_has_security(loaded_libraries()), required)
     is_demand = required or is_demanded(os.environ)
     if keystore or is_demand:
+        namespace = suite.options.namespace
+        nmea = nmea_nodes(suite.options.file, namespace)
         use = KeystoreUse(
-            rights=suite_rights(suite.chain.adapters, suite.options.namespace, suite.options.locked),
+            rights=suite_rights(suite.chain.adapters, namespace, suite.options.locked, nmea=nmea),
             domain_id=domain_of(os.environ),
             now=datetime.datetime.now(datetime.timezone.utc),
             voyage=datetime.timedelta(days=suite.options.days),
@@ -151,7 +153,8 @@ def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
             return NetworkState(failure=line.found)
     if sys.stderr.isatty():
         print(f"preflight: listens to the sensors for {suite.options.listen:g} s", file=sys.stderr)
-    given = [topic.topic for topic in suite.chain.outputs]
+    # Topics as /diagnostics are everybody's.
+    given = [topic.topic for topic in suite.chain.outputs if not topic.topic.startswith("/")]
     return look_at_network(suite.chain.inputs, given, suite.options.namespace, suite.options.listen)
 
 

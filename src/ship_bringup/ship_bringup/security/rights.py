@@ -6,14 +6,16 @@ each device, named by the first words of its topics, as ``sensors/star_fore``.
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from ship_bags.parameter_yaml import full_name
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_estimation.parameters import describe
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE
+from ship_node.parameters.parameter_file import has_section
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_watch.topics import MESSAGES, TOPICS, watched_topic
 
@@ -29,7 +31,14 @@ _TYPE_DESCRIPTION = "get_type_description"
 _TWO_WORDS = "star", "reference", "beacon"
 """Topics of these have the id of a device as their second word."""
 
-_Types = Mapping[str, str]
+NMEA_NODES = "nmea_out", "nmea_in"
+"""Nodes of ship_nmea that a suite file may name beside the estimators."""
+
+_INSTRUMENTS = "ins", "reference", "gnss", "met"
+"""First words of the topics that ``nmea_in`` gives."""
+
+_FRAMES = "/tf", "/tf_static"
+"""A suite in a namespace tells its frames there, and not on the topics of all."""
 
 
 @dataclass(frozen=True)
@@ -64,17 +73,27 @@ class Rights:
 
 
 def suite_rights(
-    adapters: Sequence[Adapter], namespace: str = "", locked: bool = False, played: bool = False
+    adapters: Sequence[Adapter],
+    namespace: str = "",
+    locked: bool = False,
+    played: bool = False,
+    nmea: Collection[str] = (),
 ) -> tuple[Rights, ...]:
-    """The rights of all programs of a suite, nodes first.
+    """The rights of all programs of a suite, its estimators first.
 
     Args:
         adapters: of its nodes.
         namespace: of the suite, without its outer slashes; empty for none.
         locked: whether nobody may set a parameter of a running node.
         played: whether a bag may be played into it: somebody sets /clock and gives what sensors give. Not for a voyage.
+        nmea: those of :data:`NMEA_NODES` that the suite has.
     """
-    return tuple(_SuiteRights(adapters, namespace, locked, played).all())
+    return tuple(_SuiteRights(adapters, namespace, locked, played).all(nmea))
+
+
+def nmea_nodes(suite_path: Path, namespace: str) -> tuple[str, ...]:
+    """Those of :data:`NMEA_NODES` that a suite file names."""
+    return tuple(name for name in NMEA_NODES if has_section(suite_path, full_name(name, namespace), wildcards=False))
 
 
 def device_of(topic: str) -> str:
@@ -107,9 +126,10 @@ class _SuiteRights:
         self._alerts = self._full("alerts")
         self._nodes = [self._full(adapter.node_name) for adapter in self._adapters]
 
-    def all(self) -> Iterator[Rights]:
+    def all(self, nmea: Collection[str]) -> Iterator[Rights]:
         for adapter in self._adapters:
             yield self._of_node(adapter)
+        yield from self._of_nmea(nmea)
         yield self._of_alerts()
         everything = self._topics(self._types)
         watched = self._topics([*self._watched, ALERTS_TOPIC, DIAGNOSTICS_TOPIC]) | self._clock
@@ -152,6 +172,16 @@ class _SuiteRights:
             subscribes=self._topics([*self._watched, DIAGNOSTICS_TOPIC]) | self._clock,
             serves=frozenset({*services, f"{self._alerts}_reader/{_TYPE_DESCRIPTION}"}) | _own_services(self._alerts),
         )
+
+    def _of_nmea(self, nmea: Collection[str]) -> Iterator[Rights]:
+        diagnostics = {DIAGNOSTICS_TOPIC}
+        if "nmea_out" in nmea:
+            heard = self._topics(["ship/attitude", ALERTS_TOPIC]) | self._clock
+            acknowledge = {f"{self._alerts}/acknowledge"}
+            yield replace(self._tool("nmea_out", heard, acknowledge, diagnostics), is_needed=True)
+        if "nmea_in" in nmea:
+            given = {topic for topic in self._from_outside if topic.partition("/")[0] in _INSTRUMENTS}
+            yield replace(self._tool("nmea_in", self._clock, (), self._topics(given | diagnostics)), is_needed=True)
 
     def _of_sensors(self) -> Iterator[Rights]:
         """One enclave for each device; its driver is not ours, and is expected under the device's name."""
@@ -196,6 +226,8 @@ class _SuiteRights:
         return frozenset(map(self._full, names))
 
     def _full(self, name: str) -> str:
+        if self._namespace and name in _FRAMES:
+            name = name[1:]
         return name if name.startswith("/") else full_name(name, self._namespace)
 
 

@@ -13,7 +13,7 @@ from ship_bags.parameter_yaml import anywhere, full_name, read_sections
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
 from ship_bringup.security.demand import KEYSTORE, domain_of, enclave_command
 from ship_bringup.security.keystore import KeystoreUse, require_keystore
-from ship_bringup.security.rights import suite_rights
+from ship_bringup.security.rights import NMEA_NODES, suite_rights
 from ship_bringup.suite.keeper import Program, Role
 from ship_node.parameters.parameter_file import unknown_sections
 from ship_replay.commands.replay import ADAPTERS
@@ -138,7 +138,7 @@ def _keystore_warnings(chain: AdapterChain, enclaves: Sequence[str], options: Su
         BadInput: they cannot, or it is that of another ship.
     """
     limits = Limits() if options.limits is None else read_limits(options.limits)
-    rights = suite_rights(chain.adapters, options.namespace, played=options.bag is not None)
+    rights = suite_rights(chain.adapters, options.namespace, played=options.bag is not None, nmea=NMEA_NODES)
     use = KeystoreUse(
         rights=[replace(each, is_needed=True) for each in rights if each.enclave in enclaves],
         domain_id=domain_of(os.environ),
