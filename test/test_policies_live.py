@@ -1,6 +1,7 @@
 """What live nodes have on the network, against the rights that policies give them: nothing is missing, nothing idle."""
 
 import fnmatch
+import socket
 from pathlib import Path
 
 import pytest
@@ -39,7 +40,9 @@ def test_every_program_has_the_rights_to_what_it_has_on_the_network(tmp_path, do
     rights = {each.enclave: each for each in suite_rights([node.adapter for node in checked], NAMESPACE)}
     environment = live_environment(domain, tmp_path) | {"ROS_HOME": str(tmp_path)}
     command = [*executable("ship_bringup", "suite"), str(suite_file), "--namespace", NAMESPACE, "--monitor"]
-    command += ["--port", "5077"]
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        command += ["--port", str(probe.getsockname()[1])]
     record = [*executable("ship_bags", "record"), "--out", str(tmp_path / "a.mcap"), "--ros-args", "-r", "__ns:=/demo"]
     programs = {"ship_attitude": ["ship_attitude"], "star_attitude": ["star_attitude"], "record": ["record"]}
     programs |= {"alerts": ["alerts", "alerts_reader"], "monitor": ["monitor"]}

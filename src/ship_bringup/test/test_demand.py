@@ -134,6 +134,10 @@ def test_a_secured_suite_needs_the_enclave_of_each_program_and_the_ships_authori
         programs(limits=limits)
     monkeypatch.setenv("ROS_DOMAIN_ID", "8")
     assert len(programs()[1]) > 1
+    monkeypatch.delenv("ROS_SECURITY_KEYSTORE")
+    with pytest.raises(BadInput, match=r"ROS_SECURITY_KEYSTORE is not set: not started"):
+        programs()
+    monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(store.path))
     shutil.rmtree(store.folder("/demo/monitor"))
     with pytest.raises(BadInput, match=r"/demo/monitor: has no identity_ca"):
         programs()

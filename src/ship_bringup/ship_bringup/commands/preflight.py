@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.command_line import CommandParser, run_command
-from ship_bags.errors import BadInput
 from ship_bags.live.ros_process import (
     dds_has_security,
     is_demanded,
@@ -171,11 +170,7 @@ def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
 
 
 def _files(suite: _Suite) -> Iterable[CheckLine]:
-    try:
-        states = look_at_files(suite.options.file, suite.options.box)
-    except BadInput as problem:
-        yield CheckLine("files", Result.FAIL, str(problem))
-        return
+    states = look_at_files(suite.options.file, suite.options.box)
     yield from judge_files(states, list(without_saved_file(suite.options.file, suite.nodes)))
 
 

@@ -137,6 +137,9 @@ def _keystore_warnings(chain: AdapterChain, enclaves: Sequence[str], options: Su
     Raises:
         BadInput: they cannot, or it is that of another ship.
     """
+    keystore = os.environ.get(KEYSTORE)
+    if not keystore:
+        raise BadInput(f"DDS security is demanded, and {KEYSTORE} is not set: not started; set it to the ship's keystore")
     limits = Limits() if options.limits is None else read_limits(options.limits)
     rights = suite_rights(chain.adapters, options.namespace, played=options.bag is not None, nmea=NMEA_NODES)
     use = KeystoreUse(
@@ -146,7 +149,7 @@ def _keystore_warnings(chain: AdapterChain, enclaves: Sequence[str], options: Su
         voyage=datetime.timedelta(0),
         authority_sha256=limits.machine.authority_sha256,
     )
-    return require_keystore(Path(os.environ.get(KEYSTORE, "")), use)
+    return require_keystore(Path(keystore), use)
 
 
 def _in_enclave(program: Program, options: SuiteOptions) -> Program:
