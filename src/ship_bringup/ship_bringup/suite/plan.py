@@ -139,7 +139,7 @@ def _keystore_warnings(chain: AdapterChain, enclaves: Sequence[str], options: Su
     """
     keystore = os.environ.get(KEYSTORE)
     if not keystore:
-        raise BadInput(f"DDS security is demanded, and {KEYSTORE} is not set: not started; set it to the ship's keystore")
+        raise BadInput(f"DDS security is demanded, and {KEYSTORE} is not set: not started; it names the keystore")
     limits = Limits() if options.limits is None else read_limits(options.limits)
     rights = suite_rights(chain.adapters, options.namespace, played=options.bag is not None, nmea=NMEA_NODES)
     use = KeystoreUse(
