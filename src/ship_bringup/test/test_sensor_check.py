@@ -76,6 +76,16 @@ def test_nothing_comes_where_more_is_asked_for_than_is_offered(quality):
     assert f"does not offer {quality}, as the suite file asks for" in found
 
 
+def test_what_the_suites_own_nmea_in_gives_cannot_be_heard_before_the_suite():
+    silent = NetworkState("rmw", heard=(dataclasses.replace(GOOD, publishers=()),))
+    (row,) = judge_sensors(silent, LIMITS, {}, {}, ["ins/imu"])
+    assert row.result is Result.NOT_CHECKED
+    assert "nmea_in, which the suite starts, may give it" in row.found
+    heard = NetworkState("rmw", heard=(dataclasses.replace(GOOD, rate_hz=1.0),))
+    (row,) = judge_sensors(heard, LIMITS, {}, {}, ["ins/imu"])
+    assert row.result is Result.FAIL
+
+
 def test_two_publishers_of_one_sensor_are_a_warning():
     assert judged(publishers=(DRIVER, Publisher("/again", IMU)))[0] is Result.WARN
 

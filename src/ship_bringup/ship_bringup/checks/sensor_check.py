@@ -1,6 +1,6 @@
 """Whether every sensor of the suite file is heard: with its type, at its rate, stamped by a clock like ours."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from ship_bags.parameter_yaml import full_name, read_sections
@@ -35,7 +35,11 @@ def asked_qualities(path: Path, topics: Iterable[str], namespace: str) -> dict[s
 
 
 def judge_sensors(
-    state: NetworkState, limits: Limits, lags_s: Mapping[str, float], asked: Mapping[str, frozenset[str]]
+    state: NetworkState,
+    limits: Limits,
+    lags_s: Mapping[str, float],
+    asked: Mapping[str, frozenset[str]],
+    own: Collection[str] = (),
 ) -> Iterator[CheckLine]:
     """Rows of all inputs.
 
@@ -44,6 +48,7 @@ def judge_sensors(
         limits: of the ship; ``inputs.<id>.rate_hz`` says what rate is expected.
         lags_s: relative topic → age beyond which a node no longer applies a message, s.
         asked: see :func:`asked_qualities`.
+        own: inputs that the suite's own ``nmea_in`` may give once it is started.
     """
     if state.failure:
         # A suite whose sensors nobody has heard is not ready, whatever the reason.
@@ -51,6 +56,11 @@ def judge_sensors(
         yield CheckLine(_CHECK, Result.FAIL, found, "set right what the other rows tell, then again")
         return
     for heard in state.heard:
+        if not heard.publishers and heard.input.topic in own:
+            found = f"{heard.input.topic}: nobody publishes it; nmea_in, which the suite starts, may give it"
+            advice = "to hear it now: ./ros2run ship_nmea nmea_in --ros-args --params-file FILE"
+            yield CheckLine(_CHECK, Result.NOT_CHECKED, found, advice)
+            continue
         result, found, advice = _judged(heard, limits, lags_s, asked.get(heard.input.topic, frozenset()))
         yield CheckLine(_CHECK, result, f"{heard.input.topic}: {found}", advice)
 

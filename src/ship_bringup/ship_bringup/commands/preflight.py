@@ -27,7 +27,7 @@ from ship_bringup.checks.security_check import judge_keystore, judge_security
 from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
 from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
-from ship_bringup.security.rights import nmea_nodes, suite_rights
+from ship_bringup.security.rights import is_instruments, nmea_nodes, suite_rights
 from ship_bringup.suite.plan import without_saved_file
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import AdapterChain
@@ -53,6 +53,10 @@ class _Suite:
     nodes: Sequence[CheckedNode]
     findings: Findings
     chain: AdapterChain
+
+    @property
+    def nmea(self) -> tuple[str, ...]:
+        return nmea_nodes(self.options.file, self.options.namespace)
 
     @property
     def names(self) -> list[str]:
@@ -130,9 +134,8 @@ def _security(suite: _Suite) -> Iterable[CheckLine]:
     is_demand = required or is_demanded(os.environ)
     if keystore or is_demand:
         namespace = suite.options.namespace
-        nmea = nmea_nodes(suite.options.file, namespace)
         use = KeystoreUse(
-            rights=suite_rights(suite.chain.adapters, namespace, suite.options.locked, nmea=nmea),
+            rights=suite_rights(suite.chain.adapters, namespace, suite.options.locked, nmea=suite.nmea),
             domain_id=domain_of(os.environ),
             now=datetime.datetime.now(datetime.timezone.utc),
             voyage=datetime.timedelta(days=suite.options.days),
@@ -181,7 +184,8 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
             lag_s = float(getattr(node.config, "lag_s", 2.0))
             lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
     asked = asked_qualities(suite.options.file, lags_s, suite.options.namespace)
-    yield from judge_sensors(network, suite.limits, lags_s, asked)
+    own = list(filter(is_instruments, lags_s)) if "nmea_in" in suite.nmea else []
+    yield from judge_sensors(network, suite.limits, lags_s, asked, own)
 
 
 if __name__ == "__main__":

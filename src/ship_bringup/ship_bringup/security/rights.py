@@ -96,6 +96,11 @@ def nmea_nodes(suite_path: Path, namespace: str) -> tuple[str, ...]:
     return tuple(name for name in NMEA_NODES if has_section(suite_path, full_name(name, namespace), wildcards=False))
 
 
+def is_instruments(topic: str) -> bool:
+    """Whether a topic is one that ``nmea_in`` gives, where an instrument speaks NMEA."""
+    return topic.partition("/")[0] in _INSTRUMENTS
+
+
 def device_of(topic: str) -> str:
     """The device that a topic comes from: ``star_fore`` of ``star/fore/observations``, ``ins`` of ``ins/imu``."""
     first, *others = topic.split("/")
@@ -180,7 +185,7 @@ class _SuiteRights:
             acknowledge = {f"{self._alerts}/acknowledge"}
             yield replace(self._tool("nmea_out", heard, acknowledge, diagnostics), is_needed=True)
         if "nmea_in" in nmea:
-            given = {topic for topic in self._from_outside if topic.partition("/")[0] in _INSTRUMENTS}
+            given = set(filter(is_instruments, self._from_outside))
             yield replace(self._tool("nmea_in", self._clock, (), self._topics(given | diagnostics)), is_needed=True)
 
     def _of_sensors(self) -> Iterator[Rights]:

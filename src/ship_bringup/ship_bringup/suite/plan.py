@@ -1,9 +1,8 @@
 """Which programs a suite consists of: a node for each section of its file, who watches them, and a bag's player."""
 
-import datetime
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.errors import BadInput
@@ -11,9 +10,7 @@ from ship_bags.live.ros_process import executable, is_demanded
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.parameter_yaml import anywhere, full_name, read_sections
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
-from ship_bringup.security.demand import KEYSTORE, domain_of, enclave_command
-from ship_bringup.security.keystore import KeystoreUse, require_keystore
-from ship_bringup.security.rights import NMEA_NODES, suite_rights
+from ship_bringup.suite.enclaves import in_enclaves
 from ship_bringup.suite.keeper import Program, Role
 from ship_node.parameters.parameter_file import unknown_sections
 from ship_replay.commands.replay import ADAPTERS
@@ -98,8 +95,10 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
     if options.bag is not None:
         programs.append(_player(options.bag, chain, options))
     if is_demanded(os.environ):
-        warnings += _keystore_warnings(chain, [options.topic(each.name) for each in programs], options)
-        programs = [_in_enclave(each, options) for each in programs]
+        limits = Limits() if options.limits is None else read_limits(options.limits)
+        played = options.bag is not None
+        programs, told = in_enclaves(programs, chain.adapters, options.namespace, limits, played)
+        warnings += told
     return Plan(tuple(programs), (*warnings, *without_saved_file(path, nodes)))
 
 
@@ -129,32 +128,6 @@ def without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str
         for name in SAVED_FILES:
             if getattr(node.config, name, None) == "":
                 yield f"{path}: {node.adapter.node_name} has no {name}: a restart begins without what it has learned"
-
-
-def _keystore_warnings(chain: AdapterChain, enclaves: Sequence[str], options: SuiteOptions) -> list[str]:
-    """What people should know of the keystore that the programs are to run with.
-
-    Raises:
-        BadInput: they cannot, or it is that of another ship.
-    """
-    keystore = os.environ.get(KEYSTORE)
-    if not keystore:
-        raise BadInput(f"DDS security is demanded, and {KEYSTORE} is not set: not started; it names the keystore")
-    limits = Limits() if options.limits is None else read_limits(options.limits)
-    rights = suite_rights(chain.adapters, options.namespace, played=options.bag is not None, nmea=NMEA_NODES)
-    use = KeystoreUse(
-        rights=[replace(each, is_needed=True) for each in rights if each.enclave in enclaves],
-        domain_id=domain_of(os.environ),
-        now=datetime.datetime.now(datetime.timezone.utc),
-        voyage=datetime.timedelta(0),
-        authority_sha256=limits.machine.authority_sha256,
-    )
-    return require_keystore(Path(keystore), use)
-
-
-def _in_enclave(program: Program, options: SuiteOptions) -> Program:
-    """A program with the identity that DDS security gives it."""
-    return replace(program, command=(*enclave_command(options.topic(program.name)), *program.command))
 
 
 def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:
