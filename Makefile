@@ -71,6 +71,7 @@ bundle: setup ## one tar of this commit with all wheels, to set up without a net
 	@$(RUN) python tools/bundle.py $(if $(FOR),--for $(FOR))
 
 audit: setup ## known vulnerabilities of the pinned packages, and their licences; asks the network
+	@$(RUN) python tools/licences.py --check
 	@$(RUN) python tools/audit.py
 
 clean: ## remove what was built; out/ with your files stays, and the wheels (rm -r .venv removes them)
