@@ -199,6 +199,19 @@ def test_wheels_for_another_python_are_told(aboard: Path) -> None:
     assert own_target() in line
 
 
+@pytest.mark.parametrize(("given", "chosen"), [({}, "python3.12"), ({"PYTHON": "python3.10"}, "python3.10")])
+def test_the_python_of_the_wheels_comes_first(tmp_path: Path, given: dict[str, str], chosen: str) -> None:
+    """Of several; PYTHON goes before it. These say their names and fit."""
+    (tmp_path / "wheels" / target("3.12", "x86_64")).mkdir(parents=True)
+    (tmp_path / "tools").mkdir()
+    shutil.copy(ROOT / "tools" / "setup", tmp_path / "tools")
+    for name in ("python3", "python3.10", "python3.12"):
+        (tmp_path / name).write_text('#!/bin/sh\n[ "$1" = -c ] || basename "$0"\n')
+        (tmp_path / name).chmod(0o755)
+    answer = run("tools/setup", cwd=tmp_path, PATH=f"{tmp_path}:{os.environ['PATH']}", **given)
+    assert answer.stdout.split() == [chosen]
+
+
 def test_pins_and_wheels_are_compared_by_the_names_of_an_index() -> None:
     """Names as PEP 503 normalises them, file names as PEP 427 escapes them."""
     assert pinned("Ruamel.Yaml==0.19.1 ; python_version < '3.11'") == "ruamel-yaml==0.19.1"
