@@ -42,6 +42,7 @@ def _audit(options: argparse.Namespace) -> int:
     for line in found + [f"{pin}: no answer" for pin in unanswered]:
         print(f"audit: {line}", file=sys.stderr)
     print(f"audit: {len(found)} known vulnerabilities, {len(unanswered)} of {len(wanted)} versions without an answer")
+    print("audit: advisories about ROS and Fast DDS themselves are not filed under wheels: look there, too")
     return EXIT_BOUND_NOT_MET if found or unanswered else EXIT_DONE
 
 
