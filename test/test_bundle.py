@@ -1,4 +1,4 @@
-"""``make bundle`` and set-up from what it wrote: in a small checkout with a lock of one wheel, which is built here.
+"""``make bundle`` and set-up from what it wrote: in a small checkout with a lock of two wheels, which are built here.
 
 That the whole suite comes up from its bundle without a network is tried by hand, as docs/how-to/install.md tells.
 """
@@ -17,7 +17,7 @@ from tools.wheelhouse import SUMS, own_target, pinned, pinned_by, target
 
 ROOT = Path(__file__).parents[1]
 TOOLS = ("bundle.py", "setup", "setup_environment.py", "wheelhouse.py")
-WHEEL = "tiny_part-1.0-py3-none-any.whl"
+WHEEL, ROS_WHEEL = "tiny_part-1.0-py3-none-any.whl", "ros_part-1.0-py3-none-any.whl"
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
 
 
@@ -27,32 +27,34 @@ def run(*command: str | Path, cwd: Path, **variables: str) -> "subprocess.Comple
     return subprocess.run(words, cwd=cwd, env=kept | variables, capture_output=True, text=True, check=False)
 
 
-def build_wheel(folder: Path) -> None:
+def build_wheel(path: Path) -> None:
     """A wheel with one module, as PEP 427 has it; RECORD may be empty of hashes."""
-    folder.mkdir()
-    info = "tiny_part-1.0.dist-info"
+    name = path.name.partition("-")[0]
+    info = f"{name}-1.0.dist-info"
     files = {
-        "tiny_part.py": "SIZE = 1\n",
-        f"{info}/METADATA": "Metadata-Version: 2.1\nName: tiny-part\nVersion: 1.0\n",
+        f"{name}.py": "SIZE = 1\n",
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n",
         f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
     }
-    record = "".join(f"{name},,\n" for name in (*files, f"{info}/RECORD"))
-    with zipfile.ZipFile(folder / WHEEL, "w") as archive:
-        for name, text in {**files, f"{info}/RECORD": record}.items():
-            archive.writestr(name, text)
+    record = "".join(f"{entry},,\n" for entry in (*files, f"{info}/RECORD"))
+    with zipfile.ZipFile(path, "w") as archive:
+        for entry, text in {**files, f"{info}/RECORD": record}.items():
+            archive.writestr(entry, text)
 
 
 @pytest.fixture(scope="module")
 def ashore(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A git checkout with the tools and a lock; beside it index/ with the wheel."""
+    """A git checkout with the tools and a lock; beside it index/ with the wheels."""
     folder = tmp_path_factory.mktemp("ashore") / "suite"
     (folder / "tools").mkdir(parents=True)
     for name in TOOLS:
         shutil.copy(ROOT / "tools" / name, folder / "tools")
-    (folder / "requirements.lock").write_text("# one\nTiny.Part==1.0\nold==1 ; python_version < '3.0'\n")
+    (folder / "requirements.lock").write_text("# two\nros-part==1.0\nTiny.Part==1.0\nold==1 ; python_version < '3.0'\n")
     (folder / "with space.txt").write_text("tracked\n")
     (folder / ".gitignore").write_text("/out/\n")
-    build_wheel(folder.parent / "index")
+    (folder.parent / "index").mkdir()
+    for name in (WHEEL, ROS_WHEEL):
+        build_wheel(folder.parent / "index" / name)
     named = ("-c", "user.name=A", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false")
     for words in (("init", "-q"), ("add", "-A"), (*named, "commit", "-q", "-m", "all")):
         assert run("git", *words, cwd=folder).returncode == 0
@@ -101,7 +103,7 @@ def refusal(aboard: Path) -> str:
 @needs_git
 def test_the_tar_holds_the_tracked_files_and_the_wheels(ashore: Path, aboard: Path) -> None:
     listed = run("git", "ls-tree", "-r", "-z", "--name-only", "HEAD", cwd=ashore).stdout.split("\0")[:-1]
-    wheels = [f"wheels/{own_target()}/{name}" for name in (SUMS, WHEEL)]
+    wheels = [f"wheels/{own_target()}/{name}" for name in (SUMS, ROS_WHEEL, WHEEL)]
     there = [str(path.relative_to(aboard)) for path in aboard.rglob("*") if path.is_file()]
     assert sorted(there) == sorted(listed + wheels)
     assert (aboard / "with space.txt").read_text() == "tracked\n"
@@ -143,12 +145,19 @@ def test_a_wheel_that_cannot_be_had_is_one_line_and_no_tar(ashore: Path, tmp_pat
 def test_set_up_installs_from_the_wheels_alone(aboard: Path) -> None:
     """Whatever pip's configuration says: an index that nobody serves is never asked. What comes after needs colcon."""
     answer = setup(aboard)
-    assert "1 wheels of" in answer.stdout
+    assert "2 wheels of" in answer.stdout
     assert "no network is asked" in answer.stdout
     assert "colcon build failed" in answer.stderr
     log = (aboard / ".venv" / "setup.log").read_text()
-    assert "Successfully installed tiny-part-1.0" in log.replace("tiny_part", "tiny-part")
+    assert "Successfully installed ros-part-1.0 tiny-part-1.0" in log.replace("_part", "-part")
     assert "127.0.0.1" not in log
+
+
+@needs_git
+def test_over_a_ros_installation_its_own_are_left_out(aboard: Path) -> None:
+    code = "import setup_environment; print(*setup_environment.wheels_to_install(with_ros=False)[0], sep='\\n')"
+    printed = run(sys.executable, "-c", code, cwd=aboard / "tools").stdout.splitlines()
+    assert [line.partition(" --hash=sha256:")[0] for line in printed[1:]] == ["tiny-part==1.0"]
 
 
 @needs_git
@@ -176,7 +185,7 @@ def test_wheels_for_another_lock_are_refused(aboard: Path) -> None:
 @needs_git
 @pytest.mark.parametrize(
     ("keep", "complaint"),
-    [(0, "is missing or does not begin with requirements.lock"), (1, "names no wheel of Tiny.Part==1.0")],
+    [(0, "is missing or does not begin with requirements.lock"), (2, "names no wheel of Tiny.Part==1.0")],
 )
 def test_sums_cut_short_are_refused(aboard: Path, keep: int, complaint: str) -> None:
     path = aboard / "wheels" / own_target() / SUMS
@@ -188,7 +197,7 @@ def test_sums_cut_short_are_refused(aboard: Path, keep: int, complaint: str) -> 
 def test_a_line_of_the_sums_that_names_a_file_elsewhere_is_refused(aboard: Path) -> None:
     path = aboard / "wheels" / own_target() / SUMS
     path.write_text(path.read_text() + "0" * 64 + "  ../elsewhere.whl\n")
-    assert f"{SUMS} line 3" in refusal(aboard)
+    assert f"{SUMS} line 4" in refusal(aboard)
 
 
 @needs_git

@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LOCK = ROOT / "requirements.lock"
 PIP_AUDIT = "pip-audit>=2.9,<3"
 SERVICE = "https://api.osv.dev/v1/query"
-PYTHONS = ("3.10", "3.12")
+BOTH_SIDES = ("3.10", "3.12")
 """The lock has one condition, Python below 3.11 or not: these two see each pin of it."""
 
 
@@ -35,7 +35,7 @@ def main() -> int:
 
 def _audit(options: argparse.Namespace) -> int:
     lock = LOCK.read_text(encoding="utf-8")
-    wanted = sorted({pin for python in PYTHONS for pin in pins(lock, python)})
+    wanted = sorted({pin for python in BOTH_SIDES for pin in pins(lock, python)})
     print(f"audit: {len(wanted)} pinned versions, asked of {options.service}", flush=True)
     with tempfile.TemporaryDirectory() as work:
         found, unanswered = judge(_asked(wanted, options.service, Path(work)), wanted)
