@@ -15,6 +15,7 @@ setup(
     install_requires=[
         "setuptools",
         "numpy",
+        "scipy",
         "PyYAML",
         "mcap",
         "mcap-ros2-support",
@@ -23,17 +24,19 @@ setup(
         "pynmea2",
         "rich",
     ],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest"], "parquet": ["pyarrow"]},
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",
-    description="Bags: read, write, walk, recover, record, play; ship logs in.",
+    description="Bags: read, write, walk, recover, record, play; ship logs in; tables out.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
             "record = ship_bags.commands.record:main",
             "play = ship_bags.commands.play:main",
             "import_nmea = ship_bags.commands.import_nmea:main",
+            "export = ship_bags.commands.export:main",
+            "info = ship_bags.commands.info:main",
         ],
     },
 )
