@@ -149,7 +149,7 @@ class MessageTable:
             self._puts.append((get, _put_time))
         elif field.node == Nodetype.BASE:
             self._add_column(field.base, _value_column(field, field.content[0], field.origin))
-            self._puts.append((get, _put_value))
+            self._puts.append((get, _put_byte if field.content[0] in _BYTES else _put_value))
         elif _is_numbered(field):
             for place in range(field.content[1]):
                 column = _value_column(field, field.content[0][1][0], f"{field.origin}[{place}]")
@@ -204,7 +204,9 @@ class TopicRows:
         self._message_count += 1
 
 
-def _fields(type_name: str, store: Typestore, path: Path = (), inherited: Unit | None = None) -> Iterator[_MessageField]:
+def _fields(
+    type_name: str, store: Typestore, path: Path = (), inherited: Unit | None = None
+) -> Iterator[_MessageField]:
     """All that a message holds, down to numbers, texts, times and arrays that become no single columns."""
     if len(path) > _DEEPEST:
         raise BadInput(f"{type_name}: messages within messages are more than {_DEEPEST} deep")
@@ -277,6 +279,11 @@ def _plain(array: Any) -> list[Any]:
 
 def _put_value(row: list[Any], value: Any) -> None:
     row.append(value)
+
+
+def _put_byte(row: list[Any], value: Any) -> None:
+    # rosbags reads a byte with a sign.
+    row.append(value & 0xFF)
 
 
 def _put_time(row: list[Any], value: Any) -> None:
