@@ -3,8 +3,12 @@
 import numpy as np
 from rosbags.interfaces import Nodetype
 
-TEXTS = ("", "ins", " a, b ", 'say "so"', "two\nlines", "and\r\nmore\r", "ψ in ″, 汉字 🚢", "tab\t'", "nan", "-0.0", "7")
-FLOATS = (float("nan"), float("inf"), -float("inf"), 0.0, -0.0, 5e-324, -2.2250738585072014e-308, 1.7976931348623157e308)
+TEXTS = (
+    "", "ins", " a, b ", 'say "so"', "two\nlines", "and\r\nmore\r", "ψ in ″, 汉字 🚢", "tab\t'", "nan", "-0.0", "7",
+)
+FLOATS = (
+    float("nan"), float("inf"), -float("inf"), 0.0, -0.0, 5e-324, -2.2250738585072014e-308, 1.7976931348623157e308,
+)
 FLOATS_32 = (*FLOATS[:5], 1e-45, -1.1754943508222875e-38, 3.4028234663852886e38, 0.1)
 TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 LONGEST_ARRAY = 4

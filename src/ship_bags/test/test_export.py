@@ -1,9 +1,11 @@
 """Topics of bags as tables, read back by readers that are not ours: csv, pyarrow, scipy."""
 
 import csv
-import shutil
+import resource
+import signal
 import struct
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -162,6 +164,15 @@ def test_what_is_read_back_gives_the_same_bytes_for_every_type(kind, hard_bag, t
         assert found == written[topic_of(type_name)], type_name
 
 
+def test_csv_has_no_more_digits_than_a_number_needs(tmp_path):
+    with BagWriter(tmp_path / "a.mcap") as bag:
+        bag.write("single", message_store().types["std_msgs/msg/Float32"](float(np.float32(0.1))), START_NS)
+        bag.write("double", message_store().types["std_msgs/msg/Float64"](0.1), START_NS)
+    assert main([str(tmp_path / "a.mcap"), "--out", str(tmp_path / "out")]) == 0
+    assert read_table(tmp_path / "out" / "single.csv")[1][0][2:] == ["0.1"]
+    assert read_table(tmp_path / "out" / "double.csv")[1][0][2:] == ["0.1"]
+
+
 @pytest.mark.parametrize("kind", SUFFIXES)
 @pytest.mark.parametrize("name", ["demo", "theodolite"])
 def test_the_bags_of_the_repository_come_back_bit_for_bit(kind, name, tmp_path):
@@ -179,3 +190,284 @@ def test_the_bags_of_the_repository_come_back_bit_for_bit(kind, name, tmp_path):
         found = [(time_ns, serialize(message)) for time_ns, message in rebuilt.messages(types[topic])]
         assert found == written[topic], topic
         assert len(found) > 50
+
+
+def names_of(type_name, tmp_path):
+    """Columns of each table of one message."""
+    path = tmp_path / "one.mcap"
+    with BagWriter(path) as bag:
+        bag.write("a", random_message(type_name, message_store(), np.random.default_rng(1)), START_NS)
+    assert main([str(path), "--out", str(tmp_path / "out")]) == 0
+    return {table.name.removesuffix(".csv"): read_table(table)[0] for table in sorted((tmp_path / "out").iterdir())}
+
+
+def test_units_stand_in_the_names_as_the_definitions_say(tmp_path):
+    columns = names_of("ship_msgs/msg/ShipAttitude", tmp_path)["a"]
+    assert columns[:8] == [
+        "log_time_ns", "message_index", "stamp_ns", "frame_id", "heading_rad", "pitch_rad", "roll_rad",
+        "covariance_rad2_0",
+    ]
+    assert {"orientation_w", "angular_velocity_z_rad_per_s", "sources_count", "star_age_s", "status"} < set(columns)
+
+
+def test_a_comment_holds_for_the_fields_up_to_the_next_one(tmp_path):
+    columns = names_of("ship_msgs/msg/AttitudeErrorArcsec", tmp_path)["a"]
+    assert columns[-2:] == ["error_pitch_arcsec", "error_roll_arcsec"]
+
+
+def test_a_unit_that_depends_on_the_message_is_not_guessed(tmp_path):
+    tables = names_of("ship_msgs/msg/Innovation", tmp_path)
+    assert tables["a-residual"][-1] == "residual"  # [rad, or m for baselines]
+    assert "pose_covariance_35" in names_of_again("geometry_msgs/msg/PoseWithCovarianceStamped", tmp_path)["a"]
+
+
+def names_of_again(type_name, tmp_path):
+    (tmp_path / "again").mkdir()
+    return names_of(type_name, tmp_path / "again")
+
+
+def test_units_of_common_messages_and_of_arrays_of_messages(tmp_path):
+    columns = names_of("sensor_msgs/msg/NavSatFix", tmp_path)["a"]
+    assert {"latitude_deg", "altitude_m", "position_covariance_m2_8"} < set(columns)
+    tables = names_of_again("ship_msgs/msg/StarObservationArray", tmp_path)
+    assert tables["a-stars"] == [
+        "log_time_ns", "message_index", "stamp_ns", "stars_index", "catalogue_id", "right_ascension_rad",
+        "declination_rad", "u_px", "v_px", "sigma_px", "magnitude",
+    ]
+
+
+def test_arrays_within_arrays_are_tables_that_name_both_places(tmp_path):
+    tables = names_of("diagnostic_msgs/msg/DiagnosticArray", tmp_path)
+    assert tables["a-status-values"] == [
+        "log_time_ns", "message_index", "stamp_ns", "status_index", "values_index", "key", "value",
+    ]
+
+
+def test_netcdf_says_what_the_conventions_ask_for_and_no_path(tmp_path):
+    assert main([str(ROOT / "bags" / "demo.mcap"), "--topics", "truth/attitude", "--out", str(tmp_path / "a.nc")]) == 0
+    with netcdf_file(tmp_path / "a.nc", mmap=False) as file:
+        assert file.Conventions == b"CF-1.8"
+        assert file.history == b"ship_bags export of demo.mcap"
+        time, heading = file.variables["time"], file.variables["heading_rad"]
+        assert (time.standard_name, time.axis, time.calendar) == (b"time", b"T", b"standard")
+        assert time.units == b"seconds since 2014-07-09 00:00:00"
+        assert time.dimensions == heading.dimensions == ("row",)
+        # Of the standard name table: clockwise from North, and as the message says it.
+        assert (heading.standard_name, heading.units) == (b"platform_orientation", b"rad")
+        assert file.variables["pitch_rad"].standard_name == b"platform_pitch_fore_up"
+        assert file.variables["roll_rad"].standard_name == b"platform_roll_starboard_down"
+        assert heading.coordinates == b"time"
+        near, rest = (file.variables[name].data.tolist() for name in ("stamp_ns", "stamp_ns_remainder"))
+        stamps = [int(first) + second for first, second in zip(near, rest, strict=True)]
+        midnight_ns = 1_404_864_000_000_000_000  # date -d 2014-07-09T00:00:00Z +%s
+        assert np.abs(time.data * 1e9 - (np.array(stamps) - midnight_ns)).max() < 0.5
+    assert str(tmp_path).encode() not in (tmp_path / "a.nc").read_bytes()
+
+
+@pytest.mark.parametrize("kind", SUFFIXES)
+def test_a_table_without_rows_has_its_columns(kind, tmp_path):
+    path = tmp_path / "empty_arrays.mcap"
+    with BagWriter(path) as bag:
+        bag.add_topic("never", "sensor_msgs/msg/Imu")
+        for number in range(3):
+            array = message_store().types["ship_msgs/msg/AlertArray"](header=imu(START_NS).header, alerts=[])
+            bag.write("alerts", array, START_NS + number)
+    assert main([str(path), "--out", str(tmp_path / "out"), "--format", kind]) == 0
+    for stem, count in {"alerts": 3, "alerts-alerts": 0, "never": 0}.items():
+        names, rows = read_table(tmp_path / "out" / f"{stem}{SUFFIXES[kind]}")
+        assert "log_time_ns" in names
+        assert len(rows) == count
+
+
+@pytest.mark.parametrize("kind", SUFFIXES)
+def test_many_batches_are_one_table(kind, tmp_path):
+    write_imu_bag(tmp_path / "long.mcap", 3500)
+    out = tmp_path / f"imu{SUFFIXES[kind]}"
+    assert main([str(tmp_path / "long.mcap"), "--out", str(out)]) == 0
+    names, rows = read_table(out)
+    stamps = [int(row[names.index("stamp_ns")]) for row in rows]
+    assert stamps == [START_NS + number * 10_000_000 for number in range(3500)]
+    assert {path.name for path in tmp_path.iterdir()} == {"long.mcap", out.name}
+
+
+def test_only_the_time_asked_for(tmp_path):
+    write_imu_bag(tmp_path / "long.mcap", 100)  # from 2023-11-14T22:13:20.05Z on, at 100 Hz
+    arguments = [str(tmp_path / "long.mcap"), "--out", str(tmp_path / "a.csv")]
+    assert main([*arguments, "--from", "2023-11-14T22:13:20.1Z", "--to", "2023-11-14T22:13:20.15Z"]) == 0
+    _, rows = read_table(tmp_path / "a.csv")
+    assert [int(row[0]) - START_NS for row in rows] == [50_000_000 + 10_000_000 * number for number in range(5)]
+
+
+def test_a_rosbag2_folder_is_one_table(tmp_path):
+    bag = FolderWriter(tmp_path / "folder", SplitLimits(size_bytes=1))
+    for number in range(3):
+        bag.write_raw("ins/imu", "sensor_msgs/msg/Imu", serialize(imu(START_NS + number)), START_NS + number)
+        bag.flush()
+    bag.close()
+    assert len(list((tmp_path / "folder").glob("*.mcap"))) > 2
+    assert main([str(tmp_path / "folder"), "--out", str(tmp_path / "a.csv")]) == 0
+    assert [int(row[0]) for row in read_table(tmp_path / "a.csv")[1]] == [START_NS, START_NS + 1, START_NS + 2]
+
+
+def refusal(arguments, capsys):
+    """The one line with which export refuses."""
+    assert main([str(argument) for argument in arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+@pytest.fixture
+def imu_bag(tmp_path):
+    return write_imu_bag(tmp_path / "imu.mcap", 20)
+
+
+def test_a_topic_that_is_not_there_is_told_with_the_nearest(imu_bag, tmp_path, capsys):
+    line = refusal([imu_bag, "--out", tmp_path / "out", "--topics", "ins/imv"], capsys)
+    assert line.endswith("imu.mcap: no topic 'ins/imv': did you mean 'ins/imu'?")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_slash_in_front_of_a_topic_may_be_there_or_not(imu_bag, tmp_path):
+    assert main([str(imu_bag), "--out", str(tmp_path / "a.csv"), "--topics", "/ins/imu"]) == 0
+
+
+def test_what_is_there_is_not_written_over_unless_told(imu_bag, tmp_path, capsys):
+    out = tmp_path / "a.csv"
+    out.write_text("precious")
+    assert "is there already: --force writes over it" in refusal([imu_bag, "--out", out], capsys)
+    assert out.read_text() == "precious"
+    assert main([str(imu_bag), "--out", str(out), "--force"]) == 0
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "ins.imu.csv").write_text("precious")
+    assert "ins.imu.csv: is there already" in refusal([imu_bag, "--out", tmp_path / "folder"], capsys)
+
+
+def test_one_file_cannot_take_two_topics(tmp_path, capsys):
+    line = refusal([ROOT / "bags" / "demo.mcap", "--out", tmp_path / "a.csv"], capsys)
+    assert "9 topics are exported" in line
+
+
+def test_format_and_name_must_agree(imu_bag, tmp_path, capsys):
+    line = refusal([imu_bag, "--out", tmp_path / "a.csv", "--format", "netcdf"], capsys)
+    assert "--out ends in .csv, but --format is netcdf" in line
+
+
+def test_two_topics_that_map_to_one_name_are_refused(tmp_path, capsys):
+    path = tmp_path / "two.mcap"
+    with BagWriter(path) as bag:
+        bag.write("/a/b", imu(START_NS), START_NS)
+        bag.write("A.b", imu(START_NS), START_NS)
+    line = refusal([path, "--out", tmp_path / "out"], capsys)
+    assert "topics '/a/b' and 'A.b' would both be written" in line or "topics 'A.b' and '/a/b' would both" in line
+    assert main([str(path), "--out", str(tmp_path / "out"), "--topics", "/a/b"]) == 0
+
+
+def test_a_hostile_name_of_a_topic_stays_in_the_folder(tmp_path):
+    path = tmp_path / "hostile.mcap"
+    with BagWriter(path) as bag:
+        bag.write("../../etc/passwd\n", imu(START_NS), START_NS)
+    assert main([str(path), "--out", str(tmp_path / "out")]) == 0
+    assert [made.name for made in (tmp_path / "out").iterdir()] == ["etc.passwd_.csv"]
+
+
+def unknown_schema_bag(path):
+    """ins/imu, and a topic whose type nobody here knows, without its definition."""
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="test")
+        text = definition("sensor_msgs/msg/Imu").encode()
+        imu_schema = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", text)
+        known = writer.register_channel("ins/imu", "cdr", imu_schema)
+        other = writer.register_schema("acme_msgs/msg/Secret", "ros2msg", b"")
+        unknown = writer.register_channel("acme", "cdr", other)
+        writer.add_message(known, START_NS, serialize(imu(START_NS)), START_NS)
+        writer.add_message(unknown, START_NS, b"\0\1\0\0\1", START_NS)
+        writer.finish()
+    return path
+
+
+def test_a_topic_without_definition_is_skipped_by_name_and_refused_where_it_is_asked_for(tmp_path, capsys):
+    path = unknown_schema_bag(tmp_path / "secret.mcap")
+    assert main([str(path), "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr()
+    assert "topic 'acme' is skipped: the definition of acme_msgs/msg/Secret is not in the bag" in said.err
+    assert [made.name for made in (tmp_path / "out").iterdir()] == ["ins.imu.csv"]
+    line = refusal([path, "--out", tmp_path / "other", "--topics", "acme"], capsys)
+    assert "topic 'acme' cannot be exported: the definition of acme_msgs/msg/Secret is not in the bag" in line
+
+
+def test_a_truncated_bag_gives_all_up_to_the_cut_and_says_so(tmp_path, capsys):
+    whole = (ROOT / "bags" / "demo.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    assert main([str(tmp_path / "cut.mcap"), "--topics", "ins/imu", "--out", str(tmp_path / "a.csv")]) == 0
+    assert "no footer, it ends or is damaged at byte" in capsys.readouterr().err
+    _, rows = read_table(tmp_path / "a.csv")
+    with read_bag(tmp_path / "cut.mcap") as bag:
+        assert len(rows) == sum(1 for _ in bag.records(["ins/imu"])) > 1000
+
+
+def test_messages_that_cannot_be_decoded_are_counted_and_named(tmp_path, capsys):
+    with BagWriter(tmp_path / "bad.mcap") as bag:
+        for number, data in enumerate([serialize(imu(START_NS)), b"\0\1\0\0\7", b"\0\1\0\0\7"]):
+            bag.write_raw("ins/imu", "sensor_msgs/msg/Imu", data, START_NS + number)
+    assert main([str(tmp_path / "bad.mcap"), "--out", str(tmp_path / "a.csv")]) == 0
+    assert "topic 'ins/imu': 2 messages cannot be decoded and are left out; the first:" in capsys.readouterr().err
+    assert len(read_table(tmp_path / "a.csv")[1]) == 1
+
+
+def test_without_pyarrow_a_plain_line_says_how_to_get_it(imu_bag, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    line = refusal([imu_bag, "--out", tmp_path / "a.parquet"], capsys)
+    assert "pip install pyarrow" in line
+
+
+def test_a_text_too_long_for_netcdf_is_refused_by_name(tmp_path, capsys):
+    with BagWriter(tmp_path / "text.mcap") as bag:
+        bag.write("note", message_store().types["std_msgs/msg/String"]("x" * 40_000), START_NS)
+    line = refusal([tmp_path / "text.mcap", "--out", tmp_path / "a.nc"], capsys)
+    assert "topic 'note': a data of 40000 bytes" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["text.mcap"]
+    assert main([str(tmp_path / "text.mcap"), "--out", str(tmp_path / "a.csv")]) == 0
+
+
+@pytest.mark.parametrize("kind", SUFFIXES)
+def test_a_full_disk_is_named_and_nothing_is_left(kind, tmp_path, capsys, small_files):
+    write_imu_bag(tmp_path / "long.mcap", 3500)
+    before = sorted(path.name for path in tmp_path.iterdir())
+    out = tmp_path / "out"
+    with small_files(100_000):
+        line = refusal([tmp_path / "long.mcap", "--out", out, "--format", kind], capsys)
+    assert f"ins.imu{SUFFIXES[kind]}: File too large" in line
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+@pytest.fixture
+def small_files():
+    """A bound on the length of files fails as a full disk does, in the middle of the content."""
+
+    @contextmanager
+    def bound(length):
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (length, hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+            signal.signal(signal.SIGXFSZ, before)
+
+    return bound
+
+
+def test_a_definition_that_would_make_endless_columns_is_refused(tmp_path, capsys):
+    text = "x/B[64] b\n" + "=" * 80 + "\nMSG: x/msg/B\nx/C[64] c\n" + "=" * 80 + "\nMSG: x/msg/C\nfloat64 d\n"
+    with open(tmp_path / "wide.mcap", "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="test")
+        schema = writer.register_schema("x/msg/A", "ros2msg", text.encode())
+        data = b"\0\1\0\0" + struct.pack("<4096d", *range(4096))
+        writer.add_message(writer.register_channel("wide", "cdr", schema), START_NS, data, START_NS)
+        writer.finish()
+    line = refusal([tmp_path / "wide.mcap", "--out", tmp_path / "out"], capsys)
+    assert "topic 'wide' (x/msg/A) cannot become a table" in line
+    assert "more than 2000 columns" in line
