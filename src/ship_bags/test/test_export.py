@@ -264,6 +264,22 @@ def test_netcdf_says_what_the_conventions_ask_for_and_no_path(tmp_path):
     assert str(tmp_path).encode() not in (tmp_path / "a.nc").read_bytes()
 
 
+def test_what_the_conventions_name_is_named_where_it_is_certain(tmp_path):
+    topics = ["gnss/fix", "met/pressure", "met/temperature", "met/humidity"]
+    arguments = [str(ROOT / "bags" / "demo.mcap"), "--topics", *topics, "--out", str(tmp_path)]
+    assert main([*arguments, "--format", "netcdf"]) == 0
+    found = {}
+    for topic in topics:
+        with netcdf_file(tmp_path / f"{topic.replace('/', '.')}.nc", mmap=False) as file:
+            for variable in file.variables.values():
+                if hasattr(variable, "standard_name") and variable.standard_name != b"time":
+                    found[variable.standard_name.decode()] = variable.units.decode()
+    assert found == {
+        "latitude": "degrees_north", "longitude": "degrees_east", "height_above_reference_ellipsoid": "m",
+        "air_pressure": "Pa", "air_temperature": "degC", "relative_humidity": "1",
+    }
+
+
 @pytest.mark.parametrize("kind", SUFFIXES)
 def test_a_table_without_rows_has_its_columns(kind, tmp_path):
     path = tmp_path / "empty_arrays.mcap"

@@ -19,7 +19,7 @@ from scipy.io import netcdf_file
 from ship_bags.errors import BadInput
 from ship_bags.export.table_files import TableFile, TableHead
 from ship_bags.export.table_rows import LOG_TIME, STAMP, TEXT, Column
-from ship_bags.export.units import cf_units
+from ship_bags.export.units import cf_units, standard_name_on
 from ship_bags.stamps import NS_PER_S
 
 LONGEST_TEXT_BYTES = 32_768
@@ -135,7 +135,7 @@ class NetcdfFile(TableFile):
         variables = [_Variable(TIME, "d", _time_attributes(time_origin, self.head.epoch_ns))]
         for column in self.columns:
             code = "c" if column.kind == TEXT else _CODES[column.kind]
-            variables.append(_Variable(column.name, code, _attributes(column)))
+            variables.append(_Variable(column.name, code, _attributes(column, self.head.topic)))
             if column.kind in _SPLIT:
                 rest = {"long_name": f"what is missing to {column.name}", "coordinates": TIME}
                 if column.unit is not None:
@@ -206,12 +206,13 @@ def _time_attributes(origin: str, epoch_ns: int) -> dict[str, str]:
     }
 
 
-def _attributes(column: Column) -> dict[str, str]:
+def _attributes(column: Column, topic: str) -> dict[str, str]:
     attributes = {"long_name": column.origin, "coordinates": TIME}
+    name = column.standard_name or standard_name_on(topic, column.origin)
     if column.unit is not None:
-        attributes["units"] = cf_units(column.unit, column.standard_name)
-    if column.standard_name is not None:
-        attributes["standard_name"] = column.standard_name
+        attributes["units"] = cf_units(column.unit, name)
+    if name is not None:
+        attributes["standard_name"] = name
     if column.kind == TEXT:
         attributes["_Encoding"] = "utf-8"
     return attributes

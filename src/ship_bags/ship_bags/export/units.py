@@ -109,6 +109,12 @@ _STANDARD_NAMES = {
     ("sensor_msgs/msg/RelativeHumidity", "relative_humidity"): "relative_humidity",
 }
 
+_STANDARD_NAMES_IN_THE_AIR = {
+    ("met/pressure", "fluid_pressure"): "air_pressure",
+    ("met/temperature", "temperature"): "air_temperature",
+}
+"""By topic and field: elsewhere these messages may be of any pressure and temperature."""
+
 _CF_UNITS = {"latitude": "degrees_north", "longitude": "degrees_east"}
 """What CF wants to read in place of "degree"."""
 
@@ -125,8 +131,13 @@ def unit_of(type_name: str, field: str) -> Unit | None:
 
 
 def standard_name(type_name: str, field: str) -> str | None:
-    """The name that the CF conventions have for a field; None where there is none."""
+    """The name that the CF conventions have for a field of a type; None where there is none."""
     return _STANDARD_NAMES.get((type_name, field))
+
+
+def standard_name_on(topic: str, field: str) -> str | None:
+    """The name that the CF conventions have for a field because of its topic; None where there is none."""
+    return _STANDARD_NAMES_IN_THE_AIR.get(("/".join(topic.split("/")[-2:]), field))
 
 
 def cf_units(unit: Unit, name: str | None) -> str:
