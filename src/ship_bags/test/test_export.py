@@ -4,7 +4,9 @@ import csv
 import resource
 import signal
 import struct
+import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -248,10 +250,10 @@ def test_netcdf_says_what_the_conventions_ask_for_and_no_path(tmp_path):
     with netcdf_file(tmp_path / "a.nc", mmap=False) as file:
         assert file.Conventions == b"CF-1.8"
         assert file.history == b"ship_bags export of demo.mcap"
-        time, heading = file.variables["time"], file.variables["heading_rad"]
-        assert (time.standard_name, time.axis, time.calendar) == (b"time", b"T", b"standard")
-        assert time.units == b"seconds since 2014-07-09 00:00:00"
-        assert time.dimensions == heading.dimensions == ("row",)
+        axis, heading = file.variables["time"], file.variables["heading_rad"]
+        assert (axis.standard_name, axis.axis, axis.calendar) == (b"time", b"T", b"standard")
+        assert axis.units == b"seconds since 2014-07-09 00:00:00"
+        assert axis.dimensions == heading.dimensions == ("row",)
         # Of the standard name table: clockwise from North, and as the message says it.
         assert (heading.standard_name, heading.units) == (b"platform_orientation", b"rad")
         assert file.variables["pitch_rad"].standard_name == b"platform_pitch_fore_up"
@@ -260,7 +262,7 @@ def test_netcdf_says_what_the_conventions_ask_for_and_no_path(tmp_path):
         near, rest = (file.variables[name].data.tolist() for name in ("stamp_ns", "stamp_ns_remainder"))
         stamps = [int(first) + second for first, second in zip(near, rest, strict=True)]
         midnight_ns = 1_404_864_000_000_000_000  # date -d 2014-07-09T00:00:00Z +%s
-        assert np.abs(time.data * 1e9 - (np.array(stamps) - midnight_ns)).max() < 0.5
+        assert np.abs(axis.data * 1e9 - (np.array(stamps) - midnight_ns)).max() < 0.5
     assert str(tmp_path).encode() not in (tmp_path / "a.nc").read_bytes()
 
 
@@ -475,15 +477,70 @@ def small_files():
     return bound
 
 
-def test_a_definition_that_would_make_endless_columns_is_refused(tmp_path, capsys):
-    text = "x/B[64] b\n" + "=" * 80 + "\nMSG: x/msg/B\nx/C[64] c\n" + "=" * 80 + "\nMSG: x/msg/C\nfloat64 d\n"
-    with open(tmp_path / "wide.mcap", "wb") as file:
+def write_defined(path, text, data, topic="odd"):
+    """One message of a type that is defined in the bag alone."""
+    with open(path, "wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="test")
         schema = writer.register_schema("x/msg/A", "ros2msg", text.encode())
-        data = b"\0\1\0\0" + struct.pack("<4096d", *range(4096))
-        writer.add_message(writer.register_channel("wide", "cdr", schema), START_NS, data, START_NS)
+        writer.add_message(writer.register_channel(topic, "cdr", schema), START_NS, b"\0\1\0\0" + data, START_NS)
         writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("kind", SUFFIXES)
+def test_fields_that_are_called_as_columns_are_get_names_of_their_own(kind, tmp_path):
+    text = "float64 time\nint64 stamp_ns\nint32 log_time_ns\nint32 stamp_ns_remainder\nint32 a_count\nint32[] a"
+    data = struct.pack("<dqiiiI2i", 0.5, 2**62 + 1, 7, 8, 9, 2, 10, 11)
+    path = write_defined(tmp_path / "odd.mcap", text, data)
+    assert main([str(path), "--out", str(tmp_path / "out"), "--format", kind]) == 0
+    suffix = SUFFIXES[kind]
+    if kind == "netcdf":
+        with netcdf_file(tmp_path / "out" / "odd.nc", mmap=False) as file:
+            found = {name: values(variable)[0] for name, variable in file.variables.items()}
+        assert int(found["stamp_ns"]) + found["stamp_ns_remainder_"] == 2**62 + 1
+        assert (found["time_2"], found["stamp_ns_remainder"], found["log_time_ns_2"]) == (0.5, 8, 7)
+    else:
+        names, ((*row,),) = read_table(tmp_path / "out" / f"odd{suffix}")
+        assert names[2:] == ["time_2", "stamp_ns", "log_time_ns_2", "stamp_ns_remainder", "a_count", "a_count_2"]
+        assert list(map(float, row[2:])) == [0.5, 2.0**62, 7, 8, 9, 2]
+    names, rows = read_table(tmp_path / "out" / f"odd-a{suffix}")
+    assert [int(row[names.index("a")]) for row in rows] == [10, 11]
+
+
+def test_more_files_than_a_process_may_open_are_told(tmp_path, capsys):
+    with BagWriter(tmp_path / "many.mcap") as bag:
+        for number in range(60):
+            bag.add_topic(f"t{number}", "std_msgs/msg/Float64")
+        bag.write("t0", message_store().types["std_msgs/msg/Float64"](1.0), START_NS)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    there = len(list(Path("/proc/self/fd").iterdir()))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (there + 20, hard))
+    try:
+        line = refusal([tmp_path / "many.mcap", "--out", tmp_path / "out"], capsys)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert "too many files at once: export fewer topics by --topics" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_ctrl_c_leaves_nothing_behind(tmp_path):
+    write_imu_bag(tmp_path / "long.mcap", 15_000)
+    options = [str(tmp_path / "long.mcap"), "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "ship_bags.commands.export", *options]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    while not any(path.stat().st_size for path in tmp_path.glob("out/*.part")):
+        assert process.poll() is None
+        time.sleep(0.002)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert (process.returncode, said) == (130, "export: interrupted\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["long.mcap"]
+
+
+def test_a_definition_that_would_make_endless_columns_is_refused(tmp_path, capsys):
+    text = "x/B[64] b\n" + "=" * 80 + "\nMSG: x/msg/B\nx/C[64] c\n" + "=" * 80 + "\nMSG: x/msg/C\nfloat64 d\n"
+    write_defined(tmp_path / "wide.mcap", text, struct.pack("<4096d", *range(4096)), "wide")
     line = refusal([tmp_path / "wide.mcap", "--out", tmp_path / "out"], capsys)
     assert "topic 'wide' (x/msg/A) cannot become a table" in line
     assert "more than 2000 columns" in line

@@ -1,6 +1,7 @@
 """Exports topics of a bag: reads it once, in order of log time, and writes the tables side by side."""
 
 import difflib
+import errno
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -90,7 +91,7 @@ def export(order: ExportOrder) -> Exported:
         for name, topic in topics.items():
             for table in topic.rows.tables:
                 head = TableHead(order.bag.name, name, bag.topics[name], table.name, epoch_ns)
-                file = kind(paths[name, table.name], head, table.columns)
+                file = _opened(kind, paths[name, table.name], head, table)
                 stack.callback(file.discard)
                 topic.files.append((table, file))
         unreadable = _take_messages(bag, order, topics)
@@ -98,6 +99,15 @@ def export(order: ExportOrder) -> Exported:
         for file in files:
             file.finish()
         return Exported({file.path: file.row_count for file in files}, [*bag.problems, *refused, *unreadable])
+
+
+def _opened(kind: type[TableFile], path: Path, head: TableHead, table: MessageTable) -> TableFile:
+    try:
+        return kind(path, head, table.columns)
+    except OSError as problem:
+        if problem.errno != errno.EMFILE:
+            raise
+        raise BadInput("too many files at once: export fewer topics by --topics", file=path) from problem
 
 
 def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> list[str]:
