@@ -22,7 +22,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.message_store import definition, message_store, serialize
-from ship_testing.hand_made_bags import START_NS, imu, write_imu_bag
+from ship_testing.hand_made_bags import START_NS, imu, innovation, write_imu_bag
 from ship_testing.random_messages import TIMES, dtype, random_message
 
 ROOT = Path(__file__).parents[3]
@@ -35,6 +35,18 @@ TYPES = [
     if name.startswith(PACKAGES) and "/msg/" in name and not name.endswith(("/Empty", "/WString"))
 ]
 NUMBERED_UP_TO = 64
+TOGETHER = [
+    ("AlignmentState", {"names": 1, "values": 1, "units": 1}),
+    ("TheodoliteCalibration", {"names": 1, "values": 1, "units": 1}),
+    ("ErrorBudget", {"sources": 1, "covariances": 9}),
+    ("Innovation", {"components": 1, "residual": 1, "sigma": 1}),
+    ("InputHealth", {"reasons": 1, "reason_counts": 1}),
+    ("Integrity", {"quantities": 1, "protection_level": 1, "alert_limit": 1}),
+    ("Integrity", {"hypotheses": 1, "statistic": 1, "threshold": 1}),
+    ("Integrity", {"excluded": 1, "excluded_for_s": 1}),
+    ("JointState", {"name": 1, "position": 1, "velocity": 1, "effort": 1}),
+]
+"""Arrays that share a table, by the last part of their type: which, and how many of each stand in a row."""
 
 
 def read_table(path):
@@ -75,6 +87,7 @@ class Rebuilder:
         for number, row in enumerate(rows):
             assert int(row[1]) == number
             left = iter(row[2:])
+            self.type_name = type_name
             yield int(row[0]), self.message(type_name, left, (number,), "", "")
             assert list(left) == []
 
@@ -101,19 +114,21 @@ class Rebuilder:
         elif element_node == Nodetype.BASE and element[0] in ("uint8", "byte", "octet"):
             return np.frombuffer(bytes.fromhex(next(left)), np.uint8)
         else:
-            name = f"{table}-{path}".lstrip("-")
             count = int(next(left))
-            found = [self.element(name, path, (*keys, i), element_node, element) for i in range(count)]
-            assert (*keys, count) not in self.rows_of(name, path)
+            shared = next((g for t, g in TOGETHER if self.type_name.endswith(f"/{t}") and path in g), {path: 1})
+            first, width = next(iter(shared)), shared[path]
+            name = f"{table}-{first}".lstrip("-")
+            before = sum(list(shared.values())[: list(shared).index(path)])
+            places = [((*keys, place // width), before + place % width) for place in range(count)]
+            found = [self.element(name, first, *at, element_node, element) for at in places]
+            beyond = self.rows_of(name, first).get((*keys, -(-count // width)))
+            assert beyond is None or (len(shared) > 1 and is_nothing(beyond[before]))
         if element_node == Nodetype.NAME or element[0] == "string":
             return found
         return np.array(found, dtype(element[0]))
 
-    def element(self, table, path, keys, node, content):
-        left = iter(self.rows_of(table, path)[keys])
-        built = self.value(node, content, left, keys, table, "")
-        assert list(left) == []
-        return built
+    def element(self, table, first, keys, place, node, content):
+        return self.value(node, content, iter(self.rows_of(table, first)[keys][place:]), keys, table, "")
 
     def rows_of(self, table, path):
         if table not in self.elements:
@@ -122,6 +137,11 @@ class Rebuilder:
             places = [place for place in range(last + 1) if names[place] not in ("log_time_ns", "stamp_ns")]
             self.elements[table] = {tuple(int(row[place]) for place in places): row[last + 1 :] for row in rows}
         return self.elements[table]
+
+
+def is_nothing(value):
+    """Whether it is what stands behind the end of an array in each format."""
+    return value in ("", None, 0) or value != value
 
 
 def cast(base, value):
@@ -219,7 +239,7 @@ def test_a_comment_holds_for_the_fields_up_to_the_next_one(tmp_path):
 
 def test_a_unit_that_depends_on_the_message_is_not_guessed(tmp_path):
     tables = names_of("ship_msgs/msg/Innovation", tmp_path)
-    assert tables["a-residual"][-1] == "residual"  # [rad, or m for baselines]
+    assert tables["a-components"][-3:] == ["components", "residual", "sigma"]  # [rad, or m for baselines]
     assert "pose_covariance_35" in names_of_again("geometry_msgs/msg/PoseWithCovarianceStamped", tmp_path)["a"]
 
 
@@ -242,6 +262,40 @@ def test_arrays_within_arrays_are_tables_that_name_both_places(tmp_path):
     tables = names_of("diagnostic_msgs/msg/DiagnosticArray", tmp_path)
     assert tables["a-status-values"] == [
         "log_time_ns", "message_index", "stamp_ns", "status_index", "values_index", "key", "value",
+    ]
+
+
+def test_arrays_in_the_same_order_share_a_table_also_where_one_is_shorter(tmp_path):
+    """Of an innovation that was refused before it was compared there is no residual, see Innovation.msg."""
+    path = tmp_path / "a.mcap"
+    with BagWriter(path) as bag:
+        message = innovation(START_NS, "star.fore", [], [], float("nan"), components=["north", "up", "east"])
+        bag.write("a", message, START_NS)
+        message = innovation(START_NS, "star.fore", [1.0, 2.0], [3.0, 4.0], 5.0, components=["n", "u"])
+        bag.write("a", message, START_NS + 1)
+    for kind, nothing in {"csv": "", "parquet": None, "netcdf": "nan"}.items():
+        assert main([str(path), "--out", str(tmp_path / kind), "--format", kind]) == 0
+        names, rows = read_table(tmp_path / kind / f"a-components{SUFFIXES[kind]}")
+        place = names.index("components")
+        shown = [[row[place], *(None if cell is None else str(cell) for cell in row[place + 1 :])] for row in rows]
+        expected = [[name, nothing, nothing] for name in ("north", "up", "east")]
+        assert shown == [*expected, ["n", "1.0", "3.0"], ["u", "2.0", "4.0"]]
+        names, rows = read_table(tmp_path / kind / f"a{SUFFIXES[kind]}")
+        assert [int(row[names.index("residual_count")]) for row in rows] == [0, 2]
+
+
+def test_a_source_of_an_error_budget_stands_with_its_covariance(tmp_path):
+    budget = message_store().types["ship_msgs/msg/ErrorBudget"](
+        imu(START_NS).header, "ship_attitude", ["ins", "star.bow"], np.arange(18.0), np.zeros(9)
+    )
+    with BagWriter(tmp_path / "a.mcap") as bag:
+        bag.write("a", budget, START_NS)
+    assert main([str(tmp_path / "a.mcap"), "--out", str(tmp_path)]) == 0
+    names, rows = read_table(tmp_path / "a-sources.csv")
+    assert names[3:6] == ["sources_index", "sources", "covariances_rad2_0"]
+    assert [row[4:] for row in rows] == [
+        ["ins", *(f"{n}.0" for n in range(9))],
+        ["star.bow", *(f"{n}.0" for n in range(9, 18))],
     ]
 
 

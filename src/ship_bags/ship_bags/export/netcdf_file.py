@@ -6,6 +6,7 @@ without a name.
 """
 
 import io
+import math
 import pickle
 import struct
 import tempfile
@@ -74,7 +75,8 @@ class NetcdfFile(TableFile):
 
     def _write(self, values: list[list[Any]]) -> None:
         arrays = [self._times(values[self._time_column])]
-        for column, of_column in zip(self.columns, values, strict=True):
+        for column, given in zip(self.columns, values, strict=True):
+            of_column = _filled(column, given)
             if column.kind == TEXT:
                 arrays.append(np.array(self._encoded(column, of_column)))
             elif column.kind in _SPLIT:
@@ -216,6 +218,14 @@ def _attributes(column: Column, topic: str) -> dict[str, str]:
     if column.kind == TEXT:
         attributes["_Encoding"] = "utf-8"
     return attributes
+
+
+def _filled(column: Column, values: list[Any]) -> list[Any]:
+    """The values, with what NetCDF-3 can say in place of None."""
+    if not any(value is None for value in values):
+        return values
+    nothing: Any = "" if column.kind == TEXT else math.nan if column.kind.startswith("float") else 0
+    return [nothing if value is None else value for value in values]
 
 
 def _ascii(text: str) -> str:

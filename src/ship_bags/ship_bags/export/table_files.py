@@ -205,7 +205,7 @@ def _arrow_metadata(column: Column) -> dict[str, str]:
 def _shown(column: Column, values: list[Any]) -> Iterable[Any]:
     """Values as csv writes them: Python's numbers are shown by the digits needed, those of single precision not."""
     if column.kind == "float32":
-        return map(str, np.array(values, np.float32))
+        return ["" if value is None else str(np.float32(value)) for value in values]
     if column.kind == "bool":
-        return map(int, values)
+        return ["" if value is None else int(value) for value in values]
     return values

@@ -2,12 +2,14 @@
 
 A nested message becomes columns with its name in front, an array of fixed length numbered columns. An array of variable
 length becomes a table of its own with a row per element: of which message, at which place, and what stands there.
-The table of the messages says how many there are.
+The table of the messages says how many there are. Arrays in the same order share a table; where one of them is shorter,
+None stands behind its end.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import chain, count
+from functools import partial
+from itertools import chain, count, zip_longest
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -42,6 +44,21 @@ _BYTES = ("uint8", "byte", "octet")
 _NO_FIELD = "structure_needs_at_least_one_member"
 """Stands in the definition of a message without fields."""
 
+_TOGETHER: dict[str, tuple[dict[str, int], ...]] = {
+    "ship_msgs/msg/AlignmentState": ({"names": 1, "values": 1, "units": 1},),
+    "ship_msgs/msg/TheodoliteCalibration": ({"names": 1, "values": 1, "units": 1},),
+    "ship_msgs/msg/ErrorBudget": ({"sources": 1, "covariances": 9},),
+    "ship_msgs/msg/Innovation": ({"components": 1, "residual": 1, "sigma": 1},),
+    "ship_msgs/msg/InputHealth": ({"reasons": 1, "reason_counts": 1},),
+    "ship_msgs/msg/Integrity": (
+        {"quantities": 1, "protection_level": 1, "alert_limit": 1},
+        {"hypotheses": 1, "statistic": 1, "threshold": 1},
+        {"excluded": 1, "excluded_for_s": 1},
+    ),
+    "sensor_msgs/msg/JointState": ({"name": 1, "position": 1, "velocity": 1, "effort": 1},),
+}
+"""Type → arrays that are in the same order, as its definition says, and how many elements of each belong together."""
+
 Path = tuple[str | int, ...]
 Get = Callable[[Any], Any]
 Put = Callable[[list[Any], Any], None]
@@ -59,7 +76,7 @@ class Column:
 
 
 class _MessageField(NamedTuple):
-    """A number, text or array in a message: its place, its type, what its numbers mean, and of an element the array."""
+    """A number, text or array in a message: its place and type, what its numbers mean, the array or type it is in."""
 
     path: Path
     node: Nodetype
@@ -67,6 +84,7 @@ class _MessageField(NamedTuple):
     unit: Unit | None = None
     standard_name: str | None = None
     array: str = ""
+    owner: str = ""
 
     @property
     def base(self) -> str:
@@ -111,7 +129,9 @@ class MessageTable:
         # The columns by which the rows of its arrays are told apart.
         self._identity = sorted({*range(len(keys)), *stamps})
         own_keys = [self.columns[place] for place in self._identity]
-        self.arrays = [(_getter(field.path), _array_table(name, own_keys, field, store)) for field in varying]
+        self.arrays = [
+            (_elements(group), _array_table(name, own_keys, group, store)) for group in _groups(varying)
+        ]
 
     @property
     def row_count(self) -> int:
@@ -130,9 +150,9 @@ class MessageTable:
         for get, put in self._puts:
             put(row, get(message))
         self._rows.append(row)
-        for get, table in self.arrays:
+        for elements, table in self.arrays:
             outer = [row[place] for place in self._identity]
-            for place, element in enumerate(_plain(get(message))):
+            for place, element in enumerate(elements(message)):
                 table.add([*outer, place], element)
 
     def take_columns(self) -> list[list[Any]]:
@@ -154,7 +174,7 @@ class MessageTable:
             for place in range(field.content[1]):
                 column = _value_column(field, field.content[0][1][0], f"{field.origin}[{place}]")
                 self._add_column(field.base, column, f"_{place}")
-            self._puts.append((get, _put_array))
+            self._puts.append((get, partial(_put_array, field.content[1])))
         elif _is_bytes(field):
             self._add_column(f"{field.base}_hex", Column("", TEXT, None, f"{field.origin}, two digits a byte"))
             self._puts.append((get, _put_hex))
@@ -213,7 +233,8 @@ def _fields(
     for name, (node, content) in store.fielddefs[type_name][1]:
         if name != _NO_FIELD:
             unit = unit_of(type_name, name) or inherited
-            yield from _parts(_MessageField((*path, name), node, content, unit, standard_name(type_name, name)), store)
+            cf_name = standard_name(type_name, name)
+            yield from _parts(_MessageField((*path, name), node, content, unit, cf_name, owner=type_name), store)
 
 
 def _parts(field: _MessageField, store: Typestore) -> Iterator[_MessageField]:
@@ -228,15 +249,54 @@ def _parts(field: _MessageField, store: Typestore) -> Iterator[_MessageField]:
         yield field
 
 
-def _array_table(outer_name: str, outer_keys: list[Column], field: _MessageField, store: Typestore) -> MessageTable:
-    """The table of an array, a row per element."""
+def _groups(fields: list[_MessageField]) -> list[dict[_MessageField, int]]:
+    """Arrays that share a table, each with the number of its elements in a row."""
+    groups: dict[tuple[Path, str], dict[_MessageField, int]] = {}
+    for field in fields:
+        known = next((group for group in _TOGETHER.get(field.owner, ()) if field.path[-1] in group), {})
+        alone = not known or field.content[0][0] != Nodetype.BASE
+        key = (field.path, "") if alone else (field.path[:-1], next(iter(known)))
+        groups.setdefault(key, {})[field] = 1 if alone else known[str(field.path[-1])]
+    return list(groups.values())
+
+
+def _elements(group: dict[_MessageField, int]) -> Callable[[Any], Iterable[Any]]:
+    """What takes the elements for the rows of a table out of a message; of several arrays, one or more of each."""
+    gets = [(_getter(field.path), width) for field, width in group.items()]
+    if len(gets) == 1:
+        get, _ = gets[0]
+        return lambda message: _plain(get(message))
+    return lambda message: zip_longest(*(_in_rows(_plain(get(message)), width) for get, width in gets))
+
+
+def _in_rows(elements: list[Any], width: int) -> list[Any]:
+    """The elements, or where several belong together, lists of them."""
+    return elements if width == 1 else [elements[place : place + width] for place in range(0, len(elements), width)]
+
+
+def _array_table(
+    outer_name: str, outer_keys: list[Column], group: dict[_MessageField, int], store: Typestore
+) -> MessageTable:
+    """The table of an array, a row per element, or of several arrays that are in the same order."""
+    field = next(iter(group))
     keys = [*outer_keys, Column(f"{field.base}_index", "int32", None, f"place in {field.origin}, from 0")]
     node, content = field.content[0]
-    if node == Nodetype.NAME and content not in _TIMES:
+    fields: list[_MessageField]
+    if len(group) > 1:
+        fields = [
+            _MessageField((place,), *_type_in_row(each, width), each.unit, None, each.base)
+            for place, (each, width) in enumerate(group.items())
+        ]
+    elif node == Nodetype.NAME and content not in _TIMES:
         fields = list(_fields(content, store, inherited=field.unit))
     else:
         fields = [_MessageField((), node, content, field.unit, None, field.base)]
     return MessageTable(f"{outer_name}-{field.base}".lstrip("-"), keys, fields, store)
+
+
+def _type_in_row(array: _MessageField, width: int) -> tuple[Nodetype, Any]:
+    """The type of what stands in a row: an element, or an array of some."""
+    return array.content[0] if width == 1 else (Nodetype.ARRAY, (array.content[0], width))
 
 
 def _value_column(field: _MessageField, base_type: str, origin: str) -> Column:
@@ -290,8 +350,11 @@ def _put_time(row: list[Any], value: Any) -> None:
     row.append(ns_from_stamp(value))
 
 
-def _put_array(row: list[Any], value: Any) -> None:
-    row.extend(_plain(value))
+def _put_array(length: int, row: list[Any], value: Any) -> None:
+    # None where an array is shorter than another of the same order.
+    values = [] if value is None else _plain(value)
+    row.extend(values)
+    row.extend([None] * (length - len(values)))
 
 
 def _put_hex(row: list[Any], value: Any) -> None:
