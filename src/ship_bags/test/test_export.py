@@ -370,6 +370,22 @@ def test_only_the_time_asked_for(tmp_path):
     assert [int(row[0]) - START_NS for row in rows] == [50_000_000 + 10_000_000 * number for number in range(5)]
 
 
+@pytest.mark.parametrize("text", ["yesterday", "2026-13-01T00:00:00Z", "2026-06-01T20:00:00.1234567890Z", "1700000000"])
+def test_a_time_that_is_none_is_refused(text, imu_bag, tmp_path, capsys):
+    with pytest.raises(SystemExit) as left:
+        main([str(imu_bag), "--out", str(tmp_path / "a.csv"), "--from", text])
+    assert left.value.code == 2
+    assert f"'{text}' is no time of UTC like 2026-06-01T20:00:30.5Z" in capsys.readouterr().err
+
+
+def test_a_time_is_exact_to_the_nanosecond(tmp_path):
+    write_imu_bag(tmp_path / "a.mcap", 3)
+    arguments = [str(tmp_path / "a.mcap"), "--out", str(tmp_path / "a.csv"), "--force", "--to"]
+    for until, count in {"2023-11-14T22:13:20.060000000Z": 1, "2023-11-14 22:13:20.060000001": 2}.items():
+        assert main([*arguments, until]) == 0
+        assert len(read_table(tmp_path / "a.csv")[1]) == count
+
+
 def test_a_rosbag2_folder_is_one_table(tmp_path):
     bag = FolderWriter(tmp_path / "folder", SplitLimits(size_bytes=1))
     for number in range(3):
