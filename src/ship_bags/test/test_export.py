@@ -558,6 +558,42 @@ def write_defined(path, text, data, topic="odd"):
     return path
 
 
+RULE = "\n" + "=" * 80 + "\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("x/A[] a", "more than 100 tables"),
+        ("x/A a", "messages within messages are more than 16 deep"),
+        # Ten of ten of ten and so on, and nothing in the last.
+        (
+            "".join(f"x/B1 f{i}\n" for i in range(10))
+            + "".join(
+                f"{RULE}MSG: x/msg/B{level}\n" + "".join(f"x/B{level + 1} f{i}\n" for i in range(10))
+                for level in range(1, 14)
+            )
+            + f"{RULE}MSG: x/msg/B14\n",
+            "more than 2000 columns",
+        ),
+    ],
+    ids=["arrays of itself", "itself", "many times nothing"],
+)
+def test_a_definition_without_end_is_refused_at_once(text, why, tmp_path, capsys):
+    path = write_defined(tmp_path / "endless.mcap", text, b"\0" * 64)
+    assert why in refusal([path, "--out", tmp_path / "out"], capsys)
+    assert not (tmp_path / "out").exists()
+
+
+def test_arrays_of_the_same_name_within_one_another_have_two_indices(tmp_path):
+    text = f"x/B[] values{RULE}MSG: x/msg/B\nint32[] values\n"
+    data = struct.pack("<2I2i1Ii", 2, 2, 5, 6, 1, 7)
+    assert main([str(write_defined(tmp_path / "a.mcap", text, data)), "--out", str(tmp_path / "out")]) == 0
+    names, rows = read_table(tmp_path / "out" / "odd-values-values.csv")
+    assert names[1:] == ["message_index", "values_index", "values_index_2", "values"]
+    assert [row[1:] for row in rows] == [["0", "0", "0", "5"], ["0", "0", "1", "6"], ["0", "1", "0", "7"]]
+
+
 @pytest.mark.parametrize("kind", SUFFIXES)
 def test_fields_that_are_called_as_columns_are_get_names_of_their_own(kind, tmp_path):
     text = "float64 time\nint64 stamp_ns\nint32 log_time_ns\nint32 stamp_ns_remainder\nint32 a_count\nint32[] a"

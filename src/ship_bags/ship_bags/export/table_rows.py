@@ -27,6 +27,9 @@ TEXT = "text"
 MOST_COLUMNS = 2000
 """A definition with more is a mistake or means harm."""
 
+MOST_TABLES = 100
+"""Of one topic: arrays within arrays that have no end are a mistake or mean harm, too."""
+
 _MOST_NUMBERED = 64
 """A fixed array that is longer becomes a table of its own: nobody reads a thousand columns."""
 
@@ -109,40 +112,50 @@ class MessageTable:
         keys: columns whose values :meth:`add` is given.
         fields: what a message or an element holds.
         store: the definitions.
+        made: the tables of the topic so far; this one and those of its arrays are added.
 
     Attributes:
         columns: in their order.
-        arrays: the tables of the arrays in it.
+        arrays: what takes the elements of an array out of a message, and their table.
 
     Raises:
-        BadInput: it would have more columns than MOST_COLUMNS, a field is of an unknown kind, or messages within
-            messages have no end.
+        BadInput: there would be more columns than MOST_COLUMNS or more tables than MOST_TABLES, a field is of an
+            unknown kind, or messages within messages have no end.
     """
 
-    def __init__(self, name: str, keys: list[Column], fields: list[_MessageField], store: Typestore) -> None:
+    def __init__(
+        self,
+        name: str,
+        keys: list[Column],
+        fields: Iterable[_MessageField],
+        store: Typestore,
+        made: "list[MessageTable]",
+    ) -> None:
+        if len(made) >= MOST_TABLES:
+            raise BadInput(f"it would be more than {MOST_TABLES} tables")
+        made.append(self)
         self.name = name
         self.columns = list(keys)
         self._rows: list[list[Any]] = []
         self._puts: list[tuple[Get, Put]] = []
-        varying = [field for field in fields if not self._take(field)]
+        varying = []
+        for number, field in enumerate(fields):
+            if max(number, len(self.columns)) >= MOST_COLUMNS:
+                raise BadInput(f"a table of it would have more than {MOST_COLUMNS} columns")
+            if field.path[-1:] != (_NO_FIELD,) and not self._take(field):
+                varying.append(field)
         stamps = [place for place, column in enumerate(self.columns) if column.name == STAMP]
         # The columns by which the rows of its arrays are told apart.
         self._identity = sorted({*range(len(keys)), *stamps})
         own_keys = [self.columns[place] for place in self._identity]
         self.arrays = [
-            (_elements(group), _array_table(name, own_keys, group, store)) for group in _groups(varying)
+            (_elements(group), _array_table(name, own_keys, group, store, made)) for group in _groups(varying)
         ]
 
     @property
     def row_count(self) -> int:
         """Rows that are not yet taken."""
         return len(self._rows)
-
-    def tables(self) -> "Iterator[MessageTable]":
-        """This table and those of the arrays in it, at any depth."""
-        yield self
-        for _, table in self.arrays:
-            yield from table.tables()
 
     def add(self, keys: list[Any], message: Any) -> None:
         """Add the row of a message or an element, and those of its arrays."""
@@ -186,13 +199,9 @@ class MessageTable:
 
     def _add_column(self, base: str, column: Column, number: str = "") -> None:
         """Add a column, named by its base, its unit and its number; where that is taken, with a further number."""
-        if len(self.columns) >= MOST_COLUMNS:
-            raise BadInput(f"a table of it would have more than {MOST_COLUMNS} columns")
         suffix = "" if column.unit is None or not column.unit.suffix else f"_{column.unit.suffix}"
         wanted = f"{base.removesuffix(suffix)}{suffix}{number}"
-        taken = {known.name for known in self.columns} | _RESERVED
-        names = chain([wanted], (f"{wanted}_{again}" for again in count(2)))
-        self.columns.append(replace(column, name=next(name for name in names if name not in taken)))
+        self.columns.append(replace(column, name=_free_name(wanted, self.columns)))
 
 
 class TopicRows:
@@ -214,9 +223,9 @@ class TopicRows:
             Column(LOG_TIME, "int64", NANOSECONDS, "log time in the bag"),
             Column("message_index", "int32", None, "number of the message, from 0"),
         ]
-        self._messages = MessageTable("", keys, list(_fields(type_name, store)), store)
+        self.tables: list[MessageTable] = []
+        self._messages = MessageTable("", keys, _fields(type_name, store), store, self.tables)
         self._message_count = 0
-        self.tables = list(self._messages.tables())
 
     def add(self, message: Any, log_time_ns: int) -> None:
         """Add the rows of one message."""
@@ -231,10 +240,9 @@ def _fields(
     if len(path) > _DEEPEST:
         raise BadInput(f"{type_name}: messages within messages are more than {_DEEPEST} deep")
     for name, (node, content) in store.fielddefs[type_name][1]:
-        if name != _NO_FIELD:
-            unit = unit_of(type_name, name) or inherited
-            cf_name = standard_name(type_name, name)
-            yield from _parts(_MessageField((*path, name), node, content, unit, cf_name, owner=type_name), store)
+        unit = unit_of(type_name, name) or inherited
+        cf_name = standard_name(type_name, name)
+        yield from _parts(_MessageField((*path, name), node, content, unit, cf_name, owner=type_name), store)
 
 
 def _parts(field: _MessageField, store: Typestore) -> Iterator[_MessageField]:
@@ -275,28 +283,40 @@ def _in_rows(elements: list[Any], width: int) -> list[Any]:
 
 
 def _array_table(
-    outer_name: str, outer_keys: list[Column], group: dict[_MessageField, int], store: Typestore
+    outer_name: str,
+    outer_keys: list[Column],
+    group: dict[_MessageField, int],
+    store: Typestore,
+    made: list[MessageTable],
 ) -> MessageTable:
     """The table of an array, a row per element, or of several arrays that are in the same order."""
     field = next(iter(group))
-    keys = [*outer_keys, Column(f"{field.base}_index", "int32", None, f"place in {field.origin}, from 0")]
+    index = _free_name(f"{field.base}_index", outer_keys)
+    keys = [*outer_keys, Column(index, "int32", None, f"place in {field.origin}, from 0")]
     node, content = field.content[0]
-    fields: list[_MessageField]
+    fields: Iterable[_MessageField]
     if len(group) > 1:
         fields = [
             _MessageField((place,), *_type_in_row(each, width), each.unit, None, each.base)
             for place, (each, width) in enumerate(group.items())
         ]
     elif node == Nodetype.NAME and content not in _TIMES:
-        fields = list(_fields(content, store, inherited=field.unit))
+        fields = _fields(content, store, inherited=field.unit)
     else:
         fields = [_MessageField((), node, content, field.unit, None, field.base)]
-    return MessageTable(f"{outer_name}-{field.base}".lstrip("-"), keys, fields, store)
+    return MessageTable(f"{outer_name}-{field.base}".lstrip("-"), keys, fields, store, made)
 
 
 def _type_in_row(array: _MessageField, width: int) -> tuple[Nodetype, Any]:
     """The type of what stands in a row: an element, or an array of some."""
     return array.content[0] if width == 1 else (Nodetype.ARRAY, (array.content[0], width))
+
+
+def _free_name(wanted: str, columns: list[Column]) -> str:
+    """The name, or where a column bears it, one with a number behind it."""
+    taken = {known.name for known in columns} | _RESERVED
+    names = chain([wanted], (f"{wanted}_{again}" for again in count(2)))
+    return next(name for name in names if name not in taken)
 
 
 def _value_column(field: _MessageField, base_type: str, origin: str) -> Column:
