@@ -594,6 +594,14 @@ def test_arrays_of_the_same_name_within_one_another_have_two_indices(tmp_path):
     assert [row[1:] for row in rows] == [["0", "0", "0", "5"], ["0", "0", "1", "6"], ["0", "1", "0", "7"]]
 
 
+def test_arrays_whose_places_read_the_same_have_two_tables(tmp_path):
+    text = f"int32[] b_c\nx/B b{RULE}MSG: x/msg/B\nint32[] c\n"
+    data = struct.pack("<IiIi", 1, 5, 1, 6)
+    assert main([str(write_defined(tmp_path / "a.mcap", text, data)), "--out", str(tmp_path / "out")]) == 0
+    found = {path.name: read_table(path)[1][0][-1] for path in (tmp_path / "out").glob("odd-*")}
+    assert found == {"odd-b_c.csv": "5", "odd-b_c_2.csv": "6"}
+
+
 @pytest.mark.parametrize("kind", SUFFIXES)
 def test_fields_that_are_called_as_columns_are_get_names_of_their_own(kind, tmp_path):
     text = "float64 time\nint64 stamp_ns\nint32 log_time_ns\nint32 stamp_ns_remainder\nint32 a_count\nint32[] a"
