@@ -18,7 +18,7 @@ from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_bringup.suite.dds_ports import QUICK_TO_CONNECT, ports_of
+from ship_bringup.suite.dds_ports import UDP_ALONE, ports_of
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
@@ -136,7 +136,7 @@ def test_a_node_that_is_killed_is_back_within_two_seconds_with_its_last_saved_al
     participants tell that they are there (``dds_profile.xml``). On a computer that has more to do than that, one kill
     of three must do: how long a process waits for a core is not the suite's.
     """
-    for name, value in QUICK_TO_CONNECT.items():
+    for name, value in UDP_ALONE.items():
         monkeypatch.setenv(name, value)  # of who is not started by the suite
     gaps_s = []
     while not gaps_s or (min(gaps_s) >= 2.0 and len(gaps_s) < 3):

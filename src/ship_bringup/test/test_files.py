@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from ship_bags.live.ros_process import DDS_PROFILE
 from ship_bags.message_factory import RosidlFactory
 from ship_bringup.commands import suite as suite_command
 from ship_node.parameters.usage import usage_text
@@ -177,6 +178,10 @@ def test_the_parameter_files_are_those_of_the_examples_and_good():
         findings = Findings()
         assert check_file(path, ADAPTERS, findings)
         assert findings.errors == []
+
+
+def test_the_dds_profile_that_is_shown_is_the_one_that_is_used():
+    assert (PACKAGE / "config" / "dds_profile.xml").resolve() == DDS_PROFILE
 
 
 def test_all_files_are_installed():

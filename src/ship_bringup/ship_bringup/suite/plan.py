@@ -30,6 +30,7 @@ class SuiteOptions:
         loop: how often the bag is played; 0 without end.
         monitor: whether page and alerts are started too.
         box: folder that takes a black box of each node; None for none.
+        reliable_inputs: whether what is lost on the way to the nodes' inputs is sent again.
         use_sim_time: whether the nodes go by /clock although no bag is played here.
         limits: file of the ship's limits for page and alerts; None for the defaults.
         monitor_arguments: further arguments of the page.
@@ -41,6 +42,7 @@ class SuiteOptions:
     loop: int = 1
     monitor: bool = False
     box: Path | None = None
+    reliable_inputs: bool = False
     use_sim_time: bool = False
     limits: Path | None = None
     monitor_arguments: tuple[str, ...] = ()
@@ -84,7 +86,8 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
     for adapter in chain.adapters:
         name = adapter.node_name
         box = () if options.box is None else ("-p", f"black_box:={options.box.resolve()}/")
-        arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box)
+        inputs = ("-p", "reliable_inputs:=true") if options.reliable_inputs else ()
+        arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box, *inputs)
         programs.append(Program(name, (*executable(packages[name], name), *arguments), has_reserve=True))
     if options.monitor:
         programs += _watchers(options, ros)
