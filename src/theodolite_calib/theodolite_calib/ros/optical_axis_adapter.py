@@ -93,12 +93,12 @@ class OpticalAxisAdapter(ReportingAdapter):
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("by_error_n")
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(POINTING_TOPIC, "ship_msgs/msg/OpticalAxisPointing"),
-        OutputTopic(TF_TOPIC, TF_TYPE),
         OutputTopic("theodolite/calibration", "ship_msgs/msg/TheodoliteCalibration", latched=True),
         OutputTopic("theodolite/error_budget", BUDGET_TYPE),
         OutputTopic(innovation_topic, INNOVATION_TYPE),
         OutputTopic(INTEGRITY_TOPIC, INTEGRITY_TYPE),
         OutputTopic("theodolite/error_arcsec", "ship_msgs/msg/PointingErrorArcsec"),
+        OutputTopic(TF_TOPIC, TF_TYPE),
         *OWN_OUTPUTS,
     )
 
