@@ -38,10 +38,10 @@ from ship_node.edge.messages_out import (
     HORIZON_FRAME,
     INNOVATION_TYPE,
     INTEGRITY_TYPE,
-    NO_TRANSLATION,
     TF_STATIC_TOPIC,
     TF_TOPIC,
     TF_TYPE,
+    ZERO_VECTOR,
     DiagnosticStatus,
     Level,
     error_budget,
@@ -253,15 +253,15 @@ def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> li
         header=attitude.header,
         orientation=attitude.orientation,
         orientation_covariance=attitude.rotation_covariance,
-        angular_velocity=attitude.angular_velocity if rate_known else NO_TRANSLATION,
+        angular_velocity=attitude.angular_velocity if rate_known else ZERO_VECTOR,
         angular_velocity_covariance=np.zeros(9) if rate_known else _NOT_GIVEN,
-        linear_acceleration=NO_TRANSLATION,
+        linear_acceleration=ZERO_VECTOR,
         linear_acceleration_covariance=_NOT_GIVEN,
     )
     deck = {
         "header": {"stamp": attitude.header.stamp, "frame_id": HORIZON_FRAME},
         "child_frame_id": DECK_FRAME,
-        "transform": {"translation": NO_TRANSLATION, "rotation": attitude.orientation},
+        "transform": {"translation": ZERO_VECTOR, "rotation": attitude.orientation},
     }
     frames = factory.make(TF_TYPE, transforms=[deck])
     return [(ATTITUDE_TOPIC, attitude), (IMU_TOPIC, imu), (DEGREES_TOPIC, in_degrees), (TF_TOPIC, frames)]
@@ -322,7 +322,7 @@ def installed_frames(factory: MessageFactory, rotations_dv: Mapping[str, np.ndar
             {
                 "header": {"stamp": now_ns, "frame_id": DECK_FRAME},
                 "child_frame_id": frame,
-                "transform": {"translation": NO_TRANSLATION, "rotation": rotation},
+                "transform": {"translation": ZERO_VECTOR, "rotation": rotation},
             }
         )
     return factory.make(TF_TYPE, transforms=transforms)

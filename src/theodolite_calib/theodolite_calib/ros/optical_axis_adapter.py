@@ -26,9 +26,9 @@ from ship_node.edge.messages_out import (
     HORIZON_FRAME,
     INNOVATION_TYPE,
     INTEGRITY_TYPE,
-    NO_TRANSLATION,
     TF_TOPIC,
     TF_TYPE,
+    ZERO_VECTOR,
     DiagnosticStatus,
     Level,
     error_budget,
@@ -183,7 +183,7 @@ def pointing_messages(
         parent, translation, quaternion = DECK_FRAME, lever, mounting_quaternion(estimate.rotation_dm)
     else:
         # The INS alone: its attitude is not that of the frame "deck", and nobody may publish that one at all.
-        parent, translation = HORIZON_FRAME, NO_TRANSLATION
+        parent, translation = HORIZON_FRAME, ZERO_VECTOR
         quaternion = quaternion_from_rotation(estimate.rotation_nm)
     message = factory.make(
         "ship_msgs/msg/OpticalAxisPointing",
