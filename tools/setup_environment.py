@@ -27,6 +27,7 @@ ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 LOCK = ROOT / "requirements.lock"
 SRC = ROOT / "src"
+WHEELS_ONLY = ROOT / "wheels_only"  # packages that a Jazzy installation brings and no wheel does
 BUILD = ROOT / "build"
 INSTALL = ROOT / "install"
 SETUP_LOG = VENV / "setup.log"
@@ -205,12 +206,13 @@ def repair_paths() -> None:
     say(f"paths of the ROS wheels repaired in {count} files")
 
 
-def build_identity(wheels: str) -> str:
+def build_identity(wheels: str, prefix: str) -> str:
     """Changes when something changes that colcon must see: with symlinks an edited Python file is not such a thing."""
     parts: list[str | bytes] = [wheels]
+    folders = [SRC] if prefix else [SRC, WHEELS_ONLY]
     contents = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt", "colcon.meta")
     generated = {"__pycache__", "test", ".pytest_cache", ".mypy_cache", ".ruff_cache"}
-    for path in [ROOT / "colcon.meta", *sorted(SRC.rglob("*"))]:
+    for path in [ROOT / "colcon.meta", *sorted(path for folder in folders for path in folder.rglob("*"))]:
         inner = path.relative_to(ROOT).parts
         if not path.is_file() or generated.intersection(inner) or any(p.endswith(".egg-info") for p in inner):
             continue
@@ -221,8 +223,8 @@ def build_identity(wheels: str) -> str:
     return digest(*parts)
 
 
-def build_packages(identity: str) -> None:
-    """Run colcon over src/ with symlinks."""
+def build_packages(identity: str, prefix: str) -> None:
+    """Run colcon over src/ with symlinks; over the wheels, also over what they lack of Jazzy."""
     if (BUILD.exists() or INSTALL.exists()) and not (BUILD / ".by_setup").exists():
         say("build/ and install/ of another colcon call are removed: builds with and without symlinks do not mix")
         shutil.rmtree(BUILD, ignore_errors=True)
@@ -232,8 +234,10 @@ def build_packages(identity: str) -> None:
     (BUILD / "COLCON_IGNORE").touch()
     STAMP_BUILD.unlink(missing_ok=True)
     say("colcon build of src/")
+    lacking = [] if prefix else sorted(str(path.parent.relative_to(ROOT)) for path in WHEELS_ONLY.glob("*/package.xml"))
+    where = " ".join(["--base-paths src", *(["--paths", *lacking] if lacking else [])])
     colcon = (
-        "source tools/env.sh && exec colcon --log-base log build --symlink-install --base-paths src"
+        f"source tools/env.sh && exec colcon --log-base log build --symlink-install {where}"
         ' --event-handlers console_cohesion+ --cmake-args -G Ninja "-DPython3_EXECUTABLE=$VIRTUAL_ENV/bin/python"'
     )
     # Left to itself colcon adds a load limit, with which a busy machine compiles one file at a time.
@@ -263,7 +267,7 @@ def set_up() -> None:
     wheels_done = read_stamp(STAMP_WHEELS)
     fresh = read_stamp(STAMP_VENV) != venv_identity or not wheels_done
     fresh = fresh or (bool(prefix) and wheels_done != wheels_identity)
-    identity = build_identity(wheels_identity)
+    identity = build_identity(wheels_identity, prefix)
     if not fresh and wheels_done == wheels_identity and read_stamp(STAMP_BUILD) == identity:
         return
     check_machine(fresh)
@@ -275,7 +279,7 @@ def set_up() -> None:
     if to_install:
         STAMP_WHEELS.unlink(missing_ok=True)
         install_wheels(prefix, wheels_identity, *to_install)
-    build_packages(identity)
+    build_packages(identity, prefix)
     say(f"done in {time.monotonic() - begin:.0f} s")
 
 

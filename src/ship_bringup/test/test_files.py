@@ -34,8 +34,11 @@ GRAMMAR = {  # tag: (attributes taken, attributes that must be there, children)
     "launch": ({"version"}, set(), {"arg", "group", "node", "executable", "let", "include"}),
     "arg": ({"name", "default", "description"}, {"name"}, {"choice"}),
     "let": ({"name", "value", *CONDITIONS}, {"name", "value"}, set()),
-    "group": ({"scoped", "forwarding", *CONDITIONS}, set(), {"push_ros_namespace", "node", "executable", "let"}),
+    "group": (
+        {"scoped", "forwarding", *CONDITIONS}, set(), {"push_ros_namespace", "set_remap", "node", "executable", "let"},
+    ),
     "push_ros_namespace": ({"namespace", *CONDITIONS}, {"namespace"}, set()),
+    "set_remap": ({"from", "to", *CONDITIONS}, {"from", "to"}, set()),
     "executable": ({"cmd", *PROCESS}, {"cmd"}, {"env"}),
     "node": ({"pkg", "exec", "args", "ros_args", "namespace", *PROCESS}, {"pkg", "exec"}, {"param", "remap", "env"}),
     "param": ({"name", "value", "type", "from", "allow_substs"}, set(), {"param"}),

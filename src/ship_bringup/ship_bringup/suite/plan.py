@@ -10,6 +10,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.parameter_yaml import anywhere, full_name, read_sections
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
 from ship_bringup.suite.keeper import Program, Role
+from ship_node.edge.messages_out import TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.parameter_file import unknown_sections
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import AdapterChain, suite_text
@@ -125,11 +126,16 @@ def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:
 
 
 def _names(options: SuiteOptions) -> tuple[str, ...]:
-    """What puts a process into the suite's namespace; a bag's time is that of its own suite, not of the next one."""
+    """What puts a process into the suite's namespace.
+
+    A bag's time is that of its own suite, not of the next one. Frames have the same names on each ship: in a namespace
+    they are told there, and not on the /tf of all.
+    """
     if not options.namespace:
         return ()
     clock = () if options.bag is None else ("-r", f"/clock:={options.topic('clock')}")
-    return ("-r", f"__ns:=/{options.namespace}", *clock)
+    frames = [word for topic in (TF_TOPIC, TF_STATIC_TOPIC) for word in ("-r", f"{topic}:={topic[1:]}")]
+    return ("-r", f"__ns:=/{options.namespace}", *clock, *frames)
 
 
 def _watchers(options: SuiteOptions, ros: tuple[str, ...]) -> list[Program]:
