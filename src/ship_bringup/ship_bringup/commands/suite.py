@@ -64,6 +64,11 @@ def _parser() -> CommandParser:
         "--loop", type=_count, default=1, metavar="N", help="with --bag: play it N times, 0 without end (1)"
     )
     parser.add_argument("--use-sim-time", action="store_true", help="the nodes go by /clock, which somebody else sets")
+    parser.add_argument(
+        "--reliable-inputs",
+        action="store_true",
+        help="for a link that loses packets: what is lost on the way to the nodes' inputs is sent again",
+    )
     parser.add_argument("--monitor", action="store_true", help="start live page and alerts of ship_monitor, too")
     parser.add_argument(
         "--limits",
@@ -98,6 +103,7 @@ def _suite(parsed: argparse.Namespace) -> int:
         loop=parsed.loop,
         monitor=parsed.monitor,
         box=parsed.box,
+        reliable_inputs=parsed.reliable_inputs,
         use_sim_time=parsed.use_sim_time,
         limits=parsed.limits,
         monitor_arguments=() if parsed.port is None else ("--port", str(parsed.port)),

@@ -12,6 +12,7 @@ from ship_bags.parameter_yaml import anywhere, full_name, read_sections
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
 from ship_bringup.suite.enclaves import in_enclaves
 from ship_bringup.suite.keeper import Program, Role
+from ship_node.edge.messages_out import TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.parameter_file import unknown_sections
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import AdapterChain, suite_text
@@ -34,6 +35,7 @@ class SuiteOptions:
         loop: how often the bag is played; 0 without end.
         monitor: whether page and alerts are started too.
         box: folder that takes a black box of each node; None for none.
+        reliable_inputs: whether what is lost on the way to the nodes' inputs is sent again.
         use_sim_time: whether the nodes go by /clock although no bag is played here.
         limits: file of the ship's limits for page and alerts; None for the defaults.
         monitor_arguments: further arguments of the page.
@@ -45,6 +47,7 @@ class SuiteOptions:
     loop: int = 1
     monitor: bool = False
     box: Path | None = None
+    reliable_inputs: bool = False
     use_sim_time: bool = False
     limits: Path | None = None
     monitor_arguments: tuple[str, ...] = ()
@@ -88,7 +91,8 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
     for adapter in chain.adapters:
         name = adapter.node_name
         box = () if options.box is None else ("-p", f"black_box:={options.box.resolve()}/")
-        arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box)
+        inputs = ("-p", "reliable_inputs:=true") if options.reliable_inputs else ()
+        arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box, *inputs)
         programs.append(Program(name, (*executable(packages[name], name), *arguments), has_reserve=True))
     if options.monitor:
         programs += _watchers(options, ros)
@@ -137,11 +141,16 @@ def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:
 
 
 def _names(options: SuiteOptions) -> tuple[str, ...]:
-    """What puts a process into the suite's namespace; a bag's time is that of its own suite, not of the next one."""
+    """What puts a process into the suite's namespace.
+
+    A bag's time is that of its own suite, not of the next one. Frames have the same names on each ship: in a namespace
+    they are told there, and not on the /tf of all.
+    """
     if not options.namespace:
         return ()
     clock = () if options.bag is None else ("-r", f"/clock:={options.topic('clock')}")
-    return ("-r", f"__ns:=/{options.namespace}", *clock)
+    frames = [word for topic in (TF_TOPIC, TF_STATIC_TOPIC) for word in ("-r", f"{topic}:={topic[1:]}")]
+    return ("-r", f"__ns:=/{options.namespace}", *clock, *frames)
 
 
 def _watchers(options: SuiteOptions, ros: tuple[str, ...]) -> list[Program]:
