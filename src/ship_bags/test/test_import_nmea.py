@@ -4,8 +4,6 @@ The bursts quoted here are lines of R/V Nathaniel B. Palmer's log of 2014-08-01 
 OpenRVDAS (MIT licence, https://github.com/OceanDataTools/openrvdas).
 """
 
-import functools
-import operator
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -19,7 +17,7 @@ from ship_bags.stamps import ns_from_stamp
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
 from ship_geometry.rotations import log_rotation
-from ship_testing.ship_logs import GYR1, MWX1, SEAP
+from ship_testing.ship_logs import GYR1, MWX1, SEAP, sentence
 
 S330 = """\
 2014-08-01T00:00:00.285000Z $INZDA,000000.17,01,08,2014,,*7E
@@ -32,10 +30,6 @@ S330 = """\
 2014-08-01T00:00:00.522000Z $PSXN,23,0.35,-1.74,218.26,0.58*13
 """
 MIDNIGHT_NS = datetime_ns(datetime(2014, 8, 1, tzinfo=timezone.utc))
-
-
-def sentence(body):
-    return f"${body}*{functools.reduce(operator.xor, body.encode(), 0):02X}"
 
 
 def line(receive_s, body):

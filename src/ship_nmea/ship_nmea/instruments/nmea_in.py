@@ -29,7 +29,8 @@ _AT_ONCE = 50
 """Lines of a link taken before the next link's turn: a flood of one holds up no other."""
 _IDLE_S = 0.5
 _ABSENT = (errno.ENOENT, errno.ENXIO, errno.ENODEV)
-_HELD = {errno.EADDRINUSE: "somebody else listens there", errno.EAGAIN: "somebody else reads it"}
+_HELD = {errno.EADDRINUSE: "somebody else listens there", errno.EAGAIN: "somebody else reads it",
+         errno.EACCES: "no permission, which for serial devices the group dialout has as a rule"}
 _JOIN_S = 2.0
 
 
