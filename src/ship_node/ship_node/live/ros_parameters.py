@@ -57,17 +57,18 @@ class NodeParameters:
     Args:
         node: has no parameters of its own yet.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
+        has_black_box: whether the node keeps one; where not, a parameter of that name is left alone.
 
     Raises:
         ParameterError: an override is unknown, of the wrong type, out of its range or missing.
     """
 
-    def __init__(self, node: ParameterNode, config_type: type) -> None:
+    def __init__(self, node: ParameterNode, config_type: type, has_black_box: bool = True) -> None:
         self._node = node
         self.config: Any = build(config_type, nest(_overrides(node)))
         self._at_start = flatten(self.config)
         self._last_refusal = ""
-        self.black_box = _declare_black_box(node)
+        self.black_box = _declare_black_box(node) if has_black_box else ""
         self._descriptions = {name: _description(name, config_type) for name in flatten(self.config)}
         for name, value in flatten(self.config).items():
             # The override is in the value already, as a float where the file had an integer.
