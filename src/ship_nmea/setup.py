@@ -21,6 +21,7 @@ setup(
     entry_points={
         "console_scripts": [
             "nmea_in = ship_nmea.instruments.nmea_in:main",
+            "nmea_out = ship_nmea.commands.nmea_out:main",
         ],
     },
 )
