@@ -125,6 +125,16 @@ def test_sources_of_one_port_are_told_apart_by_their_talkers(listening):
     assert (values["other talker: HN"], values["other talker: GP"]) == ("1", "1")
 
 
+def test_a_group_of_the_ships_network_is_heard(listening):
+    """IEC 61162-450: a group of its own for each kind of data, a mark and a TAG block before the sentence."""
+    node = listening({"gyro": udp("gyro") | {"address": "239.192.0.4", "interface": "127.0.0.1"}})
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        data = b"UdPbC\x00\\s:HE0001,n:12*2A\\" + ended("HEHDT,10.0,T")
+        sender.sendto(data, ("239.192.0.4", node.config.sources["gyro"].port))
+    node.wait_until(lambda: node.heard["reference/gyro/imu"])
+
+
 def test_what_is_no_good_is_counted_by_name_and_the_rest_is_used(listening):
     """All of them at once, between sentences that are good."""
     node = listening({"gyro": udp("gyro", talkers=["HE"])})
@@ -256,6 +266,10 @@ def test_bad_input_is_one_line_with_file_line_and_key(tmp_path):
         f"nmea_in: suite.yaml:7: parameter 'sources.seapath.port' = {port}: udp 0.0.0.0:{port} cannot be opened: "
         "somebody else listens there"
     )
+    code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        port: {port}\n        address: 192.0.2.1\n")
+    assert code == 2
+    assert line.startswith("nmea_in: suite.yaml:8: parameter 'sources.seapath.address' = '192.0.2.1'")
+    assert line.endswith("expected an address of this machine")
     code, line = refused(tmp_path, f"{SOURCE}        kind: serial\n        device: {tmp_path / 'suite.yaml'}\n")
     assert code == 2
     assert line.startswith("nmea_in: suite.yaml:7: parameter 'sources.seapath.device' =")

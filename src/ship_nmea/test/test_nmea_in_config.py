@@ -15,6 +15,7 @@ SERIAL = {"kind": "serial", "device": "/dev/ttyUSB0"}
         ({"a": {"kind": "udp", "becomes": "ins"}}, "sources.a.port", "needs one, from 1 to 65535"),
         ({"a": {"kind": "tcp", "becomes": "ins", "port": 4001}}, "sources.a.address", "needs the server's name"),
         ({"a": {"kind": "serial", "becomes": "ins"}}, "sources.a.device", "needs one, as /dev/ttyUSB0"),
+        ({"a": UDP | {"becomes": "ins", "interface": "eth0"}}, "sources.a.interface", "expected an IPv4 address"),
         ({"a": UDP}, "sources.a.becomes", "must be given"),
         ({"a": UDP | {"becomes": "compass"}}, "sources.a.becomes", "must be one of ins, reference, gyro"),
         ({"a": UDP | {"becomes": "ins", "port": 70000}}, "sources.a.port", "out of its range"),

@@ -1,5 +1,6 @@
 """The parameters of ``nmea_in``: the sources, where each is heard and what its sentences become."""
 
+import ipaddress
 from dataclasses import dataclass
 
 from ship_bags.nmea.instrument import GNSS, GYRO, INS, INSTRUMENT_TIME, REFERENCE, WEATHER, InstrumentRole
@@ -34,6 +35,9 @@ class NmeaSourceConfig:
     )
     port: int = parameter(
         0, doc="of udp and tcp; sources with the same place share it", minimum=0, maximum=65535
+    )
+    interface: str = parameter(
+        "", doc="udp of a group: own IPv4 address of the network to use; empty for the default"
     )
     device: str = parameter("", doc="serial: the device, as /dev/ttyUSB0")
     baud: int = parameter(
@@ -99,12 +103,21 @@ class NmeaInConfig:
 
 
 def _check_place(name: str, source: NmeaSourceConfig) -> None:
+    if source.interface and not _is_ipv4(source.interface):
+        raise _error(f"{name}.interface", source.interface, "expected an IPv4 address of this machine")
     if source.kind == SERIAL and not source.device:
         raise _error(f"{name}.device", "", "a serial source needs one, as /dev/ttyUSB0")
     if source.kind != SERIAL and not source.port:
         raise _error(f"{name}.port", source.port, f"a source of kind {source.kind} needs one, from 1 to 65535")
     if source.kind == TCP and not source.address:
         raise _error(f"{name}.address", "", "a source of kind tcp needs the server's name or address")
+
+
+def _is_ipv4(address: str) -> bool:
+    try:
+        return bool(ipaddress.IPv4Address(address))
+    except ValueError:
+        return False
 
 
 def _error(name: str, value: object, reason: str) -> ParameterError:

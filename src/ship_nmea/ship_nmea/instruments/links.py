@@ -54,8 +54,8 @@ class UdpLink:
 
     is_stream = False
 
-    def __init__(self, address: str, port: int) -> None:
-        self._address, self._port = address or ANY_ADDRESS, port
+    def __init__(self, address: str, port: int, interface: str) -> None:
+        self._address, self._port, self._interface = address or ANY_ADDRESS, port, interface or ANY_ADDRESS
 
     def open(self) -> None:
         """See :class:`Link`."""
@@ -69,7 +69,7 @@ class UdpLink:
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((self._address, self._port))
             if is_group:
-                member = socket.inet_aton(self._address) + socket.inet_aton(ANY_ADDRESS)
+                member = socket.inet_aton(self._address) + socket.inet_aton(self._interface)
                 self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
         except OSError:
             self._socket.close()
@@ -148,7 +148,9 @@ def link_of(source: NmeaSourceConfig) -> Link:
     """The link of a source."""
     if source.kind == SERIAL:
         return SerialLink(source.device, source.baud)
-    return (UdpLink if source.kind == UDP else TcpLink)(source.address, source.port)
+    if source.kind == UDP:
+        return UdpLink(source.address, source.port, source.interface)
+    return TcpLink(source.address, source.port)
 
 
 class LinkReader:

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -86,8 +87,9 @@ class NmeaIn:
         while not self._stop.is_set():
             self._lines_came.wait(_IDLE_S)
             self._lines_came.clear()
-            while not self._stop.is_set() and sum(self._publish_some(place) for place in self._readers):
-                pass
+            taken = 1
+            while taken and not self._stop.is_set():
+                taken = sum(self._publish_some(place) for place in self._readers)
 
     def _publish_some(self, place: str) -> int:
         """Publish what some lines of a link say; returns how many."""
@@ -116,12 +118,12 @@ def _first_opened(source: Source) -> tuple[Link, bool]:
     try:
         link.open()
     except (OSError, ValueError) as problem:
-        number = getattr(problem, "errno", None) or 0
+        number = max(0, getattr(problem, "errno", None) or 0)
         if config.kind == SERIAL and number in _ABSENT:
             return link, False
         reason = _HELD.get(number) or (os.strerror(number) if number else str(problem))
         key, value = ("device", config.device) if config.kind == SERIAL else ("port", config.port)
-        if number == errno.EADDRNOTAVAIL:
+        if number == errno.EADDRNOTAVAIL or isinstance(problem, socket.gaierror):
             key, value, reason = "address", config.address, "expected an address of this machine"
         name = f"sources.{source.id}.{key}"
         text = f"parameter '{name}' = {value!r}: {config.place} cannot be opened: {reason}"

@@ -14,8 +14,8 @@ from typing import Any
 
 import pynmea2
 
+from ship_bags.nmea.sentences import THS
 from ship_geometry.frames import SINGULAR_ELEVATION
-from ship_nmea.sentences import defined
 from ship_nmea.sentences.defined import time_field
 
 _NAN3 = (math.nan, math.nan, math.nan)
@@ -91,7 +91,7 @@ def hdt(attitude: AttitudeToTell, talker: str, decimals: int) -> pynmea2.NMEASen
 
 def ths(attitude: AttitudeToTell, talker: str, decimals: int) -> pynmea2.NMEASentence:
     """True heading and status."""
-    return defined.THS(talker, "THS", (_heading(attitude.angles[0], decimals), attitude.worth.mode))
+    return THS(talker, "THS", (_heading(attitude.angles[0], decimals), attitude.worth.mode))
 
 
 def rot(attitude: AttitudeToTell, talker: str, decimals: int) -> pynmea2.NMEASentence:

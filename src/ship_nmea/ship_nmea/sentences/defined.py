@@ -1,4 +1,4 @@
-"""Sentences of IEC 61162-1 that pynmea2 does not know: by being defined here they are known to its parser, too.
+"""Sentences of alerts (IEC 61162-1) that pynmea2 does not know: being defined here, they are known to its parser.
 
 pynmea2 files a sentence under the name of its class, with (description, name, and how to read it) of each field.
 """
@@ -13,12 +13,6 @@ LONGEST_BYTES = 82
 _RESERVED = "!$*,\\^~\x7f\r\n"
 """Characters with a meaning of their own: in a text ``^`` and their code in hexadecimal stand for them."""
 _IN_ASCII = str.maketrans({"″": '"', "′": "'", "°": " deg", "σ": "sigma", "–": "-", "−": "-", "…": "..."})
-
-
-class THS(pynmea2.TalkerSentence):  # type: ignore[misc]
-    """True heading and status."""
-
-    fields = (("Heading, degrees true", "heading", float), ("Mode: A, E, M, S or V", "mode"))
 
 
 class ALF(pynmea2.TalkerSentence):  # type: ignore[misc]
