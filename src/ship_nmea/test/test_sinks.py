@@ -142,7 +142,7 @@ def test_what_a_slow_client_gets_are_whole_sentences(open_sink):
         def one_more_until_some_are_skipped():
             nonlocal number
             number += 1
-            sink.put(f"${number:06d}")
+            sink.put(f"${number:070d}")
             return "skipped" in sink.status().message
 
         until(one_more_until_some_are_skipped)
@@ -151,7 +151,7 @@ def test_what_a_slow_client_gets_are_whole_sentences(open_sink):
             sink.put("$end")
             data += slow.recv(4096)
         *lines, _ = data.split(b"\r\n")
-        assert all(line == b"$end" or (len(line) == 7 and line[:1] == b"$") for line in lines)
+        assert all(line == b"$end" or (len(line) == 71 and line[:1] == b"$") for line in lines)
 
 
 def test_a_port_in_use_is_refused_at_the_start(open_sink):
