@@ -40,27 +40,24 @@ _WORTHS = {
 
 
 class Pace:
-    """Which of the attitudes that come are a sink's: so many a second on the average, evenly.
+    """Which of the attitudes that come are a sink's: one for each period, up to half of one early or late.
 
     Args:
-        rate_hz: how many; of attitudes that come as often, an early or a late one is not left out.
+        rate_hz: how many a second; of attitudes that come as often, jitter leaves none out.
     """
 
-    MOST_CREDIT = 1.5
-
     def __init__(self, rate_hz: float) -> None:
-        self._rate_hz = rate_hz
-        self._credit = self.MOST_CREDIT
-        self._last_ns: int | None = None
+        self._period_ns = round(NS_PER_S / rate_hz)
+        self._next_ns: int | None = None
 
     def is_due(self, now_ns: int) -> bool:
         """Whether the attitude of now is one of them."""
-        passed_s = 0.0 if self._last_ns is None else (now_ns - self._last_ns) / NS_PER_S
-        self._last_ns = now_ns
-        self._credit = min(self.MOST_CREDIT, self._credit + passed_s * self._rate_hz)
-        if self._credit < 1.0:
+        late_ns = 0 if self._next_ns is None else now_ns - self._next_ns
+        if late_ns < -self._period_ns // 2:
             return False
-        self._credit -= 1.0
+        # After a silence the periods begin anew: nothing is made up for.
+        is_steady = self._next_ns is not None and late_ns < self._period_ns // 2
+        self._next_ns = self._period_ns + (now_ns - late_ns if is_steady else now_ns)
         return True
 
 

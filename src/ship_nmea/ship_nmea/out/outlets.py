@@ -90,11 +90,12 @@ class LineSplitter:
         self._rest = b""
 
     def lines(self, data: bytes) -> list[str]:
-        """The lines that these bytes end."""
+        """The lines that these bytes end, without empty ones."""
         *whole, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > _LONGEST_LINE:
             self._rest = b""
-        return [line.decode("ascii", errors="replace").strip() for line in whole if len(line) <= _LONGEST_LINE]
+        lines = [line.decode("ascii", errors="replace").strip() for line in whole if len(line) <= _LONGEST_LINE]
+        return [line for line in lines if line]
 
 
 class UdpOutlet(Outlet):
