@@ -16,6 +16,8 @@ SERIAL = {"kind": "serial", "device": "/dev/ttyUSB0"}
         ({"a": {"kind": "tcp", "becomes": "ins", "port": 4001}}, "sources.a.address", "needs the server's name"),
         ({"a": {"kind": "serial", "becomes": "ins"}}, "sources.a.device", "needs one, as /dev/ttyUSB0"),
         ({"a": UDP | {"becomes": "ins", "interface": "eth0"}}, "sources.a.interface", "expected an IPv4 address"),
+        ({"a": UDP | {"becomes": "ins", "device": "/dev/x"}}, "sources.a.device", "means nothing to kind udp"),
+        ({}, "sources", "names no source"),
         ({"a": UDP}, "sources.a.becomes", "must be given"),
         ({"a": UDP | {"becomes": "compass"}}, "sources.a.becomes", "must be one of ins, reference, gyro"),
         ({"a": UDP | {"becomes": "ins", "port": 70000}}, "sources.a.port", "out of its range"),

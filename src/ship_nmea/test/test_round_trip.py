@@ -1,73 +1,83 @@
-"""The attitude out as sentences and in again: ``nmea_out``, a UDP port, ``nmea_in``, ``ins/imu``."""
+"""ship/attitude → nmea_out → UDP → nmea_in → ins/imu: the same attitude, to what is printed."""
 
-import os
-import signal
-import subprocess
-import sys
+import threading
 import time
 
 import numpy as np
 import pytest
+import rclpy
+from rclpy.context import Context
 
+from ship_bags.parameter_yaml import sections_text
 from ship_bags.stamps import ns_from_stamp, stamp_fields
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import log_rotation
 from ship_msgs.msg import ShipAttitude
+from ship_nmea.commands.nmea_out import NAME
+from ship_nmea.node_shell import NmeaNode
+from ship_nmea.out.config import NmeaOutConfig
+from ship_nmea.out.nmea_out import NmeaOut
 from ship_testing.listening_node import free_port
 
 pytestmark = pytest.mark.live
 
-NODE = [sys.executable, "-m", "ship_nmea.commands.nmea_out", "--ros-args", "-r", "__ns:=/aurora"]
+DECIMALS = 4
 ANGLES_DEG = [
-    *((heading, 1.23456789, -4.56789012) for heading in np.arange(0.0, 360.0, 45.0)),
-    (179.999991, 0.0, 0.0), (180.000009, 0.0, 0.0), (359.999991, -5.0, 5.0), (0.000009, 5.0, -5.0),
-    (90.0, 0.0, 179.999991), (270.0, 0.0, -179.999991), (33.3333333, 89.0, 12.3456789), (330.0, -89.0, -170.0),
+    *((heading, -1.23456, 4.56789) for heading in np.arange(0.0, 360.0, 45.0)),
+    (179.99996, 0.0, 0.0), (180.00004, 0.0, 0.0), (359.99996, -5.0, 5.0), (0.00004, 5.0, -5.0),
+    (90.0, 0.0, 179.99996), (270.0, 0.0, -179.99996), (30.0, 89.0, 10.0), (330.0, -89.0, -170.0),
 ]  # fmt: skip
 """Heading, pitch (bow up), roll (starboard down)."""
 
 
-@pytest.mark.parametrize("decimals", [2, 4])
-def test_what_goes_out_comes_in_to_print_resolution_at_its_own_stamp(listening, tmp_path, decimals):
+@pytest.fixture
+def teller(tmp_path):
+    """Starts nmea_out with a sink; returns what publishes an attitude, and waits for its reader."""
+    context, stop = Context(), threading.Event()
+    closing = []
+
+    def start(port):
+        path = tmp_path / "nmea_out.yaml"
+        sink = {
+            "kind": "udp", "address": "127.0.0.1", "port": port, "sentences": ["PASHR"], "decimals": DECIMALS,
+            "rate_hz": 1000.0,
+        }  # fmt: skip
+        path.write_text(sections_text({f"/**/{NAME}": {"sinks": {"link": sink}}}))
+        rclpy.init(args=[NAME, "--ros-args", "--params-file", str(path)], context=context)
+        node = NmeaNode(NAME, NmeaOutConfig, NmeaOut, context, (path,))
+        thread = threading.Thread(target=node.spin, args=(stop.is_set,))
+        thread.start()
+        ship = rclpy.create_node("ship", context=context, use_global_arguments=False)
+        publisher = ship.create_publisher(ShipAttitude, "ship/attitude", 100)
+        closing.extend([stop.set, thread.join, node.close, ship.destroy_node])
+        return publisher
+
+    yield start
+    for close in closing:
+        close()
+    context.try_shutdown()
+
+
+def test_an_attitude_comes_back(listening, teller):
     port = free_port()
-    node = listening({"own": {"kind": "udp", "port": port, "becomes": "ins"}}, namespace="aurora")
-    parameters = {
-        "sinks.loop.kind": "udp", "sinks.loop.address": "127.0.0.1", "sinks.loop.port": port,
-        "sinks.loop.rate_hz": 1000.0, "sinks.loop.sentences": "[PSXN20, PASHR]", "sinks.loop.decimals": decimals,
-        "longest_age_s": 60.0,
-    }  # fmt: skip
-    command = [*NODE, *(part for name, value in parameters.items() for part in ("-p", f"{name}:={value}"))]
-    with (tmp_path / "log.txt").open("w") as log:
-        out = subprocess.Popen(command, stdout=log, stderr=log, env=os.environ | {"ROS_LOG_DIR": str(tmp_path)})
-    try:
-        attitudes = node.peer.create_publisher(ShipAttitude, "ship/attitude", 10)
-        heard = node.heard["ins/imu"]
-        for angles_deg in ANGLES_DEG:
-            angles = np.radians(angles_deg)
-            stamp_ns = time.time_ns() // 1_000_000 * 1_000_000
-            message = ShipAttitude(heading=angles[0], pitch=angles[1], roll=angles[2])
-            message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(stamp_ns)
-
-            def came_back(message=message, stamp_ns=stamp_ns):
-                # Again and again: an input is best effort. A stamp that was there is not taken twice.
-                attitudes.publish(message)
-                return heard and ns_from_stamp(heard[-1].header.stamp) == stamp_ns
-
-            node.wait_until(came_back)
-            orientation = heard[-1].orientation
-            read_nd = rotation_from_quaternion([orientation.x, orientation.y, orientation.z, orientation.w])
-            error_deg = np.degrees(np.abs(log_rotation(read_nd @ rotation_from_angles(*angles).T)))
-            # Three angles, each wrong by half of its last digit at most.
-            assert np.linalg.norm(error_deg) <= 0.5 * 10.0**-decimals * 3.0**0.5 * 1.01, angles_deg
-        assert len(heard) == len(ANGLES_DEG)
-        # INVALID is void, and nothing of it comes in.
-        message.status = ShipAttitude.INVALID
-        for _ in range(5):
-            message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(time.time_ns())
-            attitudes.publish(message)
-            node.spin()
-        node.wait_until(lambda: "no values in it" in node.told("own")[1])
-        assert len(heard) == len(ANGLES_DEG)
-    finally:
-        out.send_signal(signal.SIGINT)
-        assert out.wait(20.0) == 0
+    node = listening({"link": {"kind": "udp", "address": "127.0.0.1", "port": port, "becomes": "ins"}})
+    publisher = teller(port)
+    node.wait_until(lambda: publisher.get_subscription_count() == 1)
+    messages = node.heard["ins/imu"]
+    for number, angles in enumerate(ANGLES_DEG):
+        time_ns = time.time_ns() // 1_000_000 * 1_000_000  # PASHR tells milliseconds
+        heading, pitch, roll = np.deg2rad(angles)
+        sent = ShipAttitude(status=ShipAttitude.VALID, heading=heading, pitch=pitch, roll=roll)
+        sent.covariance = np.diag([1e-12, 1e-12, 1e-12]).ravel()
+        sent.header.stamp.sec, sent.header.stamp.nanosec = stamp_fields(time_ns)
+        publisher.publish(sent)
+        node.wait_until(lambda number=number: len(messages) > number)
+        message = messages[-1]
+        assert ns_from_stamp(message.header.stamp) == time_ns
+        q = message.orientation
+        rotation = rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
+        error_deg = np.rad2deg(log_rotation(rotation_from_angles(heading, pitch, roll).T @ rotation))
+        # Each of three angles is rounded by half of its last digit at most.
+        assert np.linalg.norm(error_deg) <= 3 * 0.5 * 10.0**-DECIMALS
+    assert len(messages) == len(ANGLES_DEG)

@@ -12,6 +12,9 @@ ARRIVAL_TIME = "arrival"
 
 ANY_ADDRESS = "0.0.0.0"
 
+_MEANT = {UDP: ("address", "port", "interface"), TCP: ("address", "port"), SERIAL: ("device", "baud")}
+"""Of the parameters that say where a source is heard those that mean something to its kind."""
+
 _ALONE = (INS, GNSS, WEATHER)
 """Roles whose topics have no name of the source in theirs, so that two sources would be mixed on them."""
 
@@ -79,6 +82,8 @@ class NmeaInConfig:
         Raises:
             ParameterError: names the parameter.
         """
+        if not self.sources:
+            raise ParameterError("parameter 'sources' names no source: expected one as 'sources.gyro.kind'", "sources")
         for id_, source in self.sources.items():
             _check_place(f"sources.{id_}", source)
             for talker in source.talkers:
@@ -103,6 +108,10 @@ class NmeaInConfig:
 
 
 def _check_place(name: str, source: NmeaSourceConfig) -> None:
+    for key in ("address", "port", "interface", "device"):
+        value, means = getattr(source, key), _MEANT[source.kind]
+        if value and key not in means:
+            raise _error(f"{name}.{key}", value, f"means nothing to kind {source.kind}, which takes {', '.join(means)}")
     if source.interface and not _is_ipv4(source.interface):
         raise _error(f"{name}.interface", source.interface, "expected an IPv4 address of this machine")
     if source.kind == SERIAL and not source.device:

@@ -6,6 +6,7 @@ What is gone is tried again for as long as the node runs. A line carries the nod
 import contextlib
 import ipaddress
 import socket
+import sys
 import termios
 import threading
 from collections import deque
@@ -27,14 +28,23 @@ _CONNECT_S = 2.0
 _JOIN_S = 1.0
 _CHUNK = 65536
 _RECEIVE_BUFFER = 1 << 20
+_SO_RXQ_OVFL = 40
+"""Linux then tells with each datagram how many were dropped before it; Python has no name for it."""
+_NOTES = socket.CMSG_SPACE(64)
 _KEEPALIVE = {"TCP_KEEPIDLE": 3, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
 """A server that lost its power says no goodbye: an idle connection is asked for after 3 s, and given up 3 s later."""
 
 
 class Link(Protocol):
-    """A way by which bytes come; each call may raise OSError."""
+    """A way by which bytes come; each call may raise OSError.
+
+    Attributes:
+        is_stream: whether lines go on from one read to the next.
+        lost: datagrams that the system dropped because they were not read in time.
+    """
 
     is_stream: bool
+    lost: int
 
     def open(self) -> None:
         """Begin to listen."""
@@ -53,6 +63,7 @@ class UdpLink:
     """Listens for datagrams at a port of this machine, or of a multicast group."""
 
     is_stream = False
+    lost = 0
 
     def __init__(self, address: str, port: int, interface: str) -> None:
         self._address, self._port, self._interface = address or ANY_ADDRESS, port, interface or ANY_ADDRESS
@@ -62,6 +73,8 @@ class UdpLink:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            with contextlib.suppress(OSError):
+                self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
             self._socket.settimeout(_WAIT_S)
             is_group = _is_group(self._address)
             if is_group:
@@ -78,9 +91,13 @@ class UdpLink:
     def read(self) -> bytes:
         """See :class:`Link`."""
         try:
-            return self._socket.recv(_CHUNK)
+            data, notes, _, _ = self._socket.recvmsg(_CHUNK, _NOTES)
         except TimeoutError:
             return b""
+        for _, kind, value in notes:
+            if kind == _SO_RXQ_OVFL:
+                self.lost = int.from_bytes(value, sys.byteorder)
+        return data
 
     def close(self) -> None:
         """See :class:`Link`."""
@@ -91,6 +108,7 @@ class TcpLink:
     """Connects to a server and reads what it sends."""
 
     is_stream = True
+    lost = 0
 
     def __init__(self, address: str, port: int) -> None:
         self._place = address, port
@@ -123,6 +141,7 @@ class SerialLink:
     """Reads a serial device, 8 data bits, no parity, one stop bit, as NMEA 0183 has it; nobody else may read it."""
 
     is_stream = True
+    lost = 0
 
     def __init__(self, device: str, baud: int) -> None:
         self._device, self._baud = device, baud
@@ -164,7 +183,6 @@ class LinkReader:
 
     Attributes:
         problem: why the link is not open, in one line; empty where it is.
-        dropped: lines that were displaced by newer ones.
     """
 
     def __init__(self, link: Link, is_open: bool, now_ns: Callable[[], int], came: Callable[[], None]) -> None:
@@ -174,9 +192,14 @@ class LinkReader:
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self.problem = "" if is_open else "not open yet"
-        self.dropped = 0
+        self._displaced = 0
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Lines that were displaced by newer ones, and datagrams that were dropped before they were read."""
+        return self._displaced + self._link.lost
 
     def take(self, most: int) -> list[tuple[int, bytes]]:
         """The oldest lines that wait, each with the time at which it came."""
@@ -217,7 +240,7 @@ class LinkReader:
     def _put(self, lines: list[bytes]) -> None:
         now_ns = self._now_ns()
         with self._lock:
-            self.dropped += max(0, len(self._lines) + len(lines) - WAITING_LINES)
+            self._displaced += max(0, len(self._lines) + len(lines) - WAITING_LINES)
             self._lines.extend((now_ns, line) for line in lines)
         self._came()
 

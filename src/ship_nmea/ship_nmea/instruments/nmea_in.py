@@ -49,8 +49,6 @@ class NmeaIn:
 
     def __init__(self, shell: NmeaNode) -> None:
         config: NmeaInConfig = shell.config
-        if not config.sources:
-            raise ParameterError("parameter 'sources' must name one source at least, see --help", "sources")
         self._guard = shell.guard
         self._lines_came, self._stop = threading.Event(), threading.Event()
         self._sources: dict[str, list[Source]] = {}

@@ -127,7 +127,7 @@ class Source:
 
         Args:
             problem: of its link; empty where that is open.
-            dropped: lines of its link that were displaced by newer ones.
+            dropped: lines of its link that were not kept.
             now_ns: steady time.
         """
         if dropped > self._dropped:
@@ -165,7 +165,7 @@ class Source:
             why = wrong or f"heard are {_names(report.unused, report.used) or 'no sentences of use'}{others}"
             return Level.ERROR, f"lines come, and no {topics} for {(now_ns - self._given_ns) / NS_PER_S:.0f} s: {why}"
         if now_ns - self._dropped_ns <= SHOWN_NS:
-            return Level.ERROR, f"overflow: more came than can be taken; the oldest {self._dropped} lines were dropped"
+            return Level.ERROR, f"overflow: more came than can be taken; {self._dropped} lines were dropped"
         if wrong:
             return Level.WARN, wrong
         if not any(self._given[topic] for topic in self._wanted):
