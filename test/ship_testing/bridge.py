@@ -21,12 +21,6 @@ PATIENCE_S = 40.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 class TellingShip:
     """A suite in the namespace demo that tells its attitude, and hears the diagnostics."""
 

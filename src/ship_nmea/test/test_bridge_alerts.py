@@ -14,7 +14,8 @@ import pynmea2
 import pytest
 
 from ship_msgs.msg import Alert
-from ship_testing.bridge import Display, TellingShip, free_port, until
+from ship_testing.bridge import Display, TellingShip, until
+from ship_testing.listening_node import free_port
 
 pytestmark = pytest.mark.live
 
@@ -103,7 +104,7 @@ def ship():
 
 @pytest.fixture
 def bridge():
-    bridge = Bridge(free_port())
+    bridge = Bridge(free_port(socket.SOCK_STREAM))
     yield bridge
     bridge.display.close()
 

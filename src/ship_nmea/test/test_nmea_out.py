@@ -12,7 +12,9 @@ import pytest
 
 from ship_msgs.msg import ShipAttitude
 from ship_nmea.out.nmea_out import Pace
-from ship_testing.bridge import Display, TellingShip, free_port, until
+from ship_replay.trials.live_process import free_domain_id
+from ship_testing.bridge import Display, TellingShip, until
+from ship_testing.listening_node import free_port
 
 pytestmark = pytest.mark.live
 
@@ -21,9 +23,12 @@ NODE = [sys.executable, "-m", "ship_nmea.commands.nmea_out", "--ros-args"]
 
 @pytest.fixture(scope="module")
 def ship():
-    ship = TellingShip()
-    yield ship
-    ship.stop()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        patch.setenv("ROS_DOMAIN_ID", str(free_domain_id()))
+        ship = TellingShip()
+        yield ship
+        ship.stop()
 
 
 def parameters(**values):
@@ -44,7 +49,7 @@ def ended(process):
 @pytest.fixture(scope="module")
 def bridge(tmp_path_factory, ship):
     """A display at the TCP sink of a node, which has a slow file beside it."""
-    folder, port = tmp_path_factory.mktemp("bridge"), free_port()
+    folder, port = tmp_path_factory.mktemp("bridge"), free_port(socket.SOCK_STREAM)
     process = started(folder / "log.txt", *parameters(
         sinks__bridge__kind="tcp_server", sinks__bridge__port=port, sinks__bridge__decimals=3,
         sinks__bridge__sentences="[HDT, THS, ROT, PASHR, PSXN20, PSXN23]", sinks__bridge__rate_hz=100.0,

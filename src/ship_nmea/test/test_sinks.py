@@ -16,6 +16,7 @@ from ship_nmea.out.config import SinkConfig
 from ship_nmea.out.outlets import LineSplitter
 from ship_nmea.out.sink import MOST_WAITING, RETRY_S, Sink
 from ship_node.edge.messages_out import Level
+from ship_testing.listening_node import free_port
 
 PATIENCE_S = 20.0
 SENTENCE = "$INHDT,12.3456,T*08"
@@ -28,12 +29,6 @@ def until(look):
         time.sleep(0.01)
     assert found
     return found
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @pytest.fixture
@@ -96,7 +91,7 @@ def test_udp_reaches_a_group(open_sink):
 
 
 def test_tcp_serves_several_clients_and_hears_lines_in_pieces(open_sink):
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     with connected(port) as one, connected(port) as two:
         until(lambda: "2 clients" in sink.status().message)
@@ -112,7 +107,7 @@ def test_tcp_serves_several_clients_and_hears_lines_in_pieces(open_sink):
 
 def test_a_client_that_does_not_read_holds_up_nobody_and_is_sent_away(open_sink, monkeypatch):
     monkeypatch.setattr("ship_nmea.out.outlets.STALLED_S", 0.5)
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     with socket.socket() as lazy, connected(port) as reader:
         lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
@@ -130,7 +125,7 @@ def test_a_client_that_does_not_read_holds_up_nobody_and_is_sent_away(open_sink,
 
 
 def test_what_a_slow_client_gets_are_whole_sentences(open_sink):
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     with socket.socket() as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
@@ -155,7 +150,7 @@ def test_what_a_slow_client_gets_are_whole_sentences(open_sink):
 
 
 def test_a_port_in_use_is_refused_at_the_start(open_sink):
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     open_sink(kind="tcp_server", port=port, address="127.0.0.1")
     with pytest.raises(BadInput, match=rf"'sinks.bridge.port' = {port}: Address already in use: another") as refused:
         open_sink(kind="tcp_server", port=port, address="127.0.0.1")
