@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from ship_bags.nmea.sentences import BAD_CHECKSUM, UNKNOWN, UNPARSED, VOID, NotOfInterest, Sentence
+from ship_bags.nmea.sentences import BAD_CHECKSUM, OUT_OF_RANGE, UNKNOWN, UNPARSED, VOID, NotOfInterest, Sentence
 from ship_nmea.instruments.lines import HALF, LONGEST_LINE, NOISE, TOO_LONG, LineSplitter, heard_texts
 from ship_testing.ship_logs import sentence
 
@@ -69,6 +69,10 @@ def test_a_line_without_end_is_told_once_and_not_kept(size):
         (b"$HEHDT,218.54,T*12", [BAD_CHECKSUM]),
         (sentence("HEHDT,,T").encode(), [VOID]),
         (sentence("HEXYZ,1").encode(), [UNKNOWN]),
+        (sentence("HEHDT,999.99,T").encode(), [OUT_OF_RANGE]),
+        (sentence("HEHDT,360.0,T").encode(), ["HDT"]),
+        (sentence("PSXN,23,0.1,90.01,1.0,0.0").encode(), [OUT_OF_RANGE]),
+        (sentence("PSXN,23,-180.0,-90.0,0.0,0.0").encode(), ["PSXN23"]),
         (b"$GPVTG,211.32,T,235.99,M,9.4,N,17.4,K*7F", [BAD_CHECKSUM]),
         (b"$INVTG,215.11,T,239.79,M,9.1,N,16.9,K,A*05", ["INVTG"]),
         (b"!AIVDM,1,1,,A,14eG;o@034o8sd<L9i:a;WF>062D,0*7D", ["!AIVDM"]),

@@ -97,6 +97,35 @@ def test_what_is_counted_is_bounded(source):
     assert max(len(text) for pair in values.items() for text in pair) < 120
 
 
+TEMPLATES = [
+    ("ins", "INZDA,120000.00,01,03,2026,,"), ("ins", "PSXN,20,1,0,0,0"), ("ins", "PSXN,23,0.35,-1.74,218.26,0.58"),
+    ("ins", "PASHR,120000.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1"),
+    ("gnss", "INGGA,120000.00,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,"),
+    ("gyro", "HETHS,218.53,A"), ("gyro", "HEHDT,218.53,T"), ("weather", "WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"),
+    ("weather", "WIMDA,30.2269,I,1.0236,B,17.7,C,,,43.3,,5.0,C,131.5,T,128.6,M,0.8,N,0.4,M"),
+]  # fmt: skip
+ODD = ["", "nan", "inf", "-1e400", "1e30", "x", "sNaN", "99", "235960.00", "250000", "-", "1,2", "0x10", "²", "1_0"]
+
+
+def test_fields_of_every_kind_never_raise_and_attitudes_are_attitudes(source):
+    """Sentences with right checksums and odd fields: an instrument's software has faults as well."""
+    rng, sources = random.Random(4), {role: source(becomes=role) for role, _ in TEMPLATES}
+    given = 0
+    for number in range(6000):
+        role, body = rng.choice(TEMPLATES)
+        name, *fields = body.split(",")
+        for _ in range(rng.randint(0, 2)):
+            fields[rng.randrange(len(fields))] = rng.choice(ODD)
+        line = sentence(",".join([name, *fields])).encode(errors="replace")
+        for heard in heard_texts(line):
+            for topic, message in sources[role].take(heard, datetime_ns(START) + number, 0):
+                given += 1
+                if topic.endswith("imu"):
+                    q = message.orientation
+                    assert abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) < 1e-9
+    assert given > 1000
+
+
 def test_datagrams_that_the_system_drops_are_counted():
     """Linux keeps so many bytes for a socket; nobody reads it while ten thousand datagrams come."""
     port, count = free_port(), 10_000

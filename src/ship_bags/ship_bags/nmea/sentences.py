@@ -11,8 +11,9 @@ from typing import Any
 import pynmea2
 
 BAD_CHECKSUM, UNPARSED = "checksum failed", "unparsed"
-UNKNOWN, VOID = "unknown sentence", "no values in it"
-"""Why in particular a line is unparsed: pynmea2 does not know the sentence, or the instrument has nothing to say."""
+UNKNOWN, VOID, OUT_OF_RANGE = "unknown sentence", "no values in it", "angle out of range"
+"""Why in particular a line is unparsed: pynmea2 does not know the sentence, the instrument has nothing to say, or says
+what cannot be."""
 
 # Fields of the line MET of the station mwx1.
 _MET_TEMPERATURE, _MET_HUMIDITY, _MET_PRESSURE = 3, 4, -1
@@ -32,6 +33,12 @@ _NEEDED = {
     "XDR": (),
 }
 """Name of a class of pynmea2 → fields without which the sentence says nothing."""
+
+_RANGES_DEG = {
+    "heading": (0.0, 360.0), "head": (0.0, 360.0), "true_heading": (0.0, 360.0), "pitch": (-90.0, 90.0),
+    "roll": (-180.0, 180.0),
+}  # fmt: skip
+"""Angles beyond are none: some instruments write 999.99 where they know nothing."""
 
 _KINDS = {"SXN20": "PSXN20", "SXN23": "PSXN23", "ASHRATT": "PASHR"}
 
@@ -112,6 +119,8 @@ def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable
         return Unusable(UNPARSED, VOID)
     if any(isinstance(value, str) or not _is_finite(value) for value in values):
         return Unusable(UNPARSED)
+    if any(not _is_angle(field, value) for field, value in zip(_NEEDED[kind], values, strict=True)):
+        return Unusable(UNPARSED, OUT_OF_RANGE)
     if kind == "ZDA" and not 1970 < content.year < 2038:
         return Unusable("no year of ours")
     if kind == "GGA" and not _has_readable_position(content):
@@ -122,6 +131,12 @@ def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable
 def _is_finite(value: Any) -> bool:
     """False for a number that is none, as of the field ``nan``; times of day are finite."""
     return not isinstance(value, (float, Decimal)) or number(value) is not None
+
+
+def _is_angle(field: str, value: Any) -> bool:
+    """False for an angle beyond its range; other fields have none."""
+    least, most = _RANGES_DEG.get(field, (None, None))
+    return least is None or most is None or least <= float(value) <= most
 
 
 def _has_readable_position(gga: Any) -> bool:

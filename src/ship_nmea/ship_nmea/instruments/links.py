@@ -25,7 +25,7 @@ WAITING_LINES = 1000
 
 _WAIT_S = 0.2
 _CONNECT_S = 2.0
-_JOIN_S = 1.0
+_JOIN_S = 0.5
 _CHUNK = 65536
 _RECEIVE_BUFFER = 1 << 20
 _SO_RXQ_OVFL = 40
@@ -206,9 +206,12 @@ class LinkReader:
         with self._lock:
             return [self._lines.popleft() for _ in range(min(most, len(self._lines)))]
 
-    def close(self) -> None:
-        """End the thread, and give the link back."""
+    def stop(self) -> None:
+        """Tell the thread to end, and to give the link back."""
         self._stop.set()
+
+    def join(self) -> None:
+        """Wait until it has; one that asks for a name or a connection ends with the process."""
         self._thread.join(_JOIN_S)
 
     def _run(self) -> None:

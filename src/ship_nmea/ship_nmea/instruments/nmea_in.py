@@ -79,7 +79,9 @@ class NmeaIn:
         self._lines_came.set()
         self._publishing.join(_JOIN_S)
         for reader in self._readers.values():
-            reader.close()
+            reader.stop()
+        for reader in self._readers.values():
+            reader.join()
 
     def _publish(self) -> None:
         while not self._stop.is_set():
