@@ -163,6 +163,15 @@ def test_a_command_without_an_instance_means_the_present_one():
     assert ledger.meant(AlertCommand(told.identifier + 1, None, "A")) is None
 
 
+def test_a_list_that_cannot_be_read_changes_nothing():
+    ledger = AlertLedger()
+    ledger.take([alert("a"), alert("b")], 0)
+    with pytest.raises(IndexError):
+        ledger.take([alert("a"), alert("b", priority=9)], 0)
+    assert len(ledger.told) == 2
+    assert ledger.take([alert("a"), alert("b")], 0) == []
+
+
 def test_more_alerts_than_a_suite_can_have_are_left_out_and_counted():
     ledger = AlertLedger()
     told = ledger.take([alert(f"a{n}") for n in range(MOST_ALERTS + 3)], 0)

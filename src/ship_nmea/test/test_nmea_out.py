@@ -11,6 +11,7 @@ import time
 import pytest
 
 from ship_msgs.msg import ShipAttitude
+from ship_nmea.commands.nmea_out import main
 from ship_nmea.out.nmea_out import Pace
 from ship_replay.trials.live_process import free_domain_id
 from ship_testing.bridge import Display, TellingShip, until
@@ -162,10 +163,6 @@ def test_the_diagnostics_tell_of_every_sink(ship, bridge):
     assert ship.statuses["nmea_out: sink log"].level == b"\x00"
 
 
-def run(*arguments):
-    return subprocess.run([*NODE, *arguments], capture_output=True, text=True, timeout=60, check=False)
-
-
 SINK = "/**/nmea_out:\n  ros__parameters:\n    sinks:\n      bridge:\n"
 
 
@@ -187,17 +184,26 @@ SINK = "/**/nmea_out:\n  ros__parameters:\n    sinks:\n      bridge:\n"
     ("/**/nmea_out:\n  ros__parameters:\n    talker: HE\n", ": parameter 'sinks' names no sink"),
     ("/**/nmeaout:\n  ros__parameters:\n    talker: HE\n", ":1: section '/**/nmeaout' does not fit node '/nmea_out'"),
 ])  # fmt: skip
-def test_a_bad_start_is_one_line_with_file_line_and_what_was_expected(tmp_path, text, told):
+def test_a_bad_start_is_one_line_with_file_line_and_what_was_expected(tmp_path, monkeypatch, capsys, text, told):
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the tests stay
     path = tmp_path / "suite.yaml"
     with socket.socket() as busy:
         busy.bind(("", 0))
         busy.listen()
         port = str(busy.getsockname()[1])
         path.write_text(text.replace("BUSY", port))
-        result = run("--params-file", str(path))
-    assert (result.returncode, result.stdout) == (2, "")
+        code = main(["--ros-args", "--params-file", str(path)])
+    said = capsys.readouterr()
+    assert (code, said.out) == (2, "")
     place = f"nmea_out: {path}" if told.startswith(":") and "names no sink" not in told else "nmea_out"
-    assert result.stderr.splitlines()[-1].startswith(place + told.replace("BUSY", port)), result.stderr
+    assert said.err.count("\n") == 1
+    assert said.err.startswith(place + told.replace("BUSY", port)), said.err
+
+
+def test_a_bad_start_ends_the_process_with_2():
+    result = subprocess.run([*NODE, "-p", "talker:=x"], capture_output=True, text=True, timeout=60, check=False)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == "nmea_out: parameter 'sinks' names no sink: expected one as 'sinks.bridge.kind'\n"
 
 
 def test_a_pace_takes_so_many_of_those_that_come_and_all_of_as_many():

@@ -2,7 +2,7 @@
 
 import dataclasses
 import zlib
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,14 +63,16 @@ class AlertLedger:
             now_ns: when those that are no more became normal.
         """
         self.left_out = max(0, len(alerts) - MOST_ALERTS)
-        before, self._entries = self._entries, {}
+        before, now = self._entries, dict[int, _Entry]()
         changed = []
         for alert in alerts[:MOST_ALERTS]:
-            number = self._number(alert.id)
-            entry = self._entries[number] = _entry(number, alert, before.get(number))
+            number = _number(alert.id, now)
+            entry = now[number] = _entry(number, alert, before.get(number))
             if number not in before or entry.key != before[number].key:
                 changed.append(entry.told)
-        over = [entry.told for number, entry in before.items() if number not in self._entries]
+        # Only now, so that a list that cannot be read changes nothing.
+        self._entries = now
+        over = [entry.told for number, entry in before.items() if number not in now]
         return changed + [
             dataclasses.replace(told, state=NORMAL, changed_ns=now_ns, revision=told.revision % _LAST_REVISION + 1)
             for told in over
@@ -91,13 +93,14 @@ class AlertLedger:
         entry = self._entries.get(command.identifier)
         return None if entry is None else entry.told
 
-    def _number(self, id_: str) -> int:
-        """The alert's number: the next free one where another alert of this list has the same."""
-        count = LAST_IDENTIFIER - FIRST_IDENTIFIER + 1
-        number = zlib.crc32(id_.encode()) % count
-        while (FIRST_IDENTIFIER + number) in self._entries:
-            number = (number + 1) % count
-        return FIRST_IDENTIFIER + number
+
+def _number(id_: str, taken: Container[int]) -> int:
+    """The number of an alert by its id: the next free one where another alert of the list has the same."""
+    count = LAST_IDENTIFIER - FIRST_IDENTIFIER + 1
+    number = zlib.crc32(id_.encode()) % count
+    while (FIRST_IDENTIFIER + number) in taken:
+        number = (number + 1) % count
+    return FIRST_IDENTIFIER + number
 
 
 def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:

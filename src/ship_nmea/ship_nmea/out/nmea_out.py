@@ -127,7 +127,12 @@ class NmeaOut:
             sink.close()
 
     def _opened(self, name: str, config: SinkConfig) -> Sink:
-        sink = Sink(name, config, lambda text: self._heard.append((sink, text)))
+        def hear(text: str) -> None:
+            if len(self._heard) == _MOST_HEARD:
+                self._counts["dropped"] += 1
+            self._heard.append((sink, text))
+
+        sink = Sink(name, config, hear)
         return sink
 
     # -- attitude -------------------------------------------------------------------------------------------
@@ -214,7 +219,7 @@ class NmeaOut:
             if asked.answer.done():
                 self._take_answer(asked)
             elif now_ns > asked.until_ns:
-                asked.answer.cancel()
+                self._acknowledger.remove_pending_request(asked.answer)
                 self._refuse(asked.sink, asked.command, f"{ACKNOWLEDGE_SERVICE} does not answer")
             else:
                 self._asked.append(asked)
