@@ -206,7 +206,7 @@ def test_the_service_never_starts_again_what_bad_input_has_ended():
     assert service["KillMode"] == "mixed"
     _, package, executable, file, *options = service["ExecStart"].split()
     assert (package, executable) in executables()
-    assert (file, options) == ("/etc/ship/%i.yaml", ["--namespace", "%i", "--monitor"])
+    assert (file, options) == ("/etc/ship/%i.yaml", ["--namespace", "%i", "--monitor", "$SHIP_SUITE_OPTIONS"])
 
 
 @pytest.mark.parametrize("slip", [None, ("KillMode=mixed", "KillMode=mix")], ids=["as it is", "with a slip"])

@@ -1,14 +1,16 @@
 """Which programs a suite consists of: a node for each section of its file, who watches them, and a bag's player."""
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import executable
+from ship_bags.live.ros_process import executable, is_demanded
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.parameter_yaml import anywhere, full_name, read_sections
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
+from ship_bringup.suite.enclaves import in_enclaves
 from ship_bringup.suite.keeper import Program, Role
 from ship_node.edge.messages_out import TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
@@ -17,8 +19,10 @@ from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import AdapterChain, suite_text
 from ship_replay.offline.replay import match_inputs
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
+from ship_watch.limits import Limits, read_limits
 
-_SAVED_FILES = "alignment_file", "calibration_file"
+SAVED_FILES = "alignment_file", "calibration_file"
+"""Parameters with a file that a node reads at its start and writes now and then."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         BadInput: names the file, the line, the parameter or section, and what was expected; or the bag and what it
             lacks; or a program that is not installed.
     """
-    nodes, warnings = _checked_nodes(path, options.namespace)
+    nodes, warnings = checked_nodes(path, options.namespace)
     chain = AdapterChain([node.adapter for node in nodes])
     packages = {kind.node_name: kind.__module__.partition(".")[0] for kind in ADAPTERS}
     ros = _ros_arguments(options)
@@ -97,10 +101,20 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         programs += _watchers(options, ros)
     if options.bag is not None:
         programs.append(_player(options.bag, chain, options))
-    return Plan(tuple(programs), (*warnings, *_without_saved_file(path, nodes), *_played_out(companions, options)))
+    if is_demanded(os.environ):
+        limits = Limits() if options.limits is None else read_limits(options.limits)
+        played = options.bag is not None
+        programs, told = in_enclaves(programs, chain.adapters, options.namespace, limits, played)
+        warnings += told
+    return Plan(tuple(programs), (*warnings, *without_saved_file(path, nodes), *_played_out(companions, options)))
 
 
-def _checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
+def checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
+    """The nodes of a suite file, and what should be said of it.
+
+    Raises:
+        BadInput: see :func:`plan_of`.
+    """
     findings = Findings()
     nodes = check_file(path, ADAPTERS, findings, namespace)
     if findings.errors:
@@ -116,9 +130,10 @@ def _checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[
     return nodes, findings.warnings
 
 
-def _without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
+def without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
+    """Nodes that save nothing, one line each."""
     for node in nodes:
-        for name in _SAVED_FILES:
+        for name in SAVED_FILES:
             if getattr(node.config, name, None) == "":
                 yield f"{path}: {node.adapter.node_name} has no {name}: a restart begins without what it has learned"
 
