@@ -19,6 +19,7 @@ from tf2_msgs.msg import TFMessage
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bags.parameter_yaml import sections_text
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bringup.suite.dds_ports import UDP_ALONE, ports_of
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
@@ -27,6 +28,7 @@ pytestmark = pytest.mark.live
 
 ROOT = Path(__file__).parents[1]
 DEMO, THEODOLITE = ROOT / "bags" / "demo.mcap", ROOT / "bags" / "theodolite.mcap"
+NMEA_OUT = "/**/nmea_out:\n  ros__parameters:\n    sinks:\n      bridge: {kind: tcp_server, port: 10110}\n"
 NODE = "/**/ship_attitude:\n  ros__parameters:\n    lag_s: 2.0\n"
 
 
@@ -52,6 +54,7 @@ def run(*arguments):
         (NODE + NODE.replace("ship_attitude", "nonsense"), r":4: section '/\*\*/nonsense' fits no node .*: expected"),
         (NODE.replace("ship_attitude", "ship_atitude"), r":1: section '/\*\*/ship_atitude' does not fit"),
         ("", r": empty: expected a section"),
+        (NODE + NMEA_OUT.replace("port", "prt"), r":7: parameter 'sinks\.bridge\.prt' is unknown: .* mean 'port'"),
     ],
 )
 def test_a_bad_suite_file_is_one_line_with_file_line_and_what_was_expected(tmp_path, text, told):
@@ -89,6 +92,44 @@ def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_pa
     assert re.search(r"^\[ship_attitude\] .*attitude: VALID: INS and stars", log, re.MULTILINE), log
     assert re.search(r"^\[suite\] play ended after .*: exit code 0; the suite ends with it$", log, re.MULTILINE), log
     assert "suite.yaml: ship_attitude has no alignment_file" in log
+
+
+def test_the_attitude_of_a_bag_goes_out_as_sentences_that_say_it_is_played(tmp_path, domain):
+    path, told = tmp_path / "suite.yaml", tmp_path / "told.nmea"
+    nodes = {
+        "/**/nmea_in": {"sources": {"gyro": {"kind": "serial", "device": "/dev/ttyUSB7", "becomes": "gyro"}}},
+        # Of a bag at 20 times its speed a moment on the way is a second of the ship.
+        "/**/nmea_out": {
+            "longest_age_s": 30.0,
+            "sinks": {"log": {"kind": "file", "path": str(told), "sentences": ["THS"], "rate_hz": 100.0}},
+        },
+    }
+    path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text() + sections_text(nodes))
+    command = suite(path, "--bag", DEMO, "--rate", "20", "--namespace", "aurora")
+    with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
+        assert process.wait(120) == 0, process.log()
+        assert "nmea_in" not in process.log()
+    lines = told.read_text().split()
+    assert sum(",S*" in line for line in lines) > 50
+    assert not [line for line in lines if not re.fullmatch(r"\$INTHS,(\d+\.\d{4},S|,V)\*[0-9A-F]{2}", line)]
+
+
+def test_a_port_that_another_program_has_ends_nmea_out_and_not_the_suite(tmp_path, domain):
+    path = tmp_path / "suite.yaml"
+    with socket.socket() as other:
+        other.bind(("", 0))
+        other.listen()
+        sink = NMEA_OUT.replace("10110", str(other.getsockname()[1]))
+        path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text() + sink)
+        command = suite(path, "--bag", DEMO, "--rate", "20")
+        with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
+            assert process.wait(120) == 2, process.log()
+            log = process.log()
+    line = path.read_text().splitlines().index(sink.splitlines()[-1]) + 1
+    told = rf"^\[nmea_out\] nmea_out: {path}:{line}: parameter 'sinks.bridge.port' = .* in use"
+    assert re.search(told, log, re.MULTILINE), log
+    assert re.search(r"^\[suite\] nmea_out ended .*not started again; the suite goes on without it$", log, re.MULTILINE)
+    assert re.search(r"^\[suite\] play ended after .*: exit code 0; the suite ends with it$", log, re.MULTILINE), log
 
 
 def namespaces(node, topic):

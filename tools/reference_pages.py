@@ -17,6 +17,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters import ParameterDescription, describe
 from ship_node.edge.adapter import Adapter
+from ship_node.parameters.companions import COMPANIONS
 from ship_node.parameters.usage import topic_rows, usage_text
 from ship_simulation.scenario.scenario import Scenario
 from ship_watch.limits import Limits
@@ -34,19 +35,19 @@ _PARAMETER_COLUMNS = "| parameter | default | unit | allowed | |\n|---|---|---|-
 
 PARAMETERS_HEAD = f"""# Parameters
 
-Units are in the names. `<id>` stands for the id of a star sensor or of a beacon, or the name of a reference: naming it
-declares it. A parameter marked *live* may be changed while the node runs (`ros2 param set`); the others are read at the
-start. An unknown parameter, or one out of its range, stops the node at the start and is refused later, each time with
-the reason.
+Units are in the names. `<id>` stands for the id of a star sensor or of a beacon, or the name of a reference, of a sink
+or of a source: naming it declares it. A parameter marked *live* may be changed while the node runs (`ros2 param set`);
+the others are read at the start. An unknown parameter, or one out of its range, stops the node at the start and is
+refused later, each time with the reason.
 
 A parameter file holds a section for each node. `/**/ship_attitude:` is for the node of that name in every namespace,
 `/**:` for all nodes; `ship_attitude:` alone fits the node without a namespace and no other. A file in which no section
 fits the node, but one has (nearly) its name, ends the node at the start with both names; a file about other nodes is a
 warning. `check_config` and `replay` judge names in the same way.
 
-Every node has `black_box` besides: a file (`.mcap`) or folder that takes everything the node uses and gives, in that
-order; `replay BOX.mcap --verify` runs it again to the last bit. A file that is there is kept: the next box is
-`BOX_2.mcap`. And `reliable_inputs` (`false`): what is lost on the way to its inputs is sent again
+Every estimator has `black_box` besides: a file (`.mcap`) or folder that takes everything the node uses and gives, in
+that order; `replay BOX.mcap --verify` runs it again to the last bit. A file that is there is kept: the next box is
+`BOX_2.mcap`. Every node has `reliable_inputs` (`false`): what is lost on the way to its inputs is sent again
 ([lossy links](../how-to/lossy_links.md)).
 
 {_WRITTEN}"""
@@ -105,9 +106,9 @@ The parameters of nodes are in [parameters.md](parameters.md), the keys of a sce
 def parameters_page() -> str:
     """Every parameter of every node, from the dataclasses that the nodes themselves use."""
     text = PARAMETERS_HEAD
-    for adapter in ADAPTERS:
-        text += f"\n## `{adapter.node_name}`\n\n{_PARAMETER_COLUMNS}"
-        text += "".join(_parameter_row(parameter) for parameter in describe(adapter.config_type))
+    for node in (*ADAPTERS, *COMPANIONS):
+        text += f"\n## `{node.node_name}`\n\n{_PARAMETER_COLUMNS}"
+        text += "".join(_parameter_row(parameter) for parameter in describe(node.config_type))
     return text
 
 

@@ -18,5 +18,10 @@ setup(
     maintainer_email="maintainers@example.org",
     description="NMEA 0183 live: out to bridge and logger, in from instruments.",
     license="Apache-2.0",
-    entry_points={"console_scripts": []},
+    entry_points={
+        "console_scripts": [
+            "nmea_in = ship_nmea.instruments.nmea_in:main",
+            "nmea_out = ship_nmea.commands.nmea_out:main",
+        ],
+    },
 )

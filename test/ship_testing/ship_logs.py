@@ -1,5 +1,7 @@
-"""Lines of a real ship's logs."""
+"""Lines of a real ship's logs, and sentences of one's own."""
 
+import functools
+import operator
 
 SEAP = """\
 2014-08-01T00:00:00.814000Z $GPZDA,000000.70,01,08,2014,,*6F
@@ -15,3 +17,8 @@ MWX1 = """\
 """
 
 GYR1 = "2014-08-01T00:00:00.183000Z $HEHDT,218.53,T*12\n"
+
+
+def sentence(body: str) -> str:
+    """A sentence with its checksum, of what stands between ``$`` and ``*``."""
+    return f"${body}*{functools.reduce(operator.xor, body.encode(), 0):02X}"

@@ -4,8 +4,6 @@ The bursts quoted here are lines of R/V Nathaniel B. Palmer's log of 2014-08-01 
 OpenRVDAS (MIT licence, https://github.com/OceanDataTools/openrvdas).
 """
 
-import functools
-import operator
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -14,12 +12,12 @@ import yaml
 
 from ship_bags.commands.import_nmea import main
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.nmea.nmea_log import datetime_ns
+from ship_bags.nmea.instrument_line import datetime_ns
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
 from ship_geometry.rotations import log_rotation
-from ship_testing.ship_logs import GYR1, MWX1, SEAP
+from ship_testing.ship_logs import GYR1, MWX1, SEAP, sentence
 
 S330 = """\
 2014-08-01T00:00:00.285000Z $INZDA,000000.17,01,08,2014,,*7E
@@ -32,10 +30,6 @@ S330 = """\
 2014-08-01T00:00:00.522000Z $PSXN,23,0.35,-1.74,218.26,0.58*13
 """
 MIDNIGHT_NS = datetime_ns(datetime(2014, 8, 1, tzinfo=timezone.utc))
-
-
-def sentence(body):
-    return f"${body}*{functools.reduce(operator.xor, body.encode(), 0):02X}"
 
 
 def line(receive_s, body):
@@ -352,7 +346,7 @@ def test_suite_configuration_is_attached(tmp_path):
         (["--resample", "10"], S330, "no two attitudes within 3 s"),
         (["--reference", "b"], S330, "--reference b: expected NAME=FILE"),
         (["--reference", "b=none.log"], S330, "none.log: cannot be read: No such file"),
-        (["--weather", "{ins}"], S330, "ins.log: no MET in 8 lines"),
+        (["--weather", "{ins}"], S330, "ins.log: no MET, MDA or XDR in 8 lines"),
         (["--gyro", "{ins}x"], S330, "ins.logx: cannot be read"),
         (["--time", "gps"], S330, "invalid choice: 'gps'"),
         (
@@ -390,3 +384,41 @@ def test_heading_passes_through_north(imported):
         assert np.linalg.norm(log_rotation(expected.T @ actual)) < 1e-8
         # Turning clockwise is a negative rate about the up axis.
         assert message.angular_velocity.z == pytest.approx(-np.deg2rad(1.0), rel=1e-6)
+
+
+def test_weather_in_the_words_of_the_standard(imported):
+    """MDA: the example in pynmea2's source, of an Airmar PB150; XDR: Vaisala's WXT520 manual writes such lines."""
+    mda = "WIMDA,30.2269,I,1.0236,B,17.7,C,,,43.3,,5.0,C,131.5,T,128.6,M,0.8,N,0.4,M"
+    xdr = "WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"
+    found, _, _ = imported(ins=S330, weather=line(0.0, mda) + line(1.0, xdr) + line(2.0, "WIXDR,P,1.0095,B,0,U,24,V,1"))
+    assert [message.temperature for _, message in found["met/temperature"]] == [17.7, 23.3]
+    humidity = [message.relative_humidity for _, message in found["met/humidity"]]
+    assert humidity == pytest.approx([0.433, 0.501])
+    pressure_pa = [message.fluid_pressure for _, message in found["met/pressure"]]
+    assert pressure_pa == pytest.approx([102_360.0, 100_950.0, 100_950.0])
+
+
+def test_of_two_transducers_of_a_kind_none_is_taken_for_the_air(imported, capsys):
+    """Airmar's weather stations tell two wind chills as C; from the line on that shows it, neither is used."""
+    chills = "YXXDR,C,28.7,C,WCHR,C,28.6,C,WCHT,P,1.0149,B,STNP"
+    found, _, counts = imported(ins=S330, weather=line(0.0, chills) + line(1.0, "YXXDR,C,20.0,C,WCHR"))
+    assert "met/temperature" not in found
+    assert len(found["met/pressure"]) == 1
+    assert counts["files"]["weather.log"]["rejected"] == {"several transducers": 2}
+    assert "temperature of WCHR, WCHT: name the air's in transducers" in capsys.readouterr().out
+
+
+def test_heading_with_its_status(imported):
+    """THS (IEC 61162-1): mode A is used, V and the like are not; of HDT and THS the first kind alone."""
+    gyro = line(0.0, "HETHS,218.53,A") + line(1.0, "HETHS,218.60,V") + line(1.5, "HETHS,,V") + line(2.0, "HEHDT,10.0,T")
+    found, _, counts = imported(ins=S330, gyro=gyro)
+    ((_, message),) = found["reference/gyro/imu"]
+    np.testing.assert_allclose(angles_deg(message), [218.53, 0.0, 0.0], atol=1e-9)
+    assert counts["files"]["gyro.log"]["rejected"] == {"THS not in mode A": 1, "unparsed": 1}
+
+
+@pytest.mark.parametrize("text", ["nan", "NaN", "inf", "sNaN"])
+def test_a_number_that_is_none_is_no_heading(imported, text):
+    found, _, counts = imported(ins=S330, gyro=GYR1 + line(1.0, f"HEHDT,{text},T"))
+    assert len(found["reference/gyro/imu"]) == 1
+    assert counts["files"]["gyro.log"]["rejected"] == {"unparsed": 1}

@@ -17,6 +17,7 @@ import yaml
 from ship_bags.live.ros_process import DDS_PROFILE
 from ship_bags.message_factory import RosidlFactory
 from ship_bringup.commands import suite as suite_command
+from ship_node.parameters.companions import COMPANIONS
 from ship_node.parameters.usage import usage_text
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.preflight.check_config import Findings, check_file
@@ -258,7 +259,7 @@ def told_names():
 
 def test_every_name_in_the_aggregator_file_is_told_by_a_node():
     bare = told_names()
-    nodes = {adapter.node_name for adapter in ADAPTERS} | {"alerts"}
+    nodes = {node.node_name for node in (*ADAPTERS, *COMPANIONS)} | {"alerts"}
     for analyzer in tree():
         for name in analyzer.get("name", []):
             node, _, rest = name.partition(": ")

@@ -146,6 +146,18 @@ def test_the_suite_ends_with_its_player_and_in_the_opposite_order():
     assert any(line.endswith("exit code 1; not started again; the suite ends with it") for line in lines)
 
 
+def test_who_feeds_the_nodes_ends_before_them_and_they_go_on_without_it():
+    code, lines = kept(
+        program("node", WAITS),
+        program("feeder", WAITS, Role.FEEDER),
+        program("broken", "raise SystemExit(2)", Role.FEEDER),
+        program("player", "import time; time.sleep(1.5)", Role.PLAYER),
+    )
+    assert code == 2
+    assert any("broken ended" in line and line.endswith("the suite goes on without it") for line in lines)
+    assert [line for line in lines if line.endswith("ends")] == ["[feeder] ends", "[node] ends"]
+
+
 def test_who_watches_ends_before_who_plays():
     """Without the bag all would be silent, and the alerts would say so."""
     code, lines = kept(

@@ -1,5 +1,7 @@
 """check_config: all that is wrong, each with its line, and what does not fit the bag."""
 
+import sys
+
 import pytest
 
 from ship_bags.mcap.bag_writer import BagWriter
@@ -306,3 +308,47 @@ def test_mend_15_an_id_that_no_topic_can_have_is_an_error(check, id_):
     said = f"error: suite.yaml:4: parameter 'star_sensors.{id_}': '{id_}' cannot be an id: expected letters, digits and"
     assert lines[0].startswith(said)
     assert "Traceback" not in "".join(lines)
+
+
+NMEA = """\
+/**/nmea_out:
+  ros__parameters:
+    sinks:
+      bridge: {kind: udp, address: 192.168.1.255, port: 10110}
+/**/nmea_in:
+  ros__parameters:
+    sources:
+      gyro: {kind: udp, port: 10111, becomes: gyro}
+"""
+
+
+def test_the_nodes_beside_the_estimators_may_have_sections_in_it(check, tmp_path):
+    assert check(GOOD + NMEA) == (0, ["suite.yaml: good"], [])
+    assert check(GOOD + NMEA, write_bag(tmp_path / "a.mcap"))[0] == 0
+
+
+def test_their_parameters_are_checked_too_all_of_them(check):
+    text = NMEA.replace("port: 10110", "prt: 10110, rate_hz: 0.0").replace("becomes: gyro", "becomes: compass")
+    code, found, _ = check(GOOD + text)
+    assert code == 2
+    assert sum("suite.yaml:11: parameter 'sinks.bridge." in line for line in found) >= 2
+    assert any("suite.yaml:15: parameter 'sources.gyro.becomes' = 'compass' must be one of" in line for line in found)
+
+
+def test_a_section_of_nearly_their_name_is_refused(check):
+    code, found, _ = check(GOOD + NMEA.replace("/nmea_out", "/nmea_outs"))
+    assert code == 2
+    assert any("suite.yaml:8: section '/**/nmea_outs' does not fit node '/nmea_out'" in line for line in found)
+
+
+def test_a_file_about_them_alone_is_no_suite(check):
+    code, _, said = check(NMEA)
+    assert code == 2
+    assert "no section for a node of this suite" in said[0]
+
+
+def test_what_is_not_installed_cannot_be_checked_and_that_is_said(check, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ship_nmea.out.config", None)
+    code, found, _ = check(GOOD + NMEA)
+    assert code == 0
+    assert any("section 'nmea_out' is not checked: package ship_nmea is not installed" in line for line in found)

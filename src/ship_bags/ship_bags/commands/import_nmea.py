@@ -8,7 +8,8 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.nmea.import_nmea import GYRO_NAME, INSTRUMENT_TIME, RECEIVE_TIME, ImportOrder, import_logs
+from ship_bags.nmea.import_nmea import GYRO_NAME, RECEIVE_TIME, ImportOrder, import_logs
+from ship_bags.nmea.instrument import INSTRUMENT_TIME
 from ship_bags.output_files import add_force, check_file
 
 _HIGHEST_RATE_HZ = 1000.0
@@ -24,8 +25,8 @@ def _parser() -> CommandParser:
         prog="import_nmea",
         example="./ros2run ship_bags import_nmea --ins seapath.log --out voyage.mcap --resample 20",
         epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
-        description="Turn ship logs (lines 'RECEIVE_TIME SENTENCE': GGA, ZDA, HDT, PSXN 20 and 23, PASHR, MET) into a "
-        "bag with ins/imu, reference/<name>/imu, gnss/fix and met/*. Log time is the receive time.",
+        description="Turn ship logs (lines 'RECEIVE_TIME SENTENCE': GGA, ZDA, HDT, THS, PSXN 20 and 23, PASHR, MDA, "
+        "XDR, MET) into a bag with ins/imu, reference/<name>/imu, gnss/fix and met/*. Log time is the receive time.",
     )
     parser.add_argument("--ins", type=Path, required=True, metavar="FILE", help="log of the system taken as the INS")
     parser.add_argument(
@@ -35,8 +36,10 @@ def _parser() -> CommandParser:
         metavar="NAME=FILE",
         help="log of another attitude system (any number of times)",
     )
-    parser.add_argument("--weather", type=Path, metavar="FILE", help="log with lines MET")
-    parser.add_argument("--gyro", type=Path, metavar="FILE", help=f"log with HDT, becomes reference/{GYRO_NAME}/imu")
+    parser.add_argument("--weather", type=Path, metavar="FILE", help="log with MET, MDA or XDR")
+    parser.add_argument(
+        "--gyro", type=Path, metavar="FILE", help=f"log with HDT or THS, becomes reference/{GYRO_NAME}/imu"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="BAG.mcap", help="bag to write")
     parser.add_argument(
         "--time",

@@ -1,4 +1,4 @@
-"""Attitudes in a ship log, by the instrument's own time or by the receive time, as they are or resampled.
+"""Attitudes in the lines of an instrument, by its own time or by the receive time, as they are or resampled.
 
 A Seapath sends a burst a second: ZDA opens it and carries the time at which the attitude in its PSXN,23 is valid.
 PASHR carries its own time of day.
@@ -11,7 +11,13 @@ from datetime import date, datetime, timezone
 import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ship_bags.nmea.nmea_log import LogLine, LogReport, datetime_ns, instrument_ns, time_of_day_ns
+from ship_bags.nmea.instrument_line import (
+    InstrumentLine,
+    LineReport,
+    datetime_ns,
+    instrument_ns,
+    time_of_day_ns,
+)
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
@@ -30,13 +36,13 @@ _INVALID_QUALITY = 2
 
 @dataclass(frozen=True)
 class LoggedAttitude:
-    """An attitude from a log.
+    """An attitude that an instrument tells.
 
     Attributes:
         stamp_ns: time of validity, POSIX UTC.
         log_time_ns: when it was there to be used.
         rotation_nd: horizon from deck, shape (3, 3).
-        rate_d: angular velocity (bow, up, starboard) rad/s, shape (3,); None where the log has none.
+        rate_d: angular velocity (bow, up, starboard) rad/s, shape (3,); None where it tells none.
     """
 
     stamp_ns: int
@@ -45,38 +51,66 @@ class LoggedAttitude:
     rate_d: FloatArray | None = None
 
 
-def attitudes(lines: Sequence[LogLine], report: LogReport, by_instrument: bool) -> list[LoggedAttitude]:
-    """The attitudes of a log, in order of stamps.
+class AttitudeReader:
+    """The attitudes in the lines of one instrument, in order of stamps.
 
     Args:
-        lines: lines of the log.
+        by_instrument: stamp by the instrument's time, otherwise by the receive time.
         report: counts what cannot be used: invalid by PSXN,20, without a ZDA, of a wrong time, not later than the one
             before.
-        by_instrument: stamp by the instrument's time, otherwise by the receive time.
     """
-    found: list[LoggedAttitude] = []
-    zda: LogLine | None = None
-    invalid = False
-    for line in lines:
-        content = line.content
+
+    def __init__(self, by_instrument: bool, report: LineReport) -> None:
+        self._by_instrument = by_instrument
+        self._report = report
+        self._zda: InstrumentLine | None = None
+        self._is_invalid = False
+        self._last_ns: int | None = None
+
+    def take(self, line: InstrumentLine) -> LoggedAttitude | None:
+        """The attitude of the next line, where it tells one that can be used."""
+        attitude = None
         if line.kind == "ZDA":
-            zda = line
+            self._zda = line
         elif line.kind == "PSXN20":
-            invalid = _INVALID_QUALITY in (content.head_qual, content.rp_qual)
+            self._is_invalid = _INVALID_QUALITY in (line.content.head_qual, line.content.rp_qual)
         elif line.kind in ATTITUDE_KINDS:
-            if invalid:
-                report.reject("invalid by PSXN,20", line.number, str(content))
+            if self._is_invalid:
+                self._report.reject("invalid by PSXN,20", line.number, str(line.content))
             else:
-                stamp_ns = _instrument_ns(line, zda, report) if by_instrument else line.receive_ns
-                if stamp_ns is not None and found and stamp_ns <= found[-1].stamp_ns:
-                    report.reject("not later than the attitude before", line.number, str(content))
-                elif stamp_ns is not None:
-                    heading_deg = content.head if line.kind == "PSXN23" else content.true_heading
-                    angles = np.deg2rad([heading_deg, content.pitch, content.roll])
-                    found.append(LoggedAttitude(stamp_ns, line.receive_ns, rotation_from_angles(*angles)))
+                attitude = self._attitude(line)
             if line.kind == "PSXN23":
-                zda = None
-    return found
+                self._zda = None
+        return attitude
+
+    def _attitude(self, line: InstrumentLine) -> LoggedAttitude | None:
+        content = line.content
+        stamp_ns = self._instrument_ns(line) if self._by_instrument else line.receive_ns
+        if stamp_ns is None:
+            return None
+        if self._last_ns is not None and stamp_ns <= self._last_ns:
+            self._report.reject("not later than the attitude before", line.number, str(content))
+            return None
+        self._last_ns = stamp_ns
+        heading_deg = content.head if line.kind == "PSXN23" else content.true_heading
+        angles = np.deg2rad([heading_deg, content.pitch, content.roll])
+        return LoggedAttitude(stamp_ns, line.receive_ns, rotation_from_angles(*angles))
+
+    def _instrument_ns(self, line: InstrumentLine) -> int | None:
+        """Time at which a line's attitude is valid, by the instrument; None where it does not say, which is told."""
+        if line.kind == "PASHR":
+            return instrument_ns(time_of_day_ns(line.content.timestamp, line.receive_ns), line, self._report)
+        zda = self._zda
+        if zda is not None and line.receive_ns - zda.receive_ns <= _BURST_NS:
+            try:
+                day = date(zda.content.year, zda.content.month, zda.content.day)
+                moment = datetime.combine(day, zda.content.timestamp, tzinfo=timezone.utc)
+            except ValueError:
+                pass
+            else:
+                return instrument_ns(datetime_ns(moment), zda, self._report)
+        self._report.reject("attitude without ZDA", line.number, str(line.content))
+        return None
 
 
 def resampled(logged: Sequence[LoggedAttitude], rate_hz: float) -> list[LoggedAttitude]:
@@ -117,19 +151,3 @@ def _segments(logged: Sequence[LoggedAttitude]) -> list[list[LoggedAttitude]]:
             segments.append([])
         segments[-1].append(attitude)
     return segments
-
-
-def _instrument_ns(line: LogLine, zda: LogLine | None, report: LogReport) -> int | None:
-    """Time at which a line's attitude is valid, by the instrument; None where it does not say, which is reported."""
-    if line.kind == "PASHR":
-        return instrument_ns(time_of_day_ns(line.content.timestamp, line.receive_ns), line, report)
-    if zda is not None and line.receive_ns - zda.receive_ns <= _BURST_NS:
-        try:
-            day = date(zda.content.year, zda.content.month, zda.content.day)
-            moment = datetime.combine(day, zda.content.timestamp, tzinfo=timezone.utc)
-        except ValueError:
-            pass
-        else:
-            return instrument_ns(datetime_ns(moment), zda, report)
-    report.reject("attitude without ZDA", line.number, str(line.content))
-    return None

@@ -35,11 +35,13 @@ class Role(Enum):
     """The suite ends with the last of these."""
     WATCHER = "watcher"
     """It looks at the nodes; they do not need it."""
+    FEEDER = "feeder"
+    """It gives the nodes what instruments say; they live without it, if not for long."""
     PLAYER = "player"
     """It feeds the nodes, once: the suite ends with it, and it is not started again."""
 
 
-_END_ORDER = (Role.WATCHER, Role.PLAYER, Role.NODE)
+_END_ORDER = (Role.WATCHER, Role.PLAYER, Role.FEEDER, Role.NODE)
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class Keeper:
 
     Args:
         programs: in the order of their start. They are ended in the opposite one, but first who watches, for whom the
-            end of the others would be a fault, then who plays a bag, then the nodes.
+            end of the others would be a fault, then who plays a bag or reads instruments, then the nodes.
         most_restarts: of one program in a row.
         write: takes each line, without its end.
     """
@@ -187,7 +189,7 @@ class Keeper:
         failure = failure_of(code)
         self._failure = self._failure or failure
         if failure:
-            without = "; the suite goes on without it" if role is Role.WATCHER else ""
+            without = "; the suite goes on without it" if role in (Role.WATCHER, Role.FEEDER) else ""
             how += f"; not started again{without}"
         self._say(_SUITE, f"{how}; the suite ends with it" if role is Role.PLAYER else how)
         nodes_left = any(each.is_alive for each in self._kept if each.program.role is Role.NODE)

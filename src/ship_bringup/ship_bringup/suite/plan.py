@@ -13,6 +13,7 @@ from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topic
 from ship_bringup.suite.enclaves import in_enclaves
 from ship_bringup.suite.keeper import Program, Role
 from ship_node.edge.messages_out import TF_STATIC_TOPIC, TF_TOPIC
+from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
 from ship_node.parameters.parameter_file import unknown_sections
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import AdapterChain, suite_text
@@ -94,6 +95,8 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         inputs = ("-p", "reliable_inputs:=true") if options.reliable_inputs else ()
         arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box, *inputs)
         programs.append(Program(name, (*executable(packages[name], name), *arguments), has_reserve=True))
+    companions = [one for one in named_companions(path, options.namespace) if options.bag is None or not one.feeds]
+    programs += [_companion(one, path, ros) for one in companions]
     if options.monitor:
         programs += _watchers(options, ros)
     if options.bag is not None:
@@ -103,7 +106,7 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         played = options.bag is not None
         programs, told = in_enclaves(programs, chain.adapters, options.namespace, limits, played)
         warnings += told
-    return Plan(tuple(programs), (*warnings, *without_saved_file(path, nodes)))
+    return Plan(tuple(programs), (*warnings, *without_saved_file(path, nodes), *_played_out(companions, options)))
 
 
 def checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
@@ -117,10 +120,11 @@ def checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[s
     if findings.errors:
         first, *others = findings.errors
         raise BadInput(first + (f" (and {len(others)} more: see ship_replay check_config)" if others else ""))
-    strange = unknown_sections(path, [full_name(kind.node_name, namespace) for kind in ADAPTERS])
+    known = [kind.node_name for kind in (*ADAPTERS, *COMPANIONS)]
+    strange = unknown_sections(path, [full_name(name, namespace) for name in known])
     if strange:
         lines = {section.node: section.line for section in read_sections(path)[1]}
-        expected = ", ".join(f"'{anywhere(kind.node_name)}'" for kind in ADAPTERS)
+        expected = ", ".join(f"'{anywhere(name)}'" for name in known)
         reason = f"section '{strange[0]}' fits no node of this suite: expected one of {expected} or '/**'"
         raise BadInput(reason, file=path, line=lines[strange[0]])
     return nodes, findings.warnings
@@ -132,6 +136,18 @@ def without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str
         for name in SAVED_FILES:
             if getattr(node.config, name, None) == "":
                 yield f"{path}: {node.adapter.node_name} has no {name}: a restart begins without what it has learned"
+
+
+def _companion(companion: Companion, path: Path, ros: tuple[str, ...]) -> Program:
+    command = executable(companion.package, companion.node_name)
+    role = Role.FEEDER if companion.feeds else Role.WATCHER
+    return Program(companion.node_name, (*command, "--ros-args", "--params-file", str(path.resolve()), *ros), role)
+
+
+def _played_out(companions: Sequence[Companion], options: SuiteOptions) -> Iterator[str]:
+    """What people must know who play a bag while its attitude goes to the bridge."""
+    if options.bag is not None and any(companion.node_name == "nmea_out" for companion in companions):
+        yield f"nmea_out sends what {options.bag} gives: THS says S (simulator), the other sentences cannot say so"
 
 
 def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:

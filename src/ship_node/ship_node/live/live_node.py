@@ -7,7 +7,7 @@ messages into an inbox, which is bounded; the events that wait for a callback ar
 """
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -22,7 +22,6 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
-from ship_bags.errors import BadInput
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_geometry.input_error import InputError
 from ship_node.black_box.black_box import BlackBox
@@ -36,7 +35,7 @@ from ship_node.live.node_events import Arrival, Inbox, NodeEvents
 from ship_node.live.node_report import Guard, StatusLog, name_status, stamps_status, start_line
 from ship_node.live.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
-from ship_node.parameters.parameter_file import misfit, read_whatever_fits
+from ship_node.parameters.parameter_file import misfit_warnings, placed
 
 SPIN_TIMEOUT_S = 0.1
 WATCH_PERIOD_S = 1.0
@@ -73,7 +72,8 @@ class LiveNode:
         self._context = context
         self._factory = RosidlFactory()
         try:
-            self._judge(parameter_files)
+            for warning in misfit_warnings(parameter_files, self._full_name):
+                self.node.get_logger().warning(warning)
             self._parameters = NodeParameters(self.node, adapter_class.config_type)
             files = NotedFiles()
             self.adapter = adapter_class(self._parameters.config, self._factory, files)
@@ -83,7 +83,7 @@ class LiveNode:
             self._box = self._open_box()
         except InputError as error:
             self.node.destroy_node()
-            raise _with_line(error, parameter_files, self._full_name) from error
+            raise placed(error, parameter_files, self._full_name) from error
         self._calls = AdapterCalls(
             self.adapter, self._publishers, files, self._box, StatusLog(self.node.get_logger())
         )
@@ -118,12 +118,6 @@ class LiveNode:
         self._jump_handle.unregister()
         self._events.close()
         self.node.destroy_node()
-
-    def _judge(self, parameter_files: Iterable[Path]) -> None:
-        """Refuse a file whose sections were meant for this node but do not fit it: rcl leaves them out silently."""
-        for path in parameter_files:
-            if warning := misfit(path, self._full_name):
-                self.node.get_logger().warning(warning)
 
     def _create_publisher(self, output: OutputTopic) -> Publisher:
         kind, qos = message_class(output.type_name), output_qos(output)
@@ -271,16 +265,3 @@ def _outputs(adapter: Adapter) -> tuple[OutputTopic, ...]:
     diagnostics = OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE)
     others = tuple(output for output in adapter.outputs if output.topic != DIAGNOSTICS_TOPIC)
     return (*others, diagnostics)
-
-
-def _with_line(error: InputError, parameter_files: tuple[Path, ...], node: str) -> BadInput:
-    """The error with the file that gives the parameter, and its line; the last one of several."""
-    if error.parameters and not error.file:
-        parameter = error.parameters[0]
-        files = [read_whatever_fits(path, node) for path in reversed(parameter_files)]
-        naming = [file for file in files if parameter in file.lines] or [f for f in files if f.line_of(parameter)]
-        if naming:
-            return naming[0].error(error)
-    return BadInput(
-        error.reason, file=error.file, line=error.line, parameters=error.parameters, value=error.value
-    )

@@ -2,10 +2,12 @@
 
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import FrameType
+from typing import Protocol
 
 import rclpy
 from rclpy.context import Context
@@ -28,6 +30,18 @@ _BAD_START = ValueError, OSError, ImportError, rclpy_implementation.RCLError
 package is a ValueError."""
 
 
+class SpunNode(Protocol):
+    """A node as it is run."""
+
+    def spin(self, stop: Callable[[], bool]) -> None:
+        """Work until ``stop()`` or until the context ends."""
+        ...
+
+    def close(self) -> None:
+        """Give everything back."""
+        ...
+
+
 def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:
     """Run the node of an adapter until SIGINT or SIGTERM.
 
@@ -42,6 +56,20 @@ def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:
     if "-h" in arguments or "--help" in arguments:
         print(usage_text(adapter_class, adapter_class.__module__.partition(".")[0], RosidlFactory()))
         return EXIT_DONE
+    return run_node(adapter_class.node_name, partial(LiveNode, adapter_class), arguments)
+
+
+def run_node(name: str, make: Callable[[Context, tuple[Path, ...]], SpunNode], arguments: Sequence[str]) -> int:
+    """Run a node until SIGINT or SIGTERM.
+
+    Args:
+        name: of the node, without namespace.
+        make: the node, of an initialised context and the parameter files given on the command line.
+        arguments: for ROS.
+
+    Returns:
+        Exit code, see :func:`run`.
+    """
     stopping = False
 
     def stop(_number: int, _frame: FrameType | None) -> None:
@@ -52,11 +80,11 @@ def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, stop)
     context = Context()
     try:
-        node = _start(adapter_class, arguments, context)
+        node = _start(name, make, list(arguments), context)
     except _BAD_START as error:
         context.try_shutdown()
         reason = str(error).strip().partition("\n")[0]
-        print(f"{adapter_class.node_name}: {reason}", file=sys.stderr)
+        print(f"{name}: {reason}", file=sys.stderr)
         return EXIT_BAD_INPUT
     node.spin(lambda: stopping)
     node.close()
@@ -64,16 +92,17 @@ def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:
     return EXIT_DONE
 
 
-def _start(adapter_class: type[Adapter], arguments: list[str], context: Context) -> LiveNode:
-    program = [adapter_class.node_name]
+def _start(
+    name: str, make: Callable[[Context, tuple[Path, ...]], SpunNode], arguments: list[str], context: Context
+) -> SpunNode:
     files = tuple(Path(path) for flag, path in pairwise(arguments) if flag == "--params-file")
     for path in files:
         # rcl reads them too, but cannot say what is wrong in which line.
-        read_whatever_fits(path, adapter_class.node_name)
+        read_whatever_fits(path, name)
     prepare_dds()
     # The signals are ours: spin ends between two callbacks, and the node goes in order.
-    rclpy.init(args=program + arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
-    unknown = remove_ros_args(program + arguments)[1:]
+    rclpy.init(args=[name, *arguments], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    unknown = remove_ros_args([name, *arguments])[1:]
     if unknown:
         raise BadInput(f"unknown argument '{unknown[0]}': parameters go behind --ros-args, see --help")
-    return LiveNode(adapter_class, context, files)
+    return make(context, files)

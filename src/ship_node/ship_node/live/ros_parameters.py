@@ -61,17 +61,18 @@ class NodeParameters:
     Args:
         node: has no parameters of its own yet.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
+        has_black_box: whether the node keeps one; where not, a parameter of that name is left alone.
 
     Raises:
         ParameterError: an override is unknown, of the wrong type, out of its range or missing.
     """
 
-    def __init__(self, node: ParameterNode, config_type: type) -> None:
+    def __init__(self, node: ParameterNode, config_type: type, has_black_box: bool = True) -> None:
         self._node = node
         self.config: Any = build(config_type, nest(_overrides(node)))
         self._at_start = flatten(self.config)
         self._last_refusal = ""
-        self.black_box = str(_declared(node, BLACK_BOX_PARAMETER, "", _BLACK_BOX_DOC))
+        self.black_box = str(_declared(node, BLACK_BOX_PARAMETER, "", _BLACK_BOX_DOC)) if has_black_box else ""
         self.has_reliable_inputs = bool(_declared(node, RELIABLE_INPUTS_PARAMETER, False, _RELIABLE_INPUTS_DOC))
         self._descriptions = {name: _description(name, config_type) for name in flatten(self.config)}
         for name, value in flatten(self.config).items():

@@ -7,13 +7,14 @@ alone, as in rcl; of several that fit, later ones override earlier ones.
 
 import difflib
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import ANYWHERE, ParameterFile, Section, anywhere, merged, read_sections, sections_text
 from ship_estimation.parameters import ParameterError, build, flatten, nest
+from ship_geometry.input_error import InputError
 
 Config = TypeVar("Config")
 
@@ -97,6 +98,34 @@ def misfit(source: Path | str, node: str) -> str:
     if misfits and not any(_last(section.node) == _last(node) for section in fitting):
         return str(_misfit(name, misfits, node))
     return ""
+
+
+def misfit_warnings(sources: Iterable[Path], node: str) -> list[str]:
+    """What a node must say about the files that it was started with; see :func:`misfit`.
+
+    Raises:
+        BadInput: see :func:`misfit`: rcl leaves out silently what does not fit.
+    """
+    return [warning for source in sources if (warning := misfit(source, node))]
+
+
+def placed(error: InputError, sources: Sequence[Path], node: str) -> BadInput:
+    """An error about a parameter with the file that gives it, the last one of several, and its line.
+
+    Args:
+        error: about a parameter of the node, or about something else.
+        sources: files that the node was started with.
+        node: full name.
+    """
+    if error.parameters and not error.file:
+        parameter = error.parameters[0]
+        files = [read_whatever_fits(path, node) for path in reversed(sources)]
+        naming = [file for file in files if parameter in file.lines] or [f for f in files if f.line_of(parameter)]
+        if naming:
+            return naming[0].error(error)
+    return BadInput(
+        error.reason, file=error.file, line=error.line, parameters=error.parameters, value=error.value
+    )
 
 
 def has_section(source: Path | str, node: str, wildcards: bool = True) -> bool:

@@ -20,6 +20,7 @@ from ship_bags.topic_names import relative_topics
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
 from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
+from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
 from ship_node.parameters.parameter_file import has_section, misfit, read, unknown_sections
 from ship_replay.offline.adapter_chain import nodes_of
 
@@ -100,7 +101,7 @@ class BagCheck:
 def check_file(
     path: Path, adapter_classes: Sequence[type[Adapter]], findings: Findings, namespace: str = ""
 ) -> list[CheckedNode]:
-    """Check the parameters of a file, all of them.
+    """Check the parameters of a file, all of them, also those of nodes that stand beside the estimators.
 
     Args:
         path: the file.
@@ -115,9 +116,10 @@ def check_file(
         BadInput: the file cannot be read, is no parameter file or has a section for none of the nodes.
     """
     names = {kind: full_name(kind.node_name, namespace) for kind in adapter_classes}
-    misfits = [problem for name in names.values() for problem in _misfit(path, name)]
+    known = [*names.values(), *(full_name(companion.node_name, namespace) for companion in COMPANIONS)]
+    misfits = [problem for name in known for problem in _misfit(path, name)]
     findings.errors += misfits
-    strange = unknown_sections(path, names.values())
+    strange = unknown_sections(path, known)
     if not misfits and not any(has_section(path, name) for name in names.values()):
         found = ", ".join(f"'{name}'" for name in strange) or "none"
         raise BadInput(f"no section for a node of this suite: {_expected(adapter_classes)}, found {found}", file=path)
@@ -127,6 +129,8 @@ def check_file(
     named = [kind for kind in nodes_of(path, adapter_classes, namespace) if has_section(path, names[kind])]
     checked = (_checked(path, kind, names[kind], findings) for kind in named)
     nodes = [node for node in checked if node is not None]
+    for companion in named_companions(path, namespace):
+        _check_companion(path, companion, namespace, findings)
     findings.warnings += list(_told_differently(path, nodes))
     return nodes
 
@@ -146,20 +150,10 @@ def _misfit(path: Path, name: str) -> list[str]:
 
 
 def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Findings) -> CheckedNode | None:
-    kind = adapter_class.config_type
     file = read(path, name)
-    values = copy.deepcopy(file.values)
-    descriptions = list(describe(kind))
-    told: set[str] = set()
-    while True:
-        try:
-            config = build(kind, values)
-            break
-        except ParameterError as problem:
-            findings.errors.append(str(file.error(problem)))
-            told.update(problem.parameters[:1])
-            if not _put_right(values, problem, descriptions):
-                return None
+    config, told = _configured(file, adapter_class.config_type, findings)
+    if config is None:
+        return None
     try:
         adapter = adapter_class(config, RosbagsFactory(), UNTOUCHED)
         findings.warnings += [f"{path}: {warning}" for warning in adapter.start_warnings]
@@ -171,6 +165,31 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
     except BadInput as problem:
         findings.errors.append(f"{path}: {problem}")
     return None
+
+
+def _check_companion(path: Path, companion: Companion, namespace: str, findings: Findings) -> None:
+    try:
+        kind = companion.config_type
+    except ImportError:
+        text = f"{path}: section '{companion.node_name}' is not checked: package {companion.package} is not installed"
+        findings.warnings.append(text)
+        return
+    _configured(read(path, full_name(companion.node_name, namespace)), kind, findings)
+
+
+def _configured(file: ParameterFile, kind: type[Any], findings: Findings) -> tuple[Any, set[str]]:
+    """The configuration with wrong values replaced, or None; and the names of those of which enough is said."""
+    values = copy.deepcopy(file.values)
+    descriptions = list(describe(kind))
+    told: set[str] = set()
+    while True:
+        try:
+            return build(kind, values), told
+        except ParameterError as problem:  # noqa: PERF203 - each time another value is put right
+            findings.errors.append(str(file.error(problem)))
+            told.update(problem.parameters[:1])
+            if not _put_right(values, problem, descriptions):
+                return None, told
 
 
 def _told_differently(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:

@@ -1,0 +1,262 @@
+"""The lines of one instrument become messages, one line after the other: of a log that is imported as of a live source.
+
+Attitude systems give sensor_msgs/Imu, receivers NavSatFix, weather stations temperature, humidity and pressure.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ship_bags.message_factory import MessageFactory
+from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, instrument_ns, time_of_day_ns
+from ship_bags.nmea.nmea_attitude import AttitudeReader, LoggedAttitude
+from ship_bags.nmea.sentences import MetReading, number
+from ship_bags.stamps import make_header
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.ros_axes import flu_from_device_vector, quaternion_from_rotation
+from ship_geometry.rotations import FloatArray
+
+INS, REFERENCE, GYRO, GNSS, WEATHER = "ins", "reference", "gyro", "gnss", "weather"
+"""What the lines of an instrument may become."""
+
+INSTRUMENT_TIME = "instrument"
+FIX_TOPIC = "gnss/fix"
+MET_TOPICS = {
+    "met/temperature": "sensor_msgs/msg/Temperature",
+    "met/humidity": "sensor_msgs/msg/RelativeHumidity",
+    "met/pressure": "sensor_msgs/msg/FluidPressure",
+}
+IMU_TYPE, FIX_TYPE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
+
+HEADING_KINDS = ("HDT", "THS")
+AIR_KINDS = ("MET", "MDA", "XDR")
+
+TimedMessage = tuple[int, str, Any]
+"""(log time in ns, topic, message)."""
+
+_AUTONOMOUS = "A"
+"""Mode of THS in which the heading is measured: not estimated, manual, simulated or invalid."""
+
+_GYRO_HEADING_SIGMA_DEG = 0.1
+"""Assumed of a gyrocompass, which says nothing of its own accuracy."""
+
+_UNKNOWN_ANGLE_VARIANCE = 1.0
+"""Variance (rad²) of roll and pitch where only a heading is measured: as good as unknown."""
+
+_RANGE_SIGMA_M = 3.0
+"""Position error per unit of dilution of precision, single-point GNSS."""
+
+_UNKNOWN = np.zeros(9)
+_NOT_GIVEN = np.array([-1.0, *np.zeros(8)])
+
+# NavSatStatus by the quality field of GGA: none, single, differential, (PPS), RTK fixed, RTK float.
+_NO_FIX, _FIX, _AUGMENTED, _GROUND_AUGMENTED = -1, 0, 1, 2
+_FIX_STATUS = {0: _NO_FIX, 1: _FIX, 2: _AUGMENTED, 3: _FIX, 4: _GROUND_AUGMENTED, 5: _GROUND_AUGMENTED}
+_SERVICE_GPS = 1
+_COVARIANCE_UNKNOWN, _COVARIANCE_APPROXIMATED = 0, 1
+
+_TRANSDUCED = {
+    ("C", "C"): ("temperature_c", 1.0),
+    ("H", "P"): ("humidity", 0.01),
+    ("P", "B"): ("pressure_pa", 1e5),
+    ("P", "P"): ("pressure_pa", 1.0),
+    ("P", "H"): ("pressure_pa", 100.0),
+}
+"""Type and unit of a transducer of XDR → field of a reading, and factor: °C, per cent, bar, pascal; H is hectopascal of
+Vaisala, the others are of the standard."""
+
+_MOST_TRANSDUCERS, _MOST_TOLD = 100, 5
+
+
+@dataclass(frozen=True)
+class InstrumentRole:
+    """What the lines of an instrument become.
+
+    Attributes:
+        becomes: :data:`INS`, :data:`REFERENCE`, :data:`GYRO`, :data:`GNSS` or :data:`WEATHER`.
+        by_instrument: stamp attitudes and fixes by the instrument's time, otherwise by the receive time.
+        transducers: names of those of XDR that are used; empty where there is one of a kind.
+        has_fix: whether of an INS the positions are used, too.
+    """
+
+    becomes: str
+    by_instrument: bool = True
+    transducers: frozenset[str] = frozenset()
+    has_fix: bool = True
+
+    def topics(self, name: str) -> dict[str, str]:
+        """Topic → type of all that may be published of an instrument of that name, the one that matters first."""
+        if self.becomes == WEATHER:
+            return MET_TOPICS
+        fix = {FIX_TOPIC: FIX_TYPE}
+        if self.becomes == GNSS:
+            return fix
+        return {imu_topic(self.becomes, name): IMU_TYPE, **(fix if self.becomes == INS and self.has_fix else {})}
+
+
+class Instrument:
+    """Turns the lines of one instrument into messages.
+
+    Args:
+        factory: makes the messages.
+        role: what becomes of the lines.
+        name: of the instrument; part of the topic of a reference or gyrocompass.
+        report: counts what cannot be used.
+    """
+
+    def __init__(self, factory: MessageFactory, role: InstrumentRole, name: str, report: LineReport) -> None:
+        self._factory = factory
+        self._role = role
+        self._name = name
+        self._report = report
+        self._attitudes = AttitudeReader(role.by_instrument, report)
+        self._heading_kind = ""
+        self._transducers: dict[str, set[str]] = {}
+
+    def take(self, line: InstrumentLine) -> Iterator[TimedMessage]:
+        """What becomes of the next line."""
+        becomes = self._role.becomes
+        if becomes in (INS, REFERENCE) and (attitude := self._attitudes.take(line)) is not None:
+            yield imu_message(self._factory, becomes, self._name, attitude)
+        if becomes == GNSS or (becomes == INS and self._role.has_fix):
+            yield from self._fix(line)
+        if becomes == GYRO:
+            yield from self._heading(line)
+        if becomes == WEATHER:
+            yield from self._weather(line)
+
+    def _heading(self, line: InstrumentLine) -> Iterator[TimedMessage]:
+        """A gyrocompass's heading as sensor_msgs/Imu, level, with roll and pitch as good as unknown.
+
+        Neither sentence carries a time: the stamp is the receive time. Of an instrument that gives both one is used.
+        """
+        if line.kind not in HEADING_KINDS or (self._heading_kind or line.kind) != line.kind:
+            return
+        self._heading_kind = line.kind
+        if line.kind == "THS" and line.content.mode != _AUTONOMOUS:
+            self._report.reject(f"THS not in mode {_AUTONOMOUS}", line.number, str(line.content))
+            return
+        variances = [_UNKNOWN_ANGLE_VARIANCE, _UNKNOWN_ANGLE_VARIANCE, np.deg2rad(_GYRO_HEADING_SIGMA_DEG) ** 2]
+        rotation_nd = rotation_from_angles(*np.deg2rad([float(line.content.heading), 0.0, 0.0]))
+        covariance = np.diag(variances).ravel()
+        message = _imu(
+            self._factory, line.receive_ns, self._name, rotation_nd, covariance, np.zeros(3), _NOT_GIVEN
+        )
+        yield line.receive_ns, imu_topic(GYRO, self._name), message
+
+    def _fix(self, line: InstrumentLine) -> Iterator[TimedMessage]:
+        """GGA as sensor_msgs/NavSatFix; the altitude is NaN where the geoid's height is not in the sentence."""
+        if line.kind != "GGA":
+            return
+        gga, stamp_ns = line.content, line.receive_ns
+        if self._role.by_instrument:
+            told_ns = instrument_ns(time_of_day_ns(gga.timestamp, line.receive_ns), line, self._report)
+            if told_ns is None:
+                return
+            stamp_ns = told_ns
+        quality = gga.gps_qual if isinstance(gga.gps_qual, int) else 0
+        status = _FIX_STATUS.get(quality, _FIX)
+        position = _numbers(gga.latitude, gga.longitude) if gga.lat and gga.lon and status != _NO_FIX else None
+        dilution = _numbers(gga.horizontal_dil)
+        heights = _numbers(gga.altitude, gga.geo_sep)
+        sigma_m = _RANGE_SIGMA_M * dilution[0] if dilution else 0.0
+        message = self._factory.make(
+            FIX_TYPE,
+            header=make_header(self._factory, stamp_ns, "gnss"),
+            status=self._factory.make(
+                "sensor_msgs/msg/NavSatStatus", status=status if position else _NO_FIX, service=_SERVICE_GPS
+            ),
+            latitude=position[0] if position else np.nan,
+            longitude=position[1] if position else np.nan,
+            altitude=sum(heights) if heights else np.nan,
+            # The vertical is about twice as uncertain as the horizontal.
+            position_covariance=np.diag([sigma_m**2, sigma_m**2, (2.0 * sigma_m) ** 2]).ravel(),
+            position_covariance_type=_COVARIANCE_APPROXIMATED if dilution else _COVARIANCE_UNKNOWN,
+        )
+        yield line.receive_ns, FIX_TOPIC, message
+
+    def _weather(self, line: InstrumentLine) -> Iterator[TimedMessage]:
+        """Temperature (°C), humidity (0 to 1) and pressure (Pa) of the air, as far as told; stamped by receive time."""
+        if line.kind not in AIR_KINDS:
+            return
+        reading = self._transduced(line) if line.kind == "XDR" else line.content
+        fields = {"header": make_header(self._factory, line.receive_ns, "met"), "variance": 0.0}
+        for (topic, type_name), (name, value) in zip(
+            MET_TOPICS.items(),
+            (
+                ("temperature", reading.temperature_c),
+                ("relative_humidity", reading.humidity),
+                ("fluid_pressure", reading.pressure_pa),
+            ),
+            strict=True,
+        ):
+            if value is not None:
+                yield line.receive_ns, topic, self._factory.make(type_name, **fields, **{name: value})
+
+    def _transduced(self, line: InstrumentLine) -> MetReading:
+        """The air in an XDR: of transducers that are named, or of the only one that the instrument has of a kind."""
+        told: dict[str, list[float]] = {}
+        for index in range(line.content.num_transducers):
+            transducer = line.content.get_transducer(index)
+            value = number(transducer.value)
+            field, factor = _TRANSDUCED.get((transducer.type, transducer.units), ("", 0.0))
+            if not field or value is None or (self._role.transducers and transducer.id not in self._role.transducers):
+                continue
+            told.setdefault(field, []).append(value * factor)
+            names = self._transducers.setdefault(field, set())
+            if len(names) < _MOST_TRANSDUCERS:
+                names.add(transducer.id)
+        for field in [field for field, values in told.items() if len(values) + len(self._transducers[field]) > 2]:
+            several = ", ".join(sorted(self._transducers[field])[:_MOST_TOLD])
+            text = f"{field.partition('_')[0]} of {several}: name the air's in transducers"
+            self._report.reject("several transducers", line.number, text)
+            del told[field]
+        return MetReading(**{field: values[0] for field, values in told.items()})
+
+
+def imu_topic(becomes: str, name: str) -> str:
+    """Topic of an attitude system."""
+    return "ins/imu" if becomes == INS else f"reference/{name}/imu"
+
+
+def imu_message(factory: MessageFactory, becomes: str, name: str, attitude: LoggedAttitude) -> TimedMessage:
+    """sensor_msgs/Imu, ENU <- FLU; covariances unknown, the rate "not given" where the instrument tells none."""
+    rate_flu, rate_covariance = np.zeros(3), _NOT_GIVEN
+    if attitude.rate_d is not None:
+        rate_flu, rate_covariance = flu_from_device_vector(attitude.rate_d), _UNKNOWN
+    frame_id = INS if becomes == INS else name
+    message = _imu(factory, attitude.stamp_ns, frame_id, attitude.rotation_nd, _UNKNOWN, rate_flu, rate_covariance)
+    return attitude.log_time_ns, imu_topic(becomes, name), message
+
+
+def _imu(
+    factory: MessageFactory,
+    stamp_ns: int,
+    frame_id: str,
+    rotation_nd: FloatArray,
+    covariance_enu: FloatArray,
+    rate_flu: FloatArray,
+    rate_covariance: FloatArray,
+) -> Any:
+    x, y, z, w = (float(part) for part in quaternion_from_rotation(rotation_nd))
+    forward, left, up = (float(part) for part in rate_flu)
+    return factory.make(
+        IMU_TYPE,
+        header=make_header(factory, stamp_ns, frame_id),
+        orientation=factory.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
+        orientation_covariance=covariance_enu,
+        angular_velocity=factory.make("geometry_msgs/msg/Vector3", x=forward, y=left, z=up),
+        angular_velocity_covariance=rate_covariance,
+        linear_acceleration=factory.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0),
+        linear_acceleration_covariance=_NOT_GIVEN,
+    )
+
+
+def _numbers(*values: Any) -> list[float] | None:
+    """The values as numbers; None where one is missing or is none."""
+    try:
+        return [float(value) for value in values]
+    except (TypeError, ValueError):
+        return None

@@ -1,0 +1,180 @@
+"""One line of an instrument read: a sentence of NMEA 0183, or a line ``MET`` of a mast.
+
+Sentences are parsed by pynmea2. What it lacks stands here: THS, and MET, which is not NMEA.
+"""
+
+import math
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any
+
+import pynmea2
+
+BAD_CHECKSUM, UNPARSED = "checksum failed", "unparsed"
+UNKNOWN, VOID, OUT_OF_RANGE = "unknown sentence", "no values in it", "angle out of range"
+"""Why in particular a line is unparsed: pynmea2 does not know the sentence, the instrument has nothing to say, or says
+what cannot be."""
+
+# Fields of the line MET of the station mwx1.
+_MET_TEMPERATURE, _MET_HUMIDITY, _MET_PRESSURE = 3, 4, -1
+_MET_LEAST_FIELDS = 6
+
+_PA_PER_BAR = 1e5
+
+_NEEDED = {
+    "ZDA": ("timestamp", "day", "month", "year"),
+    "GGA": ("timestamp",),
+    "HDT": ("heading",),
+    "THS": ("heading",),
+    "SXN20": ("head_qual", "rp_qual"),
+    "SXN23": ("roll", "pitch", "head"),
+    "ASHRATT": ("timestamp", "true_heading", "roll", "pitch"),
+    "MDA": (),
+    "XDR": (),
+}
+"""Name of a class of pynmea2 → fields without which the sentence says nothing."""
+
+_RANGES_DEG = {
+    "heading": (0.0, 360.0), "head": (0.0, 360.0), "true_heading": (0.0, 360.0), "pitch": (-90.0, 90.0),
+    "roll": (-180.0, 180.0),
+}  # fmt: skip
+"""Angles beyond are none: some instruments write 999.99 where they know nothing."""
+
+_KINDS = {"SXN20": "PSXN20", "SXN23": "PSXN23", "ASHRATT": "PASHR"}
+
+
+class THS(pynmea2.TalkerSentence):  # type: ignore[misc]
+    """True heading with its status (IEC 61162-1): A is autonomous, V invalid; pynmea2 finds it by the class's name."""
+
+    fields = (("True heading, degrees", "heading", float), ("Mode indicator", "mode"))
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """What a line says.
+
+    Attributes:
+        kind: ``ZDA``, ``GGA``, ``HDT``, ``THS``, ``PSXN20``, ``PSXN23``, ``PASHR``, ``XDR``, ``MDA`` or ``MET``.
+        content: the sentence of pynmea2, or :class:`MetReading` of MDA and MET.
+    """
+
+    kind: str
+    content: Any
+
+
+@dataclass(frozen=True)
+class NotOfInterest:
+    """A line of that name is known, and nothing becomes of it."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Unusable:
+    """A line cannot be used; ``detail`` says more than the reason, where more is known."""
+
+    reason: str
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class MetReading:
+    """The air at the mast: temperature in °C, relative humidity from 0 to 1, pressure in Pa; None where not told."""
+
+    temperature_c: float | None = None
+    humidity: float | None = None
+    pressure_pa: float | None = None
+
+
+def read_sentence(text: str) -> Sentence | NotOfInterest | Unusable:
+    """What a line says, without anything in front of the sentence."""
+    name = text.split(",")[0]
+    if name == "MET":
+        reading = _met_reading(text)
+        return Unusable(UNPARSED) if reading is None else Sentence(name, reading)
+    if not name.startswith("$"):
+        known_shape = name.isalpha() and name.isupper() and "," in text
+        return NotOfInterest(name) if known_shape else Unusable(UNPARSED)
+    try:
+        content = pynmea2.parse(text)
+    except pynmea2.ChecksumError:
+        return Unusable(BAD_CHECKSUM)
+    except pynmea2.SentenceTypeError:
+        return Unusable(UNPARSED, UNKNOWN)
+    except Exception:
+        # Over sentences that are cut short pynmea2 raises IndexError and others, which it does not declare.
+        return Unusable(UNPARSED)
+    return _of_interest(name.lstrip("$"), content)
+
+
+def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable:
+    """The sentence if it is one of those used, complete, and its fields are numbers."""
+    kind = type(content).__name__
+    if kind not in _NEEDED:
+        # The sentences PSXN are told apart by a number behind the name, which pynmea2 puts into the name of its class.
+        return NotOfInterest(name + kind.removeprefix("SXN") if "SXN" in kind else name)
+    # Where a field is no number pynmea2 gives its text.
+    values = [getattr(content, field) for field in _NEEDED[kind]]
+    if any(value is None for value in values):
+        return Unusable(UNPARSED, VOID)
+    if any(isinstance(value, str) or not _is_finite(value) for value in values):
+        return Unusable(UNPARSED)
+    if any(not _is_angle(field, value) for field, value in zip(_NEEDED[kind], values, strict=True)):
+        return Unusable(UNPARSED, OUT_OF_RANGE)
+    if kind == "ZDA" and not 1970 < content.year < 2038:
+        return Unusable("no year of ours")
+    if kind == "GGA" and not _has_readable_position(content):
+        return Unusable(UNPARSED)
+    return Sentence(_KINDS.get(kind, kind), _mda_reading(content) if kind == "MDA" else content)
+
+
+def _is_finite(value: Any) -> bool:
+    """False for a number that is none, as of the field ``nan``; times of day are finite."""
+    return not isinstance(value, (float, Decimal)) or number(value) is not None
+
+
+def _is_angle(field: str, value: Any) -> bool:
+    """False for an angle beyond its range; other fields have none."""
+    least, most = _RANGES_DEG.get(field, (None, None))
+    return least is None or most is None or least <= float(value) <= most
+
+
+def _has_readable_position(gga: Any) -> bool:
+    """Whether latitude and longitude are numbers, or not given."""
+    try:
+        return not (gga.lat and gga.lon) or abs(gga.latitude) + abs(gga.longitude) >= 0.0
+    except ValueError:
+        return False
+
+
+def _met_reading(sentence: str) -> MetReading | None:
+    fields = sentence.split(",")
+    if len(fields) < _MET_LEAST_FIELDS:
+        return None
+    try:
+        return MetReading(
+            temperature_c=float(fields[_MET_TEMPERATURE]),
+            humidity=float(fields[_MET_HUMIDITY]) / 100.0,
+            pressure_pa=float(fields[_MET_PRESSURE]) * 100.0,
+        )
+    except ValueError:
+        return None
+
+
+def _mda_reading(mda: Any) -> MetReading:
+    """What the meteorological composite tells: bar, °C, per cent; what is no number is not told."""
+    temperature_c, percent, bar = (number(v) for v in (mda.air_temp, mda.rel_humidity, mda.b_pressure_bar))
+    return MetReading(
+        temperature_c=temperature_c,
+        humidity=None if percent is None else percent / 100.0,
+        pressure_pa=None if bar is None else bar * _PA_PER_BAR,
+    )
+
+
+def number(value: Any) -> float | None:
+    """A field as a finite number; None where it is none."""
+    try:
+        result = float(value)
+    except (TypeError, ValueError):
+        return None
+    return result if math.isfinite(result) else None

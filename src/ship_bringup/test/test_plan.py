@@ -1,0 +1,59 @@
+"""Which programs a suite file asks for beside the estimators, and what their end means."""
+
+from pathlib import Path
+
+import pytest
+
+from ship_bags.errors import BadInput
+from ship_bringup.suite.keeper import Role
+from ship_bringup.suite.plan import SuiteOptions, plan_of
+
+ROOT = Path(__file__).parents[3]
+DEMO = ROOT / "bags" / "demo.mcap"
+NMEA = """\
+/**/nmea_out:
+  ros__parameters:
+    sinks:
+      bridge: {kind: udp, address: 192.168.1.255, port: 10110}
+/**/nmea_in:
+  ros__parameters:
+    sources:
+      gyro: {kind: udp, port: 10111, becomes: gyro}
+"""
+
+
+@pytest.fixture
+def suite(tmp_path):
+    """The demo's suite file with sections for both NMEA nodes."""
+    path = tmp_path / "suite.yaml"
+    path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text(encoding="utf-8") + NMEA)
+    return path
+
+
+def roles(plan):
+    return {program.name: program.role for program in plan.programs}
+
+
+def test_nmea_nodes_are_started_and_the_suite_does_not_need_them(suite):
+    plan = plan_of(suite, SuiteOptions(namespace="aurora", monitor=True))
+    assert roles(plan) == {
+        "ship_attitude": Role.NODE, "nmea_in": Role.FEEDER, "nmea_out": Role.WATCHER, "monitor": Role.WATCHER,
+        "alerts": Role.WATCHER,
+    }  # fmt: skip
+    (command,) = [program.command for program in plan.programs if program.name == "nmea_out"]
+    assert command[-4:] == ("--params-file", str(suite.resolve()), "-r", "__ns:=/aurora")
+
+
+def test_with_a_bag_no_instrument_is_read_and_what_goes_out_is_warned_of(suite):
+    plan = plan_of(suite, SuiteOptions(bag=DEMO))
+    assert roles(plan) == {"ship_attitude": Role.NODE, "nmea_out": Role.WATCHER, "play": Role.PLAYER}
+    (command,) = [program.command for program in plan.programs if program.name == "nmea_out"]
+    assert "use_sim_time:=true" in command
+    assert any("THS says S (simulator)" in warning for warning in plan.warnings)
+
+
+def test_a_bad_key_of_theirs_is_told_before_anything_starts(suite):
+    suite.write_text(suite.read_text().replace("port: 10110", "prt: 10110"))
+    line = suite.read_text().splitlines().index(next(s for s in suite.read_text().splitlines() if "prt" in s)) + 1
+    with pytest.raises(BadInput, match=rf"suite.yaml:{line}: parameter 'sinks.bridge.prt' is unknown: .* 'port'\?"):
+        plan_of(suite, SuiteOptions())

@@ -1,0 +1,255 @@
+"""Where sentences are heard: a UDP port, a TCP server, a serial device, each read by a thread of its own.
+
+What is gone is tried again for as long as the node runs. A line carries the node's time at which its end was read.
+"""
+
+import contextlib
+import ipaddress
+import socket
+import sys
+import termios
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+import serial
+
+from ship_bags.errors import one_line
+from ship_nmea.instruments.config import ANY_ADDRESS, SERIAL, UDP, NmeaSourceConfig
+from ship_nmea.instruments.lines import LineSplitter
+
+RETRY_S = 1.0
+WAITING_LINES = 1000
+"""Lines of a link that may wait for the node: of a flood the oldest make room."""
+
+_WAIT_S = 0.2
+_CONNECT_S = 2.0
+_JOIN_S = 0.5
+_CHUNK = 65536
+_RECEIVE_BUFFER = 1 << 20
+_SO_RXQ_OVFL = 40
+"""Linux then tells with each datagram how many were dropped before it; Python has no name for it."""
+_NOTES = socket.CMSG_SPACE(64)
+_KEEPALIVE = {"TCP_KEEPIDLE": 3, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
+"""A server that lost its power says no goodbye: an idle connection is asked for after 3 s, and given up 3 s later."""
+
+
+class Link(Protocol):
+    """A way by which bytes come; each call may raise OSError.
+
+    Attributes:
+        is_stream: whether lines go on from one read to the next.
+        lost: datagrams that the system dropped because they were not read in time.
+    """
+
+    is_stream: bool
+    lost: int
+
+    def open(self) -> None:
+        """Begin to listen."""
+        ...
+
+    def read(self) -> bytes:
+        """The next bytes, empty where none came for a moment; of a datagram, all."""
+        ...
+
+    def close(self) -> None:
+        """End."""
+        ...
+
+
+class UdpLink:
+    """Listens for datagrams at a port of this machine, or of a multicast group."""
+
+    is_stream = False
+    lost = 0
+
+    def __init__(self, address: str, port: int, interface: str) -> None:
+        self._address, self._port, self._interface = address or ANY_ADDRESS, port, interface or ANY_ADDRESS
+
+    def open(self) -> None:
+        """See :class:`Link`."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            with contextlib.suppress(OSError):
+                self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+            self._socket.settimeout(_WAIT_S)
+            is_group = _is_group(self._address)
+            if is_group:
+                # Every listener of a group gets each datagram: others may listen there, too.
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._socket.bind((self._address, self._port))
+            if is_group:
+                member = socket.inet_aton(self._address) + socket.inet_aton(self._interface)
+                self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+        except OSError:
+            self._socket.close()
+            raise
+
+    def read(self) -> bytes:
+        """See :class:`Link`."""
+        try:
+            data, notes, _, _ = self._socket.recvmsg(_CHUNK, _NOTES)
+        except TimeoutError:
+            return b""
+        for _, kind, value in notes:
+            if kind == _SO_RXQ_OVFL:
+                self.lost = int.from_bytes(value, sys.byteorder)
+        return data
+
+    def close(self) -> None:
+        """See :class:`Link`."""
+        self._socket.close()
+
+
+class TcpLink:
+    """Connects to a server and reads what it sends."""
+
+    is_stream = True
+    lost = 0
+
+    def __init__(self, address: str, port: int) -> None:
+        self._place = address, port
+
+    def open(self) -> None:
+        """See :class:`Link`."""
+        self._socket = socket.create_connection(self._place, timeout=_CONNECT_S)
+        self._socket.settimeout(_WAIT_S)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _KEEPALIVE.items():
+            if hasattr(socket, name):
+                self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+    def read(self) -> bytes:
+        """See :class:`Link`."""
+        try:
+            data = self._socket.recv(_CHUNK)
+        except TimeoutError:
+            return b""
+        if not data:
+            raise ConnectionError("the server closed the connection")
+        return data
+
+    def close(self) -> None:
+        """See :class:`Link`."""
+        self._socket.close()
+
+
+class SerialLink:
+    """Reads a serial device, 8 data bits, no parity, one stop bit, as NMEA 0183 has it; nobody else may read it."""
+
+    is_stream = True
+    lost = 0
+
+    def __init__(self, device: str, baud: int) -> None:
+        self._device, self._baud = device, baud
+
+    def open(self) -> None:
+        """See :class:`Link`."""
+        try:
+            self._serial = serial.Serial(self._device, self._baud, timeout=_WAIT_S, exclusive=True)
+        except termios.error as problem:
+            raise OSError(*problem.args) from problem
+
+    def read(self) -> bytes:
+        """See :class:`Link`."""
+        data: bytes = self._serial.read(max(1, self._serial.in_waiting))
+        return data
+
+    def close(self) -> None:
+        """See :class:`Link`."""
+        self._serial.close()
+
+
+def link_of(source: NmeaSourceConfig) -> Link:
+    """The link of a source."""
+    if source.kind == SERIAL:
+        return SerialLink(source.device, source.baud)
+    if source.kind == UDP:
+        return UdpLink(source.address, source.port, source.interface)
+    return TcpLink(source.address, source.port)
+
+
+class LinkReader:
+    """Reads a link in a thread of its own; its lines wait for the node, so many and no more.
+
+    Args:
+        link: as yet unopened, or open.
+        is_open: whether it is open.
+        now_ns: the node's time.
+        came: called when lines have come.
+
+    Attributes:
+        problem: why the link is not open, in one line; empty where it is.
+    """
+
+    def __init__(self, link: Link, is_open: bool, now_ns: Callable[[], int], came: Callable[[], None]) -> None:
+        self._link, self._is_open = link, is_open
+        self._now_ns, self._came = now_ns, came
+        self._lines: deque[tuple[int, bytes]] = deque(maxlen=WAITING_LINES)
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self.problem = "" if is_open else "not open yet"
+        self._displaced = 0
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Lines that were displaced by newer ones, and datagrams that were dropped before they were read."""
+        return self._displaced + self._link.lost
+
+    def take(self, most: int) -> list[tuple[int, bytes]]:
+        """The oldest lines that wait, each with the time at which it came."""
+        with self._lock:
+            return [self._lines.popleft() for _ in range(min(most, len(self._lines)))]
+
+    def stop(self) -> None:
+        """Tell the thread to end, and to give the link back."""
+        self._stop.set()
+
+    def join(self) -> None:
+        """Wait until it has; one that asks for a name or a connection ends with the process."""
+        self._thread.join(_JOIN_S)
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                if not self._is_open:
+                    self._link.open()
+                    self._is_open, self.problem = True, ""
+                self._read()
+            except Exception as problem:
+                # Whatever a driver raises, it is tried again.
+                self.problem = one_line(getattr(problem, "strerror", None) or str(problem) or type(problem).__name__)
+            if self._is_open:
+                self._is_open = False
+                with contextlib.suppress(OSError):
+                    self._link.close()
+            self._stop.wait(RETRY_S)
+
+    def _read(self) -> None:
+        splitter = LineSplitter()
+        while not self._stop.is_set():
+            data = self._link.read()
+            lines = splitter.take(data)
+            if not self._link.is_stream:
+                lines += splitter.end()
+            if lines:
+                self._put(lines)
+
+    def _put(self, lines: list[bytes]) -> None:
+        now_ns = self._now_ns()
+        with self._lock:
+            self._displaced += max(0, len(self._lines) + len(lines) - WAITING_LINES)
+            self._lines.extend((now_ns, line) for line in lines)
+        self._came()
+
+
+def _is_group(address: str) -> bool:
+    try:
+        return ipaddress.ip_address(address).is_multicast
+    except ValueError:
+        return False

@@ -1,0 +1,131 @@
+"""``nmea_in``: hears instruments and publishes what they say."""
+
+import errno
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator, Sequence
+
+from ship_estimation.parameters import ParameterError
+from ship_nmea.instruments.config import SERIAL, TCP, NmeaInConfig
+from ship_nmea.instruments.lines import heard_texts
+from ship_nmea.instruments.links import Link, LinkReader, link_of
+from ship_nmea.instruments.source import Source
+from ship_nmea.node_shell import NmeaNode, run_nmea_node
+from ship_node.edge.messages_out import DiagnosticStatus
+from ship_node.edge.topics import OutputTopic
+
+NAME = "nmea_in"
+
+_DESCRIPTION = """\
+Hears instruments' sentences (NMEA 0183) on UDP ports, TCP servers and serial devices, and publishes ins/imu,
+reference/<id>/imu, gnss/fix, met/pressure, met/temperature and met/humidity, with the parser of import_nmea.
+
+Read are PSXN 20 and 23 with ZDA, PASHR, GGA, HDT, THS, XDR, MDA and MET. What cannot be used is counted by its reason
+in /diagnostics, for each source with an example. A source that is gone is told there and tried again.
+"""
+
+_AT_ONCE = 50
+"""Lines of a link taken before the next link's turn: a flood of one holds up no other."""
+_IDLE_S = 0.5
+_ABSENT = (errno.ENOENT, errno.ENXIO, errno.ENODEV)
+_HELD = {errno.EADDRINUSE: "somebody else listens there", errno.EAGAIN: "somebody else reads it",
+         errno.EACCES: "no permission, which for serial devices the group dialout has as a rule"}
+_JOIN_S = 2.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of ``nmea_in``; returns the exit code."""
+    return run_nmea_node(NAME, _DESCRIPTION, NmeaInConfig, NmeaIn, arguments)
+
+
+class NmeaIn:
+    """The node's work: a thread for each link that reads, and one that publishes.
+
+    Raises:
+        InputError: there is no source, a port is in use, or a device cannot be read.
+    """
+
+    def __init__(self, shell: NmeaNode) -> None:
+        config: NmeaInConfig = shell.config
+        self._guard = shell.guard
+        self._lines_came, self._stop = threading.Event(), threading.Event()
+        self._sources: dict[str, list[Source]] = {}
+        self._publishers = {}
+        for id_, source_config in config.sources.items():
+            source = Source(id_, source_config, config.role(id_), shell.factory, time.monotonic_ns())
+            self._sources.setdefault(source_config.place, []).append(source)
+            for topic, type_name in source.topics.items():
+                self._publishers[topic] = shell.publisher(OutputTopic(topic, type_name))
+        links = {place: _first_opened(sources[0]) for place, sources in self._sources.items()}
+        self._readers = {
+            place: LinkReader(link, is_open, shell.clock.now_ns, self._lines_came.set)
+            for place, (link, is_open) in links.items()
+        }
+        self._publishing = threading.Thread(target=self._publish, daemon=True)
+        self._publishing.start()
+
+    def statuses(self) -> Iterator[DiagnosticStatus]:
+        """How each source does."""
+        now_ns = time.monotonic_ns()
+        for place, reader in self._readers.items():
+            for source in self._sources[place]:
+                yield source.status(reader.problem, reader.dropped, now_ns)
+
+    def close(self) -> None:
+        """See :class:`ship_nmea.node_shell.Work`."""
+        self._stop.set()
+        self._lines_came.set()
+        self._publishing.join(_JOIN_S)
+        for reader in self._readers.values():
+            reader.stop()
+        for reader in self._readers.values():
+            reader.join()
+
+    def _publish(self) -> None:
+        while not self._stop.is_set():
+            self._lines_came.wait(_IDLE_S)
+            self._lines_came.clear()
+            taken = 1
+            while taken and not self._stop.is_set():
+                taken = sum(self._publish_some(place) for place in self._readers)
+
+    def _publish_some(self, place: str) -> int:
+        """Publish what some lines of a link say; returns how many."""
+        lines = self._readers[place].take(_AT_ONCE)
+        for arrival_ns, line in lines:
+            self._guard.call(place, self._publish_line, place, arrival_ns, line)
+        return len(lines)
+
+    def _publish_line(self, place: str, arrival_ns: int, line: bytes) -> None:
+        now_ns = time.monotonic_ns()
+        for heard in heard_texts(line):
+            for source in self._sources[place]:
+                for topic, message in source.take(heard, arrival_ns, now_ns):
+                    self._publishers[topic].publish(message)
+
+
+def _first_opened(source: Source) -> tuple[Link, bool]:
+    """The link of a source, and whether it is open: a server or a device that is not there yet may still come.
+
+    Raises:
+        ParameterError: a port is in use, or a device is there and cannot be read.
+    """
+    config, link = source.config, link_of(source.config)
+    if config.kind == TCP:
+        return link, False
+    try:
+        link.open()
+    except (OSError, ValueError) as problem:
+        number = max(0, getattr(problem, "errno", None) or 0)
+        if config.kind == SERIAL and number in _ABSENT:
+            return link, False
+        reason = _HELD.get(number) or (os.strerror(number) if number else str(problem))
+        key, value = ("device", config.device) if config.kind == SERIAL else ("port", config.port)
+        if number == errno.EADDRNOTAVAIL or isinstance(problem, socket.gaierror):
+            key, value, reason = "address", config.address, "expected an address of this machine"
+        name = f"sources.{source.id}.{key}"
+        text = f"parameter '{name}' = {value!r}: {config.place} cannot be opened: {reason}"
+        raise ParameterError(text, name, value=value) from problem
+    return link, True

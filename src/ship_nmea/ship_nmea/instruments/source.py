@@ -1,0 +1,200 @@
+"""One source of sentences: its lines become messages, and what becomes of each line is counted and told."""
+
+import threading
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from ship_bags.message_factory import MessageFactory
+from ship_bags.nmea.instrument import WEATHER, Instrument, InstrumentRole
+from ship_bags.nmea.instrument_line import InstrumentLine, LineReport
+from ship_bags.nmea.sentences import NotOfInterest, Unusable
+from ship_bags.stamps import NS_PER_S
+from ship_nmea.instruments.config import NmeaSourceConfig
+from ship_nmea.instruments.lines import HeardText
+from ship_node.edge.messages_out import DiagnosticStatus, Level
+
+NO_TIME = "no time: no /clock yet"
+
+SHOWN_NS = 10 * NS_PER_S
+"""What was wrong is a warning for this long, ns."""
+
+_BACK_NS = NS_PER_S
+"""Where the node's time goes back by more, the instrument is heard anew."""
+
+_SHOWN_CHARACTERS = 60
+_MOST_NAMES, _MOST_TOLD, _LONGEST_NAME, _OTHERS = 50, 10, 12, "others"
+
+
+@dataclass
+class LiveReport(LineReport):
+    """What became of a live source's lines; bounded, whatever comes.
+
+    Attributes:
+        talkers: talker that is not of the source → count of its sentences.
+        last: reason → the line that was rejected last for it, cut short.
+        rejected_ns: reason → when, by a steady clock.
+        now_ns: steady time of the line at work.
+    """
+
+    talkers: Counter[str] = field(default_factory=Counter)
+    last: dict[str, str] = field(default_factory=dict)
+    rejected_ns: dict[str, int] = field(default_factory=dict)
+    now_ns: int = 0
+
+    def reject(self, reason: str, line: int, text: str) -> None:
+        """See :meth:`LineReport.reject`."""
+        self.rejected[reason] += 1
+        self.rejected_ns[reason] = self.now_ns
+        self.last[reason] = shown(text)
+
+    def set_aside(self, name: str) -> None:
+        """Count a sentence of which nothing becomes."""
+        _count(self.unused, name[:_LONGEST_NAME])
+
+    def set_aside_talker(self, talker: str) -> None:
+        """Count a sentence of a talker that is not of the source."""
+        _count(self.talkers, talker)
+
+
+class Source:
+    """Turns what was heard into messages, in one thread, and tells how it does in another.
+
+    Args:
+        id_: of the source.
+        config: of the source.
+        role: what its lines become.
+        factory: makes the messages.
+        now_ns: steady time.
+    """
+
+    def __init__(
+        self, id_: str, config: NmeaSourceConfig, role: InstrumentRole, factory: MessageFactory, now_ns: int
+    ) -> None:
+        self.id, self.config = id_, config
+        self.topics = role.topics(id_)
+        self._role, self._factory = role, factory
+        self._report = LiveReport(id_)
+        self._instrument = Instrument(factory, role, id_, self._report)
+        self._lock = threading.Lock()
+        self._arrival_ns = 0
+        self._heard_ns = self._given_ns = self._told_ns = now_ns
+        self._given: Counter[str] = Counter()
+        self._given_before = 0
+        self._dropped, self._dropped_ns = 0, now_ns - SHOWN_NS
+        # Of an INS the attitude matters, of a weather station whatever it tells.
+        self._wanted = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
+
+    def take(self, heard: HeardText, arrival_ns: int, now_ns: int) -> list[tuple[str, Any]]:
+        """The messages of the next text, each with its topic; they count as given.
+
+        Args:
+            heard: the text and what it says.
+            arrival_ns: the node's time at which it came; 0 where the node has no time yet.
+            now_ns: steady time.
+        """
+        with self._lock:
+            return self._taken(heard, arrival_ns, now_ns)
+
+    def _taken(self, heard: HeardText, arrival_ns: int, now_ns: int) -> list[tuple[str, Any]]:
+        report = self._report
+        report.lines += 1
+        report.now_ns = self._heard_ns = now_ns
+        if arrival_ns < self._arrival_ns - _BACK_NS:
+            self._instrument = Instrument(self._factory, self._role, self.id, report)
+        self._arrival_ns = arrival_ns
+        line = self._line(heard, arrival_ns)
+        messages = [] if line is None else [(topic, message) for _, topic, message in self._instrument.take(line)]
+        for topic, _ in messages:
+            self._given[topic] += 1
+            if topic in self._wanted:
+                self._given_ns = now_ns
+        return messages
+
+    def _line(self, heard: HeardText, arrival_ns: int) -> InstrumentLine | None:
+        says, report = heard.says, self._report
+        if self.config.talkers and heard.talker and heard.talker not in self.config.talkers:
+            report.set_aside_talker(heard.talker)
+        elif isinstance(says, NotOfInterest):
+            report.set_aside(says.name)
+        elif isinstance(says, Unusable):
+            report.reject(says.detail or says.reason, report.lines, heard.text)
+        elif arrival_ns == 0:
+            report.reject(NO_TIME, report.lines, heard.text)
+        else:
+            report.used[says.kind] += 1
+            return InstrumentLine(report.lines, arrival_ns, says.kind, says.content)
+        return None
+
+    def status(self, problem: str, dropped: int, now_ns: int) -> DiagnosticStatus:
+        """How the source does, judged by what it gave.
+
+        Args:
+            problem: of its link; empty where that is open.
+            dropped: lines of its link that were not kept.
+            now_ns: steady time.
+        """
+        with self._lock:
+            return self._status(problem, dropped, now_ns)
+
+    def _status(self, problem: str, dropped: int, now_ns: int) -> DiagnosticStatus:
+        if dropped > self._dropped:
+            self._dropped, self._dropped_ns = dropped, now_ns
+        level, text = self._judged(problem, now_ns)
+        given = sum(self._given[topic] for topic in self._wanted)
+        span_s = max(now_ns - self._told_ns, 1) / NS_PER_S
+        values = {
+            "place": self.config.place,
+            "lines": str(self._report.lines),
+            "messages_hz": f"{(given - self._given_before) / span_s:.1f}",
+            **{topic: str(self._given[topic]) for topic in self.topics},
+            **_figures("used", self._report.used),
+            **_figures("rejected", self._report.rejected),
+            **{f"example of {reason}": text for reason, text in sorted(self._report.last.items())},
+            **_figures("put right", self._report.mended),
+            **_figures("not of interest", self._report.unused),
+            **_figures("other talker", self._report.talkers),
+            "dropped": str(dropped),
+        }
+        self._given_before, self._told_ns = given, now_ns
+        return DiagnosticStatus(f"source {self.id}", level, text, values)
+
+    def _judged(self, problem: str, now_ns: int) -> tuple[Level, str]:
+        report, limit_ns = self._report, self.config.silent_after_s * NS_PER_S
+        topics = " or ".join(self._wanted)
+        recent = [reason for reason, at_ns in report.rejected_ns.items() if now_ns - at_ns <= SHOWN_NS]
+        wrong = "; ".join(f"{reason} {report.rejected[reason]}, as {report.last[reason]}" for reason in sorted(recent))
+        if problem:
+            return Level.ERROR, f"{self.config.place}: {problem}; it is tried again"
+        if not now_ns - self._heard_ns <= limit_ns:
+            return Level.ERROR, f"{self.config.place}: no line for {(now_ns - self._heard_ns) / NS_PER_S:.0f} s"
+        if not now_ns - self._given_ns <= limit_ns:
+            others = f", of other talkers {_names(report.talkers)}" if report.talkers else ""
+            why = wrong or f"heard are {_names(report.unused, report.used) or 'no sentences of use'}{others}"
+            return Level.ERROR, f"lines come, and no {topics} for {(now_ns - self._given_ns) / NS_PER_S:.0f} s: {why}"
+        if now_ns - self._dropped_ns <= SHOWN_NS:
+            return Level.ERROR, f"overflow: more came than can be taken; {self._dropped} lines were dropped"
+        if wrong:
+            return Level.WARN, wrong
+        if not any(self._given[topic] for topic in self._wanted):
+            return Level.OK, f"{self.config.place}: waiting for the first {topics}"
+        return Level.OK, f"gives {topics}"
+
+
+def shown(text: str) -> str:
+    """A text in quotes, cut short."""
+    return repr(text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}…")
+
+
+def _count(counts: Counter[str], name: str) -> None:
+    """Count a name, of which there may be many."""
+    counts[name if name in counts or len(counts) < _MOST_NAMES else _OTHERS] += 1
+
+
+def _figures(what: str, counts: Counter[str]) -> dict[str, str]:
+    return {f"{what}: {name}": str(count) for name, count in sorted(counts.items())}
+
+
+def _names(*counts: Iterable[str]) -> str:
+    return ", ".join(sorted({name for names in counts for name in names})[:_MOST_TOLD])

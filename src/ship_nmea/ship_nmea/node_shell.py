@@ -1,0 +1,192 @@
+"""The shell of both nodes: parameters, guarded callbacks, the clock, and a report once a second.
+
+A node of this package is this shell and its work: what it does with the shell's node, and what there is to say of that.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from ship_bags.command_line import CommandParser
+from ship_bags.live.ros_process import split_ros_arguments
+from ship_bags.message_factory import RosidlFactory, message_class
+from ship_estimation.parameter_rows import in_columns, parameter_row
+from ship_estimation.parameters import describe
+from ship_geometry.input_error import InputError
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus, diagnostic_array
+from ship_node.edge.topics import InputTopic, OutputTopic
+from ship_node.live.node_clock import NodeClock
+from ship_node.live.node_events import NodeEvents
+from ship_node.live.node_report import Guard, StatusLog, name_status
+from ship_node.live.node_shell import run_node
+from ship_node.live.qos import input_qos, output_qos, overridable, overrides_checked
+from ship_node.live.ros_parameters import NodeParameters, ParameterNode
+from ship_node.parameters.parameter_file import misfit_warnings, placed
+
+SPIN_TIMEOUT_S = 0.1
+REPORT_PERIOD_S = 1.0
+
+_EXIT_CODES = "0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (one line says which)"
+
+
+def run_nmea_node(
+    name: str,
+    description: str,
+    config_type: type,
+    begin: "Callable[[NmeaNode], Work]",
+    arguments: Sequence[str] | None,
+) -> int:
+    """Run a node of this package until SIGINT or SIGTERM; what its executable calls.
+
+    Args:
+        name: of the node and of its executable.
+        description: what ``--help`` says of it, before the parameters.
+        config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
+        begin: makes the work.
+        arguments: the command line without the program's name; None takes the process's own.
+
+    Returns:
+        Exit code: 0 ended by a signal, 2 bad arguments or parameters (one line on stderr says which).
+    """
+    rows = "\n".join(in_columns([parameter_row(parameter) for parameter in describe(config_type)]))
+    parser = CommandParser(
+        prog=name,
+        usage=f"{name} [--help] [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]",
+        example=f"./ros2run ship_nmea {name} --ros-args --params-file suite.yaml -r __ns:=/aurora",
+        description=description,
+        epilog=f"parameters (read at the start):\n{rows}\n\nexit code: {_EXIT_CODES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    own, ros = split_ros_arguments(sys.argv[1:] if arguments is None else arguments)
+    parser.parse_args(own)
+    return run_node(name, partial(NmeaNode, name, config_type, begin), ros)
+
+
+class Work(Protocol):
+    """What a node does; it is made of its :class:`NmeaNode`, and raises InputError where its parameters cannot be."""
+
+    def statuses(self) -> Iterable[DiagnosticStatus]:
+        """What there is to say of it, once a second."""
+        ...
+
+    def close(self) -> None:
+        """Give sockets, devices and threads back."""
+        ...
+
+
+class NmeaNode:
+    """A node around its work; see :func:`ship_node.live.node_shell.run_node`, which runs it.
+
+    Attributes:
+        node: the rclpy node.
+        config: its parameters; none of them changes while the node runs.
+        factory: makes messages.
+        clock: the node's time, by /clock where that rules.
+        guard: calls what may raise.
+
+    Args:
+        name: of the node.
+        config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
+        begin: makes the work.
+        context: an initialised rclpy context.
+        parameter_files: given on the command line, to say where a bad parameter stands.
+
+    Raises:
+        BadInput: a parameter is unknown, of the wrong type, out of its range or missing; or the work cannot begin with
+            it. The text names file and line.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        config_type: type,
+        begin: "Callable[[NmeaNode], Work]",
+        context: Context,
+        parameter_files: tuple[Path, ...] = (),
+    ) -> None:
+        self.node: Node = ParameterNode(name, context=context)
+        self.factory = RosidlFactory()
+        self.guard = Guard(self.node.get_logger(), time.monotonic_ns)
+        self._context = context
+        self._full_name = self.node.get_fully_qualified_name()
+        self._events = NodeEvents(context, self.guard, time.monotonic_ns)
+        self.clock = NodeClock(self.node, time.monotonic_ns, self._events.came)
+        self._status_log = StatusLog(self.node.get_logger())
+        try:
+            for warning in misfit_warnings(parameter_files, self._full_name):
+                self.node.get_logger().warning(warning)
+            self._parameters = NodeParameters(self.node, config_type, has_black_box=False)
+            self.config: Any = self._parameters.config
+            self._diagnostics = self.publisher(OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE))
+            self._work = begin(self)
+        except InputError as error:
+            self.node.destroy_node()
+            raise placed(error, parameter_files, self._full_name) from error
+        self.every(REPORT_PERIOD_S, "report", self._report)
+        self._events.start(self.node)
+
+    def subscribe(self, topic: InputTopic, take: Callable[[Any], None], latched: bool = False) -> None:
+        """Give each message of a topic to ``take``.
+
+        Args:
+            topic: what to listen to.
+            take: is called with the message; what it raises is counted and reported.
+            latched: whether the last message from before is wanted, too.
+        """
+        qos = input_qos(topic, self._parameters.has_reliable_inputs)
+        if latched:
+            qos = QoSProfile(
+                depth=topic.depth, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+            )
+        with overrides_checked(self.node, topic.topic):
+            self.node.create_subscription(
+                message_class(topic.type_name),
+                topic.topic,
+                partial(self._call, topic.topic, take),
+                qos,
+                qos_overriding_options=overridable(),
+            )
+
+    def publisher(self, topic: OutputTopic) -> Publisher:
+        """What publishes on a topic."""
+        kind, qos = message_class(topic.type_name), output_qos(topic)
+        with overrides_checked(self.node, topic.topic):
+            return self.node.create_publisher(kind, topic.topic, qos, qos_overriding_options=overridable())
+
+    def every(self, period_s: float, what: str, function: Callable[[], None]) -> None:
+        """Call a function so often, by a clock that never stops; ``what`` names it where it raises."""
+        self.node.create_timer(
+            period_s, partial(self._call, what, function), clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def spin(self, stop: Callable[[], bool]) -> None:
+        """Work until ``stop()`` or until the context ends."""
+        while not stop() and self._context.ok():
+            self._events.take(SPIN_TIMEOUT_S)
+
+    def close(self) -> None:
+        """End the work and give everything back to the middleware."""
+        self.guard.call("end", self._work.close)
+        self._events.close()
+        self.node.destroy_node()
+
+    def _call(self, what: str, function: Callable[..., None], *arguments: Any) -> None:
+        self._events.came()
+        self.guard.call(what, function, *arguments)
+
+    def _report(self) -> None:
+        statuses = [self.clock.status(), name_status(self.node), self._events.status(), *self._work.statuses()]
+        self._status_log.see(statuses)
+        statuses += [self.guard.status(), self._parameters.status()]
+        now_ns, name = self.clock.now_ns(), self.node.get_name()
+        self._diagnostics.publish(diagnostic_array(self.factory, now_ns, name, statuses, self._full_name))

@@ -1,0 +1,130 @@
+"""What the bridge has been told of each alert: its number, its revision, and which alert a command means."""
+
+import dataclasses
+import zlib
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ship_bags.stamps import ns_from_stamp
+from ship_nmea.sentences.alerts import (
+    FIRST_IDENTIFIER,
+    GREATEST_INSTANCE,
+    LAST_IDENTIFIER,
+    MOST_ALERTS,
+    AlertCommand,
+    AlertToTell,
+)
+
+NORMAL = "N"
+
+_PRIORITIES = "CWA"
+_STATES = "NVSAU"
+"""Letter of each priority and of each state of ship_msgs/Alert, in the order of its constants."""
+_LAST_REVISION = 99
+_LAST_ESCALATION = 9
+_TITLE_LENGTH = 16
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """An alert as it came and as it is told."""
+
+    key: tuple[Any, ...]
+    id: str
+    instance: int
+    told: AlertToTell
+
+
+class AlertLedger:
+    """All alerts of the suite as the bridge knows them.
+
+    The number of an alert follows from its id, so that it is the same after a restart and on the sister ship. Revisions
+    begin at 1 again.
+
+    Attributes:
+        left_out: how many alerts of the last message are not told, because there are more than MOST_ALERTS.
+    """
+
+    def __init__(self) -> None:
+        self._entries: dict[int, _Entry] = {}
+        self.left_out = 0
+
+    @property
+    def told(self) -> list[AlertToTell]:
+        """All alerts, the most urgent first."""
+        return [entry.told for entry in self._entries.values()]
+
+    def take(self, alerts: Sequence[Any], now_ns: int) -> list[AlertToTell]:
+        """What changed: alerts that are new or another way than before, and as normal those that are no more.
+
+        Args:
+            alerts: the ship_msgs/Alert of an AlertArray.
+            now_ns: when those that are no more became normal.
+        """
+        self.left_out = max(0, len(alerts) - MOST_ALERTS)
+        before, now = self._entries, dict[int, _Entry]()
+        changed = []
+        for alert in alerts[:MOST_ALERTS]:
+            number = _number(alert.id, now)
+            entry = now[number] = _entry(number, alert, before.get(number))
+            if number not in before or entry.key != before[number].key:
+                changed.append(entry.told)
+        # Only now, so that a list that cannot be read changes nothing.
+        self._entries = now
+        over = [entry.told for number, entry in before.items() if number not in now]
+        return changed + [
+            dataclasses.replace(told, state=NORMAL, changed_ns=now_ns, revision=told.revision % _LAST_REVISION + 1)
+            for told in over
+        ]
+
+    def meant(self, command: AlertCommand) -> tuple[str, int] | None:
+        """Id and instance of the alert that a command is about; None where there is no such alert.
+
+        A command that names no instance means the present one; whether a named one is, decides who keeps the alerts.
+        """
+        entry = self._entries.get(command.identifier)
+        if entry is None:
+            return None
+        return entry.id, entry.instance if command.instance is None else command.instance
+
+    def told_of(self, command: AlertCommand) -> AlertToTell | None:
+        """The alert that a command is about, as it is told."""
+        entry = self._entries.get(command.identifier)
+        return None if entry is None else entry.told
+
+
+def _number(id_: str, taken: Container[int]) -> int:
+    """The number of an alert by its id: the next free one where another alert of the list has the same."""
+    count = LAST_IDENTIFIER - FIRST_IDENTIFIER + 1
+    number = zlib.crc32(id_.encode()) % count
+    while (FIRST_IDENTIFIER + number) in taken:
+        number = (number + 1) % count
+    return FIRST_IDENTIFIER + number
+
+
+def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
+    changed_ns = ns_from_stamp(alert.changed)
+    key = alert.id, alert.instance, alert.priority, alert.state, alert.text, changed_ns
+    if before is not None and before.key == key:
+        return before
+    priority = _PRIORITIES[alert.priority]
+    revision, escalation = 1, 0
+    if before is not None:
+        revision = before.told.revision % _LAST_REVISION + 1
+        rose = _PRIORITIES.index(priority) > _PRIORITIES.index(before.told.priority)
+        if before.instance == alert.instance:
+            escalation = min(before.told.escalation + rose, _LAST_ESCALATION)
+    instance = (alert.instance - 1) % GREATEST_INSTANCE + 1
+    told = AlertToTell(
+        number, instance, revision, escalation, priority, _STATES[alert.state], changed_ns, _title(alert.id), alert.text
+    )
+    return _Entry(key, alert.id, alert.instance, told)
+
+
+def _title(id_: str) -> str:
+    """The end of an id in words, as far as it fits: "star.starboard.out" is STARBOARD OUT."""
+    parts = id_.upper().replace("_", " ").split(".")
+    while len(parts) > 1 and len(" ".join(parts)) > _TITLE_LENGTH:
+        del parts[0]
+    return " ".join(parts)

@@ -1,0 +1,114 @@
+"""Parameters of ``nmea_out``."""
+
+import ipaddress
+import re
+from dataclasses import dataclass
+
+from ship_estimation.parameter_fields import mapping_of, parameter
+from ship_estimation.parameters import ParameterError
+from ship_nmea.sentences.attitude import ATTITUDE_SENTENCES
+
+UDP, TCP_SERVER, SERIAL, FILE = "udp", "tcp_server", "serial", "file"
+ALF, ALC, HBT = "ALF", "ALC", "HBT"
+ALERT_SENTENCES = ALF, ALC, HBT
+
+_NEEDED = {UDP: ("address", "port"), TCP_SERVER: ("port",), SERIAL: ("device",), FILE: ("path",)}
+_ALLOWED = {
+    UDP: ("address", "port", "listen_port", "interface"),
+    TCP_SERVER: ("address", "port"),
+    SERIAL: ("device", "baud"),
+    FILE: ("path",),
+}
+"""Of the parameters that say where a sink leads: those that a kind must have, and those that mean something to it."""
+
+
+@dataclass(frozen=True)
+class SinkConfig:
+    """Where sentences go, which, and how often."""
+
+    kind: str = parameter(doc="how the sentences leave", choices=(UDP, TCP_SERVER, SERIAL, FILE))
+    sentences: tuple[str, ...] = parameter(
+        ("HDT", "THS", "ROT"), doc="what is sent, in this order", choices=(*ATTITUDE_SENTENCES, *ALERT_SENTENCES)
+    )
+    rate_hz: float = parameter(
+        10.0, doc="how often the attitude is sent; at most as often as it comes", unit="Hz", minimum=0.01,
+        maximum=1000.0,
+    )  # fmt: skip
+    decimals: int = parameter(
+        4, doc="decimals of angles in degrees and of °/min, an accuracy has one more; from 5 on a PASHR is longer than"
+        " the 82 bytes of the standard", minimum=1, maximum=7,
+    )  # fmt: skip
+    address: str = parameter(
+        "", doc="udp: IPv4 address of a host, of all (broadcast) or of a group; tcp_server: own one, empty for all"
+    )
+    port: int = parameter(0, doc="udp: port sent to; tcp_server: port listened on", minimum=0, maximum=65535)
+    listen_port: int = parameter(
+        0, doc="udp: own port, to which the bridge sends its commands (ACN); 0 for none", minimum=0, maximum=65535
+    )
+    interface: str = parameter("", doc="udp to a group: own IPv4 address of the network to use; empty for the default")
+    device: str = parameter("", doc="serial: device, better by its name in /dev/serial/by-id")
+    baud: int = parameter(
+        38400, doc="serial: rate; 4800 is NMEA 0183's own, some seven sentences a second", unit="Bd", minimum=300,
+        maximum=4_000_000,
+    )  # fmt: skip
+    path: str = parameter("", doc="file: is appended to")
+
+    def misfit(self) -> tuple[str, str] | None:
+        """Which parameter does not fit, and what was expected; None where all do."""
+        for name in _NEEDED[self.kind]:
+            if not getattr(self, name):
+                return name, f"must be given for kind {self.kind}"
+        allowed = _ALLOWED[self.kind]
+        for name in ("address", "port", "listen_port", "interface", "device", "path"):
+            if getattr(self, name) and name not in allowed:
+                return name, f"means nothing to kind {self.kind}, which takes {', '.join(allowed)}"
+        for name in ("address", "interface"):
+            if getattr(self, name) and not _is_ipv4(getattr(self, name)):
+                return name, f"is '{getattr(self, name)}': expected an IPv4 address as 192.168.1.255"
+        if not self.sentences:
+            return "sentences", "is empty: expected at least one sentence"
+        return None
+
+
+@dataclass(frozen=True)
+class NmeaOutConfig:
+    """All parameters of the node."""
+
+    sinks: dict[str, SinkConfig] = mapping_of(doc="where sentences go, by any name")
+    talker: str = parameter("IN", doc="talker of HDT, THS, ROT and alerts: IN integrated navigation, HE gyro, ...")
+    longest_age_s: float = parameter(
+        1.0, doc="an attitude that is older by its stamp, or that came longer ago, is told as void", unit="s",
+        minimum=0.01, maximum=60.0,
+    )  # fmt: skip
+    alerts_period_s: float = parameter(
+        30.0, doc="how often ALC and HBT are sent", unit="s", minimum=0.1, maximum=60.0
+    )
+    manufacturer: str = parameter("ZZZ", doc="code of three letters that stands for this suite in ALF, ALC, ACN, ARC")
+
+    def __post_init__(self) -> None:
+        """Check what belongs together.
+
+        Raises:
+            ParameterError: names the parameter.
+        """
+        if not self.sinks:
+            raise ParameterError("parameter 'sinks' names no sink: expected one as 'sinks.bridge.kind'", "sinks")
+        for name, sink in self.sinks.items():
+            if misfit := sink.misfit():
+                full_name = f"sinks.{name}.{misfit[0]}"
+                raise ParameterError(f"parameter '{full_name}' {misfit[1]}", full_name)
+        _check_letters("talker", self.talker, 2)
+        _check_letters("manufacturer", self.manufacturer, 3)
+
+
+def _check_letters(name: str, value: str, count: int) -> None:
+    if not re.fullmatch(f"[A-Z]{{{count}}}", value):
+        reason = f"parameter '{name}' = '{value:.20}': expected {count} capital letters"
+        raise ParameterError(reason, name, value=value)
+
+
+def _is_ipv4(text: str) -> bool:
+    try:
+        return ipaddress.ip_address(text).version == 4
+    except ValueError:
+        return False

@@ -1,0 +1,217 @@
+"""A sink: a queue of sentences and the thread that sends them, so that nothing outside can hold the node up."""
+
+import contextlib
+import os
+import selectors
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ship_bags.stamps import NS_PER_S
+from ship_estimation.refusals import shortened
+from ship_nmea.out.config import SinkConfig
+from ship_nmea.out.outlets import OUTLETS, Outlet, refuse_hopeless
+from ship_node.edge.messages_out import DiagnosticStatus, Level
+
+MOST_WAITING = 200
+"""Sentences that wait at most; a larger number would be old when it is sent."""
+RETRY_S = 2.0
+"""An outlet that failed is opened again after this time, s."""
+
+_OFFER_AGAIN_S = 0.02
+_LOOK_S = 0.5
+_ENDS_WITHIN_S = 2.0
+_SHOWN_NS = 10 * NS_PER_S
+"""What was dropped is a warning for so long, ns."""
+
+
+class _Waiting(NamedTuple):
+    """A sentence with its end of line, and until when it is worth sending, by the steady clock; 0 for ever."""
+
+    data: bytes
+    until_ns: int
+
+
+class Sink:
+    """Where some sentences go.
+
+    Args:
+        name: of the sink.
+        config: of the sink.
+        hear: takes each line that comes in, in the thread of the sink.
+
+    Raises:
+        BadInput: it cannot be opened, and trying again would not help.
+    """
+
+    def __init__(self, name: str, config: SinkConfig, hear: Callable[[str], None]) -> None:
+        self.name, self.config = name, config
+        self._outlet: Outlet = OUTLETS[config.kind](config, hear)
+        self._queue: deque[_Waiting] = deque()
+        self._lock = threading.Lock()
+        self._dropped: Counter[str] = Counter()
+        self._dropped_ns = -_SHOWN_NS
+        self._sent = self._failures = 0
+        self._failure = ""
+        self._is_open = self._is_stopped = False
+        self._selector = selectors.DefaultSelector()
+        self._woken, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._selector.register(self._woken, selectors.EVENT_READ, self._drain)
+        try:
+            self._open()
+        except OSError as problem:
+            self._fail(problem)
+            try:
+                refuse_hopeless(name, config, problem)
+            except ValueError:
+                self._give_back()
+                raise
+        self._thread = threading.Thread(target=self._run, name=f"sink {name}", daemon=True)
+
+    @property
+    def place(self) -> str:
+        """Where it leads, for people."""
+        return self._outlet.place
+
+    def start(self) -> None:
+        """Begin to send."""
+        self._thread.start()
+
+    def put(self, sentence: str, lasts_ns: int = 0) -> None:
+        """Send a sentence soon; where too many wait, the oldest is dropped.
+
+        Args:
+            sentence: without its end of line.
+            lasts_ns: how long it may wait, ns; 0 for ever.
+        """
+        until_ns = time.monotonic_ns() + lasts_ns if lasts_ns else 0
+        with self._lock:
+            if not self._is_open:
+                self._drop("while it was not open")
+                return
+            if len(self._queue) >= MOST_WAITING:
+                self._queue.popleft()
+                self._drop(f"the oldest of more than {MOST_WAITING} that waited")
+            self._queue.append(_Waiting(f"{sentence}\r\n".encode("ascii", errors="replace"), until_ns))
+        self._wake()
+
+    def status(self) -> DiagnosticStatus:
+        """How the sink does."""
+        with self._lock:
+            dropped, failure = dict(self._dropped), self._failure
+            waiting, recent = len(self._queue), time.monotonic_ns() - self._dropped_ns <= _SHOWN_NS
+        values = {"sent": str(self._sent), "waiting": str(waiting), "failures": str(self._failures)}
+        values |= {f"dropped: {why}": str(count) for why, count in dropped.items()}
+        text = f"{self._outlet.place}: {self._sent} sent"
+        if note := self._outlet.note():
+            text += f"; {note}"
+        if dropped:
+            text += f"; {sum(dropped.values())} dropped"
+        if not self._is_open:
+            text = f"{self._outlet.place}: {failure}; tried again every {RETRY_S:g} s"
+            return DiagnosticStatus(f"sink {self.name}", Level.ERROR, text, values)
+        return DiagnosticStatus(f"sink {self.name}", Level.WARN if recent else Level.OK, text, values)
+
+    def close(self) -> None:
+        """Send what waits if that goes at once, and end."""
+        self._is_stopped = True
+        self._wake()
+        if not self._thread.ident:
+            self._give_back()
+        elif self._thread.is_alive():
+            self._thread.join(_ENDS_WITHIN_S)  # a disk that hangs is left alone: the thread dies with the process
+
+    def _run(self) -> None:
+        while not self._is_stopped:
+            if problem := self._work_until_it_fails():
+                self._fail(problem)
+                self._wait(RETRY_S)
+        if self._is_open:
+            with contextlib.suppress(OSError):
+                self._send_waiting()
+        self._give_back()
+
+    def _work_until_it_fails(self) -> Exception | None:
+        """What was raised, whatever it is: the thread must live to try again, and the status tells it."""
+        try:
+            if not self._is_open:
+                self._open()
+            self._work()
+        except Exception as problem:
+            return problem
+        return None
+
+    def _work(self) -> None:
+        timeout_s = _LOOK_S
+        while not self._is_stopped:
+            for key, _ in self._selector.select(timeout_s):
+                key.data()
+            timeout_s = _LOOK_S if self._send_waiting() else _OFFER_AGAIN_S
+
+    def _send_waiting(self) -> bool:
+        """Whether all that waited is sent; what waited for too long is dropped."""
+        while True:
+            with self._lock:
+                if not self._queue:
+                    return True
+                waiting = self._queue[0]
+                is_late = 0 < waiting.until_ns < time.monotonic_ns()
+                if is_late:
+                    self._queue.popleft()
+                    self._drop("they waited for too long: the line is too slow for rate_hz")
+                    continue
+            if not self._outlet.send(waiting.data):
+                return False
+            self._sent += 1
+            with self._lock:
+                # Meanwhile the node may have dropped it to make room.
+                if self._queue and self._queue[0] is waiting:
+                    self._queue.popleft()
+
+    def _open(self) -> None:
+        self._outlet.open(self._selector)
+        with self._lock:
+            self._queue.clear()
+            self._is_open, self._failure = True, ""
+
+    def _fail(self, problem: Exception) -> None:
+        """Close the outlet until the next attempt."""
+        with self._lock:
+            self._is_open = False
+            self._failures += 1
+            self._failure = shortened(str(getattr(problem, "strerror", None) or problem))
+            self._queue.clear()
+        with contextlib.suppress(OSError):
+            self._outlet.close()
+        for fd in list(self._selector.get_map()):
+            if fd != self._woken:
+                self._selector.unregister(fd)
+
+    def _give_back(self) -> None:
+        with contextlib.suppress(OSError):
+            self._outlet.close()
+        self._selector.close()
+        os.close(self._woken)
+        self._woken = -1
+        waker, self._waker = self._waker, -1
+        os.close(waker)
+
+    def _wait(self, seconds: float) -> None:
+        end_s = time.monotonic() + seconds
+        while not self._is_stopped and time.monotonic() < end_s:
+            for key, _ in self._selector.select(min(_LOOK_S, max(0.0, end_s - time.monotonic()))):
+                key.data()
+
+    def _wake(self) -> None:
+        with contextlib.suppress(OSError):
+            os.write(self._waker, b"w")
+
+    def _drain(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._woken, 4096)
+
+    def _drop(self, why: str) -> None:
+        self._dropped[why] += 1
+        self._dropped_ns = time.monotonic_ns()

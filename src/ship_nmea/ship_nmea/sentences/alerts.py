@@ -1,0 +1,143 @@
+"""Alerts as the bridge's alert management hears of them, and its commands: ALF, ALC, ARC, HBT out, ACN in.
+
+After IEC 61162-1 and IEC 62923-1: an ALF at every change of an alert, all alerts again and again in ALC so that the
+bridge finds out what it has missed, and a heartbeat. The bridge answers with ACN; what cannot be done is answered by
+ARC. An alert is known there by a manufacturer's code, a number from 10000 on, and its instance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pynmea2
+
+from ship_nmea.sentences.defined import ACN, ALC, ALF, ARC, HBT, LONGEST_BYTES, text_field, time_field
+
+FIRST_IDENTIFIER, LAST_IDENTIFIER = 10_000, 9_999_999
+"""Alert identifiers that a manufacturer may give."""
+GREATEST_INSTANCE = 999_999
+MOST_ALERTS = 200
+"""As many are told at most: ten times what a suite has ever had."""
+
+ACKNOWLEDGE, REPEAT = "A", "Q"
+"""Commands that are done; O (responsibility transfer) and S (silence) are refused."""
+
+_TITLE_LENGTH = 16
+_CATEGORY = "B"
+"""Nothing but the alert itself is needed to decide what to do."""
+_TIME_DECIMALS = 2
+_AROUND = len("$*hh\r\n")
+
+
+@dataclass(frozen=True)
+class AlertToTell:
+    """An alert as the sentences need it.
+
+    Attributes:
+        identifier: from FIRST_IDENTIFIER to LAST_IDENTIFIER.
+        instance: from 1 to GREATEST_INSTANCE.
+        revision: from 1 to 99, another one at every change.
+        escalation: from 0 to 9, how often it became more urgent.
+        priority: A alarm, W warning, C caution.
+        state: V unacknowledged, S silenced, A acknowledged or a caution, U over and unacknowledged, N normal.
+        changed_ns: when it changed last, POSIX UTC.
+        title: a few words.
+        description: a sentence; empty for none.
+    """
+
+    identifier: int
+    instance: int
+    revision: int
+    escalation: int
+    priority: str
+    state: str
+    changed_ns: int
+    title: str
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class AlertCommand:
+    """A command of the bridge.
+
+    Attributes:
+        identifier: of the alert.
+        instance: of the alert; None where the bridge names none.
+        command: A, Q, O or S.
+    """
+
+    identifier: int
+    instance: int | None
+    command: str
+
+
+def alf(alert: AlertToTell, talker: str, manufacturer: str, sequence: int) -> list[pynmea2.NMEASentence]:
+    """An alert in one sentence, or in two where it has a description: the second repeats only which alert it is.
+
+    Args:
+        alert: the alert.
+        talker: its two letters.
+        manufacturer: code of three letters; empty for none.
+        sequence: a number that goes on from call to call; its last digit tells which two sentences belong together.
+    """
+    total = "2" if alert.description else "1"
+    which = manufacturer, str(alert.identifier), str(alert.instance), str(alert.revision), str(alert.escalation)
+    time_text = time_field(alert.changed_ns, _TIME_DECIMALS)
+    title = text_field(alert.title, _TITLE_LENGTH)
+    head = total, "1", str(sequence % 10)
+    sentences = [ALF(talker, "ALF", (*head, time_text, _CATEGORY, alert.priority, alert.state, *which, title))]
+    if alert.description:
+        data = (total, "2", str(sequence % 10), "", "", "", "", *which)
+        room = LONGEST_BYTES - _AROUND - len(f"{talker}ALF,{','.join(data)},")
+        sentences.append(ALF(talker, "ALF", (*data, text_field(alert.description, room))))
+    return sentences
+
+
+def alc(
+    alerts: Sequence[AlertToTell], talker: str, manufacturer: str, sequence: int
+) -> list[pynmea2.NMEASentence]:
+    """The list of all alerts, in as many sentences as it takes; no alert is split between two. Arguments as ALF."""
+    room = LONGEST_BYTES - _AROUND - len(f"{talker}ALC,01,01,00,99")
+    groups: list[list[str]] = [[]]
+    for alert in alerts:
+        entry = f"{manufacturer},{alert.identifier},{alert.instance},{alert.revision}"
+        if sum(len(other) + 1 for other in groups[-1]) + len(entry) + 1 > room:
+            groups.append([])
+        groups[-1].append(entry)
+    total, order = f"{len(groups):02d}", f"{sequence % 100:02d}"
+    return [
+        ALC(talker, "ALC", (total, f"{number:02d}", order, str(len(group)), *",".join(group).split(",")))
+        if group else ALC(talker, "ALC", (total, "01", order, "0"))
+        for number, group in enumerate(groups, start=1)
+    ]  # fmt: skip
+
+
+def arc(command: AlertCommand, talker: str, manufacturer: str, time_ns: int) -> pynmea2.NMEASentence:
+    """A command refused at a time (POSIX UTC)."""
+    instance = "" if command.instance is None else str(command.instance)
+    time_text = time_field(time_ns, _TIME_DECIMALS)
+    return ARC(talker, "ARC", (time_text, manufacturer, str(command.identifier), instance, command.command))
+
+
+def hbt(is_well: bool, talker: str, period_s: float, sequence: int) -> pynmea2.NMEASentence:
+    """That the source of alerts is there, every ``period_s``, and whether it works."""
+    return HBT(talker, "HBT", (f"{period_s:g}", "A" if is_well else "V", str(sequence % 10)))
+
+
+def alert_command(text: str, manufacturer: str) -> AlertCommand | None:
+    """The command to us in a sentence; None where it is another sentence, or a command to another source.
+
+    Raises:
+        ValueError: it is no sentence, its sum is wrong or absent, or it is a command that cannot be read.
+    """
+    try:
+        sentence = pynmea2.NMEASentence.parse(text, check=True)
+    except pynmea2.nmea.SentenceTypeError:
+        return None
+    if not isinstance(sentence, ACN) or sentence.manufacturer != manufacturer or sentence.flag != "C":
+        return None
+    identifier, instance, command = sentence.alert, sentence.instance, sentence.command
+    if not isinstance(identifier, int) or not isinstance(instance, (int, type(None))):
+        raise ValueError("a command about an alert without a number")
+    if command not in ("A", "Q", "O", "S"):
+        raise ValueError(f"command '{command:.10}': expected A, Q, O or S")
+    return AlertCommand(identifier, instance, command)

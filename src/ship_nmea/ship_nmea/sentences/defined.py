@@ -1,0 +1,112 @@
+"""Sentences of alerts (IEC 61162-1) that pynmea2 does not know: being defined here, they are known to its parser.
+
+pynmea2 files a sentence under the name of its class, with (description, name, and how to read it) of each field.
+"""
+
+import unicodedata
+
+import pynmea2
+
+LONGEST_BYTES = 82
+"""A sentence has no more bytes, its ``$`` and its line end with them (IEC 61162-1)."""
+
+_RESERVED = "!$*,\\^~\x7f\r\n"
+"""Characters with a meaning of their own: in a text ``^`` and their code in hexadecimal stand for them."""
+_IN_ASCII = str.maketrans({"″": '"', "′": "'", "°": " deg", "σ": "sigma", "–": "-", "−": "-", "…": "..."})
+
+
+class ALF(pynmea2.TalkerSentence):  # type: ignore[misc]
+    """Alert: how one alert is; in two sentences where there is a description beside the title."""
+
+    fields = (
+        ("Total number of sentences, 1 or 2", "total", int),
+        ("Sentence number", "number", int),
+        ("Sequential message identifier, 0 to 9", "sequence", int),
+        ("Time of last change, UTC", "time", pynmea2.nmea_utils.timestamp),
+        ("Category: A, B or C", "category"),
+        ("Priority: E, A, W or C", "priority"),
+        ("State: V, S, A, O, U or N", "state"),
+        ("Manufacturer mnemonic code", "manufacturer"),
+        ("Alert identifier", "alert", int),
+        ("Alert instance, 1 to 999999", "instance", int),
+        ("Revision counter, 1 to 99", "revision", int),
+        ("Escalation counter, 0 to 9", "escalation", int),
+        ("Alert text", "text"),
+    )
+
+
+class ALC(pynmea2.TalkerSentence):  # type: ignore[misc]
+    """Cyclic alert list: behind the fields named here (manufacturer, identifier, instance, revision) of each alert."""
+
+    fields = (
+        ("Total number of sentences, 01 to 99", "total", int),
+        ("Sentence number", "number", int),
+        ("Sequential message identifier, 00 to 99", "sequence", int),
+        ("Number of alert entries", "entries", int),
+    )
+
+
+class ACN(pynmea2.TalkerSentence):  # type: ignore[misc]
+    """Alert command."""
+
+    fields = (
+        ("Time, UTC", "time", pynmea2.nmea_utils.timestamp),
+        ("Manufacturer mnemonic code", "manufacturer"),
+        ("Alert identifier", "alert", int),
+        ("Alert instance, 1 to 999999", "instance", int),
+        ("Command: A acknowledge, Q repeat, O responsibility transfer, S silence", "command"),
+        ("Sentence status flag: C", "flag"),
+    )
+
+
+class ARC(pynmea2.TalkerSentence):  # type: ignore[misc]
+    """Alert command refused."""
+
+    fields = (
+        ("Time, UTC", "time", pynmea2.nmea_utils.timestamp),
+        ("Manufacturer mnemonic code", "manufacturer"),
+        ("Alert identifier", "alert", int),
+        ("Alert instance, 1 to 999999", "instance", int),
+        ("Refused command: A, Q, O or S", "command"),
+    )
+
+
+class HBT(pynmea2.TalkerSentence):  # type: ignore[misc]
+    """Heartbeat."""
+
+    fields = (
+        ("Configured repeat interval, s", "interval_s", float),
+        ("Equipment status: A or V", "status"),
+        ("Sequential sentence identifier, 0 to 9", "sequence", int),
+    )
+
+
+def text_field(text: str, most: int) -> str:
+    """A text as a field: in ASCII, reserved characters by their codes, at most so many characters.
+
+    Example:
+        >>> text_field("σ 3.2″, limit 2″", 40)
+        'sigma 3.2"^2C limit 2"'
+    """
+    plain = unicodedata.normalize("NFKD", text.translate(_IN_ASCII)).encode("ascii", "ignore").decode()
+    field = ""
+    for character in plain:
+        code = f"^{ord(character):02X}" if character in _RESERVED or not character.isprintable() else character
+        if len(field) + len(code) > most:
+            break
+        field += code
+    return field
+
+
+def time_field(time_ns: int, decimals: int) -> str:
+    """Time of day (UTC) of a POSIX time as hhmmss.s with so many decimals, rounded.
+
+    Example:
+        >>> time_field(1_403_741_109_999_600_000, 3)  # less than half a millisecond before the next second
+        '000510.000'
+    """
+    unit_ns = 10 ** (9 - decimals)
+    seconds, parts = divmod((time_ns + unit_ns // 2) // unit_ns, 10**decimals)
+    minutes, second = divmod(seconds % 86_400, 60)
+    hour, minute = divmod(minutes, 60)
+    return f"{hour:02d}{minute:02d}{second:02d}.{parts:0{decimals}d}"

@@ -1,0 +1,179 @@
+"""Alerts as sentences, against the examples of IEC 61162-1 (ALF) and of a Furuno log (ALC); the bridge's commands."""
+
+from types import SimpleNamespace
+
+import pynmea2
+import pytest
+
+from ship_bags.stamps import stamp_fields
+from ship_msgs.msg import Alert
+from ship_nmea.out.alert_ledger import AlertLedger
+from ship_nmea.sentences.alerts import (
+    FIRST_IDENTIFIER,
+    LAST_IDENTIFIER,
+    MOST_ALERTS,
+    AlertCommand,
+    AlertToTell,
+    alc,
+    alert_command,
+    alf,
+    arc,
+    hbt,
+)
+from ship_nmea.sentences.defined import LONGEST_BYTES
+
+DAY_NS = 1_406_851_200 * 10**9
+
+
+def time_ns(hour, minute, second):
+    return DAY_NS + round(((hour * 60 + minute) * 60 + second) * 1e9)
+
+
+def rendered(sentences):
+    return [sentence.render() for sentence in sentences]
+
+
+def test_alf_in_one_sentence_is_that_of_the_standard():
+    lost = AlertToTell(192, 1, 1, 0, "W", "A", time_ns(12, 43, 4.5), "LOST TARGET")
+    (sentence,) = alf(lost, "II", "", 0)
+    # Its category is A: the radar's picture is needed to decide. Ours never is.
+    sentence.category = "A"
+    assert sentence.render() == "$IIALF,1,1,0,124304.50,A,W,A,,192,1,1,0,LOST TARGET*14"
+
+
+def test_alf_in_two_sentences_is_that_of_the_standard():
+    lost = AlertToTell(512, 1, 2, 0, "A", "S", time_ns(8, 19, 50.1), "HEADING LOST", "NO SYSTEM HEADING AVAILABLE")
+    sentences = alf(lost, "II", "XYZ", 1)
+    for sentence in sentences:
+        sentence.alert = "0512"
+    assert rendered(sentences) == [
+        "$IIALF,2,1,1,081950.10,B,A,S,XYZ,0512,1,2,0,HEADING LOST*2D",
+        "$IIALF,2,2,1,,,,,XYZ,0512,1,2,0,NO SYSTEM HEADING AVAILABLE*0D",
+    ]
+
+
+def test_an_empty_alc_is_that_of_a_furuno_log():
+    assert rendered(alc([], "VD", "FEC", 65)) == ["$VDALC,01,01,65,0*6F"]
+
+
+def test_a_long_list_is_split_between_alerts_and_every_alert_is_in_it():
+    alerts = [AlertToTell(9_990_000 + n, 999_999, 99, 0, "W", "V", 0, "") for n in range(20)]
+    found = []
+    sentences = alc(alerts, "IN", "ZZZ", 7)
+    for number, sentence in enumerate(sentences, start=1):
+        text = sentence.render()
+        assert len(text) + 2 <= LONGEST_BYTES
+        read = pynmea2.parse(text, check=True)
+        assert (read.total, read.number, read.sequence) == (len(sentences), number, 7)
+        entries = read.data[4:]
+        assert len(entries) == 4 * read.entries
+        found += [int(identifier) for identifier in entries[1::4]]
+    assert found == [alert.identifier for alert in alerts]
+
+
+def test_a_text_of_any_characters_is_one_field_of_a_sentence_that_is_not_too_long():
+    text = "heading σ 3.2″ is over its limit of 2″, $PASHR*00!, because of the star sensor starboard"
+    sentences = alf(AlertToTell(10_000, 1, 1, 0, "A", "V", 0, "A,B*C$DE^F", text), "IN", "ZZZ", 3)
+    for sentence in sentences:
+        assert len(sentence.render()) + 2 <= LONGEST_BYTES
+        assert len(pynmea2.parse(sentence.render(), check=True).data) == 13
+    assert sentences[0].text == "A^2CB^2AC^24DE"  # 16 characters at most, codes whole
+    assert sentences[1].text.startswith('heading sigma 3.2" is')
+
+
+def test_arc_and_hbt_have_the_fields_of_the_standard():
+    refused = arc(AlertCommand(10_001, None, "S"), "IN", "ZZZ", time_ns(1, 2, 3)).render()
+    assert refused.rpartition("*")[0] == "$INARC,010203.00,ZZZ,10001,,S"
+    assert hbt(True, "IN", 30.0, 12).render().rpartition("*")[0] == "$INHBT,30,A,2"
+    assert hbt(False, "IN", 0.5, 3).render().rpartition("*")[0] == "$INHBT,0.5,V,3"
+
+
+def summed(body):
+    return f"${body}*{pynmea2.NMEASentence.checksum(body):02X}"
+
+
+def test_a_command_is_read_and_what_is_for_others_is_left():
+    assert alert_command(summed("IIACN,123519.00,ZZZ,10001,2,A,C"), "ZZZ") == AlertCommand(10_001, 2, "A")
+    assert alert_command(summed("IIACN,,ZZZ,10001,,Q,C"), "ZZZ") == AlertCommand(10_001, None, "Q")
+    for other in (
+        "IIACN,,FEC,10001,2,A,C",  # another source's
+        "IIACN,,ZZZ,10001,2,A,",  # no command, but what is set
+        "IIHBT,30,A,0",
+        "GPZDA,123519.00,01,08,2014,,",
+        "IIXYZ,1",  # unknown to the parser
+    ):
+        assert alert_command(summed(other), "ZZZ") is None
+
+
+@pytest.mark.parametrize("text", [
+    "$IIACN,,ZZZ,10001,2,A,C*00",  # wrong sum
+    "$IIACN,,ZZZ,10001,2,A,C",  # no sum
+    summed("IIACN,,ZZZ,,2,A,C"),
+    summed("IIACN,,ZZZ,ten,2,A,C"),
+    summed("IIACN,,ZZZ,10001,x,A,C"),
+    summed("IIACN,,ZZZ,10001,2,,C"),
+    "", "$", "\x00\xff", "$IIACN", "A" * 5000,
+])  # fmt: skip
+def test_a_command_that_cannot_be_read_is_refused(text):
+    with pytest.raises(ValueError, match=r"."):
+        alert_command(text, "ZZZ")
+
+
+def alert(id_="star.fore.out", instance=1, priority=Alert.WARNING, state=Alert.ACTIVE_UNACKNOWLEDGED, changed_s=5):
+    message = Alert(id=id_, instance=instance, priority=priority, state=state, text="star.fore: silent")
+    message.changed.sec, message.changed.nanosec = stamp_fields(changed_s * 10**9)
+    return message
+
+
+def test_every_change_is_told_once_with_the_next_revision():
+    ledger = AlertLedger()
+    (first,) = ledger.take([alert()], 0)
+    assert (first.revision, first.state, first.priority, first.title) == (1, "V", "W", "STAR FORE OUT")
+    assert FIRST_IDENTIFIER <= first.identifier <= LAST_IDENTIFIER
+    assert ledger.take([alert()], 0) == []
+    (seen,) = ledger.take([alert(state=Alert.ACTIVE_ACKNOWLEDGED, changed_s=6)], 0)
+    assert (seen.identifier, seen.revision, seen.state) == (first.identifier, 2, "A")
+    (over,) = ledger.take([], 9)
+    assert (over.identifier, over.revision, over.state, over.changed_ns) == (first.identifier, 3, "N", 9)
+    assert ledger.told == []
+
+
+def test_what_becomes_more_urgent_escalates_and_a_new_instance_begins_anew():
+    ledger = AlertLedger()
+    ledger.take([alert()], 0)
+    (worse,) = ledger.take([alert(priority=Alert.ALARM)], 0)
+    assert (worse.priority, worse.escalation) == ("A", 1)
+    (again,) = ledger.take([alert(instance=2)], 0)
+    assert (again.instance, again.escalation) == (2, 0)
+
+
+def test_two_alerts_never_share_a_number(monkeypatch):
+    monkeypatch.setattr("ship_nmea.out.alert_ledger.zlib", SimpleNamespace(crc32=lambda _: 9_989_999))
+    ledger = AlertLedger()
+    one, two = ledger.take([alert("a"), alert("b")], 0)
+    assert (one.identifier, two.identifier) == (LAST_IDENTIFIER, FIRST_IDENTIFIER)
+    assert ledger.meant(AlertCommand(two.identifier, None, "A")) == ("b", 1)
+
+
+def test_a_command_without_an_instance_means_the_present_one():
+    ledger = AlertLedger()
+    (told,) = ledger.take([alert(instance=7)], 0)
+    assert ledger.meant(AlertCommand(told.identifier, None, "A")) == ("star.fore.out", 7)
+    assert ledger.meant(AlertCommand(told.identifier, 6, "A")) == ("star.fore.out", 6)
+    assert ledger.meant(AlertCommand(told.identifier + 1, None, "A")) is None
+
+
+def test_a_list_that_cannot_be_read_changes_nothing():
+    ledger = AlertLedger()
+    ledger.take([alert("a"), alert("b")], 0)
+    with pytest.raises(IndexError):
+        ledger.take([alert("a"), alert("b", priority=9)], 0)
+    assert len(ledger.told) == 2
+    assert ledger.take([alert("a"), alert("b")], 0) == []
+
+
+def test_more_alerts_than_a_suite_can_have_are_left_out_and_counted():
+    ledger = AlertLedger()
+    told = ledger.take([alert(f"a{n}") for n in range(MOST_ALERTS + 3)], 0)
+    assert len(told) == MOST_ALERTS
+    assert ledger.left_out == 3

@@ -1,0 +1,196 @@
+"""A simulated alert management of a bridge: it hears ALF, ALC and HBT and acknowledges with ACN.
+
+The alerts are those of the real node ``alerts``, over DDS. The bridge sits at a TCP sink; another one at a UDP sink.
+"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import zlib
+
+import pynmea2
+import pytest
+
+from ship_msgs.msg import Alert
+from ship_testing.bridge import Display, TellingShip, until
+from ship_testing.listening_node import free_port
+
+pytestmark = pytest.mark.live
+
+SILENT = 10_000 + zlib.crc32(b"attitude.silent") % 9_990_000
+"""Number of the alert that the ship has gone silent."""
+
+
+class AlertManagement:
+    """What a bridge knows of the alerts, from the sentences alone."""
+
+    def __init__(self):
+        self.alerts, self.refused, self.beats = {}, [], []
+        self.listed = None
+        self._list = {}
+
+    def take(self, sentence):
+        kind = type(sentence).__name__
+        if kind == "ALF":
+            key = sentence.manufacturer, sentence.alert, sentence.instance
+            if sentence.number == 1:
+                self.alerts[key] = sentence
+            else:
+                # The second sentence says only which alert it describes.
+                assert (sentence.sequence, sentence.revision) == (self.alerts[key].sequence, self.alerts[key].revision)
+                assert sentence.state == sentence.priority == sentence.category == ""
+        elif kind == "ALC":
+            if sentence.number == 1:
+                self._list = {}
+            entries = sentence.data[4:]
+            for at in range(0, len(entries), 4):
+                self._list[entries[at], int(entries[at + 1]), int(entries[at + 2])] = int(entries[at + 3])
+            if sentence.number == sentence.total:
+                self.listed = self._list
+        elif kind == "ARC":
+            self.refused.append((sentence.alert, sentence.instance, sentence.command))
+        elif kind == "HBT":
+            self.beats.append(sentence.status)
+
+    def state(self, identifier):
+        """State and revision of the newest instance of an alert."""
+        found = [alert for (_, number, _), alert in self.alerts.items() if number == identifier]
+        return found[-1].state if found else None
+
+
+class Bridge:
+    """An alert management at a TCP sink."""
+
+    def __init__(self, port):
+        self.display, self.knows, self._taken = Display(port), AlertManagement(), 0
+
+    def look(self):
+        self.display.read()
+        for sentence in self.display.sentences[self._taken :]:
+            self.knows.take(sentence)
+        self._taken = len(self.display.sentences)
+
+    def command(self, identifier, instance, command):
+        self.display.send(f"BNACN,120000.00,ZZZ,{identifier},{instance},{command},C")
+
+
+@pytest.fixture
+def processes(tmp_path):
+    """Starts programs in the namespace demo; what still runs at the end is ended."""
+    running = []
+    environment = os.environ | {"ROS_LOG_DIR": str(tmp_path / "log")}
+
+    def start(name, *command):
+        log = (tmp_path / f"{name}.txt").open("w")
+        process = subprocess.Popen([sys.executable, *command], stdout=log, stderr=log, env=environment)
+        running.append(process)
+        return process
+
+    yield start
+    for process in running:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            process.wait(20.0)
+
+
+@pytest.fixture
+def ship():
+    ship = TellingShip()
+    yield ship
+    ship.stop()
+
+
+@pytest.fixture
+def bridge():
+    bridge = Bridge(free_port(socket.SOCK_STREAM))
+    yield bridge
+    bridge.display.close()
+
+
+def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, processes, tmp_path):
+    udp_port, listen_port = free_port(), free_port()
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("alerts: {clear_after_s: 1.0}\n")
+    suite = tmp_path / "suite.yaml"
+    suite.write_text(
+        "/**/nmea_out:\n  ros__parameters:\n    alerts_period_s: 0.5\n    sinks:\n"
+        f"      bridge: {{kind: tcp_server, port: {bridge.display.port}, sentences: [ALF, ALC, HBT]}}\n"
+        f"      wing: {{kind: udp, address: 127.0.0.1, port: {udp_port}, listen_port: {listen_port}, "
+        "sentences: [ALF]}\n"
+    )
+    processes("nmea_out", "-m", "ship_nmea.commands.nmea_out", "--ros-args", "--params-file", str(suite),
+              "-r", "__ns:=/demo")  # fmt: skip
+
+    def seen(found, tell=lambda: None):
+        def look():
+            bridge.look()
+            return found(bridge.knows)
+
+        return until(ship, look, tell)
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wing:
+        wing.bind(("127.0.0.1", udp_port))
+        wing.setblocking(False)
+        until(ship, bridge.display.connect)
+        # Nobody keeps the alerts yet: an empty list would say that all is well.
+        seen(lambda knows: "V" in knows.beats)
+        assert bridge.knows.listed is None
+        alerts = processes(
+            "alerts", "-c", "import sys; from ship_monitor.alerts.alert_node import main; sys.exit(main())",
+            "--limits", str(limits), "--state", str(tmp_path / "alerts.json"), "--ros-args", "-r", "__ns:=/demo",
+        )  # fmt: skip
+        seen(lambda knows: knows.beats[-1] == "A" and knows.listed is not None, ship.tell)
+        until(ship, lambda: set(ship.alerts or ()) == {"attitude.degraded"}, ship.tell)  # it has heard the ship
+        seen(lambda knows: knows.state(SILENT) == "V")  # now she is silent
+        told = bridge.knows.alerts["ZZZ", SILENT, 1]
+        assert (told.priority, told.text) == ("A", "ATTITUDE SILENT")
+        seen(lambda knows: ("ZZZ", SILENT, 1) in knows.listed)
+
+        bridge.command(SILENT, 2, "A")  # no such instance
+        bridge.command(SILENT, 1, "S")  # silencing one alert is not known here
+        bridge.command(SILENT + 1, 1, "A")  # no such alert
+        refused = [(SILENT, 2, "A"), (SILENT, 1, "S"), (SILENT + 1, 1, "A")]
+        seen(lambda knows: sorted(knows.refused) == sorted(refused))
+        assert ship.alerts["attitude.silent"].state == Alert.ACTIVE_UNACKNOWLEDGED
+        bridge.display.send(f"BNACN,120000.00,FEC,{SILENT},1,A,C")  # to another source: no answer at all
+        bridge.display.connection.sendall(b"$BNACN,broken*00\r\n\xff\xfe$\r\n")
+        bridge.command(SILENT, 1, "Q")
+        bridge.command(SILENT, 1, "A")
+        seen(lambda knows: knows.state(SILENT) == "A")
+        until(ship, lambda: ship.alerts["attitude.silent"].state == Alert.ACTIVE_ACKNOWLEDGED)
+        assert sorted(bridge.knows.refused) == sorted(refused)
+        revision = bridge.knows.alerts["ZZZ", SILENT, 1].revision
+        assert revision == told.revision + 1
+        seen(lambda knows: knows.listed.get(("ZZZ", SILENT, 1)) == revision)
+        # The ship is back: the alert is over, and leaves the list.
+        seen(lambda knows: knows.state(SILENT) == "N", ship.tell)
+        seen(lambda knows: ("ZZZ", SILENT, 1) not in knows.listed, ship.tell)
+
+        # The wing hears the same, and may acknowledge, too.
+        heard = []
+
+        def wing_hears(state):
+            try:
+                heard.extend(pynmea2.parse(line, check=True) for line in wing.recv(2000).decode().split("\r\n") if line)
+            except BlockingIOError:
+                return None
+            fitting = [one for one in heard if one.number == 1 and (one.alert, one.state) == (SILENT, state)]
+            return fitting[-1] if fitting else None
+
+        again = until(ship, lambda: (found := wing_hears("V")) and found.instance == 2 and found)
+        body = f"BNACN,,ZZZ,{SILENT},,A,C"  # without an instance: the present one
+        data = f"${body}*{pynmea2.NMEASentence.checksum(body):02X}\r\n".encode()
+        wing.sendto(data, ("127.0.0.1", listen_port))
+        until(ship, lambda: (found := wing_hears("A")) and found.instance == again.instance)
+
+        # Who keeps the alerts is gone: the bridge learns it by the heartbeat, and no list says that all is well.
+        alerts.send_signal(signal.SIGINT)
+        alerts.wait(20.0)
+        seen(lambda knows: knows.beats[-1] == "V")
+        until(ship, lambda: ship.statuses["nmea_out: alerts"].level == b"\x01")
+        values = {pair.key: pair.value for pair in ship.statuses["nmea_out: alerts"].values}
+        assert (values["acknowledged"], values["refused"], values["for others"], values["unreadable"]) == (
+            "2", "3", "1", "2"
+        )  # fmt: skip

@@ -1,0 +1,99 @@
+"""Bytes → lines → sentences: chunks joined, halves told, nothing kept without bound."""
+
+import random
+
+import pytest
+
+from ship_bags.nmea.sentences import BAD_CHECKSUM, OUT_OF_RANGE, UNKNOWN, UNPARSED, VOID, NotOfInterest, Sentence
+from ship_nmea.instruments.lines import HALF, LONGEST_LINE, NOISE, TOO_LONG, LineSplitter, heard_texts
+from ship_testing.ship_logs import sentence
+
+# Of the log of R/V Nathaniel B. Palmer, 2014-08-01, see test_import_nmea.
+HDT, PSXN23 = b"$HEHDT,218.53,T*12", b"$PSXN,23,0.35,-1.74,218.26,0.58*13"
+
+
+def said(line):
+    """Kind, name or reason of each text in a line."""
+    found = [heard.says for heard in heard_texts(line)]
+    return [
+        says.kind if isinstance(says, Sentence) else says.name if isinstance(says, NotOfInterest)
+        else says.detail or says.reason for says in found
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("end", [b"\r\n", b"\n", b"\r"])
+def test_lines_in_whatever_chunks_they_come(end):
+    lines = [HDT, PSXN23, b"$PSXN,20,1,0,0,0*3A"] * 20
+    stream, rng = end.join(lines) + end, random.Random(1)
+    splitter, found = LineSplitter(), []
+    while stream:
+        size = rng.randint(1, 50)
+        found += splitter.take(stream[:size])
+        stream = stream[size:]
+    assert found == lines
+    assert splitter.end() == []
+
+
+def test_what_has_no_end_is_kept_for_the_end():
+    splitter = LineSplitter()
+    assert splitter.take(HDT) == []
+    assert splitter.end() == [HDT]
+    assert splitter.end() == []
+
+
+@pytest.mark.parametrize("size", [LONGEST_LINE + 1, 100_000])
+def test_a_line_without_end_is_told_once_and_not_kept(size):
+    splitter = LineSplitter()
+    found = splitter.take(b"x" * size)
+    for _ in range(1000):
+        found += splitter.take(b"x" * 10_000)
+    found += splitter.take(b"x\r\n" + HDT + b"\r\n")
+    assert [len(line) for line in found] == [LONGEST_LINE + 1, len(HDT)]
+    assert said(found[0]) == [TOO_LONG]
+    assert splitter.take(b"a" * LONGEST_LINE + b"\n") == [b"a" * LONGEST_LINE]
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        (HDT, ["HDT"]),
+        (HDT + b"  ", ["HDT"]),
+        (PSXN23, ["PSXN23"]),
+        (b"$GPHDT,21", [HALF]),  # which pynmea2 alone takes for a heading of 21 degrees
+        (b"$HEHDT,218.53,T*1", [HALF]),
+        (b"8.53,T*12", [HALF]),
+        (b"HEHDT,218.53,T*12", [HALF]),
+        (b"$GPHDT,21" + HDT, [HALF, "HDT"]),
+        (b"18.53,T*12" + HDT, [HALF, "HDT"]),
+        (HDT + HDT, ["HDT", "HDT"]),
+        (b"$HEHDT,218.54,T*12", [BAD_CHECKSUM]),
+        (sentence("HEHDT,,T").encode(), [VOID]),
+        (sentence("HEXYZ,1").encode(), [UNKNOWN]),
+        (sentence("HEHDT,999.99,T").encode(), [OUT_OF_RANGE]),
+        (sentence("HEHDT,360.0,T").encode(), ["HDT"]),
+        (sentence("PSXN,23,0.1,90.01,1.0,0.0").encode(), [OUT_OF_RANGE]),
+        (sentence("PSXN,23,-180.0,-90.0,0.0,0.0").encode(), ["PSXN23"]),
+        (b"$GPVTG,211.32,T,235.99,M,9.4,N,17.4,K*7F", [BAD_CHECKSUM]),
+        (b"$INVTG,215.11,T,239.79,M,9.1,N,16.9,K,A*05", ["INVTG"]),
+        (b"!AIVDM,1,1,,A,14eG;o@034o8sd<L9i:a;WF>062D,0*7D", ["!AIVDM"]),
+        (b"SUS,A,325,009.31,M,+344.00,+020.63,60,03", ["SUS"]),
+        (b"hello", [UNPARSED]),
+        (b"$HEHDT,218\xff53,T*12", [NOISE]),
+        (bytes(range(14, 32)), [NOISE]),
+        (b"x" * (LONGEST_LINE + 1), [TOO_LONG]),
+        # IEC 61162-450: a datagram's mark, and a TAG block with the sender's name.
+        (b"UdPbC\x00\\s:HE0001,n:12*2A\\" + HDT, ["HDT"]),
+        (b"\\s:HE0001*7C\\" + HDT, ["HDT"]),
+    ],
+)
+def test_what_a_line_says(line, expected):
+    assert said(line) == expected
+
+
+def test_noise_never_raises():
+    rng = random.Random(2)
+    for _ in range(20_000):
+        line = bytearray(rng.choice([HDT, PSXN23, b"\\s:x*00\\" + HDT, b"$WIXDR,C,23.3,C,0,P,,B*00"]))
+        for _ in range(rng.randint(0, 4)):
+            line[rng.randrange(len(line))] = rng.choice(b"$*,\\!\x00\xff059ABCPSXN")
+        assert all(heard.talker == "" or len(heard.talker) == 2 for heard in heard_texts(bytes(line)))

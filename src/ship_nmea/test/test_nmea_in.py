@@ -1,0 +1,370 @@
+"""nmea_in over DDS, with real sockets and a real serial line: what it publishes, counts, tells and survives."""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from datetime import datetime, timedelta, timezone
+
+import numpy as np
+import pynmea2
+import pytest
+
+from ship_bags.nmea.instrument_line import datetime_ns
+from ship_bags.stamps import ns_from_stamp
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.ros_axes import rotation_from_quaternion
+from ship_geometry.rotations import log_rotation
+from ship_testing.listening_node import START, free_port
+from ship_testing.ship_logs import sentence
+
+pytestmark = pytest.mark.live
+
+OK, WARN, ERROR = 0, 1, 2
+
+HEADINGS_DEG = np.arange(0.0, 360.0, 45.0)
+ANGLES_DEG = [
+    *((heading, 1.23, -4.56) for heading in HEADINGS_DEG),
+    (179.99, 0.0, 0.0), (180.01, 0.0, 0.0), (359.99, -5.0, 5.0), (0.01, 5.0, -5.0),
+    (90.0, 0.0, 179.99), (270.0, 0.0, -179.99), (30.0, 89.0, 10.0), (330.0, -89.0, -170.0),
+]  # fmt: skip
+"""Heading, pitch (bow up), roll (starboard down)."""
+
+
+def udp(becomes, **more):
+    return {"kind": "udp", "address": "127.0.0.1", "port": free_port(), "becomes": becomes, **more}
+
+
+def ended(*bodies):
+    return "".join(sentence(body) + "\r\n" for body in bodies).encode()
+
+
+def psxn(moment, heading_deg, pitch_deg, roll_deg):
+    """A burst of a Seapath, rendered by pynmea2: PSXN,23 tells roll positive with port up, pitch with bow up."""
+    zda = pynmea2.ZDA("IN", "ZDA", (f"{moment:%H%M%S.%f}", f"{moment:%d}", f"{moment:%m}", f"{moment:%Y}", "", ""))
+    angles = (f"{roll_deg:.2f}", f"{pitch_deg:.2f}", f"{heading_deg:.2f}", "0.00")
+    quality = pynmea2.ProprietarySentence("SXN", ["", "20", "0", "0", "0", "0"])
+    attitude = pynmea2.ProprietarySentence("SXN", ["", "23", *angles])
+    return "".join(one.render(newline=True) for one in (zda, quality, attitude)).encode()
+
+
+def pashr(moment, heading_deg, pitch_deg, roll_deg):
+    """PASHR as an RT300 writes it: heading, T, roll, pitch, heave, three accuracies, quality, INS status."""
+    time_text = f"{moment:%H%M%S.%f}"[:9]
+    angles = (f"{heading_deg:.3f}", "T", f"{roll_deg:+.3f}", f"{pitch_deg:+.3f}")
+    fields = ["R", time_text, *angles, "+0.00", "0.001", "0.001", "0.001", "2", "1"]
+    return pynmea2.ProprietarySentence("ASH", fields).render(newline=True).encode()
+
+
+@pytest.mark.parametrize(("burst", "print_deg"), [(psxn, 0.005), (pashr, 0.0005)])
+def test_attitudes_come_back_to_what_is_printed(listening, burst, print_deg):
+    node = listening({"seapath": udp("ins")}, namespace="aurora")
+    start = datetime.now(timezone.utc).replace(microsecond=0)
+    moments = [start + timedelta(milliseconds=100 * number) for number in range(len(ANGLES_DEG))]
+    for moment, angles in zip(moments, ANGLES_DEG, strict=True):
+        node.send("seapath", burst(moment, *angles))
+    messages = node.heard["ins/imu"]
+    node.wait_until(lambda: len(messages) == len(ANGLES_DEG))
+    for message, moment, angles in zip(messages, moments, ANGLES_DEG, strict=True):
+        assert ns_from_stamp(message.header.stamp) == datetime_ns(moment)
+        q = message.orientation
+        expected = rotation_from_angles(*np.deg2rad(angles))
+        error = log_rotation(expected.T @ rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w])))
+        # Each of three angles is rounded by half of its last digit at most.
+        assert np.linalg.norm(np.rad2deg(error)) <= 3 * print_deg
+        assert message.header.frame_id == "ins"
+        assert message.angular_velocity_covariance[0] == -1.0
+    values = node.wait_until(lambda: (told := node.told("seapath"))[:2] == (OK, "gives ins/imu") and told[2])
+    assert values["ins/imu"] == str(len(ANGLES_DEG))
+
+
+def test_bow_east_is_no_turn_of_ros_axes(listening):
+    """REP-103: ENU <- FLU is the identity where the bow points east; independent of our own conversions."""
+    node = listening({"seapath": udp("ins")})
+    node.send("seapath", psxn(datetime.now(timezone.utc), 90.0, 0.0, 0.0))
+    (message,) = node.wait_until(lambda: node.heard["ins/imu"])
+    q = message.orientation
+    assert [abs(q.w), q.x, q.y, q.z] == pytest.approx([1.0, 0.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_each_role_has_its_topics_and_stamps(listening):
+    """GGA of the Palmer's log; HDT and weather carry no time and are stamped by the arrival, as all with 'arrival'."""
+    node = listening({
+        "gps": udp("gnss", time="arrival"), "gyro": udp("gyro"), "second": udp("reference", time="arrival"),
+        "mast": udp("weather"),
+    })  # fmt: skip
+    before_ns = time.time_ns()
+    node.send("gps", b"$INGGA,000000.16,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,*6C\r\n")
+    node.send("gyro", ended("HETHS,90.0,A"))
+    node.send("second", ended("PSXN,23,1.0,2.0,3.0,0.0"))
+    node.send("mast", ended("WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"))
+    topics = ["gnss/fix", "reference/gyro/imu", "reference/second/imu"]
+    topics += ["met/temperature", "met/humidity", "met/pressure"]
+    node.wait_until(lambda: all(node.heard[topic] for topic in topics))
+    for topic in topics:
+        assert before_ns <= ns_from_stamp(node.heard[topic][0].header.stamp) <= time.time_ns()
+    assert node.heard["gnss/fix"][0].latitude == pytest.approx(-(22 + 0.110899 / 60))
+    assert node.heard["reference/gyro/imu"][0].header.frame_id == "gyro"
+    assert node.heard["met/pressure"][0].fluid_pressure == pytest.approx(100_950.0)
+
+
+def test_sources_of_one_port_are_told_apart_by_their_talkers(listening):
+    port = free_port()
+    node = listening({
+        id_: {"kind": "udp", "address": "127.0.0.1", "port": port, "becomes": "gyro", "talkers": [talker]}
+        for id_, talker in (("fore", "HE"), ("aft", "HN"))
+    })  # fmt: skip
+    node.send("fore", ended("HEHDT,10.0,T", "HNHDT,20.0,T", "GPHDT,30.0,T"))
+    node.wait_until(lambda: node.heard["reference/fore/imu"] and node.heard["reference/aft/imu"])
+    assert [len(node.heard[f"reference/{id_}/imu"]) for id_ in ("fore", "aft")] == [1, 1]
+    values = node.wait_until(lambda: (told := node.told("fore"))[2].get("lines") == "3" and told[2])
+    assert (values["other talker: HN"], values["other talker: GP"]) == ("1", "1")
+
+
+def test_a_group_of_the_ships_network_is_heard(listening):
+    """IEC 61162-450: a group of its own for each kind of data, a mark and a TAG block before the sentence."""
+    node = listening({"gyro": udp("gyro") | {"address": "239.192.0.4", "interface": "127.0.0.1"}})
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        data = b"UdPbC\x00\\s:HE0001,n:12*2A\\" + ended("HEHDT,10.0,T")
+        sender.sendto(data, ("239.192.0.4", node.config.sources["gyro"].port))
+    node.wait_until(lambda: node.heard["reference/gyro/imu"])
+
+
+def test_what_is_no_good_is_counted_by_name_and_the_rest_is_used(listening):
+    """All of them at once, between sentences that are good."""
+    node = listening({"gyro": udp("gyro", talkers=["HE"])})
+    good = ended("HEHDT,218.53,T")
+    node.send("gyro", b"".join(
+        bad + good for bad in (
+            b"$HEHDT,218.54,T*12\r\n", b"$HEHDT,21", b"8.5,T*12\r\n", b"$" + b"x" * 2000 + b"\r\n",
+            bytes(range(128, 256)) + b"\r\n", ended("GPHDT,10.0,T"), ended("HEXYZ,1"), ended("HEHDT,,T"),
+            ended("HEVTG,215.11,T,239.79,M,9.1,N,16.9,K,A"), b"\r\n\r\n",
+        )
+    ))  # fmt: skip
+    node.wait_until(lambda: len(node.heard["reference/gyro/imu"]) == 10)
+    _, text, values = node.wait_until(lambda: (told := node.told("gyro"))[0] == WARN and told)
+    assert {name: count for name, count in values.items() if name.startswith(("rejected", "not of", "other"))} == {
+        "rejected: binary noise": "1", "rejected: checksum failed": "1", "rejected: half line or no checksum": "2",
+        "rejected: line too long": "1", "rejected: no values in it": "1", "rejected: unknown sentence": "1",
+        "not of interest: HEVTG": "1", "other talker: GP": "1",
+    }  # fmt: skip
+    assert values["example of checksum failed"] == "'$HEHDT,218.54,T*12'"
+    assert "half line or no checksum 2, as '8.5,T*12'" in text
+    assert len(values["example of line too long"]) < 100
+    assert node.exceptions() == "no exception"
+
+
+def test_a_time_that_cannot_be_is_an_error_although_lines_come(listening):
+    """A status rests on what was put out: sentences of 2014 give nothing today."""
+    node = listening({"seapath": udp("ins", silent_after_s=0.5)})
+
+    def told():
+        node.send("seapath", psxn(datetime(2014, 8, 1, tzinfo=timezone.utc), 10.0, 0.0, 0.0))
+        level, text, _ = node.told("seapath")
+        return level == ERROR and "instrument time" in text and text
+
+    text = node.wait_until(told)
+    assert text.startswith("lines come, and no ins/imu for")
+    assert "'2014-08-01T00:00:00Z is " in text
+
+
+def test_a_silent_source_is_told_and_comes_back(listening):
+    node = listening({"gyro": udp("gyro", silent_after_s=0.3)})
+    node.send("gyro", ended("HEHDT,10.0,T"))
+    node.wait_until(lambda: node.told("gyro")[0] == ERROR and "no line for" in node.told("gyro")[1])
+
+    def speaks():
+        node.send("gyro", ended("HEHDT,10.0,T"))
+        return node.told("gyro")[0] == OK
+
+    node.wait_until(speaks)
+
+
+class Server:
+    """A TCP server of sentences."""
+
+    def __init__(self, port):
+        self.listener = socket.create_server(("127.0.0.1", port))
+        self.listener.settimeout(20.0)
+        self.connection, _ = self.listener.accept()
+
+    def close(self):
+        self.connection.close()
+        self.listener.close()
+
+
+def test_a_server_that_goes_and_comes_and_lines_cut_into_pieces(listening):
+    port = free_port(socket.SOCK_STREAM)
+    node = listening({"gyro": {"kind": "tcp", "address": "127.0.0.1", "port": port, "becomes": "gyro"}})
+    node.wait_until(lambda: node.told("gyro")[1] == f"tcp 127.0.0.1:{port}: Connection refused; it is tried again")
+    server = Server(port)
+    text = ended("HEHDT,10.0,T", "HEHDT,20.0,T")
+    for place in range(0, len(text), 5):
+        server.connection.sendall(text[place : place + 5])
+        time.sleep(0.01)
+    node.wait_until(lambda: len(node.heard["reference/gyro/imu"]) == 2)
+    server.connection.sendall(b"$HEHDT,30")
+    server.close()
+    node.wait_until(lambda: "closed the connection" in node.told("gyro")[1] or "refused" in node.told("gyro")[1])
+    server = Server(port)
+    server.connection.sendall(ended("HEHDT,40.0,T"))
+    node.wait_until(lambda: len(node.heard["reference/gyro/imu"]) == 3)
+    values = node.wait_until(lambda: (told := node.told("gyro"))[2].get("lines") == "3" and told[2])
+    assert not [name for name in values if name.startswith("rejected")]
+    server.close()
+
+
+def test_a_serial_line_that_is_unplugged_and_plugged_in_again(listening, tmp_path):
+    """A real pseudo-terminal, behind a link as udev makes one; it is not there at the start."""
+    device = tmp_path / "ttyUSB0"
+    node = listening({"gyro": {"kind": "serial", "device": str(device), "baud": 9600, "becomes": "gyro"}})
+    node.wait_until(lambda: "No such file or directory" in node.told("gyro")[1])
+    for _ in range(2):
+        controller, terminal = os.openpty()
+        device.symlink_to(os.ttyname(terminal))
+        before = len(node.heard["reference/gyro/imu"])
+
+        def heard(controller=controller, before=before):
+            os.write(controller, ended("HEHDT,10.0,T")[:7])
+            time.sleep(0.01)
+            os.write(controller, ended("HEHDT,10.0,T")[7:])
+            return len(node.heard["reference/gyro/imu"]) > before and node.told("gyro")[0] != ERROR
+
+        node.wait_until(heard)
+        device.unlink()
+        os.close(controller)
+        os.close(terminal)
+        node.wait_until(lambda: "is tried again" in node.told("gyro")[1])
+    assert node.exceptions() == "no exception"
+
+
+def refused(tmp_path, text, *before):
+    """What the node says of a parameter file, and its exit code; ``before`` stands before its command."""
+    path = tmp_path / "suite.yaml"
+    path.write_text(text)
+    command = [*before, sys.executable, "-c", START, "--ros-args", "--params-file", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    (line,) = done.stderr.splitlines()
+    return done.returncode, line.replace(str(path), "suite.yaml")
+
+
+SOURCE = "/**/nmea_in:\n  ros__parameters:\n    sources:\n      seapath:\n        becomes: ins\n"
+
+
+def test_bad_input_is_one_line_with_file_line_and_key(tmp_path):
+    port = free_port()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("0.0.0.0", port))
+        code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        port: {port}\n")
+    assert code == 2
+    assert line == (
+        f"nmea_in: suite.yaml:7: parameter 'sources.seapath.port' = {port}: udp 0.0.0.0:{port} cannot be opened: "
+        "somebody else listens there"
+    )
+    code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        port: {port}\n        address: 192.0.2.1\n")
+    assert code == 2
+    assert line.startswith("nmea_in: suite.yaml:8: parameter 'sources.seapath.address' = '192.0.2.1'")
+    assert line.endswith("expected an address of this machine")
+    code, line = refused(tmp_path, f"{SOURCE}        kind: serial\n        device: {tmp_path / 'suite.yaml'}\n")
+    assert code == 2
+    assert line.startswith("nmea_in: suite.yaml:7: parameter 'sources.seapath.device' =")
+    code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        prt: 10110\n")
+    assert code == 2
+    assert line.startswith("nmea_in: suite.yaml:7: parameter 'sources.seapath.prt' is unknown: expected one of address")
+    code, line = refused(tmp_path, "/**/nmea_in:\n  ros__parameters:\n    use_sim_time: false\n")
+    assert (code, line) == (2, "nmea_in: parameter 'sources' names no source: expected one as 'sources.gyro.kind'")
+
+
+def test_no_permission_on_a_device(tmp_path):
+    controller, terminal = os.openpty()
+    device = os.ttyname(terminal)
+    os.chmod(device, 0)
+    # Root may open everything, unless it gives that up.
+    as_others = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"] if os.geteuid() == 0 else []
+    if as_others and shutil.which("setpriv") is None:
+        pytest.skip("root may open every device, and setpriv is not installed")
+    code, line = refused(tmp_path, f"{SOURCE}        kind: serial\n        device: {device}\n", *as_others)
+    os.close(controller)
+    os.close(terminal)
+    assert code == 2
+    assert line == (
+        f"nmea_in: suite.yaml:7: parameter 'sources.seapath.device' = '{device}': {device} at 4800 Bd cannot be "
+        "opened: no permission, which for serial devices the group dialout has as a rule"
+    )
+
+
+def resident_mb(process):
+    with open(f"/proc/{process.pid}/status") as status:
+        return next(int(line.split()[1]) for line in status if line.startswith("VmRSS:")) / 1024
+
+
+def test_everything_goes_wrong_at_once(listening, tmp_path):
+    """A flood of 10 kHz, noise, a server that comes and goes, a device that is unplugged; one source is well."""
+    tcp_port = free_port(socket.SOCK_STREAM)
+    controller, terminal = os.openpty()
+    device = tmp_path / "ttyUSB0"
+    device.symlink_to(os.ttyname(terminal))
+    node = listening(
+        {
+            "flooded": udp("gyro"), "noisy": udp("weather"), "well": udp("gyro"),
+            "server": {"kind": "tcp", "address": "127.0.0.1", "port": tcp_port, "becomes": "gnss"},
+            "device": {"kind": "serial", "device": str(device), "becomes": "gyro"},
+        },
+        as_process=True,
+    )  # fmt: skip
+    stop, rng = threading.Event(), np.random.default_rng(1)
+    server = Server(tcp_port)
+
+    def flood():
+        heading, sender = ended("HEHDT,10.0,T"), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        while not stop.wait(0.01):
+            for _ in range(10):
+                sender.sendto(10 * heading, ("127.0.0.1", node.config.sources["flooded"].port))
+        sender.close()
+
+    sent = 0
+
+    def trouble_until(happened):
+        """Let it go on until something has happened, with 10 headings a second of the source that is well."""
+        nonlocal sent
+        end_s = time.monotonic() + 60.0
+        while not happened():
+            assert time.monotonic() < end_s, [node.told(id_) for id_ in node.config.sources]
+            node.send("noisy", rng.bytes(500))
+            node.send("well", ended("HEHDT,10.0,T"))
+            sent += 1
+            next_s = time.monotonic() + 0.1
+            while time.monotonic() < next_s:
+                node.spin()
+
+    well = node.heard["reference/well/imu"]
+    flooding = threading.Thread(target=flood)
+    flooding.start()
+    try:
+        trouble_until(lambda: well and int(node.told("flooded")[2].get("dropped", "0")) > 2000)
+        # Before DDS has matched both sides some may be lost.
+        node.wait_until(lambda: int(node.told("well")[2]["lines"]) == sent)
+        before_mb, before, sent = resident_mb(node.process), len(well), 0
+        server.close()
+        device.unlink()
+        os.close(controller)
+        os.close(terminal)
+        trouble_until(lambda: all("is tried again" in node.told(id_)[1] for id_ in ("server", "device")))
+        trouble_until(lambda: int(node.told("flooded")[2]["dropped"]) > 8000 and "noise" in node.told("noisy")[1])
+        assert node.told("flooded")[1].startswith("overflow: more came than can be taken; ")
+        assert node.told("well")[0] == OK
+        node.wait_until(lambda: len(well) - before >= sent)
+        assert resident_mb(node.process) - before_mb < 8.0
+    finally:
+        stop.set()
+        flooding.join()
+    assert node.exceptions() == "no exception"
+    # A line at the start, and one whenever the state of one of five sources changes.
+    assert len(node.log.read_text().splitlines()) < 15
+    node.process.send_signal(signal.SIGTERM)
+    assert node.process.wait(10.0) == 0

@@ -1,0 +1,45 @@
+"""Parameters of nmea_in that cannot be: each is named with what was expected."""
+
+import pytest
+
+from ship_estimation.parameters import ParameterError, build
+from ship_nmea.instruments.config import NmeaInConfig
+
+UDP = {"kind": "udp", "port": 10110}
+SERIAL = {"kind": "serial", "device": "/dev/ttyUSB0"}
+
+
+@pytest.mark.parametrize(
+    ("sources", "parameter", "complaint"),
+    [
+        ({"a": {"kind": "udp", "becomes": "ins"}}, "sources.a.port", "needs one, from 1 to 65535"),
+        ({"a": {"kind": "tcp", "becomes": "ins", "port": 4001}}, "sources.a.address", "needs the server's name"),
+        ({"a": {"kind": "serial", "becomes": "ins"}}, "sources.a.device", "needs one, as /dev/ttyUSB0"),
+        ({"a": UDP | {"becomes": "ins", "interface": "eth0"}}, "sources.a.interface", "expected an IPv4 address"),
+        ({"a": UDP | {"becomes": "ins", "device": "/dev/x"}}, "sources.a.device", "means nothing to kind udp"),
+        ({}, "sources", "names no source"),
+        ({"a": UDP}, "sources.a.becomes", "must be given"),
+        ({"a": UDP | {"becomes": "compass"}}, "sources.a.becomes", "must be one of ins, reference, gyro"),
+        ({"a": UDP | {"becomes": "ins", "port": 70000}}, "sources.a.port", "out of its range"),
+        ({"a": UDP | {"becomes": "ins", "speed": 1}}, "sources.a.speed", "is unknown"),
+        ({"a": UDP | {"becomes": "ins", "talkers": ["gp"]}}, "sources.a.talkers", "two capital letters"),
+        ({n: UDP | {"becomes": "ins"} for n in "ab"}, "sources.b.becomes", "'a' becomes that already"),
+        (
+            {n: SERIAL | {"becomes": "gyro", "baud": baud} for n, baud in (("a", 4800), ("b", 9600))},
+            "sources.b.baud",
+            "'a' reads the same device at 4800 Bd",
+        ),
+    ],
+)
+def test_what_cannot_be_is_named(sources, parameter, complaint):
+    with pytest.raises(ParameterError, match=complaint) as caught:
+        build(NmeaInConfig, {"sources": sources})
+    assert caught.value.parameters == (parameter,)
+
+
+def test_of_two_receivers_the_one_of_its_own_gives_the_fix():
+    alone = build(NmeaInConfig, {"sources": {"a": UDP | {"becomes": "ins"}}})
+    assert list(alone.role("a").topics("a")) == ["ins/imu", "gnss/fix"]
+    both = build(NmeaInConfig, {"sources": {"a": UDP | {"becomes": "ins"}, "b": UDP | {"becomes": "gnss"}}})
+    assert list(both.role("a").topics("a")) == ["ins/imu"]
+    assert list(both.role("b").topics("b")) == ["gnss/fix"]

@@ -1,0 +1,218 @@
+"""``nmea_out`` as a process of its own: attitudes over DDS come out as sentences, and what is wrong at the start."""
+
+import math
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from ship_msgs.msg import ShipAttitude
+from ship_nmea.commands.nmea_out import main
+from ship_nmea.out.nmea_out import Pace
+from ship_replay.trials.live_process import free_domain_id
+from ship_testing.bridge import Display, TellingShip, until
+from ship_testing.listening_node import free_port
+
+pytestmark = pytest.mark.live
+
+NODE = [sys.executable, "-m", "ship_nmea.commands.nmea_out", "--ros-args"]
+
+
+@pytest.fixture(scope="module")
+def ship():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        patch.setenv("ROS_DOMAIN_ID", str(free_domain_id()))
+        ship = TellingShip()
+        yield ship
+        ship.stop()
+
+
+def parameters(**values):
+    return [part for name, value in values.items() for part in ("-p", f"{name.replace('__', '.')}:={value}")]
+
+
+def started(log, *arguments):
+    environment = os.environ | {"ROS_LOG_DIR": str(log.parent)}
+    with log.open("w") as file:
+        return subprocess.Popen([*NODE, *arguments, "-r", "__ns:=/demo"], stderr=file, stdout=file, env=environment)
+
+
+def ended(process):
+    process.send_signal(signal.SIGINT)
+    return process.wait(20.0)
+
+
+@pytest.fixture(scope="module")
+def bridge(tmp_path_factory, ship):
+    """A display at the TCP sink of a node, which has a slow file beside it."""
+    folder, port = tmp_path_factory.mktemp("bridge"), free_port(socket.SOCK_STREAM)
+    process = started(folder / "log.txt", *parameters(
+        sinks__bridge__kind="tcp_server", sinks__bridge__port=port, sinks__bridge__decimals=3,
+        sinks__bridge__sentences="[HDT, THS, ROT, PASHR, PSXN20, PSXN23]", sinks__bridge__rate_hz=100.0,
+        sinks__log__kind="file", sinks__log__path=folder / "log.nmea", sinks__log__rate_hz=1.0, longest_age_s=0.5,
+    ))  # fmt: skip
+    listener = Display(port)
+    listener.file, listener.process = folder / "log.nmea", process
+    until(ship, listener.connect)
+    yield listener
+    listener.close()
+    code = process.poll() if process.poll() is not None else ended(process)
+    assert code == 0, (folder / "log.txt").read_text()
+
+
+def heard(ship, bridge, found, tell=lambda: None):
+    """Read the bridge's sentences until ``found``, of those from now on."""
+    bridge.forget()
+
+    def look():
+        bridge.read()
+        return found()
+
+    return until(ship, look, tell)
+
+
+def shows(bridge, heading_deg):
+    last = bridge.last("HDT")
+    return last is not None and last.heading and abs(float(last.heading) - heading_deg) < 0.01
+
+
+@pytest.mark.parametrize(("status", "mode", "quality"), [
+    (ShipAttitude.VALID, "A", 0), (ShipAttitude.COASTING, "E", 1), (ShipAttitude.DEGRADED, "E", 1),
+])  # fmt: skip
+def test_an_attitude_comes_out_with_what_it_is_worth(ship, bridge, status, mode, quality):
+    heading_deg = 100.0 + 10.0 * status
+    told = {}
+
+    def tell():
+        message = ship.tell(heading_deg, status=status)
+        stamp = message.header.stamp
+        told[f"{stamp.sec % 60:02d}.{round(stamp.nanosec / 1e6):03d}"] = message
+
+    heard(ship, bridge, lambda: shows(bridge, heading_deg) and bridge.last("SXN23"), tell)
+    assert bridge.last("THS").mode == mode
+    assert (bridge.last("SXN20").head_qual, bridge.last("SXN20").rp_qual) == (quality, quality)
+    assert bridge.last("ROT").status == "A"
+    assert float(bridge.last("ROT").rate_of_turn) == pytest.approx(30.0, abs=0.2)
+    pashr = bridge.last("ASHRATT")
+    assert (pashr.pitch, pashr.roll) == (2.0, -3.0)
+    # 3″, 2″ and 1″, rounded up at 0.0001°.
+    assert (pashr.heading_accuracy, pashr.pitch_accuracy, pashr.roll_accuracy) == (0.0009, 0.0006, 0.0003)
+    assert pashr.data[1][4:] in told  # the time is the stamp's
+
+
+def is_void(bridge):
+    names = ("HDT", "THS", "ROT", "ASHRATT", "SXN20", "SXN23")
+    if any(bridge.last(name) is None for name in names) or bridge.last("HDT").heading:
+        return False
+    _, ths, rot, pashr, quality, motion = map(bridge.last, names)
+    assert (ths.heading, ths.mode, rot.rate_of_turn, rot.status) == (None, "V", "", "V")
+    assert pashr.data[2:10] == [""] * 8
+    assert (quality.head_qual, quality.rp_qual) == (2, 2)
+    assert motion.data[2:] == [""] * 4
+    return True
+
+
+@pytest.mark.parametrize(("how", "told"), [
+    ({"status": ShipAttitude.INVALID}, "ship/attitude is INVALID"),
+    ({"status": 17}, "ship/attitude is INVALID"),
+    ({"heading_deg": math.nan}, "ship/attitude has an angle that is no number"),
+    ({"roll_deg": math.inf}, "ship/attitude has an angle that is no number"),
+    ({"age_s": 5.0}, "the stamp of ship/attitude is 5.0"),
+    ({"age_s": -5.0}, "after this node's clock"),
+    (None, "ship/attitude silent for"),
+])  # fmt: skip
+def test_what_is_not_claimed_or_not_of_now_comes_out_void(ship, bridge, how, told):
+    heard(ship, bridge, lambda: shows(bridge, 55.0), lambda: ship.tell(55.0))
+    ship.statuses.clear()
+    heard(ship, bridge, lambda: is_void(bridge), lambda: how and ship.tell(**how))
+    bridge.forget()
+
+    def status_says_it():
+        status = ship.statuses.get("nmea_out: attitude")
+        return status is not None and told in status.message
+
+    until(ship, status_says_it, lambda: how and ship.tell(**how))
+    bridge.read()
+    assert bridge.sentences
+    assert not any(one.heading for one in bridge.sentences if type(one).__name__ == "HDT")
+
+
+def test_an_attitude_at_ten_kilohertz_comes_out_at_the_sinks_rate(ship, bridge):
+    """The node lives, what it sends is new, and another sink keeps its own rate."""
+    heard(ship, bridge, lambda: shows(bridge, 1.0), lambda: ship.tell(1.0))
+    began_s, before = time.monotonic(), bridge.file.read_text().count("HDT")
+    while time.monotonic() - began_s < 3.0:
+        for _ in range(500):
+            ship.tell(1.0)
+        bridge.forget()
+        ship.spin(0.0)
+    heard(ship, bridge, lambda: shows(bridge, 2.0), lambda: ship.tell(2.0))
+    lasted_s = time.monotonic() - began_s
+    assert bridge.file.read_text().count("HDT") - before <= lasted_s * 1.0 + 2
+    assert bridge.process.poll() is None
+
+
+def test_the_diagnostics_tell_of_every_sink(ship, bridge):
+    until(ship, lambda: {"nmea_out: sink bridge", "nmea_out: sink log"} <= set(ship.statuses))
+    assert ship.statuses["nmea_out: sink bridge"].hardware_id == "/demo/nmea_out"
+    assert ship.statuses["nmea_out: sink log"].level == b"\x00"
+
+
+SINK = "/**/nmea_out:\n  ros__parameters:\n    sinks:\n      bridge:\n"
+
+
+@pytest.mark.parametrize(("text", "told"), [
+    (SINK + "        kind: tcp_server\n        prt: 10110\n",
+     ":6: parameter 'sinks.bridge.prt' is unknown: expected one of address, baud,"),
+    (SINK + "        kind: tcp\n", ":5: parameter 'sinks.bridge.kind' = 'tcp' must be one of udp, tcp_server,"),
+    (SINK + "        kind: serial\n", ":5: parameter 'sinks.bridge.device' must be given for kind serial"),
+    (SINK + "        kind: file\n        path: log\n        port: 7\n",
+     ":7: parameter 'sinks.bridge.port' means nothing to kind file, which takes path"),
+    (SINK + "        kind: udp\n        address: bridge\n        port: 10110\n",
+     ":6: parameter 'sinks.bridge.address' is 'bridge': expected an IPv4 address"),
+    (SINK + "        kind: tcp_server\n        port: 10110\n        sentences: [HDT, VTG]\n",
+     ":7: parameter 'sinks.bridge.sentences[1]' = 'VTG' must be one of HDT,"),
+    (SINK + "        kind: tcp_server\n        port: 10110\n    talker: hehe\n",
+     ":7: parameter 'talker' = 'hehe': expected 2 capital letters"),
+    (SINK + "        kind: tcp_server\n        port: BUSY\n",
+     ":6: parameter 'sinks.bridge.port' = BUSY: Address already in use: another program has it"),
+    ("/**/nmea_out:\n  ros__parameters:\n    talker: HE\n", ": parameter 'sinks' names no sink"),
+    ("/**/nmeaout:\n  ros__parameters:\n    talker: HE\n", ":1: section '/**/nmeaout' does not fit node '/nmea_out'"),
+])  # fmt: skip
+def test_a_bad_start_is_one_line_with_file_line_and_what_was_expected(tmp_path, monkeypatch, capsys, text, told):
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the tests stay
+    path = tmp_path / "suite.yaml"
+    with socket.socket() as busy:
+        busy.bind(("", 0))
+        busy.listen()
+        port = str(busy.getsockname()[1])
+        path.write_text(text.replace("BUSY", port))
+        code = main(["--ros-args", "--params-file", str(path)])
+    said = capsys.readouterr()
+    assert (code, said.out) == (2, "")
+    place = f"nmea_out: {path}" if told.startswith(":") and "names no sink" not in told else "nmea_out"
+    assert said.err.count("\n") == 1
+    assert said.err.startswith(place + told.replace("BUSY", port)), said.err
+
+
+def test_a_bad_start_ends_the_process_with_2():
+    result = subprocess.run([*NODE, "-p", "talker:=x"], capture_output=True, text=True, timeout=60, check=False)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == "nmea_out: parameter 'sinks' names no sink: expected one as 'sinks.bridge.kind'\n"
+
+
+def test_a_pace_takes_so_many_of_those_that_come_and_all_of_as_many():
+    """Also where they come with jitter; and after a silence there is no burst."""
+    period_ns = 10_000_000
+    jitter = [0, 3_000_000, -2_000_000, 1_000_000, -3_000_000]
+    for rate_hz, taken in ((10.0, 100), (100.0, 1000), (1000.0, 1000), (30.0, 300)):
+        pace = Pace(rate_hz)
+        due = [pace.is_due(number * period_ns + jitter[number % 5]) for number in range(1000)]
+        assert abs(sum(due) - taken) <= 2
+    pace = Pace(10.0)
+    assert [pace.is_due(time_ns) for time_ns in (0, 10**12, 10**12 + 1, 10**12 + 10**8)] == [True, True, False, True]

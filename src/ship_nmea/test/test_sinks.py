@@ -1,0 +1,310 @@
+"""Sinks with real sockets, a real pseudo-terminal and real files: what goes out, what is dropped, what comes back."""
+
+import os
+import socket
+import stat
+import subprocess
+import sys
+import termios
+import time
+import tty
+
+import pytest
+
+from ship_bags.errors import BadInput
+from ship_nmea.out.config import SinkConfig
+from ship_nmea.out.outlets import LineSplitter
+from ship_nmea.out.sink import MOST_WAITING, RETRY_S, Sink
+from ship_node.edge.messages_out import Level
+from ship_testing.listening_node import free_port
+
+PATIENCE_S = 20.0
+SENTENCE = "$INHDT,12.3456,T*08"
+
+
+def until(look):
+    """What ``look`` gives, as soon as that is true."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not (found := look()) and time.monotonic() < end_s:
+        time.sleep(0.01)
+    assert found
+    return found
+
+
+@pytest.fixture
+def open_sink():
+    """Makes sinks that begin to send; they end with the test. What they hear is in ``heard``."""
+    sinks = []
+
+    def make(**values):
+        heard = []
+        sink = Sink("bridge", SinkConfig(**values), heard.append)
+        sink.heard = heard
+        sinks.append(sink)
+        sink.start()
+        return sink
+
+    yield make
+    for sink in sinks:
+        sink.close()
+
+
+def connected(port):
+    client = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
+    client.settimeout(PATIENCE_S)
+    return client
+
+
+def test_udp_sends_whole_sentences_and_hears_commands(open_sink):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bridge:
+        bridge.bind(("127.0.0.1", 0))
+        bridge.settimeout(PATIENCE_S)
+        listen_port = free_port()
+        port = bridge.getsockname()[1]
+        sink = open_sink(kind="udp", address="127.0.0.1", port=port, listen_port=listen_port)
+        sink.put(SENTENCE)
+        assert bridge.recv(1000) == f"{SENTENCE}\r\n".encode()
+        bridge.sendto(b"$IIACN,1*00\r\n$IIHBT,2*00", ("127.0.0.1", listen_port))
+        until(lambda: "$IIHBT,2*00" in sink.heard)
+        assert "$IIACN,1*00" in sink.heard
+        assert sink.status().level is Level.OK
+
+
+def test_udp_goes_on_where_nobody_listens(open_sink):
+    sink = open_sink(kind="udp", address="127.0.0.1", port=free_port())
+    for _ in range(5):
+        sink.put(SENTENCE)
+        time.sleep(0.01)
+    until(lambda: int(sink.status().values["sent"]) == 5)
+    assert sink.status().level is Level.OK
+
+
+def test_udp_reaches_a_group(open_sink):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as member:
+        member.bind(("239.192.0.1", 0))
+        own = socket.inet_aton("127.0.0.1")
+        member.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton("239.192.0.1") + own)
+        member.settimeout(PATIENCE_S)
+        port = member.getsockname()[1]
+        open_sink(kind="udp", address="239.192.0.1", port=port, interface="127.0.0.1").put(SENTENCE)
+        assert member.recv(1000) == f"{SENTENCE}\r\n".encode()
+
+
+def test_tcp_serves_several_clients_and_hears_lines_in_pieces(open_sink):
+    port = free_port(socket.SOCK_STREAM)
+    sink = open_sink(kind="tcp_server", port=port)
+    with connected(port) as one, connected(port) as two:
+        until(lambda: "2 clients" in sink.status().message)
+        sink.put(SENTENCE)
+        for client in (one, two):
+            assert client.recv(1000) == f"{SENTENCE}\r\n".encode()
+        for piece in (b"$IIA", b"CN,1*00\r", b"\n$II"):
+            two.sendall(piece)
+        until(lambda: sink.heard == ["$IIACN,1*00"])
+    until(lambda: "0 clients" in sink.status().message)
+    assert sink.status().level is Level.OK
+
+
+def test_a_client_that_does_not_read_holds_up_nobody_and_is_sent_away(open_sink, monkeypatch):
+    monkeypatch.setattr("ship_nmea.out.outlets.STALLED_S", 0.5)
+    port = free_port(socket.SOCK_STREAM)
+    sink = open_sink(kind="tcp_server", port=port)
+    with socket.socket() as lazy, connected(port) as reader:
+        lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        lazy.connect(("127.0.0.1", port))
+        until(lambda: "2 clients" in sink.status().message)
+
+        def one_more_reaches_the_reader():
+            sink.put(SENTENCE)
+            assert reader.recv(1000).endswith(b"\r\n")
+            return "1 clients sent away" in sink.status().message
+
+        until(one_more_reaches_the_reader)
+        assert "1 clients, " in sink.status().message
+        assert "skipped for clients that did not read" in sink.status().message
+
+
+def test_what_a_slow_client_gets_are_whole_sentences(open_sink):
+    port = free_port(socket.SOCK_STREAM)
+    sink = open_sink(kind="tcp_server", port=port)
+    with socket.socket() as slow:
+        slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        slow.connect(("127.0.0.1", port))
+        slow.settimeout(PATIENCE_S)
+        until(lambda: "1 clients" in sink.status().message)
+        number = 0
+
+        def one_more_until_some_are_skipped():
+            nonlocal number
+            number += 1
+            sink.put(f"${number:070d}")
+            return "skipped" in sink.status().message
+
+        until(one_more_until_some_are_skipped)
+        data = b""
+        while len(data) < 3000:
+            sink.put("$end")
+            data += slow.recv(4096)
+        *lines, _ = data.split(b"\r\n")
+        assert all(line == b"$end" or (len(line) == 71 and line[:1] == b"$") for line in lines)
+
+
+def test_a_port_in_use_is_refused_at_the_start(open_sink):
+    port = free_port(socket.SOCK_STREAM)
+    open_sink(kind="tcp_server", port=port, address="127.0.0.1")
+    with pytest.raises(BadInput, match=rf"'sinks.bridge.port' = {port}: Address already in use: another") as refused:
+        open_sink(kind="tcp_server", port=port, address="127.0.0.1")
+    assert refused.value.parameters == ("sinks.bridge.port",)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("", 0))
+        taken = other.getsockname()[1]
+        with pytest.raises(BadInput, match=r"'sinks.bridge.listen_port' = .* in use"):
+            open_sink(kind="udp", address="127.0.0.1", port=port, listen_port=taken)
+
+
+def test_an_address_that_is_not_this_machines_is_refused_at_the_start(open_sink):
+    with pytest.raises(BadInput, match=r"'sinks.bridge.address' = '192.0.2.1': Cannot assign"):
+        open_sink(kind="tcp_server", port=free_port(), address="192.0.2.1")
+
+
+@pytest.fixture
+def line(tmp_path):
+    """A serial line: the far end of a pseudo-terminal, and the name of this end, which can be plugged in elsewhere."""
+    lines = []
+
+    def plugged(path=tmp_path / "ttyUSB0"):
+        far, near = os.openpty()
+        tty.setraw(near)
+        lines.append(far)
+        path.unlink(missing_ok=True)
+        path.symlink_to(os.ttyname(near))
+        os.close(near)
+        return far, str(path)
+
+    yield plugged
+    for far in lines:
+        if far is not None:
+            os.close(far)
+    lines.clear()
+
+
+def test_serial_sends_and_hears_at_its_rate(open_sink, line):
+    far, path = line()
+    sink = open_sink(kind="serial", device=path, baud=4800)
+    sink.put(SENTENCE)
+    assert os.read(far, 1000) == f"{SENTENCE}\r\n".encode()
+    assert termios.tcgetattr(far)[5] == termios.B4800
+    os.write(far, b"$IIACN,1*00\r\n")
+    until(lambda: sink.heard == ["$IIACN,1*00"])
+
+
+def test_a_serial_line_that_vanishes_is_told_and_taken_again_when_it_is_back(open_sink, tmp_path):
+    def plug():
+        far, near = os.openpty()
+        tty.setraw(near)
+        (tmp_path / "ttyUSB0").symlink_to(os.ttyname(near))
+        os.close(near)
+        return far
+
+    far = plug()
+    sink = open_sink(kind="serial", device=str(tmp_path / "ttyUSB0"))
+    sink.put(SENTENCE)
+    assert os.read(far, 1000)
+    (tmp_path / "ttyUSB0").unlink()
+    os.close(far)
+    status = until(lambda: sink.status().level is Level.ERROR and sink.status())
+    assert f"tried again every {RETRY_S:g} s" in status.message
+    sink.put("$OLD")
+    far = plug()
+    try:
+        until(lambda: sink.status().level is not Level.ERROR)
+        sink.put(SENTENCE)
+        # What came while it was away is not sent afterwards.
+        assert os.read(far, 1000) == f"{SENTENCE}\r\n".encode()
+        assert sink.status().values["dropped: while it was not open"] == "1"
+    finally:
+        os.close(far)
+
+
+def test_a_serial_line_whose_far_end_does_not_read_drops_what_gets_old(open_sink, line):
+    _, path = line()
+    sink = open_sink(kind="serial", device=path)
+
+    def one_more():
+        for _ in range(50):
+            sink.put(SENTENCE * 20, lasts_ns=50_000_000)
+        return any("waited for too long" in why for why in sink.status().values)
+
+    until(one_more)
+    assert sink.status().level is Level.WARN
+    assert int(sink.status().values["waiting"]) <= MOST_WAITING
+
+
+def test_a_serial_device_that_is_not_there_yet_is_waited_for(open_sink, tmp_path):
+    sink = open_sink(kind="serial", device=str(tmp_path / "ttyUSB7"))
+    assert sink.status().level is Level.ERROR
+    assert "No such file" in sink.status().message
+
+
+def test_a_serial_device_without_permission_is_refused_at_the_start(tmp_path):
+    far, near = os.openpty()
+    name = os.ttyname(near)
+    os.chmod(name, stat.S_IRUSR * 0)
+    program = (
+        "import os\n"
+        "from ship_nmea.out.sink import Sink, SinkConfig\n"
+        "if os.getuid() == 0: os.setuid(65534)\n"
+        f"Sink('gyro', SinkConfig(kind='serial', device={name!r}), print)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    os.close(far)
+    os.close(near)
+    told = ended.stderr.splitlines()[-1]
+    assert f"BadInput: parameter 'sinks.gyro.device' = '{name}': Permission denied: this user may not" in told
+
+
+def test_a_file_is_appended_to(open_sink, tmp_path):
+    path = tmp_path / "log.nmea"
+    path.write_text("before\n")
+    sink = open_sink(kind="file", path=str(path))
+    sink.put(SENTENCE)
+    sink.close()
+    assert path.read_bytes() == f"before\n{SENTENCE}\r\n".encode()
+
+
+def test_a_full_disk_is_told_and_tried_again(open_sink):
+    sink = open_sink(kind="file", path="/dev/full")
+    sink.put(SENTENCE)
+    status = until(lambda: sink.status().level is Level.ERROR and sink.status())
+    assert "No space left on device" in status.message
+    until(lambda: sink.status().level is not Level.ERROR)
+
+
+def test_a_folder_is_no_file(open_sink, tmp_path):
+    with pytest.raises(BadInput, match=r"'sinks.bridge.path' = .*: Is a directory"):
+        open_sink(kind="file", path=str(tmp_path))
+
+
+def test_a_disk_that_hangs_holds_up_neither_the_node_nor_its_end(tmp_path):
+    """A pipe that nobody reads is a file whose write never comes back."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    sink = Sink("log", SinkConfig(kind="file", path=str(path)), print)
+    sink.start()
+    end_s = time.monotonic() + PATIENCE_S
+    while "dropped" not in sink.status().message and time.monotonic() < end_s:
+        began_s = time.monotonic()
+        sink.put(SENTENCE * 100)
+        assert time.monotonic() - began_s < 1.0
+    assert int(sink.status().values["waiting"]) == MOST_WAITING
+    assert any(f"more than {MOST_WAITING}" in why for why in sink.status().values)
+    sink.close()
+    os.close(reader)  # frees the thread
+
+
+def test_lines_without_an_end_and_of_any_length_are_bounded():
+    splitter = LineSplitter()
+    assert splitter.lines(b"x" * 5000) == []
+    assert splitter.lines(b"y" * 5000 + b"\n$ok\r\n") == ["$ok"]
+    assert splitter.lines(b"\xff\x00\n") == ["\ufffd\x00"]

@@ -1,0 +1,143 @@
+"""A source without ROS: judged by what it gave, bounded whatever comes; and what the system drops is counted."""
+
+import random
+import socket
+from datetime import datetime, timedelta, timezone
+
+import pytest
+
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.nmea.instrument_line import datetime_ns
+from ship_bags.stamps import NS_PER_S
+from ship_estimation.parameters import build
+from ship_nmea.instruments.config import NmeaInConfig
+from ship_nmea.instruments.lines import heard_texts
+from ship_nmea.instruments.links import UdpLink
+from ship_nmea.instruments.source import NO_TIME, Source
+from ship_node.edge.messages_out import Level
+from ship_testing.listening_node import free_port
+from ship_testing.ship_logs import sentence
+
+START = datetime(2026, 3, 1, 12, tzinfo=timezone.utc)
+
+
+@pytest.fixture
+def source():
+    def make(**parameters):
+        config = build(NmeaInConfig, {"sources": {"a": {"kind": "udp", "port": 10110, **parameters}}})
+        return Source("a", config.sources["a"], config.role("a"), RosbagsFactory(), now_ns=0)
+
+    return make
+
+
+def pashr(moment):
+    return sentence(f"PASHR,{moment:%H%M%S}.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
+
+
+def taken(source, line, arrival_ns, now_ns=0):
+    return [topic for heard in heard_texts(line) for topic, _ in source.take(heard, arrival_ns, now_ns)]
+
+
+def test_the_nodes_time_goes_back_and_attitudes_come_again(source):
+    """A bag that is played in a loop; without starting anew each attitude were not later than the last one."""
+    ins = source(becomes="ins")
+    for _ in range(2):
+        for seconds in range(3):
+            moment = START + timedelta(seconds=seconds)
+            assert taken(ins, pashr(moment), datetime_ns(moment)) == ["ins/imu"]
+
+
+def test_a_node_without_time_uses_no_line(source):
+    ins = source(becomes="ins", silent_after_s=1.0)
+    assert taken(ins, pashr(START), 0, 2 * NS_PER_S) == []
+    status = ins.status("", 0, 2 * NS_PER_S)
+    assert (status.level, status.values[f"rejected: {NO_TIME}"]) == (Level.ERROR, "1")
+
+
+@pytest.mark.parametrize(
+    ("bodies", "told"),
+    [
+        (["HEVTG,,T,,M,,N,,K,A"], "lines come, and no reference/a/imu for 2 s: heard are HEVTG"),
+        (["GPHDT,10.0,T"], "heard are no sentences of use, of other talkers GP"),
+        (["HEHDT,,T"], "no values in it 1, as '$HEHDT,,T*"),
+        ([], "udp 0.0.0.0:10110: no line for 2 s"),
+    ],
+)
+def test_a_source_that_gives_nothing_is_told_with_the_reason(source, bodies, told):
+    gyro = source(becomes="gyro", silent_after_s=1.0, talkers=["HE"])
+    for body in bodies:
+        taken(gyro, sentence(body).encode(), datetime_ns(START), 2 * NS_PER_S)
+    status = gyro.status("", 0, 2 * NS_PER_S)
+    assert status.level == Level.ERROR
+    assert told in status.message
+
+
+def test_a_fault_that_is_over_is_a_warning_for_ten_seconds(source):
+    gyro = source(becomes="gyro", silent_after_s=100.0)
+    taken(gyro, b"$HEHDT,10", datetime_ns(START), NS_PER_S)
+    taken(gyro, sentence("HEHDT,10.0,T").encode(), datetime_ns(START), 2 * NS_PER_S)
+    assert [gyro.status("", 0, now_s * NS_PER_S).level for now_s in (2, 11, 12)] == [Level.WARN, Level.WARN, Level.OK]
+    assert gyro.status("Connection refused", 0, 12 * NS_PER_S).level == Level.ERROR
+    levels = [gyro.status("", 5, now_s * NS_PER_S).level for now_s in (13, 23, 24)]
+    assert levels == [Level.ERROR, Level.ERROR, Level.OK]
+
+
+def test_what_is_counted_is_bounded(source):
+    """Ten thousand names of sentences and talkers, each once."""
+    gyro, rng = source(becomes="gyro", talkers=["HE"]), random.Random(3)
+    for _ in range(10_000):
+        talker = "".join(rng.choices("ABCDEFGHIJKLM0123456789", k=2))
+        maker = "".join(rng.choices("ABCDEFGHIJKLMNOPQRSTUVWXYZ", k=3))
+        for body in (f"{talker}HDT,10.0,T", f"P{maker}{'x' * 100},1", f"{talker}{maker},1"):
+            taken(gyro, sentence(body).encode(), datetime_ns(START))
+        taken(gyro, f"{maker}LONG,1".encode(), datetime_ns(START))
+    values = gyro.status("", 0, 0).values
+    assert int(values["lines"]) == 40_000
+    assert len(values) < 150
+    assert max(len(text) for pair in values.items() for text in pair) < 120
+
+
+TEMPLATES = [
+    ("ins", "INZDA,120000.00,01,03,2026,,"), ("ins", "PSXN,20,1,0,0,0"), ("ins", "PSXN,23,0.35,-1.74,218.26,0.58"),
+    ("ins", "PASHR,120000.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1"),
+    ("gnss", "INGGA,120000.00,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,"),
+    ("gyro", "HETHS,218.53,A"), ("gyro", "HEHDT,218.53,T"), ("weather", "WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"),
+    ("weather", "WIMDA,30.2269,I,1.0236,B,17.7,C,,,43.3,,5.0,C,131.5,T,128.6,M,0.8,N,0.4,M"),
+]  # fmt: skip
+ODD = ["", "nan", "inf", "-1e400", "1e30", "x", "sNaN", "99", "235960.00", "250000", "-", "1,2", "0x10", "²", "1_0"]
+
+
+def test_fields_of_every_kind_never_raise_and_attitudes_are_attitudes(source):
+    """Sentences with right checksums and odd fields: an instrument's software has faults as well."""
+    rng, sources = random.Random(4), {role: source(becomes=role) for role, _ in TEMPLATES}
+    given = 0
+    for number in range(6000):
+        role, body = rng.choice(TEMPLATES)
+        name, *fields = body.split(",")
+        for _ in range(rng.randint(0, 2)):
+            fields[rng.randrange(len(fields))] = rng.choice(ODD)
+        line = sentence(",".join([name, *fields])).encode(errors="replace")
+        for heard in heard_texts(line):
+            for topic, message in sources[role].take(heard, datetime_ns(START) + number, 0):
+                given += 1
+                if topic.endswith("imu"):
+                    q = message.orientation
+                    assert abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) < 1e-9
+    assert given > 1000
+
+
+def test_datagrams_that_the_system_drops_are_counted():
+    """Linux keeps so many bytes for a socket; nobody reads it while ten thousand datagrams come."""
+    port, count = free_port(), 10_000
+    link = UdpLink("127.0.0.1", port, "")
+    link.open()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for _ in range(count):
+            sender.sendto(b"$HEHDT,10.0,T*2D\r\n", ("127.0.0.1", port))
+        read = sum(1 for _ in iter(link.read, b""))
+        # The count comes with the next datagram.
+        sender.sendto(b"$HEHDT,10.0,T*2D\r\n", ("127.0.0.1", port))
+        assert link.read()
+    assert link.lost > 0
+    assert read + link.lost == count
+    link.close()
