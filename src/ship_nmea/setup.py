@@ -11,7 +11,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=["setuptools", "numpy", "pynmea2", "pyserial"],
+    install_requires=["setuptools", "pynmea2", "pyserial"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Ship attitude team",
