@@ -12,7 +12,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     install_requires=["setuptools", "pynmea2", "pyserial"],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest", "numpy"]},
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",
