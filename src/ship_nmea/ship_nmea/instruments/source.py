@@ -1,12 +1,13 @@
 """One source of sentences: its lines become messages, and what becomes of each line is counted and told."""
 
+import threading
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 from ship_bags.message_factory import MessageFactory
-from ship_bags.nmea.instrument import Instrument, InstrumentRole
+from ship_bags.nmea.instrument import WEATHER, Instrument, InstrumentRole
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport
 from ship_bags.nmea.sentences import NotOfInterest, Unusable
 from ship_bags.stamps import NS_PER_S
@@ -58,7 +59,7 @@ class LiveReport(LineReport):
 
 
 class Source:
-    """Turns what was heard into messages.
+    """Turns what was heard into messages, in one thread, and tells how it does in another.
 
     Args:
         id_: of the source.
@@ -76,23 +77,27 @@ class Source:
         self._role, self._factory = role, factory
         self._report = LiveReport(id_)
         self._instrument = Instrument(factory, role, id_, self._report)
+        self._lock = threading.Lock()
         self._arrival_ns = 0
         self._heard_ns = self._given_ns = self._told_ns = now_ns
         self._given: Counter[str] = Counter()
         self._given_before = 0
         self._dropped, self._dropped_ns = 0, now_ns - SHOWN_NS
         # Of an INS the attitude matters, of a weather station whatever it tells.
-        is_weather = len(self.topics) > 1 and all(topic.startswith("met/") for topic in self.topics)
-        self._wanted = tuple(self.topics) if is_weather else tuple(self.topics)[:1]
+        self._wanted = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
 
-    def take(self, heard: HeardText, arrival_ns: int, now_ns: int) -> Iterator[tuple[str, Any]]:
-        """The messages of the next text, by topic; who takes one publishes it.
+    def take(self, heard: HeardText, arrival_ns: int, now_ns: int) -> list[tuple[str, Any]]:
+        """The messages of the next text, each with its topic; they count as given.
 
         Args:
             heard: the text and what it says.
             arrival_ns: the node's time at which it came; 0 where the node has no time yet.
             now_ns: steady time.
         """
+        with self._lock:
+            return self._taken(heard, arrival_ns, now_ns)
+
+    def _taken(self, heard: HeardText, arrival_ns: int, now_ns: int) -> list[tuple[str, Any]]:
         report = self._report
         report.lines += 1
         report.now_ns = self._heard_ns = now_ns
@@ -100,12 +105,12 @@ class Source:
             self._instrument = Instrument(self._factory, self._role, self.id, report)
         self._arrival_ns = arrival_ns
         line = self._line(heard, arrival_ns)
-        if line is not None:
-            for _, topic, message in self._instrument.take(line):
-                yield topic, message
-                self._given[topic] += 1
-                if topic in self._wanted:
-                    self._given_ns = now_ns
+        messages = [] if line is None else [(topic, message) for _, topic, message in self._instrument.take(line)]
+        for topic, _ in messages:
+            self._given[topic] += 1
+            if topic in self._wanted:
+                self._given_ns = now_ns
+        return messages
 
     def _line(self, heard: HeardText, arrival_ns: int) -> InstrumentLine | None:
         says, report = heard.says, self._report
@@ -130,6 +135,10 @@ class Source:
             dropped: lines of its link that were not kept.
             now_ns: steady time.
         """
+        with self._lock:
+            return self._status(problem, dropped, now_ns)
+
+    def _status(self, problem: str, dropped: int, now_ns: int) -> DiagnosticStatus:
         if dropped > self._dropped:
             self._dropped, self._dropped_ns = dropped, now_ns
         level, text = self._judged(problem, now_ns)
@@ -161,7 +170,7 @@ class Source:
         if not now_ns - self._heard_ns <= limit_ns:
             return Level.ERROR, f"{self.config.place}: no line for {(now_ns - self._heard_ns) / NS_PER_S:.0f} s"
         if not now_ns - self._given_ns <= limit_ns:
-            others = "".join(f", of other talkers {_names(report.talkers)}" if report.talkers else "")
+            others = f", of other talkers {_names(report.talkers)}" if report.talkers else ""
             why = wrong or f"heard are {_names(report.unused, report.used) or 'no sentences of use'}{others}"
             return Level.ERROR, f"lines come, and no {topics} for {(now_ns - self._given_ns) / NS_PER_S:.0f} s: {why}"
         if now_ns - self._dropped_ns <= SHOWN_NS:
