@@ -12,7 +12,7 @@ import pytest
 
 from ship_bringup.commands import policies
 from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text, published, subscribed
-from ship_bringup.security.rights import device_of, nmea_nodes, suite_rights
+from ship_bringup.security.rights import device_of, suite_rights
 from ship_bringup.suite.plan import checked_nodes
 
 PACKAGE = Path(__file__).parents[1]
@@ -89,12 +89,6 @@ def test_nmea_out_hears_what_it_tells_and_acknowledges_nmea_in_gives_what_instru
     assert not into.subscribes | into.requests
     assert not any("star" in topic or "ship/" in topic for topic in into.publishes)
     assert not {"/demo/nmea_out", "/demo/nmea_in"} & set(rights_of("two_sensors"))
-
-
-def test_the_nmea_nodes_of_a_suite_file(tmp_path):
-    path = tmp_path / "suite.yaml"
-    path.write_text("/**/ship_attitude: {ros__parameters: {lag_s: 2.0}}\n/**/nmea_in: {ros__parameters: {a: 1}}\n")
-    assert nmea_nodes(path, "demo") == ("nmea_in",)
 
 
 def test_services_are_two_topics_one_each_way():

@@ -106,3 +106,5 @@ def test_what_a_suite_file_asks_of_the_quality_of_service(tmp_path):
     topics = ["ins/imu", "gnss/fix", "met/pressure"]
     assert asked_qualities(path, topics, "demo") == {"ins/imu": {"reliable"}, "met/pressure": {"transient_local"}}
     assert asked_qualities(path, topics, "aurora") == {}
+    path.write_text("/**/ship_attitude: {ros__parameters: {reliable_inputs: true}}\n")
+    assert asked_qualities(path, topics, "demo") == {name: {"reliable"} for name in topics}

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
-from ship_bags.parameter_yaml import full_name, read_sections
+from ship_bags.parameter_yaml import RELIABLE_INPUTS_PARAMETER, full_name, read_sections
 from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.checks.network_look import STRONGER, HeardTopic, NetworkState
 from ship_node.edge.input_record import MAX_AGE_S
@@ -28,6 +28,8 @@ def asked_qualities(path: Path, topics: Iterable[str], namespace: str) -> dict[s
     found: dict[str, frozenset[str]] = {}
     for section in read_sections(path)[1]:
         for key, (value, _) in section.parameters.items():
+            if key == RELIABLE_INPUTS_PARAMETER and value is True:
+                found |= {name: found.get(name, frozenset()) | {"reliable"} for name in begins.values()}
             topic = begins.get(key.rpartition(".")[0] + ".")
             if topic is not None and value in STRONGER:
                 found[topic] = found.get(topic, frozenset()) | {value}

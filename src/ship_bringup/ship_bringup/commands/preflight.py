@@ -27,8 +27,9 @@ from ship_bringup.checks.security_check import judge_keystore, judge_security
 from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
 from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
-from ship_bringup.security.rights import is_instruments, nmea_nodes, suite_rights
+from ship_bringup.security.rights import is_instruments, suite_rights
 from ship_bringup.suite.plan import without_saved_file
+from ship_node.parameters.companions import named_companions
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
@@ -55,8 +56,9 @@ class _Suite:
     chain: AdapterChain
 
     @property
-    def nmea(self) -> tuple[str, ...]:
-        return nmea_nodes(self.options.file, self.options.namespace)
+    def nmea(self) -> list[str]:
+        companions = named_companions(self.options.file, self.options.namespace)
+        return [companion.node_name for companion in companions]
 
     @property
     def names(self) -> list[str]:

@@ -8,14 +8,12 @@ import hashlib
 import json
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 from ship_bags.parameter_yaml import full_name
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_estimation.parameters import describe
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE
-from ship_node.parameters.parameter_file import has_section
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_watch.topics import MESSAGES, TOPICS, watched_topic
 
@@ -30,9 +28,6 @@ _SET = "set_parameters", "set_parameters_atomically"
 _TYPE_DESCRIPTION = "get_type_description"
 _TWO_WORDS = "star", "reference", "beacon"
 """Topics of these have the id of a device as their second word."""
-
-NMEA_NODES = "nmea_out", "nmea_in"
-"""Nodes of ship_nmea that a suite file may name beside the estimators."""
 
 _INSTRUMENTS = "ins", "reference", "gnss", "met"
 """First words of the topics that ``nmea_in`` gives."""
@@ -86,14 +81,9 @@ def suite_rights(
         namespace: of the suite, without its outer slashes; empty for none.
         locked: whether nobody may set a parameter of a running node.
         played: whether a bag may be played into it: somebody sets /clock and gives what sensors give. Not for a voyage.
-        nmea: those of :data:`NMEA_NODES` that the suite has.
+        nmea: names of those companions of the estimators that the suite has.
     """
     return tuple(_SuiteRights(adapters, namespace, locked, played).all(nmea))
-
-
-def nmea_nodes(suite_path: Path, namespace: str) -> tuple[str, ...]:
-    """Those of :data:`NMEA_NODES` that a suite file names."""
-    return tuple(name for name in NMEA_NODES if has_section(suite_path, full_name(name, namespace), wildcards=False))
 
 
 def is_instruments(topic: str) -> bool:

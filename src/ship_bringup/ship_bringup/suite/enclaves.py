@@ -10,9 +10,10 @@ from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import full_name
 from ship_bringup.security.demand import KEYSTORE, domain_of, enclave_command
 from ship_bringup.security.keystore import KeystoreUse, require_keystore
-from ship_bringup.security.rights import NMEA_NODES, suite_rights
+from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.keeper import Program
 from ship_node.edge.adapter import Adapter
+from ship_node.parameters.companions import COMPANIONS
 from ship_watch.limits import Limits
 
 
@@ -35,7 +36,7 @@ def in_enclaves(
     if not keystore:
         raise BadInput(f"DDS security is demanded, and {KEYSTORE} is not set: not started; it names the keystore")
     enclaves = [full_name(program.name, namespace) for program in programs]
-    rights = suite_rights(adapters, namespace, played=played, nmea=NMEA_NODES)
+    rights = suite_rights(adapters, namespace, played=played, nmea=[each.node_name for each in COMPANIONS])
     use = KeystoreUse(
         rights=[replace(each, is_needed=True) for each in rights if each.enclave in enclaves],
         domain_id=domain_of(os.environ),
