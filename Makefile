@@ -17,7 +17,7 @@ HOURS ?= 100
 FAULT_ARGS ?=
 PORT ?= 5006
 
-.PHONY: help setup test lint demo watch bags bench campaign faults hours kills stanford clean
+.PHONY: help setup test lint demo watch bags bench campaign faults hours kills stanford bundle audit clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -66,6 +66,13 @@ stanford: setup ## errors against protection levels, a million epochs: docs/figu
 
 kills: setup ## kill -9 of recorder and node at random moments: what is lost
 	@$(RUN) python tools/kill_campaign.py
+
+bundle: setup ## one tar of this commit with all wheels, to set up without a network; FOR=3.12 for another Python
+	@$(RUN) python tools/bundle.py $(if $(FOR),--for $(FOR))
+
+audit: setup ## known vulnerabilities of the pinned packages, and their licences; asks the network
+	@$(RUN) python tools/licences.py --check
+	@$(RUN) python tools/audit.py
 
 clean: ## remove what was built; out/ with your files stays, and the wheels (rm -r .venv removes them)
 	@rm -rf build install log .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -10,7 +10,7 @@ from tools import draw_frames
 from tools.reference_pages import FOLDER, PAGES
 
 ROOT = Path(__file__).parents[1]
-PUBLISHED = sorted([ROOT / "README.md", ROOT / "bags" / "README.md", *(ROOT / "docs").rglob("*.md")])
+PUBLISHED = sorted([*ROOT.glob("*.md"), ROOT / "bags" / "README.md", *(ROOT / "docs").rglob("*.md")])
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 HEADING = re.compile(r"^#+ +(.+)$", re.MULTILINE)
 

@@ -1,6 +1,7 @@
 """``suite`` with the real nodes over DDS: brought up from a file, kept running, apart from another suite."""
 
 import contextlib
+import functools
 import itertools
 import os
 import re
@@ -13,13 +14,14 @@ from pathlib import Path
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
+from tf2_msgs.msg import TFMessage
 
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import sections_text
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_bringup.suite.dds_ports import QUICK_TO_CONNECT, ports_of
+from ship_bringup.suite.dds_ports import UDP_ALONE, ports_of
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
@@ -136,6 +138,19 @@ def namespaces(node, topic):
     return {info.node_namespace for info in ends}
 
 
+FRAMES = {
+    ("alpha", "horizon", "deck"),
+    ("alpha", "deck", "star_fore"),
+    ("alpha", "deck", "star_starboard"),
+    ("beta", "deck", "theodolite_main"),
+}
+
+
+def hear_frames(frames, name, message):
+    """Note what hangs on what on the /tf of a suite."""
+    frames.update((name, each.header.frame_id, each.child_frame_id) for each in message.transforms)
+
+
 def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
     statuses: dict[str, set[str]] = {}
@@ -144,7 +159,11 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
         command = suite("--bag", bag, "--namespace", name, "--loop", "0")
         return LiveProcess(command, tmp_path / f"{name}.log", environment)
 
+    frames: set[tuple[str, str, str]] = set()
     with GraphObserver(domain) as observer, started("alpha", DEMO) as alpha, started("beta", THEODOLITE) as beta:
+        for name, topic in itertools.product(("alpha", "beta"), ("tf", "tf_static")):
+            take = functools.partial(hear_frames, frames, name)
+            observer.node.create_subscription(TFMessage, f"/{name}/{topic}", take, 100)
         there = {"/alpha/ship/attitude": 1, "/alpha/clock": 1, "/beta/theodolite/pointing": 1, "/beta/clock": 1}
         assert observer.wait_for(there, {"/beta/ship/attitude": 1}, 60.0), alpha.log() + beta.log()
         names = dict(observer.node.get_topic_names_and_types())
@@ -155,6 +174,7 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
             # Names of nodes come later than their topics.
             assert observer.spin_until(lambda t=topic, own=own: namespaces(observer.node, t) == {own}), topic
             assert observer.node.count_publishers(topic) == 1
+        assert observer.spin_until(lambda: frames >= FRAMES), frames
         # Suites share this topic alone: what a node tells of itself says whose it is.
         observer.node.create_subscription(
             DiagnosticArray,
@@ -164,6 +184,7 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
         )
         wanted = {"ship_attitude: clock": {"/alpha/ship_attitude"}, "optical_axis: clock": {"/beta/optical_axis"}}
         assert observer.spin_until(lambda: wanted.items() <= statuses.items()), statuses
+        assert frames == FRAMES
         assert alpha.end(signal.SIGTERM) == 0
         assert beta.exit_code is None
         assert observer.node.count_publishers("/beta/theodolite/pointing") == 1
@@ -177,7 +198,7 @@ def test_a_node_that_is_killed_is_back_within_two_seconds_with_its_last_saved_al
     participants tell that they are there (``dds_profile.xml``). On a computer that has more to do than that, one kill
     of three must do: how long a process waits for a core is not the suite's.
     """
-    for name, value in QUICK_TO_CONNECT.items():
+    for name, value in UDP_ALONE.items():
         monkeypatch.setenv(name, value)  # of who is not started by the suite
     gaps_s = []
     while not gaps_s or (min(gaps_s) >= 2.0 and len(gaps_s) < 3):

@@ -21,10 +21,13 @@ import sysconfig
 import time
 from pathlib import Path
 
+from wheelhouse import NETWORK_SIGNS, WheelsRefused, hashed_requirements, own_wheels
+
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 LOCK = ROOT / "requirements.lock"
 SRC = ROOT / "src"
+WHEELS_ONLY = ROOT / "wheels_only"  # packages that a Jazzy installation brings and no wheel does
 BUILD = ROOT / "build"
 INSTALL = ROOT / "install"
 SETUP_LOG = VENV / "setup.log"
@@ -34,15 +37,6 @@ STAMP_BUILD = BUILD / ".stamp_build"
 ROS_PREFIX_FILE = VENV / ".ros_prefix"  # holds the prefix of the sourced Jazzy installation; absent with wheels
 
 SPACE_NEEDED_GB = 1.5  # 0.9 GB stay, the rest while wheels are unpacked
-NETWORK_SIGNS = (
-    "NewConnectionError",
-    "name resolution",
-    "ConnectTimeout",
-    "ReadTimeout",
-    "Connection refused",
-    "ProxyError",
-    "Network is unreachable",
-)
 
 
 class SetupError(Exception):
@@ -129,40 +123,55 @@ def make_venv(prefix: str, identity: str) -> None:
     STAMP_VENV.write_text(identity)
 
 
-def locked_wheels(with_ros: bool) -> list[str]:
-    """Lines of requirements.lock to install; an installed ROS brings itself and the numpy it was built with."""
-    wheels = [line.strip() for line in LOCK.read_text().splitlines() if re.match(r"\s*[A-Za-z0-9]", line)]
-    if with_ros:
-        return wheels
-    return [line for line in wheels if not line.startswith(("ros-", "numpy=="))]
+def wheels_to_install(with_ros: bool) -> tuple[list[str], list[str]]:
+    """Lines for pip, and where it finds them; an installed ROS brings itself and the numpy it was built with.
+
+    The lines are those of requirements.lock, from the package index, or the hashed ones of a bundle, from its wheels.
+    """
+    bundled = own_wheels(ROOT)
+    if bundled:
+        lines = hashed_requirements(bundled)
+        say(f"{len(lines)} wheels of {bundled.relative_to(ROOT)} are whole: no network is asked")
+        place = ["--isolated", "--no-index", "--no-cache-dir", "--find-links", str(bundled), "--require-hashes"]
+    else:
+        lines = [line.strip() for line in LOCK.read_text().splitlines() if re.match(r"\s*[A-Za-z0-9]", line)]
+        place = ["--prefer-binary"]
+    return [line for line in lines if with_ros or not line.startswith(("ros-", "numpy=="))], place
 
 
-def install_wheels(prefix: str, identity: str) -> None:
+def install_wheels(prefix: str, identity: str, wheels: list[str], place: list[str]) -> None:
     """Install every pinned wheel, without resolving: the lock is the whole closure."""
-    wheels = locked_wheels(with_ros=not prefix)
     say(f"{len(wheels)} pinned wheels from {LOCK.name}, a minute or two")
     chosen = VENV / "requirements.txt"
     chosen.write_text("\n".join(wheels) + "\n")
-    pip = [str(VENV / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--no-input"]
+    pip = [str(VENV / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--no-input", *place]
     if prefix:
         pip.append("--ignore-installed")  # what the system has of the same name is not ours to count on
     env = {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+    if "--no-index" in place:
+        env["PIP_CONFIG_FILE"] = os.devnull  # which may name an index or other wheels
     try:
-        run([*pip, "--no-deps", "--no-compile", "--prefer-binary", "-r", str(chosen)], SETUP_LOG, env)
+        run([*pip, "--no-deps", "--no-compile", "-r", str(chosen)], SETUP_LOG, env)
     except subprocess.CalledProcessError as error:
-        if any(sign in error.output for sign in NETWORK_SIGNS):
-            reason = "pip cannot reach the package index: connect to the network or set pip's proxy or index"
-        elif "No space left" in error.output:
-            reason = f"no space left: {SPACE_NEEDED_GB} GB needed, make room"
-        else:
-            reason = f"{last_line(error.output, 'ERROR')} (all of it in {SETUP_LOG.relative_to(ROOT)})"
-        raise SetupError(f"{reason}; then run make setup again") from error
+        raise SetupError(f"{why_not_installed(error.output)}; then run make setup again") from error
     if not prefix:
         repair_paths()
     # Compiled here on all cores; sources that do not compile (templates) are no matter.
     compile_all = [str(VENV / "bin" / "python"), "-m", "compileall", "-q", "-j", "0", str(site_packages())]
     subprocess.run(compile_all, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
     STAMP_WHEELS.write_text(identity)
+
+
+def why_not_installed(output: str) -> str:
+    """What pip's output says, in one line."""
+    if any(sign in output for sign in NETWORK_SIGNS):
+        return "pip cannot reach the package index: connect to the network, set pip's proxy or index, or use a bundle"
+    if "No space left" in output:
+        return f"no space left: {SPACE_NEEDED_GB} GB needed, make room"
+    unfit = re.search(r"No matching distribution found for (\S+)", output)
+    if unfit and own_wheels(ROOT):
+        return f"the wheel of {unfit[1]} does not fit this machine: make the bundle on one that is like it, or older"
+    return f"{last_line(output, 'ERROR')} (all of it in {SETUP_LOG.relative_to(ROOT)})"
 
 
 def site_packages() -> Path:
@@ -197,12 +206,13 @@ def repair_paths() -> None:
     say(f"paths of the ROS wheels repaired in {count} files")
 
 
-def build_identity(wheels: str) -> str:
+def build_identity(wheels: str, prefix: str) -> str:
     """Changes when something changes that colcon must see: with symlinks an edited Python file is not such a thing."""
     parts: list[str | bytes] = [wheels]
+    folders = [SRC] if prefix else [SRC, WHEELS_ONLY]
     contents = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt", "colcon.meta")
     generated = {"__pycache__", "test", ".pytest_cache", ".mypy_cache", ".ruff_cache"}
-    for path in [ROOT / "colcon.meta", *sorted(SRC.rglob("*"))]:
+    for path in [ROOT / "colcon.meta", *sorted(path for folder in folders for path in folder.rglob("*"))]:
         inner = path.relative_to(ROOT).parts
         if not path.is_file() or generated.intersection(inner) or any(p.endswith(".egg-info") for p in inner):
             continue
@@ -213,8 +223,8 @@ def build_identity(wheels: str) -> str:
     return digest(*parts)
 
 
-def build_packages(identity: str) -> None:
-    """Run colcon over src/ with symlinks."""
+def build_packages(identity: str, prefix: str) -> None:
+    """Run colcon over src/ with symlinks; over the wheels, also over what they lack of Jazzy."""
     if (BUILD.exists() or INSTALL.exists()) and not (BUILD / ".by_setup").exists():
         say("build/ and install/ of another colcon call are removed: builds with and without symlinks do not mix")
         shutil.rmtree(BUILD, ignore_errors=True)
@@ -224,8 +234,10 @@ def build_packages(identity: str) -> None:
     (BUILD / "COLCON_IGNORE").touch()
     STAMP_BUILD.unlink(missing_ok=True)
     say("colcon build of src/")
+    lacking = [] if prefix else sorted(str(path.parent.relative_to(ROOT)) for path in WHEELS_ONLY.glob("*/package.xml"))
+    where = " ".join(["--base-paths src", *(["--paths", *lacking] if lacking else [])])
     colcon = (
-        "source tools/env.sh && exec colcon --log-base log build --symlink-install --base-paths src"
+        f"source tools/env.sh && exec colcon --log-base log build --symlink-install {where}"
         ' --event-handlers console_cohesion+ --cmake-args -G Ninja "-DPython3_EXECUTABLE=$VIRTUAL_ENV/bin/python"'
     )
     # Left to itself colcon adds a load limit, with which a busy machine compiles one file at a time.
@@ -255,18 +267,19 @@ def set_up() -> None:
     wheels_done = read_stamp(STAMP_WHEELS)
     fresh = read_stamp(STAMP_VENV) != venv_identity or not wheels_done
     fresh = fresh or (bool(prefix) and wheels_done != wheels_identity)
-    identity = build_identity(wheels_identity)
+    identity = build_identity(wheels_identity, prefix)
     if not fresh and wheels_done == wheels_identity and read_stamp(STAMP_BUILD) == identity:
         return
     check_machine(fresh)
+    to_install = wheels_to_install(with_ros=not prefix) if fresh or wheels_done != wheels_identity else None
     if fresh:
         make_venv(prefix, venv_identity)
         shutil.rmtree(BUILD, ignore_errors=True)
         shutil.rmtree(INSTALL, ignore_errors=True)
-    if read_stamp(STAMP_WHEELS) != wheels_identity:
+    if to_install:
         STAMP_WHEELS.unlink(missing_ok=True)
-        install_wheels(prefix, wheels_identity)
-    build_packages(identity)
+        install_wheels(prefix, wheels_identity, *to_install)
+    build_packages(identity, prefix)
     say(f"done in {time.monotonic() - begin:.0f} s")
 
 
@@ -280,10 +293,7 @@ def main() -> int:
                 say("waiting for another set-up of this checkout")
                 fcntl.flock(lock, fcntl.LOCK_EX)
             set_up()
-    except SetupError as error:
-        print(f"setup: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
+    except (SetupError, WheelsRefused, OSError) as error:
         print(f"setup: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

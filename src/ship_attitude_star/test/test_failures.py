@@ -78,7 +78,10 @@ def test_mend_02_an_attitude_that_cannot_be_computed_is_the_only_one_missing(mon
     bad = failing_where(lambda _, time_ns, *rest: time_ns == bad_ns, CorrectedIns.estimate)
     monkeypatch.setattr(CorrectedIns, "estimate", bad)
     run = drive(new_adapter(), voyage())
-    lost = [m for m in clean.messages("ship/attitude") + clean.messages("ship/imu") if stamp_of(m) == bad_ns]
+    stamped = [m for topic in ("ship/attitude", "ship/imu", "ship/attitude_deg") for m in clean.messages(topic)]
+    lost = [m for m in stamped if stamp_of(m) == bad_ns]
+    lost += [m for m in clean.messages("/tf") if stamp_of(m.transforms[0]) == bad_ns]
+    assert len(lost) == 4
     missing = [exactly(m) for m in lost]
     assert run.results() == [result for result in clean.results() if result[2] not in missing]
     assert_told(run, "ship/attitude", bad_ns)

@@ -21,7 +21,16 @@ PARAMETERS_KEY = "ros__parameters"
 BLACK_BOX_PARAMETER = "black_box"
 """Every node's shell has it: path of the box, empty for none."""
 
-SHELL_PARAMETERS = ("use_sim_time", "qos_overrides", "start_type_description_service", BLACK_BOX_PARAMETER)
+RELIABLE_INPUTS_PARAMETER = "reliable_inputs"
+"""Every node's shell has it: whether what is lost on the way to its inputs is sent again."""
+
+SHELL_PARAMETERS = (
+    "use_sim_time",
+    "qos_overrides",
+    "start_type_description_service",
+    BLACK_BOX_PARAMETER,
+    RELIABLE_INPUTS_PARAMETER,
+)
 """First part of the names of parameters that belong to rclpy or the node's shell and not to a configuration."""
 
 ANYWHERE = "/**/"

@@ -1,6 +1,7 @@
 """Times as integer nanoseconds of POSIX UTC: from stamps of messages, to stamps, and as people read them."""
 
 import math
+import re
 from datetime import datetime, timezone
 from typing import Any
 
@@ -10,6 +11,8 @@ NS_PER_S = 1_000_000_000
 
 END_OF_TIME_NS = 2**31 * NS_PER_S
 """In 2038: the seconds of a stamp are a signed 32-bit number."""
+
+_UTC_TEXT = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?(?:Z|\+00:00)?")
 
 _UNITS = (
     ("minutes", 60.0, 7200.0),
@@ -38,6 +41,22 @@ def utc_text(time_ns: int) -> str:
     except (ValueError, OverflowError, OSError):
         return f"{time_ns} ns"
     return f"{moment:%Y-%m-%dT%H:%M:%S}.{remainder_ns // 1_000_000:03d}Z"
+
+
+def ns_from_utc_text(text: str) -> int:
+    """A time of UTC as people write it, e.g. ``2014-08-01T00:00:00.17Z``, as POSIX time in nanoseconds.
+
+    Raises:
+        ValueError: it is none; the text says so.
+    """
+    parts = _UTC_TEXT.fullmatch(text)
+    try:
+        moment = datetime.fromisoformat(parts[1] if parts else text).replace(tzinfo=timezone.utc)
+    except ValueError:
+        parts = None
+    if parts is None:
+        raise ValueError(f"'{text}' is no time of UTC like 2026-06-01T20:00:30.5Z")
+    return int(moment.timestamp()) * NS_PER_S + int((parts[2] or "").ljust(9, "0"))
 
 
 def duration_text(ns: int) -> str:

@@ -1,4 +1,4 @@
-"""DDS security that is demanded and not there: nothing starts."""
+"""DDS security that is demanded and not there: nothing starts. And which Fast DDS profile counts."""
 
 import os
 import subprocess
@@ -8,7 +8,18 @@ from pathlib import Path
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import ENABLE, STRATEGY, dds_has_security, is_demanded, loaded_libraries, spelled_demand
+from ship_bags.live.ros_process import (
+    DDS_PROFILE,
+    ENABLE,
+    PROFILE_VARIABLE,
+    QOS_FROM_PROFILE_VARIABLE,
+    STRATEGY,
+    dds_has_security,
+    is_demanded,
+    loaded_libraries,
+    spelled_demand,
+    use_dds_profile,
+)
 from ship_testing.places import RELAY_PROGRAM
 
 RELAY = [sys.executable, RELAY_PROGRAM]
@@ -66,3 +77,27 @@ def test_mend_19_a_node_refuses_in_one_line(spelling: str, strategy: str) -> Non
     result = subprocess.run(RELAY, capture_output=True, text=True, timeout=60, check=False, env=environment)
     assert (result.returncode, result.stderr.count("\n")) == (2, 1), result.stderr
     assert result.stderr.startswith(f"relay: {ENABLE}={spelling} demands DDS security")
+
+
+OWN = str(DDS_PROFILE)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ({}, (OWN, "1")),
+        ({PROFILE_VARIABLE: OWN}, (OWN, "1")),
+        ({PROFILE_VARIABLE: "/etc/ship/dds.xml"}, ("/etc/ship/dds.xml", None)),
+        ({QOS_FROM_PROFILE_VARIABLE: "0"}, (OWN, "0")),
+    ],
+)
+def test_the_profile_of_the_suite_counts_unless_people_set_another(
+    monkeypatch: pytest.MonkeyPatch, before: dict[str, str], after: tuple[str, str | None]
+) -> None:
+    for name in (PROFILE_VARIABLE, QOS_FROM_PROFILE_VARIABLE):
+        monkeypatch.setenv(name, "")  # what the function sets is taken back after the test
+        monkeypatch.delenv(name)
+    for name, value in before.items():
+        monkeypatch.setenv(name, value)
+    use_dds_profile()
+    assert (os.environ[PROFILE_VARIABLE], os.environ.get(QOS_FROM_PROFILE_VARIABLE)) == after

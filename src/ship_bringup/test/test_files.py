@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from ship_bags.live.ros_process import DDS_PROFILE
 from ship_bags.message_factory import RosidlFactory
 from ship_bringup.commands import suite as suite_command
 from ship_node.parameters.companions import COMPANIONS
@@ -34,8 +35,11 @@ GRAMMAR = {  # tag: (attributes taken, attributes that must be there, children)
     "launch": ({"version"}, set(), {"arg", "group", "node", "executable", "let", "include"}),
     "arg": ({"name", "default", "description"}, {"name"}, {"choice"}),
     "let": ({"name", "value", *CONDITIONS}, {"name", "value"}, set()),
-    "group": ({"scoped", "forwarding", *CONDITIONS}, set(), {"push_ros_namespace", "node", "executable", "let"}),
+    "group": (
+        {"scoped", "forwarding", *CONDITIONS}, set(), {"push_ros_namespace", "set_remap", "node", "executable", "let"},
+    ),
     "push_ros_namespace": ({"namespace", *CONDITIONS}, {"namespace"}, set()),
+    "set_remap": ({"from", "to", *CONDITIONS}, {"from", "to"}, set()),
     "executable": ({"cmd", *PROCESS}, {"cmd"}, {"env"}),
     "node": ({"pkg", "exec", "args", "ros_args", "namespace", *PROCESS}, {"pkg", "exec"}, {"param", "remap", "env"}),
     "param": ({"name", "value", "type", "from", "allow_substs"}, set(), {"param"}),
@@ -180,6 +184,10 @@ def test_the_parameter_files_are_those_of_the_examples_and_good():
         assert findings.errors == []
 
 
+def test_the_dds_profile_that_is_shown_is_the_one_that_is_used():
+    assert (PACKAGE / "config" / "dds_profile.xml").resolve() == DDS_PROFILE
+
+
 def test_all_files_are_installed():
     share = next(iter((ROOT / "install" / "ship_bringup" / "share").glob("ship_bringup")), None)
     if share is None:
@@ -198,7 +206,7 @@ def test_the_service_never_starts_again_what_bad_input_has_ended():
     assert service["KillMode"] == "mixed"
     _, package, executable, file, *options = service["ExecStart"].split()
     assert (package, executable) in executables()
-    assert (file, options) == ("/etc/ship/%i.yaml", ["--namespace", "%i", "--monitor"])
+    assert (file, options) == ("/etc/ship/%i.yaml", ["--namespace", "%i", "--monitor", "$SHIP_SUITE_OPTIONS"])
 
 
 @pytest.mark.parametrize("slip", [None, ("KillMode=mixed", "KillMode=mix")], ids=["as it is", "with a slip"])

@@ -27,6 +27,9 @@ TESTS_PER_H = 360
 """Independent values of a separation in an hour: it changes over ten seconds and more, as the slow error of an INS is
 found anew."""
 
+NORMAL_95 = 1.96
+"""95 % of a normal error lie within so many sigmas to both sides: what the suite calls the accuracy of an angle."""
+
 _COMPONENTS = 3
 _TINY_RAD2 = 1e-24
 """Of a source that is taken for exact nothing is apart by more than rounding."""

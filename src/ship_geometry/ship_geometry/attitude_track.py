@@ -87,6 +87,20 @@ class InterpolatedAttitude:
         covariance_n: FloatArray = self.rotation_nd @ self.error_covariance_d @ self.rotation_nd.T
         return covariance_n
 
+    def chord_nd(self, time_ns: int) -> FloatArray:
+        """Horizon from deck by a steady turn between the two samples, shape (3, 3): what tf2 and slerp give.
+
+        Args:
+            time_ns: the moment that was asked for; between two samples, or at one.
+        """
+        first, second = self.sample, self.next_sample
+        if first is None or second is None:
+            return self.rotation_nd
+        fraction = (time_ns - first.time_ns) / (second.time_ns - first.time_ns)
+        turn = log_rotation(first.rotation_nd.T @ second.rotation_nd)
+        chord_nd: FloatArray = first.rotation_nd @ exp_rotation(fraction * turn)
+        return chord_nd
+
 
 class AttitudeTrack(SampleTrack[AttitudeSample]):
     """Attitudes of one source, joined by a cubic of the rotation vector.

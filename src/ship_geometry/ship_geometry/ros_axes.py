@@ -79,6 +79,19 @@ def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
     return quaternion
 
 
+def mounting_quaternion(rotation_dv: FloatArray) -> FloatArray:
+    """Quaternion x, y, z, w (w >= 0), FLU <- FLU, shape (4,), of one rotation "deck from device", shape (3, 3).
+
+    Example:
+        A sensor whose boresight points to starboard, 90° to the right of the bow, has ROS yaw -90° in the deck:
+
+        >>> from ship_geometry.frames import rotation_from_angles
+        >>> print(mounting_quaternion(rotation_from_angles(np.deg2rad(90.0), 0.0, 0.0)).round(4) + 0.0)  # x, y, z, w
+        [ 0.      0.     -0.7071  0.7071]
+    """
+    return _quaternion_of_one(FLU_FROM_DEVICE @ np.asarray(rotation_dv, dtype=float) @ FLU_FROM_DEVICE.T)
+
+
 def device_vector_from_ros(vector: FloatArray, convention: str = "enu_flu") -> FloatArray:
     """(forward, up, right) from (forward, left, up), or from (forward, right, down): shape (..., 3).
 

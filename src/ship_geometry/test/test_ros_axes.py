@@ -10,6 +10,7 @@ from ship_geometry.ros_axes import (
     enu_covariance,
     flu_from_device_vector,
     horizon_covariance,
+    mounting_quaternion,
     quaternion_from_rotation,
     rotation_from_quaternion,
 )
@@ -113,3 +114,23 @@ def test_covariance_of_named_axes() -> None:
 def test_unknown_convention_is_named() -> None:
     with pytest.raises(ValueError, match=r"'nwu'.*'enu_flu' or 'ned_frd'"):
         rotation_from_quaternion([0.0, 0.0, 0.0, 1.0], "nwu")
+
+
+@each_attitude
+def test_a_device_on_the_deck_is_turned_in_the_axes_of_ros(heading_deg, pitch_deg, roll_deg) -> None:
+    """Forward, left, up on both sides: clockwise seen from above is negative about up, up is negative about left."""
+    rotation_dv = rotation_from_angles(*np.deg2rad([heading_deg, pitch_deg, roll_deg]))
+    expected = Rotation.from_euler("ZYX", [-heading_deg, -pitch_deg, roll_deg], degrees=True).as_quat(canonical=True)
+    found = mounting_quaternion(rotation_dv)
+    assert min(np.abs(found - expected).max(), np.abs(found + expected).max()) < 1e-15
+    assert found[3] >= 0.0
+
+
+def test_horizon_from_deck_and_deck_from_device_make_horizon_from_device() -> None:
+    rotation_nd = rotation_from_angles(*np.deg2rad([310.0, 4.0, -7.0]))
+    rotation_dv = rotation_from_angles(*np.deg2rad([95.0, 40.0, 3.0]))
+    chain = Rotation.from_quat(quaternion_from_rotation(rotation_nd)) * Rotation.from_quat(
+        mounting_quaternion(rotation_dv)
+    )
+    whole = Rotation.from_quat(quaternion_from_rotation(rotation_nd @ rotation_dv))
+    assert (chain.inv() * whole).magnitude() < 1e-15

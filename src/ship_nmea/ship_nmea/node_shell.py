@@ -147,7 +147,7 @@ class NmeaNode:
             take: is called with the message; what it raises is counted and reported.
             latched: whether the last message from before is wanted, too.
         """
-        qos = input_qos(topic)
+        qos = input_qos(topic, self._parameters.has_reliable_inputs)
         if latched:
             qos = QoSProfile(
                 depth=topic.depth, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL

@@ -147,6 +147,34 @@ def test_quality_of_service_as_the_contract_says(live_relay):
     assert calibration.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
 
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        ((), ReliabilityPolicy.RELIABLE),
+        (("-p", "qos_overrides./ins/imu.subscription.reliability:=best_effort"), ReliabilityPolicy.BEST_EFFORT),
+    ],
+)
+def test_reliable_inputs_are_reliable_unless_a_topic_has_a_rule_of_its_own(live_relay, more, expected):
+    (imu,) = live_relay("-p", "reliable_inputs:=true", *more).live.node.get_subscriptions_info_by_topic("/ins/imu")
+    assert imu.qos_profile.reliability == expected
+
+
+def test_a_reliable_input_takes_what_comes_in_one_go_after_a_cut(live_relay):
+    """Five times as many samples as wait for a best-effort input, which a slow node has not used when the last came."""
+    relay = live_relay("-p", "reliable_inputs:=true")
+    handle, count = relay.adapter.handle, 5 * relay.adapter.inputs[0].depth
+
+    def handle_slowly(*arguments):
+        time.sleep(0.002)
+        return handle(*arguments)
+
+    relay.adapter.handle = handle_slowly
+    publisher = relay.imu_publisher()
+    for number in range(count):
+        publisher.publish(imu_message(10**9 + number * 10**7))
+    relay.wait_until(lambda: len(relay.attitudes) == count)
+
+
 def test_mend_18_a_flood_stops_neither_ticks_nor_what_comes_after_it(live_relay):
     relay = live_relay()
     handle, depth = relay.adapter.handle, relay.adapter.inputs[0].depth

@@ -64,6 +64,7 @@ def test_bad_start_exits_2_with_one_line(arguments, line):
         ("gate.probabilty: 0.9", 3, "parameter 'gate.probabilty' is unknown: expected one of bias_deg, count"),
         ("qos_overrides:\n      /ins/imu: {subscription: {reliability: sure}}", 4, "parameter 'qos_overrides./ins/i"),
         ("qos_overrides:\n      /ins/imu: {subscription: {depth: 0}}", 4, "parameter 'qos_overrides./ins/imu': "),
+        ("reliable_inputs: 1", 3, "parameter 'reliable_inputs' must be of type bool: "),
     ],
 )
 def test_bad_parameter_file_exits_2_with_file_and_line(tmp_path, parameters, line, text):

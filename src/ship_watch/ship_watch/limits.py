@@ -91,6 +91,14 @@ class MachineLimits:
         0.05, doc="largest distance of stamps into the future of the computer's clock", unit="s",
         minimum=0.001, maximum=1e6,
     )
+    require_security: bool = parameter(
+        False, doc="whether a suite is not to start without DDS security, enforced, with the ship's own keystore"
+    )
+    authority_sha256: str = parameter(
+        "",
+        doc="SHA-256 of the certificate of the authority that signs the identities of this ship's keystore, in "
+        "hexadecimal, as openssl x509 -fingerprint -sha256 tells it; empty for any",
+    )
 
 
 @dataclass(frozen=True)

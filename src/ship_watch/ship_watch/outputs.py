@@ -6,9 +6,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import IntegrityState
+from ship_estimation.protection import NORMAL_95, IntegrityState
 from ship_watch.limits import Limits
-from ship_watch.states import NORMAL_95, Protection
+from ship_watch.states import Protection
 
 INTEGRITY_AGE_NS = 3_000_000_000
 """An Integrity that is older than this, or than three of its periods, says nothing any more, ns."""

@@ -14,9 +14,6 @@ from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
 from ship_watch.picture import Safety, SourceStanding
 
-NORMAL_95 = 1.96
-"""95 % of a normal error lie within so many sigmas to both sides."""
-
 BRIEF_NS = 1_000_000_000
 """An accuracy that was below its limit for less time than this was over it all the while, ns."""
 

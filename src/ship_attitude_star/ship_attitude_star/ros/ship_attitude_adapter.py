@@ -1,7 +1,9 @@
 """The node ``ship_attitude``: which topic feeds which method of its core, what an attitude becomes, its diagnostics."""
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import attrgetter
 from typing import Any, ClassVar
 
@@ -17,9 +19,15 @@ from ship_attitude_star.ship_attitude.integrity import QUANTITIES
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
+from ship_estimation.protection import NORMAL_95
 from ship_estimation.rate_guard import Rates
 from ship_geometry.frames import angle_covariance, angles_from_rotation
-from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
+from ship_geometry.ros_axes import (
+    enu_covariance,
+    flu_from_device_vector,
+    mounting_quaternion,
+    quaternion_from_rotation,
+)
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
@@ -27,8 +35,13 @@ from ship_node.edge.messages_in import ReadMessage, ins_sample
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
     DECK_FRAME,
+    HORIZON_FRAME,
     INNOVATION_TYPE,
     INTEGRITY_TYPE,
+    TF_STATIC_TOPIC,
+    TF_TOPIC,
+    TF_TYPE,
+    ZERO_VECTOR,
     DiagnosticStatus,
     Level,
     error_budget,
@@ -38,6 +51,7 @@ from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import clock_status
 
 ATTITUDE_TOPIC, IMU_TOPIC, INTEGRITY_TOPIC = "ship/attitude", "ship/imu", "ship/integrity"
+DEGREES_TOPIC = "ship/attitude_deg"
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 _STAR_TYPES = {
@@ -92,6 +106,9 @@ class ShipAttitudeAdapter(ReportingAdapter):
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(ATTITUDE_TOPIC, "ship_msgs/msg/ShipAttitude"),
         OutputTopic(IMU_TOPIC, _IMU_TYPE),
+        OutputTopic(DEGREES_TOPIC, "ship_msgs/msg/AttitudeDeg"),
+        OutputTopic(TF_TOPIC, TF_TYPE),
+        OutputTopic(TF_STATIC_TOPIC, TF_TYPE, latched=True),
         OutputTopic("ship/alignment", "ship_msgs/msg/AlignmentState"),
         OutputTopic("ship/error_budget", BUDGET_TYPE),
         OutputTopic(INTEGRITY_TOPIC, INTEGRITY_TYPE),
@@ -152,7 +169,7 @@ class ShipAttitudeAdapter(ReportingAdapter):
         return functools.partial(read, sensor_id=id_, config=star)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
-        """Budget and predicted errors of the latest attitude, once each; what the filter knows of the alignment."""
+        """Budget and predicted errors of the latest attitude, once each; alignment and installation as now known."""
         factory, estimate, published = self.factory, self.budget_due, []
         if estimate is not None:
             sources = self.core.filter.model.sources
@@ -160,7 +177,14 @@ class ShipAttitudeAdapter(ReportingAdapter):
                 ("ship/error_budget", attitude_budget(factory, estimate, sources)),
                 ("ship/error_arcsec", error_arcsec(factory, estimate)),
             ]
-        return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns))]
+        installed = {
+            frame: self.core.star_installation(id_) for id_, frame in star_frames(self.config.star_sensors).items()
+        }
+        return [
+            *published,
+            ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns)),
+            (TF_STATIC_TOPIC, installed_frames(factory, installed, now_ns)),
+        ]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The attitude, the alignment at the start, the rates of the INS, conflicts with it, verdicts, clocks."""
@@ -178,9 +202,9 @@ class ShipAttitudeAdapter(ReportingAdapter):
 
 
 def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> list[Published]:
-    """What an attitude becomes: ship_msgs/ShipAttitude and, for standard tools, the same as sensor_msgs/Imu.
+    """What an attitude becomes: ship_msgs/ShipAttitude, and the same in degrees, as sensor_msgs/Imu and on /tf.
 
-    Where no attitude is claimed the first is all NaN, and the second is not made.
+    Where no attitude is claimed the first two are all NaN, and the others, which are for standard tools, are not made.
     """
     claimed = estimate.status is not Status.INVALID
     covariance_n = estimate.covariance_n
@@ -193,7 +217,7 @@ def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> li
     rate_known = bool(np.all(np.isfinite(rate_flu)))
     orientation = dict(zip("xyzw", quaternion.tolist(), strict=True))
     rate = dict(zip("xyz", rate_flu.tolist(), strict=True))
-    nothing = dict.fromkeys("xyz", 0.0)
+    accuracy_arcsec = NORMAL_95 / ARCSEC * np.sqrt(angles_covariance.diagonal())
     attitude = factory.make(
         "ship_msgs/msg/ShipAttitude",
         header=header,
@@ -209,20 +233,38 @@ def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> li
         sources=list(estimate.sources),
         star_age_s=estimate.star_age_s,
     )
+    # The messages share what is the same in them: this runs for each INS sample.
+    in_degrees = factory.make(
+        "ship_msgs/msg/AttitudeDeg",
+        header=attitude.header,
+        heading_deg=math.degrees(heading),
+        pitch_deg=math.degrees(pitch),
+        roll_deg=math.degrees(roll),
+        heading_95_arcsec=accuracy_arcsec[0],
+        pitch_95_arcsec=accuracy_arcsec[1],
+        roll_95_arcsec=accuracy_arcsec[2],
+        status=attitude.status,
+    )
     if not claimed:
-        return [(ATTITUDE_TOPIC, attitude)]
+        return [(ATTITUDE_TOPIC, attitude), (DEGREES_TOPIC, in_degrees)]
     # No acceleration; the rate where it is known.
     imu = factory.make(
         _IMU_TYPE,
-        header=header,
-        orientation=orientation,
-        orientation_covariance=rotation_covariance,
-        angular_velocity=rate if rate_known else nothing,
+        header=attitude.header,
+        orientation=attitude.orientation,
+        orientation_covariance=attitude.rotation_covariance,
+        angular_velocity=attitude.angular_velocity if rate_known else ZERO_VECTOR,
         angular_velocity_covariance=np.zeros(9) if rate_known else _NOT_GIVEN,
-        linear_acceleration=nothing,
+        linear_acceleration=ZERO_VECTOR,
         linear_acceleration_covariance=_NOT_GIVEN,
     )
-    return [(ATTITUDE_TOPIC, attitude), (IMU_TOPIC, imu)]
+    deck = {
+        "header": {"stamp": attitude.header.stamp, "frame_id": HORIZON_FRAME},
+        "child_frame_id": DECK_FRAME,
+        "transform": {"translation": ZERO_VECTOR, "rotation": attitude.orientation},
+    }
+    frames = factory.make(TF_TYPE, transforms=[deck])
+    return [(ATTITUDE_TOPIC, attitude), (IMU_TOPIC, imu), (DEGREES_TOPIC, in_degrees), (TF_TOPIC, frames)]
 
 
 def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str]) -> Any:
@@ -258,6 +300,32 @@ def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int) 
         covariance=alignment.covariance.ravel(),
         units=list(alignment.units),
     )
+
+
+def star_frames(star_sensors: Mapping[str, StarSensorConfig]) -> dict[str, str]:
+    """Star sensor id → its frame: the configured frame_id, or star_<id> where it has none or that means another too."""
+    count = Counter(star.frame_id for star in star_sensors.values())
+    frames = {}
+    for id_, star in star_sensors.items():
+        others = {HORIZON_FRAME, DECK_FRAME, *(f"star_{other}" for other in star_sensors if other != id_)}
+        is_its_own = star.frame_id and count[star.frame_id] == 1 and star.frame_id not in others
+        frames[id_] = star.frame_id if is_its_own else f"star_{id_}"
+    return frames
+
+
+def installed_frames(factory: MessageFactory, rotations_dv: Mapping[str, np.ndarray], now_ns: int) -> Any:
+    """tf2_msgs/TFMessage of what is bolted to the deck at places unknown: frame → deck from device, shape (3, 3)."""
+    transforms = []
+    for frame, rotation_dv in rotations_dv.items():
+        rotation = dict(zip("xyzw", mounting_quaternion(rotation_dv).tolist(), strict=True))
+        transforms.append(
+            {
+                "header": {"stamp": now_ns, "frame_id": DECK_FRAME},
+                "child_frame_id": frame,
+                "transform": {"translation": ZERO_VECTOR, "rotation": rotation},
+            }
+        )
+    return factory.make(TF_TYPE, transforms=transforms)
 
 
 def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:

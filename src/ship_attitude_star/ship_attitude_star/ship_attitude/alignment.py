@@ -114,7 +114,7 @@ def prior_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState
     rotations = {}
     for device in filter_.devices.values():
         block = model.slices[f"{device.name}.installation"]
-        rotations[device.name] = device.rotation_dv0 @ exp_rotation(state.mean[block])
+        rotations[device.name] = installed(filter_, state, device.name)
         to_saved[block, block] = left_jacobian(state.mean[block]).T
     covariance = (to_saved @ state.covariance @ to_saved.T)[np.ix_(rows, rows)]
     offsets = {
@@ -173,11 +173,18 @@ def state_from_prior(
     return filter_.suspects.start(mean, parts), messages
 
 
+def installed(filter_: ShipFilter, state: FilterState, name: str) -> FloatArray:
+    """Rotation "deck from device" as the filter now has it, shape (3, 3)."""
+    vector = state.mean[filter_.model.slices[f"{name}.installation"]]
+    rotation_dv: FloatArray = filter_.devices[name].rotation_dv0 @ exp_rotation(vector)
+    return rotation_dv
+
+
 def _installation(filter_: ShipFilter, state: FilterState, name: str) -> tuple[FloatArray, FloatArray]:
     """Installation angles (azimuth, elevation, roll) of a device and their Jacobian by the state, (3, n)."""
     block = filter_.model.slices[f"{name}.installation"]
     vector = state.mean[block]
-    rotation_dv = filter_.devices[name].rotation_dv0 @ exp_rotation(vector)
+    rotation_dv = installed(filter_, state, name)
     angles = angles_from_rotation(rotation_dv)
     jacobian = np.zeros((3, filter_.model.size))
     to_angles = angle_errors_from_rotation_vector(angles[0], angles[1])

@@ -22,6 +22,7 @@ from ship_attitude_star.ship_attitude.alignment import (
     Alignment,
     AlignmentPrior,
     alignment_of,
+    installed,
     prior_of,
     state_from_prior,
 )
@@ -39,6 +40,7 @@ from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Refusal, contradiction_text
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
+from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 INS = "ins"
@@ -195,6 +197,10 @@ class ShipAttitudeCore:
     def alignment(self) -> Alignment:
         """What the filter now knows of the INS's errors, installation angles and clocks."""
         return alignment_of(self.filter, self.config, self.state)
+
+    def star_installation(self, id_: str) -> FloatArray:
+        """Rotation "deck from star sensor" as the filter now has it, shape (3, 3)."""
+        return installed(self.filter, self.state, f"star.{id_}")
 
     def integrity(self, estimate: AttitudeEstimate) -> IntegrityReport:
         """How far an attitude may be wrong although nothing says so, and who is excluded."""

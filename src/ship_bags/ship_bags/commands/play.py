@@ -9,7 +9,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser
 from ship_bags.live.play import Player, PlayOptions
 from ship_bags.live.playback_clock import PlaybackClock, add_services, keyboard, served
-from ship_bags.live.ros_process import command_node, on_end_signals, positive, run_ros_command, use_quick_repeats
+from ship_bags.live.ros_process import command_node, on_end_signals, positive, run_ros_command
 
 _DESCRIPTION = """\
 Publishes the messages of a bag live, byte for byte, at the times of its log, and that time every 10 ms on /clock.
@@ -89,7 +89,6 @@ def _play(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         wait_for=dict(parsed.wait_for_subscribers),
         wait_timeout_s=parsed.wait_timeout,
     )
-    use_quick_repeats()
     clock = PlaybackClock(parsed.rate, parsed.paused)
     with command_node("play", ros_arguments) as node:
         player = Player(node, parsed.bag, options, clock)

@@ -34,8 +34,11 @@ _WITH, _WITHOUT = b"process_data_message_with_security", b"process_data_message_
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 
-QUICK_PROFILE = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("dds_profile.xml"))}
-"""Environment of a program whose Fast DDS meets others and repeats what was lost quickly, where people set none."""
+DDS_PROFILE = Path(__file__).with_name("dds_profile.xml")
+"""How Fast DDS meets others and repeats what was lost, in every program of the suite: the reasons stand in the file."""
+
+PROFILE_VARIABLE, QOS_FROM_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML"
+"""Environment that names a profile, and that lets it count for writers and readers, too."""
 
 
 def run_ros_command(
@@ -79,7 +82,7 @@ def command_node(name: str, ros_arguments: list[str], use_sim_time: bool = False
     Raises:
         BadInput: DDS security is demanded and not there.
     """
-    require_demanded_security()
+    prepare_dds()
     rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         overrides = [Parameter("use_sim_time", value=True)] if use_sim_time else []
@@ -125,14 +128,20 @@ def namespace_name(text: str) -> str:
     return name
 
 
-def use_quick_repeats() -> None:
-    """Let reliable publishers of this process, and of those that it starts, repeat quickly what was lost on the way.
+def prepare_dds() -> None:
+    """What every program of the suite does before ROS starts in it: security is there or not demanded, and the profile.
 
-    It sets the Fast DDS profile, before ROS starts; another profile that is set already rules.
+    Raises:
+        BadInput: DDS security is demanded and not there.
     """
-    if QUICK_PROFILE.items() <= (QUICK_PROFILE | os.environ).items():
-        os.environ.update(QUICK_PROFILE)
-        os.environ["RMW_FASTRTPS_USE_QOS_FROM_XML"] = "1"
+    require_demanded_security()
+    use_dds_profile()
+
+
+def use_dds_profile() -> None:
+    """Give the suite's profile of Fast DDS to this process, and to those that it starts; one that people set rules."""
+    if os.environ.setdefault(PROFILE_VARIABLE, str(DDS_PROFILE)) == str(DDS_PROFILE):
+        os.environ.setdefault(QOS_FROM_PROFILE_VARIABLE, "1")
 
 
 def require_demanded_security() -> None:

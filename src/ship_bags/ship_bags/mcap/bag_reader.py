@@ -284,10 +284,8 @@ def read_bag(path: Path | str) -> Bag:
             folder without metadata.yaml, no messages at all or none that can be read.
     """
     path = Path(path)
-    files: list[McapFile] = []
+    files = open_files(path)
     try:
-        for part in _parts(path):
-            files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
         if not any(file.messages(place) for file in files for place in file.chunks):
             problems = "; ".join(problem for file in files for problem in file.problems)
             why = f" that can be read ({problems})" if problems else ""
@@ -297,6 +295,24 @@ def read_bag(path: Path | str) -> Bag:
         for file in files:
             file.data.stream.close()
         raise
+
+
+def open_files(path: Path) -> list[McapFile]:
+    """Open the MCAP files that make up a bag, in order, whatever they hold.
+
+    Raises:
+        BadInput: one is missing, unreadable, empty, not MCAP or of an unknown compression, or a folder is without
+            metadata.yaml.
+    """
+    files: list[McapFile] = []
+    try:
+        for part in _parts(path):
+            files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
+    except BadInput:
+        for file in files:
+            file.data.stream.close()
+        raise
+    return files
 
 
 def watched(records: Iterator[BagRecord], bag: Bag) -> Iterator[BagRecord]:

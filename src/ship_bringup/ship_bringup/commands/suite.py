@@ -8,10 +8,18 @@ from pathlib import Path
 
 from ship_bags.command_line import CommandParser, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bags.live.ros_process import namespace_name, positive, require_demanded_security
+from ship_bags.live.ros_process import (
+    dds_has_security,
+    loaded_libraries,
+    namespace_name,
+    positive,
+    require_demanded_security,
+)
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bringup.security.demand import require_profile
 from ship_bringup.suite.keeper import Keeper, say_line
 from ship_bringup.suite.plan import SuiteOptions, attached_suite, plan_of
+from ship_watch.limits import read_limits
 
 _DESCRIPTION = """\
 Starts a node for each section of a suite file (ROS 2 parameter file with sections as '/**/ship_attitude:'), each as a
@@ -56,9 +64,17 @@ def _parser() -> CommandParser:
         "--loop", type=_count, default=1, metavar="N", help="with --bag: play it N times, 0 without end (1)"
     )
     parser.add_argument("--use-sim-time", action="store_true", help="the nodes go by /clock, which somebody else sets")
+    parser.add_argument(
+        "--reliable-inputs",
+        action="store_true",
+        help="for a link that loses packets: what is lost on the way to the nodes' inputs is sent again",
+    )
     parser.add_argument("--monitor", action="store_true", help="start live page and alerts of ship_monitor, too")
     parser.add_argument(
-        "--limits", type=Path, metavar="FILE", help="with --monitor: the ship's limits of angles and inputs"
+        "--limits",
+        type=Path,
+        metavar="FILE",
+        help="the ship's limits, for page and alerts; where they require DDS security, nothing starts without it",
     )
     parser.add_argument(
         "--port", type=_port, metavar="PORT", help="with --monitor: port of the page (that of 'monitor')"
@@ -78,6 +94,8 @@ def _suite(parsed: argparse.Namespace) -> int:
     if parsed.file is None and parsed.bag is None:
         raise BadInput("no FILE: expected a suite file, or --bag with a bag that has one attached")
     require_demanded_security()
+    if parsed.limits is not None:
+        require_profile(read_limits(parsed.limits), parsed.limits, dds_has_security(loaded_libraries()))
     options = SuiteOptions(
         namespace=parsed.namespace,
         bag=parsed.bag,
@@ -85,6 +103,7 @@ def _suite(parsed: argparse.Namespace) -> int:
         loop=parsed.loop,
         monitor=parsed.monitor,
         box=parsed.box,
+        reliable_inputs=parsed.reliable_inputs,
         use_sim_time=parsed.use_sim_time,
         limits=parsed.limits,
         monitor_arguments=() if parsed.port is None else ("--port", str(parsed.port)),

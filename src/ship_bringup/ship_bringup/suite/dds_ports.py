@@ -4,9 +4,9 @@ A killed program cannot say farewell: for 20 s, the default lease of DDS, its pe
 on the same ports gets what is meant for the dead one. Shared memory has the same fault, and no ports that could be
 kept.
 
-On other ports the successor is met as soon as each peer tells by itself that it is there: every 0.5 s with
-:data:`ship_bags.live.ros_process.QUICK_PROFILE`, every 3 s by default. Seen on the wire with Fast DDS 2.14: the peers
-answer its first words within 0.1 ms, before it listens, and do not answer those words when they are repeated.
+On other ports the successor is met as soon as each peer tells by itself that it is there: every 0.5 s with the suite's
+profile (:data:`ship_bags.live.ros_process.DDS_PROFILE`), every 3 s by default. Seen on the wire with Fast DDS 2.14: the
+peers answer its first words within 0.1 ms, before it listens, and do not answer those words when they are repeated.
 """
 
 import contextlib
@@ -15,9 +15,7 @@ import socket
 import time
 from pathlib import Path
 
-from ship_bags.live.ros_process import QUICK_PROFILE
-
-QUICK_TO_CONNECT = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", **QUICK_PROFILE}
+UDP_ALONE = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
 """Environment of a program that is to be connected quickly after a kill, where people do not set it otherwise."""
 
 _LEASE_S = 20.0

@@ -1,23 +1,28 @@
 """Which programs a suite consists of: a node for each section of its file, who watches them, and a bag's player."""
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import executable
+from ship_bags.live.ros_process import executable, is_demanded
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.parameter_yaml import anywhere, full_name, read_sections
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
+from ship_bringup.suite.enclaves import in_enclaves
 from ship_bringup.suite.keeper import Program, Role
+from ship_node.edge.messages_out import TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
 from ship_node.parameters.parameter_file import unknown_sections
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import AdapterChain, suite_text
 from ship_replay.offline.replay import match_inputs
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
+from ship_watch.limits import Limits, read_limits
 
-_SAVED_FILES = "alignment_file", "calibration_file"
+SAVED_FILES = "alignment_file", "calibration_file"
+"""Parameters with a file that a node reads at its start and writes now and then."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,7 @@ class SuiteOptions:
         loop: how often the bag is played; 0 without end.
         monitor: whether page and alerts are started too.
         box: folder that takes a black box of each node; None for none.
+        reliable_inputs: whether what is lost on the way to the nodes' inputs is sent again.
         use_sim_time: whether the nodes go by /clock although no bag is played here.
         limits: file of the ship's limits for page and alerts; None for the defaults.
         monitor_arguments: further arguments of the page.
@@ -42,6 +48,7 @@ class SuiteOptions:
     loop: int = 1
     monitor: bool = False
     box: Path | None = None
+    reliable_inputs: bool = False
     use_sim_time: bool = False
     limits: Path | None = None
     monitor_arguments: tuple[str, ...] = ()
@@ -77,7 +84,7 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         BadInput: names the file, the line, the parameter or section, and what was expected; or the bag and what it
             lacks; or a program that is not installed.
     """
-    nodes, warnings = _checked_nodes(path, options.namespace)
+    nodes, warnings = checked_nodes(path, options.namespace)
     chain = AdapterChain([node.adapter for node in nodes])
     packages = {kind.node_name: kind.__module__.partition(".")[0] for kind in ADAPTERS}
     ros = _ros_arguments(options)
@@ -85,7 +92,8 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
     for adapter in chain.adapters:
         name = adapter.node_name
         box = () if options.box is None else ("-p", f"black_box:={options.box.resolve()}/")
-        arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box)
+        inputs = ("-p", "reliable_inputs:=true") if options.reliable_inputs else ()
+        arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box, *inputs)
         programs.append(Program(name, (*executable(packages[name], name), *arguments), has_reserve=True))
     companions = [one for one in named_companions(path, options.namespace) if options.bag is None or not one.feeds]
     programs += [_companion(one, path, ros) for one in companions]
@@ -93,10 +101,20 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         programs += _watchers(options, ros)
     if options.bag is not None:
         programs.append(_player(options.bag, chain, options))
-    return Plan(tuple(programs), (*warnings, *_without_saved_file(path, nodes), *_played_out(companions, options)))
+    if is_demanded(os.environ):
+        limits = Limits() if options.limits is None else read_limits(options.limits)
+        played = options.bag is not None
+        programs, told = in_enclaves(programs, chain.adapters, options.namespace, limits, played)
+        warnings += told
+    return Plan(tuple(programs), (*warnings, *without_saved_file(path, nodes), *_played_out(companions, options)))
 
 
-def _checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
+def checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
+    """The nodes of a suite file, and what should be said of it.
+
+    Raises:
+        BadInput: see :func:`plan_of`.
+    """
     findings = Findings()
     nodes = check_file(path, ADAPTERS, findings, namespace)
     if findings.errors:
@@ -112,9 +130,10 @@ def _checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[
     return nodes, findings.warnings
 
 
-def _without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
+def without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
+    """Nodes that save nothing, one line each."""
     for node in nodes:
-        for name in _SAVED_FILES:
+        for name in SAVED_FILES:
             if getattr(node.config, name, None) == "":
                 yield f"{path}: {node.adapter.node_name} has no {name}: a restart begins without what it has learned"
 
@@ -138,11 +157,16 @@ def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:
 
 
 def _names(options: SuiteOptions) -> tuple[str, ...]:
-    """What puts a process into the suite's namespace; a bag's time is that of its own suite, not of the next one."""
+    """What puts a process into the suite's namespace.
+
+    A bag's time is that of its own suite, not of the next one. Frames have the same names on each ship: in a namespace
+    they are told there, and not on the /tf of all.
+    """
     if not options.namespace:
         return ()
     clock = () if options.bag is None else ("-r", f"/clock:={options.topic('clock')}")
-    return ("-r", f"__ns:=/{options.namespace}", *clock)
+    frames = [word for topic in (TF_TOPIC, TF_STATIC_TOPIC) for word in ("-r", f"{topic}:={topic[1:]}")]
+    return ("-r", f"__ns:=/{options.namespace}", *clock, *frames)
 
 
 def _watchers(options: SuiteOptions, ros: tuple[str, ...]) -> list[Program]:

@@ -13,7 +13,7 @@ import time
 from collections.abc import Sequence
 from typing import IO
 
-from ship_bringup.suite.dds_ports import QUICK_TO_CONNECT
+from ship_bringup.suite.dds_ports import UDP_ALONE
 from ship_node.live.start import WAITS
 
 _LONGEST_LINE = 65536
@@ -49,7 +49,7 @@ class Process:
             stdin=subprocess.PIPE if waits else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            env=QUICK_TO_CONNECT | os.environ | {"PYTHONUNBUFFERED": "1"} | ({WAITS: "1"} if waits else {}),
+            env=UDP_ALONE | os.environ | {"PYTHONUNBUFFERED": "1"} | ({WAITS: "1"} if waits else {}),
             start_new_session=True,
             preexec_fn=end_with_parent,  # noqa: PLW1509 - there are no threads here
         )

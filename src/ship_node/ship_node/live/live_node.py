@@ -17,7 +17,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import qos_policy_name_from_kind
+from rclpy.qos import QoSProfile, qos_policy_name_from_kind
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
@@ -78,7 +78,8 @@ class LiveNode:
             files = NotedFiles()
             self.adapter = adapter_class(self._parameters.config, self._factory, files)
             self._publishers = {o.topic: self._create_publisher(o) for o in _outputs(self.adapter)}
-            self._subscriptions = {i.topic: self._create_subscription(i) for i in self.adapter.inputs}
+            wanted = {i: input_qos(i, self._parameters.has_reliable_inputs) for i in self.adapter.inputs}
+            self._subscriptions = {i.topic: self._create_subscription(i, qos) for i, qos in wanted.items()}
             self._box = self._open_box()
         except InputError as error:
             self.node.destroy_node()
@@ -90,7 +91,7 @@ class LiveNode:
         self._grid = TickGrid()
         self._last_node_ns = self._last_ns = 0
         self._status_log = StatusLog(self.node.get_logger())
-        self._inbox = Inbox({i.topic: i.depth for i in self.adapter.inputs})
+        self._inbox = Inbox({i.topic: qos.depth for i, qos in wanted.items()})
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
         # The box has said its path itself, which is another one where a box was there.
@@ -123,7 +124,7 @@ class LiveNode:
         with overrides_checked(self.node, output.topic):
             return self.node.create_publisher(kind, output.topic, qos, qos_overriding_options=overridable())
 
-    def _create_subscription(self, input_topic: InputTopic) -> Subscription:
+    def _create_subscription(self, input_topic: InputTopic, qos: QoSProfile) -> Subscription:
         topic = input_topic.topic
         events = SubscriptionEventCallbacks(
             incompatible_qos=partial(self._guard.call, "QoS event", self._on_incompatible_qos, topic),
@@ -134,7 +135,7 @@ class LiveNode:
                 message_class(input_topic.type_name),
                 topic,
                 partial(self._guard.call, topic, self._on_message, topic),
-                input_qos(input_topic),
+                qos,
                 event_callbacks=events,
                 qos_overriding_options=overridable(),
                 # The bytes as they came are what the black box keeps.

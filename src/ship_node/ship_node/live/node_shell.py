@@ -16,7 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import require_demanded_security
+from ship_bags.live.ros_process import prepare_dds
 from ship_bags.message_factory import RosidlFactory
 from ship_node.edge.adapter import Adapter
 from ship_node.live.live_node import LiveNode
@@ -99,7 +99,7 @@ def _start(
     for path in files:
         # rcl reads them too, but cannot say what is wrong in which line.
         read_whatever_fits(path, name)
-    require_demanded_security()
+    prepare_dds()
     # The signals are ours: spin ends between two callbacks, and the node goes in order.
     rclpy.init(args=[name, *arguments], context=context, signal_handler_options=SignalHandlerOptions.NO)
     unknown = remove_ros_args([name, *arguments])[1:]

@@ -13,8 +13,11 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverriding
 from ship_bags.errors import BadInput
 from ship_node.edge.topics import InputTopic, OutputTopic
 
-OUTPUT_DEPTH = 1000
-"""Messages kept for readers that acknowledge late: a second of data at 1 kHz."""
+OUTPUT_DEPTH = 2000
+"""Messages kept for readers that acknowledge late: two seconds of data at 1 kHz, or a cut of 20 s at 100 Hz."""
+
+RELIABLE_DEPTH = 2000
+"""Messages of a reliable input that may come in one go when the link is there again after a cut."""
 
 _OVERRIDABLE = QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY, QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH
 _EXPECTED = (
@@ -23,12 +26,17 @@ _EXPECTED = (
 )
 
 
-def input_qos(input_topic: InputTopic) -> QoSProfile:
-    """Best effort, so that a lost message never holds up the newer ones; deep enough for a second of data."""
+def input_qos(input_topic: InputTopic, is_reliable: bool) -> QoSProfile:
+    """Best effort, so that a lost message never holds up the newer ones; deep enough for a second of data.
+
+    Args:
+        input_topic: the topic.
+        is_reliable: whether what was lost on the way is sent again instead, also after a cut of the link.
+    """
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=input_topic.depth,
-        reliability=ReliabilityPolicy.BEST_EFFORT,
+        depth=max(input_topic.depth, RELIABLE_DEPTH) if is_reliable else input_topic.depth,
+        reliability=ReliabilityPolicy.RELIABLE if is_reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.VOLATILE,
     )
 

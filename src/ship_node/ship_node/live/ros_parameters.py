@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ship_bags.errors import BadInput
-from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, is_shell_parameter
+from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, RELIABLE_INPUTS_PARAMETER, is_shell_parameter
 from ship_estimation.parameters import (
     ParameterDescription,
     ParameterError,
@@ -26,6 +26,9 @@ from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.adapter_calls import AdapterCalls
 
 USE_SIM_TIME = "use_sim_time"
+
+_BLACK_BOX_DOC = "file (.mcap) or folder that takes everything the node uses and gives; empty for none"
+_RELIABLE_INPUTS_DOC = "inputs are reliable: what is lost on the way is sent again, and what is newer waits for it"
 
 _LEAST_INTEGER, _GREATEST_INTEGER = -(2**63), 2**63 - 1
 
@@ -53,6 +56,7 @@ class NodeParameters:
     Attributes:
         config: the configuration as it is now.
         black_box: path of the node's black box, empty for none.
+        has_reliable_inputs: whether what is lost on the way to its inputs is sent again.
 
     Args:
         node: has no parameters of its own yet.
@@ -68,7 +72,8 @@ class NodeParameters:
         self.config: Any = build(config_type, nest(_overrides(node)))
         self._at_start = flatten(self.config)
         self._last_refusal = ""
-        self.black_box = _declare_black_box(node) if has_black_box else ""
+        self.black_box = str(_declared(node, BLACK_BOX_PARAMETER, "", _BLACK_BOX_DOC)) if has_black_box else ""
+        self.has_reliable_inputs = bool(_declared(node, RELIABLE_INPUTS_PARAMETER, False, _RELIABLE_INPUTS_DOC))
         self._descriptions = {name: _description(name, config_type) for name in flatten(self.config)}
         for name, value in flatten(self.config).items():
             # The override is in the value already, as a float where the file had an integer.
@@ -154,17 +159,14 @@ def _overrides(node: Node) -> dict[str, Any]:
     return {name: _plain(p.value) for name, p in overrides.items() if not is_shell_parameter(name)}
 
 
-def _declare_black_box(node: Node) -> str:
-    """Declare the parameter that every node has; returns its value."""
-    descriptor = ParameterDescriptor(
-        description="file (.mcap) or folder that takes everything the node uses and gives; empty for none",
-        read_only=True,
-    )
+def _declared(node: Node, name: str, default: Any, description: str) -> Any:
+    """Declare a parameter that every node has; returns its value."""
+    descriptor = ParameterDescriptor(description=description, read_only=True)
     try:
-        return str(node.declare_parameter(BLACK_BOX_PARAMETER, "", descriptor).value)
+        return node.declare_parameter(name, default, descriptor).value
     except InvalidParameterTypeException as error:
-        reason = f"parameter '{BLACK_BOX_PARAMETER}' must be of type str: {error}"
-        raise BadInput(reason, parameters=(BLACK_BOX_PARAMETER,)) from error
+        reason = f"parameter '{name}' must be of type {type(default).__name__}: {error}"
+        raise BadInput(reason, parameters=(name,)) from error
 
 
 def _plain(value: Any) -> Any:

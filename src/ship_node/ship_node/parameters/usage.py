@@ -4,18 +4,27 @@ import inspect
 from typing import Any
 
 from ship_bags.message_factory import MessageFactory
-from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
+from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, RELIABLE_INPUTS_PARAMETER
 from ship_estimation.parameter_rows import in_columns, parameter_row
 from ship_estimation.parameters import ParameterDescription, build, describe, nest
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import InputTopic
 
-_BLACK_BOX_ROW = (
-    BLACK_BOX_PARAMETER,
-    "-",
-    "''",
-    "",
-    "file (.mcap) or folder that takes everything the node uses and gives, for replay --verify; empty for none",
+_SHELL_ROWS = (
+    (
+        BLACK_BOX_PARAMETER,
+        "-",
+        "''",
+        "",
+        "file (.mcap) or folder that takes everything the node uses and gives, for replay --verify; empty for none",
+    ),
+    (
+        RELIABLE_INPUTS_PARAMETER,
+        "-",
+        "False",
+        "",
+        "inputs are reliable: what is lost on the way is sent again, and what is newer waits for it",
+    ),
 )
 _PLACEHOLDERS: dict[type, Any] = {float: 0.0, int: 0, bool: False, str: ""}
 
@@ -36,14 +45,15 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
             "",
             (inspect.getdoc(adapter_class) or name).splitlines()[0],
             "",
-            "topics in (best effort; qos_overrides./TOPIC.subscription.reliability: reliable changes that):",
+            "topics in (best effort, all reliable with reliable_inputs; for one TOPIC the parameter",
+            "qos_overrides./TOPIC.subscription.reliability: reliable | best_effort rules):",
             *in_columns(inputs),
             "topics out (reliable):",
             *in_columns(outputs),
             "services (std_srvs/srv/Trigger):",
             *in_columns([(f"~/{service}",) for service in adapter_class.services]),
             "parameters (* may be changed while the node runs):",
-            *in_columns([*map(parameter_row, describe(adapter_class.config_type)), _BLACK_BOX_ROW]),
+            *in_columns([*map(parameter_row, describe(adapter_class.config_type)), *_SHELL_ROWS]),
             "",
             "exit code: 0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (one line says which)",
             "",

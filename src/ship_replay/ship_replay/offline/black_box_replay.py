@@ -214,7 +214,7 @@ class _BoxReplay:
         for topic, message in published:
             if self._writer is not None:
                 self._writer.write(topic, message, time_ns)
-            if message.__msgtype__ not in ASIDE:
+            if topic in self._outputs:
                 self._awaited.append((topic, message))
 
     def _call(self, what: str, time_ns: int, call: Callable[[], Any]) -> Any:
@@ -234,7 +234,12 @@ class _BoxReplay:
         if self._adapter is None:
             self._adapter = self._make_adapter()
             self._inputs = {topic.topic for topic in self._adapter.inputs}
-            self._outputs = {topic.topic for topic in self._adapter.outputs if topic.type_name not in ASIDE}
+            # A box names all topics of its node: what is not in it came after the release that wrote it.
+            self._outputs = {
+                topic.topic
+                for topic in self._adapter.outputs
+                if topic.type_name not in ASIDE and topic.topic in self._bag.topics
+            }
         return self._adapter
 
     def _attached(self, event: FileUsed) -> bytes | None:

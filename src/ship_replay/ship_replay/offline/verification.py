@@ -167,7 +167,10 @@ def verify_bag(
 
 
 def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str, str]:
-    """Name in the bag → relative name, of the outputs that are compared."""
+    """Name in the bag → relative name, of the outputs that are compared.
+
+    Topics with one name for all, as ``/tf``, are not: a recorder does not know whose messages these are.
+    """
     found = relative_topics(bag.topics, namespace)
     outputs = {}
     for output in chain.outputs:

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from ship_bags.stamps import NS_PER_S
+from ship_estimation.protection import NORMAL_95
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_replay.report.drawings import (
     MOST_POINTS,
@@ -26,7 +27,6 @@ from ship_replay.report.published import OutputDifference
 from ship_replay.report.told import ToldNight
 from ship_watch.orientations import ORIENTATIONS, channel_name
 from ship_watch.picture import ANGLES
-from ship_watch.states import NORMAL_95
 
 _A, _B = ("#0b3c6f", "-"), ("#d55e00", "--")
 """Colour and dash of each: told apart in black and white, too."""

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import Imu
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import executable, use_quick_repeats
+from ship_bags.live.ros_process import executable, use_dds_profile
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.recover import recover, recovered_path
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
@@ -91,7 +91,7 @@ def kill_node(folder: Path, seed: int) -> KillTrial:
 def _trial(command: Sequence[str], folder: Path, path: Path, seed: int, output_topic: str | None) -> KillTrial:
     killed_after_s = random.Random(seed).uniform(_EARLIEST_S, _LATEST_S)
     # A packet that is lost on the way would hold back those after it for seconds: that is not the disk's doing.
-    use_quick_repeats()
+    use_dds_profile()
     domain_id = free_domain_id()
     environment = live_environment(domain_id, folder / "ros")
     with (

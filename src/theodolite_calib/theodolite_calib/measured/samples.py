@@ -163,6 +163,8 @@ class PointingEstimate:
         state: of the filter, that it rests on.
         text: why it is not VALID.
         by_error_n: rotation vector of the main axis in n per error of the chain, shape (3, k).
+        rotation_dm: deck from main frame, by the deck as tf2 gives it between two ship/attitude: with that deck it is
+            ``rotation_nm``, shape (3, 3); None where the pointing knows of no ship/attitude.
     """
 
     time_ns: int
@@ -177,6 +179,7 @@ class PointingEstimate:
     state: Any = field(repr=False)
     text: str = ""
     by_error_n: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
+    rotation_dm: FloatArray | None = None
 
 
 PointingOutcome = Outcome[ExposureDecision, PointingEstimate]

@@ -43,6 +43,8 @@ class ShipAt:
         slow_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
         noise: variance of each component of what is new with each sample, and of interpolation, rad², shape (...).
         status: what the source says that it is worth; between two attitudes, of the lesser one.
+        chord_nd: horizon from deck as tf2 gives it, which turns steadily from one ship/attitude to the next; None where
+            the attitude is that of the INS alone.
     """
 
     rotation_nd: FloatArray
@@ -50,6 +52,7 @@ class ShipAt:
     slow_covariance_n: FloatArray | None
     noise: float | FloatArray
     status: Status = Status.VALID
+    chord_nd: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -101,10 +104,9 @@ class MeasuredTracks:
 
     def __init__(self, config: OpticalAxisConfig) -> None:
         self.reconfigure(config)
-        by_ins = config.ship.source == "ins/imu"
-        self.ship_shift_ns = round(config.ins.time_offset_s * SECOND_NS) if by_ins else 0
+        self.ship_shift_ns = round(config.ins.time_offset_s * SECOND_NS) if self._by_ins else 0
         self.encoder: VectorTrack[EncoderSample] = VectorTrack(_ns(config.encoder.max_gap_s), _FULL_TURN)
-        self.ship = AttitudeTrack(_ns(config.ins.max_gap_s if by_ins else config.ship.max_gap_s))
+        self.ship = AttitudeTrack(_ns(config.ins.max_gap_s if self._by_ins else config.ship.max_gap_s))
         self.baselines = {id_: BaselineTrack(_ns(b.rtk.max_gap_s)) for id_, b in config.beacons.items()}
         self._levers_b = {id_: b.light.vector_m for id_, b in config.beacons.items()}
         # The place of a light at the antenna does not depend on the drone's attitude.
@@ -118,8 +120,8 @@ class MeasuredTracks:
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Go on with other noise."""
-        by_ins = config.ship.source == "ins/imu"
-        white_arcsec = config.ins.white_sigma_arcsec if by_ins else config.ship.white_sigma_arcsec
+        self._by_ins = config.ship.source == "ins/imu"
+        white_arcsec = config.ins.white_sigma_arcsec if self._by_ins else config.ship.white_sigma_arcsec
         self._ship_noise = (white_arcsec * ARCSEC) ** 2
 
     def drop_before(self, time_ns: int) -> None:
@@ -166,7 +168,8 @@ class MeasuredTracks:
         after = attitude.next_sample
         degraded = isinstance(after, ShipSample) and after.status is Status.DEGRADED
         status = Status.DEGRADED if degraded else sample.status
-        return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.slow_covariance_n, noise, status)
+        chord_nd = None if self._by_ins else attitude.chord_nd(time_ns)
+        return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.slow_covariance_n, noise, status, chord_nd)
 
     def encoder_at(self, time_ns: int, over: Nodes | None = None) -> EncoderAt | None:
         """The encoders at a moment; None in a gap. For ``over`` see :meth:`ship_at`."""

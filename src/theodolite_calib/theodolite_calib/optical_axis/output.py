@@ -163,6 +163,7 @@ class PointingOutput:
             state=state,
             text=text,
             by_error_n=axis.by_error_n,
+            rotation_dm=None if ship.chord_nd is None else ship.chord_nd.T @ axis.rotation_nm,
         )
         if status is Status.DEGRADED or not self._config.integrity.alert_limit_arcsec:
             return estimate

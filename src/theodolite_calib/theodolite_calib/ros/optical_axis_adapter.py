@@ -1,7 +1,7 @@
 """The node ``optical_axis``: which topic feeds which method of its core, what a pointing becomes, its diagnostics."""
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 from typing import Any, ClassVar
 
@@ -11,14 +11,24 @@ from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Refusal
 from ship_geometry.frames import angle_covariance, angles_from_rotation
-from ship_geometry.ros_axes import enu_covariance
+from ship_geometry.ros_axes import (
+    enu_covariance,
+    flu_from_device_vector,
+    mounting_quaternion,
+    quaternion_from_rotation,
+)
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
+    DECK_FRAME,
+    HORIZON_FRAME,
     INNOVATION_TYPE,
     INTEGRITY_TYPE,
+    TF_TOPIC,
+    TF_TYPE,
+    ZERO_VECTOR,
     DiagnosticStatus,
     Level,
     error_budget,
@@ -88,6 +98,7 @@ class OpticalAxisAdapter(ReportingAdapter):
         OutputTopic(innovation_topic, INNOVATION_TYPE),
         OutputTopic(INTEGRITY_TOPIC, INTEGRITY_TYPE),
         OutputTopic("theodolite/error_arcsec", "ship_msgs/msg/PointingErrorArcsec"),
+        OutputTopic(TF_TOPIC, TF_TYPE),
         *OWN_OUTPUTS,
     )
 
@@ -101,7 +112,8 @@ class OpticalAxisAdapter(ReportingAdapter):
             to_save=core.calibration_to_save,
             nothing="no light was used yet: there is no calibration to save",
         )
-        super().__init__(config, core, factory, functools.partial(pointing_messages, factory), saved)
+        lever = dict(zip("xyz", flu_from_device_vector(config.lever.vector_m).tolist(), strict=True))
+        super().__init__(config, core, factory, functools.partial(pointing_messages, factory, lever), saved)
 
     def table(self, config: OpticalAxisConfig) -> Iterator[Feed]:
         """Which topic feeds which method of the core."""
@@ -152,11 +164,27 @@ class OpticalAxisAdapter(ReportingAdapter):
         ]
 
 
-def pointing_messages(factory: MessageFactory, estimate: PointingEstimate) -> list[Published]:
-    """What a pointing becomes: ship_msgs/OpticalAxisPointing; all NaN where no pointing is claimed."""
+def pointing_messages(
+    factory: MessageFactory, lever: Mapping[str, float], estimate: PointingEstimate
+) -> list[Published]:
+    """What a pointing becomes: ship_msgs/OpticalAxisPointing, and the main frame on /tf.
+
+    Where no pointing is claimed the first is all NaN, and the second is not made.
+
+    Args:
+        factory: makes the messages.
+        lever: place of the theodolite in the deck, x forward, y left, z up, m.
+        estimate: the pointing.
+    """
     azimuth, elevation, image_rotation = angles_from_rotation(estimate.rotation_nm).tolist()
     telescope_azimuth, telescope_elevation, telescope_rotation = angles_from_rotation(estimate.rotation_nt).tolist()
     angles_covariance = angle_covariance(estimate.covariance_n, azimuth, elevation)
+    if estimate.rotation_dm is not None:
+        parent, translation, quaternion = DECK_FRAME, lever, mounting_quaternion(estimate.rotation_dm)
+    else:
+        # The INS alone: its attitude is not that of the frame "deck", and nobody may publish that one at all.
+        parent, translation = HORIZON_FRAME, ZERO_VECTOR
+        quaternion = quaternion_from_rotation(estimate.rotation_nm)
     message = factory.make(
         "ship_msgs/msg/OpticalAxisPointing",
         header={"stamp": estimate.time_ns, "frame_id": MAIN_FRAME},
@@ -172,7 +200,17 @@ def pointing_messages(factory: MessageFactory, estimate: PointingEstimate) -> li
         status=int(estimate.status),
         light_count=estimate.light_count,
     )
-    return [(POINTING_TOPIC, message)]
+    if estimate.status is Status.INVALID:
+        return [(POINTING_TOPIC, message)]
+    main = {
+        "header": {"stamp": message.header.stamp, "frame_id": parent},
+        "child_frame_id": MAIN_FRAME,
+        "transform": {
+            "translation": translation,
+            "rotation": dict(zip("xyzw", quaternion.tolist(), strict=True)),
+        },
+    }
+    return [(POINTING_TOPIC, message), (TF_TOPIC, factory.make(TF_TYPE, transforms=[main]))]
 
 
 def pointing_budget(factory: MessageFactory, estimate: PointingEstimate, sources: Sequence[str]) -> Any:

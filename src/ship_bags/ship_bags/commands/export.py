@@ -1,0 +1,94 @@
+"""``export``: topics of a bag → tables."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import one_line
+from ship_bags.export.export import FORMATS, ExportOrder, export
+from ship_bags.output_files import add_force
+from ship_bags.stamps import END_OF_TIME_NS, ns_from_utc_text
+
+_DESCRIPTION = """\
+Writes topics of a bag as tables, one file each, e.g. ship.attitude.csv for ship/attitude. Numbers are those of the
+messages, to the last bit; the unit of a column stands at the end of its name (heading_rad, sigma_m, covariance_rad2_0),
+where it is known. An array whose length varies becomes a table of its own with a row per element, e.g.
+star.fore.observations-stars.csv; message_index says to which message it belongs. log_time_ns and stamp_ns are
+nanoseconds since 1970 of UTC as POSIX time.
+"""
+_EPILOG = "exit code: 0 written; 2 bad input or usage, or the disk failed, in one line; 130 interrupted"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="export",
+        example="./ros2run ship_bags export bags/demo.mcap --topics ins/imu gnss/fix --format netcdf --out tables",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("bag", type=Path, help="bag to read: .mcap file or rosbag2 folder")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="OUT",
+        help="folder to write into, made where it is not there; of one topic also a file .csv, .parquet or .nc",
+    )
+    parser.add_argument(
+        "--topics", nargs="+", default=[], metavar="TOPIC", help="only these topics, named as in the bag (all)"
+    )
+    parser.add_argument(
+        "--format",
+        choices=tuple(FORMATS),
+        help="csv; parquet, which needs the package pyarrow; netcdf: NetCDF-3 after the CF conventions (by the name of "
+        "OUT, else csv)",
+    )
+    parser.add_argument(
+        "--from",
+        dest="since",
+        type=_time_ns,
+        default=0,
+        metavar="UTC",
+        help="leave out messages logged before, e.g. 2026-06-01T20:00:30.5Z (the start of the bag)",
+    )
+    parser.add_argument(
+        "--to",
+        dest="until",
+        type=_time_ns,
+        default=END_OF_TIME_NS,
+        metavar="UTC",
+        help="leave out messages logged then and later (the end of the bag)",
+    )
+    add_force(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    order = ExportOrder(
+        options.bag, options.out, tuple(options.topics), options.format, options.since, options.until, options.force
+    )
+    exported = export(order)
+    for line in exported.problems:
+        print(f"export: {one_line(line)}", file=sys.stderr)
+    for path, rows in exported.row_counts.items():
+        print(f"export: {path}: {rows} rows")
+    return EXIT_DONE
+
+
+def _time_ns(text: str) -> int:
+    try:
+        return ns_from_utc_text(text)
+    except ValueError as problem:
+        raise argparse.ArgumentTypeError(str(problem)) from problem
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

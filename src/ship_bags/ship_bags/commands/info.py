@@ -1,0 +1,144 @@
+"""``info``: what a bag holds, and the suite file attached to it."""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import one_line
+from ship_bags.mcap.bag_content import BagContent, TopicContent, attachment, bag_content
+from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
+from ship_bags.output_files import add_force, check_file, write_whole
+from ship_bags.stamps import NS_PER_S, utc_text
+
+_DESCRIPTION = """\
+Says what a bag holds: size, begin, end and length, topics with type, number, mean rate in Hz and seconds of their
+first and last message after the begin, what is attached to it, and what is wrong with it. The whole bag is read and
+counted. With --suite it writes the configuration of the suite that is attached to the bag, and nothing else.
+"""
+_EPILOG = "exit code: 0 said or written, also of a damaged bag; 2 bad input or usage, with one line that says which"
+_STDOUT = "-"
+_ROLES = {SUITE_ATTACHMENT: "the suite's configuration", SCENARIO_ATTACHMENT: "the scenario of a simulated bag"}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="info",
+        example="./ros2run ship_bags info bags/demo.mcap",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("bag", type=Path, help="bag to read: .mcap file or rosbag2 folder")
+    outputs = parser.add_mutually_exclusive_group()
+    outputs.add_argument("--json", action="store_true", help="say it as JSON; times are nanoseconds since 1970, UTC")
+    outputs.add_argument(
+        "--suite",
+        nargs="?",
+        const=_STDOUT,
+        metavar="FILE",
+        help="write the attached suite file to FILE, or where no FILE is named to stdout",
+    )
+    add_force(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.suite is not None:
+        _take_out_suite(options.bag, options.suite, options.force)
+        return EXIT_DONE
+    content = bag_content(options.bag)
+    if options.json:
+        print(json.dumps(_plain(content), indent=2))
+    else:
+        for line in _lines(options.bag, content):
+            print(line)
+    return EXIT_DONE
+
+
+def _take_out_suite(bag: Path, target: str, force: bool) -> None:
+    if target != _STDOUT:
+        check_file(Path(target), force)
+    text = attachment(bag, SUITE_ATTACHMENT)
+    if target != _STDOUT:
+        write_whole(Path(target), text)
+        return
+    sys.stdout.flush()
+    sys.stdout.buffer.write(text)
+    sys.stdout.buffer.flush()
+
+
+def _lines(path: Path, content: BagContent) -> Iterator[str]:
+    files = f" in {len(content.files)} files" if len(content.files) > 1 else ""
+    yield one_line(f"{path}: {sum(content.files.values())} bytes{files}, {content.message_count} messages")
+    if content.start_ns is not None and content.end_ns is not None:
+        length_s = (content.end_ns - content.start_ns) / NS_PER_S
+        yield f"{utc_text(content.start_ns)} to {utc_text(content.end_ns)}, {length_s:.3f} s"
+    yield ""
+    yield from _topic_table(content)
+    yield ""
+    for name, data in sorted(content.attachments.items()):
+        role = f", {_ROLES[name]}" if name in _ROLES else ""
+        yield one_line(f"attached: {name}, {len(data)} bytes{role}")
+    for name, entries in sorted(content.metadata.items()):
+        yield one_line(f"metadata: {name}: {', '.join(f'{key}={value}' for key, value in entries.items())}")
+    for problem in content.problems:
+        yield one_line(f"problem: {problem}")
+    if not content.problems:
+        yield "whole: footer, index and checksums are in order"
+
+
+def _topic_table(content: BagContent) -> Iterator[str]:
+    rows = [("topic", "type", "messages", "rate Hz", "first s", "last s")]
+    rows += [
+        (one_line(name), one_line(topic.type_name), str(topic.message_count), *_times(topic, content.start_ns))
+        for name, topic in content.topics.items()
+    ]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        names = [cell.ljust(width) for cell, width in zip(row[:2], widths[:2], strict=True)]
+        numbers = [cell.rjust(width) for cell, width in zip(row[2:], widths[2:], strict=True)]
+        yield "  ".join(names + numbers)
+
+
+def _times(topic: TopicContent, start_ns: int | None) -> tuple[str, str, str]:
+    """Rate, first and last time as a person reads them."""
+    rate = "-" if topic.rate_hz is None else f"{topic.rate_hz:.3g}"
+    if start_ns is None or topic.first_ns is None or topic.last_ns is None:
+        return rate, "-", "-"
+    return rate, f"{(topic.first_ns - start_ns) / NS_PER_S:.3f}", f"{(topic.last_ns - start_ns) / NS_PER_S:.3f}"
+
+
+def _plain(content: BagContent) -> dict[str, Any]:
+    return {
+        "files": [{"name": name, "bytes": size} for name, size in content.files.items()],
+        "start_ns": content.start_ns,
+        "end_ns": content.end_ns,
+        "message_count": content.message_count,
+        "topics": [
+            {
+                "name": name,
+                "type": topic.type_name,
+                "message_count": topic.message_count,
+                "rate_hz": topic.rate_hz,
+                "first_ns": topic.first_ns,
+                "last_ns": topic.last_ns,
+            }
+            for name, topic in content.topics.items()
+        ],
+        "attachments": [{"name": name, "bytes": len(data)} for name, data in sorted(content.attachments.items())],
+        "metadata": content.metadata,
+        "problems": content.problems,
+    }
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

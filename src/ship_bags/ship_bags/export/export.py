@@ -1,0 +1,250 @@
+"""Exports topics of a bag: reads it once, in order of log time, and writes the tables side by side."""
+
+import difflib
+import errno
+import re
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ship_bags.errors import BadInput
+from ship_bags.export.netcdf_file import NetcdfFile, epoch_of
+from ship_bags.export.table_files import CsvFile, ParquetFile, TableFile, TableHead, check_parquet
+from ship_bags.export.table_rows import MessageTable, TopicRows
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
+from ship_bags.output_files import check_file, check_folder
+from ship_bags.stamps import END_OF_TIME_NS
+
+FORMATS: dict[str, type[TableFile]] = {"csv": CsvFile, "parquet": ParquetFile, "netcdf": NetcdfFile}
+
+_BATCH_ROWS = 1000
+_BATCH_CELLS = 30_000
+"""A table waits for so many rows or cells before they are written."""
+
+_LONGEST_STEM = 180
+_NOT_IN_A_NAME = re.compile(r"[^A-Za-z0-9_.-]")
+
+
+@dataclass(frozen=True)
+class ExportOrder:
+    """What to export.
+
+    Attributes:
+        bag: a .mcap file or a rosbag2 folder.
+        out: a folder, or of a single topic the file of its messages.
+        topics: names, with or without the slash in front; none means all that can be read.
+        format: a key of FORMATS; None: by the end of ``out``, else csv.
+        since_ns: log time of the first message, ns.
+        until_ns: log time before which the last message lies, ns.
+        force: whether to write over files that are there.
+    """
+
+    bag: Path
+    out: Path
+    topics: tuple[str, ...] = ()
+    format: str | None = None
+    since_ns: int = 0
+    until_ns: int = END_OF_TIME_NS
+    force: bool = False
+
+
+@dataclass
+class Exported:
+    """What came out: the files with their rows, and one line for each thing that is not in them."""
+
+    row_counts: dict[Path, int] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+
+@dataclass
+class _Topic:
+    """A topic on its way into files: its rows, and the file of each of its tables."""
+
+    rows: TopicRows
+    files: list[tuple[MessageTable, TableFile]] = field(default_factory=list)
+
+    def write(self, everything: bool = False) -> None:
+        """Write the tables that have a batch of rows, or all."""
+        for table, file in self.files:
+            count = table.row_count
+            if count >= _BATCH_ROWS or count * len(table.columns) >= _BATCH_CELLS or (everything and count):
+                file.append(table.take_columns())
+
+
+def export(order: ExportOrder) -> Exported:
+    """Write the topics of a bag as tables, all of them or none.
+
+    Raises:
+        BadInput: bag, topics or names of files cannot be used; the line says which and why.
+        OSError: a file cannot be written.
+    """
+    kind = _kind(order)
+    with read_bag(order.bag) as bag, ExitStack() as stack:
+        names = _wanted(bag, order.topics)
+        topics, refused = _topic_rows(bag, names, bool(order.topics))
+        paths = _paths(order, kind, topics)
+        folder = _made_folder(order, paths)
+        stack.callback(_leave_no_empty, folder)
+        epoch_ns = epoch_of(bag.start_ns or 0)
+        for name, topic in topics.items():
+            for table in topic.rows.tables:
+                head = TableHead(order.bag.name, name, bag.topics[name], table.name, epoch_ns)
+                file = _opened(kind, paths[name, table.name], head, table)
+                stack.callback(file.discard)
+                topic.files.append((table, file))
+        unreadable = _take_messages(bag, order, topics)
+        files = [file for topic in topics.values() for _, file in topic.files]
+        for file in files:
+            file.finish()
+        return Exported({file.path: file.row_count for file in files}, [*bag.problems, *refused, *unreadable])
+
+
+def _opened(kind: type[TableFile], path: Path, head: TableHead, table: MessageTable) -> TableFile:
+    try:
+        return kind(path, head, table.columns)
+    except OSError as problem:
+        if problem.errno != errno.EMFILE:
+            raise
+        raise BadInput("too many files at once: export fewer topics by --topics", file=path) from problem
+
+
+def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> list[str]:
+    """Read the bag and write the rows; returns what could not be decoded."""
+    counts: Counter[str] = Counter()
+    first: dict[str, str] = {}
+    for record in watched(_until(bag.records(topics.keys(), order.since_ns), order.until_ns), bag):
+        topic = topics[record.topic]
+        try:
+            message = record.decode()
+        except BadInput as problem:
+            counts[record.topic] += 1
+            first.setdefault(record.topic, str(problem))
+            continue
+        topic.rows.add(message, record.log_time_ns)
+        topic.write()
+    for topic in topics.values():
+        topic.write(everything=True)
+    return [
+        f"topic '{name}': {number} messages cannot be decoded and are left out; the first: {first[name]}"
+        for name, number in counts.items()
+    ]
+
+
+def _until(records: Iterator[BagRecord], until_ns: int) -> Iterator[BagRecord]:
+    for record in records:
+        if record.log_time_ns >= until_ns:
+            return
+        yield record
+
+
+def _kind(order: ExportOrder) -> type[TableFile]:
+    """The kind of file, which ``--format`` and the end of the name must both mean."""
+    by_name = next((name for name, kind in FORMATS.items() if kind.suffix == order.out.suffix), None)
+    if order.out.is_dir():
+        by_name = None
+    if order.format and by_name and order.format != by_name:
+        raise BadInput(f"--out ends in {order.out.suffix}, but --format is {order.format}", file=order.out)
+    name = order.format or by_name or "csv"
+    if name == "parquet":
+        check_parquet()
+    return FORMATS[name]
+
+
+def _wanted(bag: Bag, names: tuple[str, ...]) -> list[str]:
+    """The topics to export, by their names in the bag."""
+    if not names:
+        return sorted(bag.topics)
+    bare = {name.lstrip("/"): name for name in bag.topics}
+    skipped = {name.lstrip("/"): name for name in bag.skipped_topics}
+    wanted = []
+    for name in dict.fromkeys(name.lstrip("/") for name in names):
+        if name not in bare and name in skipped:
+            why = bag.skipped_topics[skipped[name]]
+            raise BadInput(f"topic '{skipped[name]}' cannot be exported: {why}", file=bag.path)
+        if name not in bare:
+            near = difflib.get_close_matches(name, bare, 1, 0.5)
+            hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(sorted(bare)[:20])}"
+            raise BadInput(f"no topic '{name}': {hint}", file=bag.path)
+        wanted.append(bare[name])
+    return wanted
+
+
+def _topic_rows(bag: Bag, names: list[str], required: bool) -> tuple[dict[str, _Topic], list[str]]:
+    """The topics whose types can become tables, and one line for each other."""
+    topics, refused = {}, []
+    for name in names:
+        rows, why = _rows_of(bag, name)
+        if rows is not None:
+            topics[name] = _Topic(rows)
+        elif required:
+            raise BadInput(why, file=bag.path)
+        else:
+            refused.append(why)
+    if not topics:
+        raise BadInput(f"no topic can be exported: {'; '.join(refused)}", file=bag.path)
+    return topics, refused
+
+
+def _rows_of(bag: Bag, name: str) -> tuple[TopicRows | None, str]:
+    """The tables of a topic, or why there are none."""
+    try:
+        return TopicRows(bag.topics[name], bag.store), ""
+    except BadInput as problem:
+        return None, f"topic '{name}' ({bag.topics[name]}) cannot become a table: {problem}"
+
+
+def _paths(order: ExportOrder, kind: type[TableFile], topics: dict[str, _Topic]) -> dict[tuple[str, str], Path]:
+    """The file of each table, by topic and name of the table."""
+    single = order.out.suffix == kind.suffix and not order.out.is_dir()
+    if single and len(topics) > 1:
+        raise BadInput(
+            f"--out names one file, but {len(topics)} topics are exported: name one by --topics, or a folder",
+            file=order.out,
+        )
+    paths: dict[tuple[str, str], Path] = {}
+    owners: dict[str, str] = {}
+    for name, topic in topics.items():
+        stem = order.out.stem if single else _stem(name)
+        folder = order.out.parent if single else order.out
+        for table in topic.rows.tables:
+            path = folder / f"{stem}{'-' if table.name else ''}{table.name}{kind.suffix}"
+            # Disks of other systems do not tell capital letters from small ones.
+            owner = owners.setdefault(path.name.lower(), name)
+            if owner != name:
+                raise BadInput(
+                    f"topics '{owner}' and '{name}' would both be written to {path.name}: export them one by one with "
+                    "--topics, into two folders",
+                    file=order.bag,
+                )
+            paths[name, table.name] = path
+    return paths
+
+
+def _stem(topic: str) -> str:
+    """The name of a topic as that of a file: ship/attitude → ship.attitude."""
+    name = _NOT_IN_A_NAME.sub("_", topic.strip("/").replace("/", "."))
+    return name.lstrip(".-")[:_LONGEST_STEM] or "topic"
+
+
+def _made_folder(order: ExportOrder, paths: dict[tuple[str, str], Path]) -> Path | None:
+    """Check that all files can be written; returns the folder where it was made for them."""
+    if any(path.exists() and path.resolve() == order.bag.resolve() for path in paths.values()):
+        raise BadInput("the output would overwrite the bag", file=order.bag)
+    if next(iter(paths.values())).parent != order.out:
+        for path in paths.values():
+            check_file(path, order.force)
+        return None
+    check_folder(order.out, [path.name for path in paths.values()], order.force)
+    if order.out.exists():
+        return None
+    order.out.mkdir(parents=True)
+    return order.out
+
+
+def _leave_no_empty(folder: Path | None) -> None:
+    """Remove a folder that was made for files which did not come about."""
+    if folder is not None:
+        with suppress(OSError):
+            folder.rmdir()

@@ -1,0 +1,153 @@
+"""What a message holds, down to numbers, texts, times and arrays, by its definition, and how to take it out.
+
+Messages within messages are opened, and so are short arrays of messages of fixed length.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import zip_longest
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
+from ship_bags.errors import BadInput
+from ship_bags.export.units import Unit, standard_name, unit_of
+
+_MOST_NUMBERED = 64
+"""A fixed array that is longer becomes a table of its own: nobody reads a thousand columns."""
+
+_DEEPEST = 16
+TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+BYTES = ("uint8", "byte", "octet")
+NO_FIELD = "structure_needs_at_least_one_member"
+"""Stands in the definition of a message without fields."""
+
+_TOGETHER: dict[str, tuple[dict[str, int], ...]] = {
+    "ship_msgs/msg/AlignmentState": ({"names": 1, "values": 1, "units": 1},),
+    "ship_msgs/msg/TheodoliteCalibration": ({"names": 1, "values": 1, "units": 1},),
+    "ship_msgs/msg/ErrorBudget": ({"sources": 1, "covariances": 9},),
+    "ship_msgs/msg/Innovation": ({"components": 1, "residual": 1, "sigma": 1},),
+    "ship_msgs/msg/InputHealth": ({"reasons": 1, "reason_counts": 1},),
+    "ship_msgs/msg/Integrity": (
+        {"quantities": 1, "protection_level": 1, "alert_limit": 1},
+        {"hypotheses": 1, "statistic": 1, "threshold": 1},
+        {"excluded": 1, "excluded_for_s": 1},
+    ),
+    "sensor_msgs/msg/JointState": ({"name": 1, "position": 1, "velocity": 1, "effort": 1},),
+}
+"""Type → arrays that are in the same order, as its definition says, and how many elements of each belong together."""
+
+Path = tuple[str | int, ...]
+Get = Callable[[Any], Any]
+
+
+class MessageField(NamedTuple):
+    """A number, text or array in a message: its place and type, what its numbers mean, the array or type it is in."""
+
+    path: Path
+    node: Nodetype
+    content: Any
+    unit: Unit | None = None
+    standard_name: str | None = None
+    array: str = ""
+    owner: str = ""
+
+    @property
+    def base(self) -> str:
+        """Its place as the beginning of a column's name; of a header the stamp and the frame need no more."""
+        if self.array:
+            return self.array
+        inner = self.path[1:] if self.path in (("header", "stamp"), ("header", "frame_id")) else self.path
+        return "_".join(map(str, inner))
+
+    @property
+    def origin(self) -> str:
+        """Its place as a program writes it."""
+        place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.path)
+        return place.removeprefix(".") or self.array
+
+
+def fields_of(
+    type_name: str, store: Typestore, path: Path = (), inherited: Unit | None = None
+) -> Iterator[MessageField]:
+    """All that a message holds, down to numbers, texts, times and arrays that become no single columns."""
+    if len(path) > _DEEPEST:
+        raise BadInput(f"{type_name}: messages within messages are more than {_DEEPEST} deep")
+    for name, (node, content) in store.fielddefs[type_name][1]:
+        unit = unit_of(type_name, name) or inherited
+        cf_name = standard_name(type_name, name)
+        yield from _parts(MessageField((*path, name), node, content, unit, cf_name, owner=type_name), store)
+
+
+def _parts(field: MessageField, store: Typestore) -> Iterator[MessageField]:
+    """The field itself, or where it is a message or a short array of messages, what stands in it."""
+    if field.node == Nodetype.NAME and field.content not in TIMES:
+        yield from fields_of(field.content, store, field.path, field.unit)
+    elif field.node == Nodetype.ARRAY and field.content[0][0] == Nodetype.NAME and field.content[1] <= _MOST_NUMBERED:
+        (node, content), length = field.content
+        for place in range(length):
+            yield from _parts(MessageField((*field.path, place), node, content, field.unit), store)
+    else:
+        yield field
+
+
+def groups_of(fields: list[MessageField]) -> list[dict[MessageField, int]]:
+    """Arrays that share a table, each with the number of its elements in a row."""
+    groups: dict[tuple[Path, str], dict[MessageField, int]] = {}
+    for field in fields:
+        known = next((group for group in _TOGETHER.get(field.owner, ()) if field.path[-1] in group), {})
+        alone = not known or field.content[0][0] != Nodetype.BASE
+        key = (field.path, "") if alone else (field.path[:-1], next(iter(known)))
+        groups.setdefault(key, {})[field] = 1 if alone else known[str(field.path[-1])]
+    return list(groups.values())
+
+
+def elements_of(group: dict[MessageField, int]) -> Callable[[Any], Iterable[Any]]:
+    """What takes the elements for the rows of a table out of a message; of several arrays, one or more of each."""
+    gets = [(getter(field.path), width) for field, width in group.items()]
+    if len(gets) == 1:
+        get, _ = gets[0]
+        return lambda message: plain(get(message))
+    return lambda message: zip_longest(*(_in_rows(plain(get(message)), width) for get, width in gets))
+
+
+def _in_rows(elements: list[Any], width: int) -> list[Any]:
+    """The elements, or where several belong together, lists of them."""
+    return elements if width == 1 else [elements[place : place + width] for place in range(0, len(elements), width)]
+
+
+def is_numbered(field: MessageField) -> bool:
+    """Whether it is a short array of fixed length of numbers or texts."""
+    return field.node == Nodetype.ARRAY and field.content[1] <= _MOST_NUMBERED and field.content[0][0] == Nodetype.BASE
+
+
+def is_bytes(field: MessageField) -> bool:
+    """Whether it is an array of bytes."""
+    node, content = field.content[0]
+    return bool(node == Nodetype.BASE and content[0] in BYTES)
+
+
+def getter(path: Path) -> Get:
+    """What takes the value at a place out of a message; at the empty place that is the message itself."""
+    if not path:
+        return lambda message: message
+    if all(isinstance(part, str) for part in path):
+        return attrgetter(".".join(map(str, path)))
+
+    def get(message: Any) -> Any:
+        for part in path:
+            message = message[part] if isinstance(part, int) else getattr(message, part)
+        return message
+
+    return get
+
+
+def plain(array: Any) -> list[Any]:
+    """The elements of a numpy array or a list, as Python has them."""
+    return array.tolist() if hasattr(array, "tolist") else array  # type: ignore[no-any-return]
+
+
+def type_in_row(array: MessageField, width: int) -> tuple[Nodetype, Any]:
+    """The type of what stands in a row: an element, or an array of some."""
+    return array.content[0] if width == 1 else (Nodetype.ARRAY, (array.content[0], width))

@@ -1,0 +1,233 @@
+"""Tables written as NetCDF-3 after the CF conventions: a record per row, a variable per column.
+
+The header is scipy's. The records are written behind it row by row, as the format lays them out, so that a table of any
+length takes little memory. How wide a text column is, is known when the last row is: until then the rows wait in a file
+without a name.
+"""
+
+import io
+import math
+import pickle
+import struct
+import tempfile
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.io import netcdf_file
+
+from ship_bags.errors import BadInput
+from ship_bags.export.table_files import TableFile, TableHead
+from ship_bags.export.table_rows import LOG_TIME, STAMP, TEXT, Column
+from ship_bags.export.units import cf_units, standard_name_on
+from ship_bags.stamps import NS_PER_S
+
+LONGEST_TEXT_BYTES = 32_768
+"""A text takes the room of the longest of its column in every row."""
+
+ROW, TIME = "row", "time"
+
+_CONVENTIONS = "CF-1.8"
+_RECORD_COUNT = struct.Struct(">I")
+_RECORD_COUNT_PLACE = 4
+_MOST_RECORDS = 2**31 - 1
+_WORD = 4
+"""In a record each variable begins at a multiple of so many bytes."""
+
+_CODES = {
+    "float64": "d", "float32": "f", "int32": "i", "int16": "h", "int8": "b",
+    # NetCDF-3 has no whole numbers without sign: the next wider kind holds them.
+    "bool": "b", "uint8": "h", "uint16": "i", "uint32": "d",
+    # Nor any of 64 bit: the nearest double, and what is missing to it in a second variable.
+    "int64": "d", "uint64": "d",
+}
+_SPLIT = ("int64", "uint64")
+_DTYPES = {"d": ">f8", "f": ">f4", "i": ">i4", "h": ">i2", "b": ">i1"}
+_REMAINDER = "_remainder"
+_COMMENT = (
+    "int64 and uint64 numbers are two variables: the number is the first, as an integer, plus the one of the same name "
+    "with _remainder. time is in seconds of POSIX UTC, in which leap seconds do not count; stamp_ns and log_time_ns "
+    "count nanoseconds since 1970-01-01."
+)
+
+
+class _Variable(NamedTuple):
+    """A variable of the file: its name, the letter of its kind, and what is said of it."""
+
+    name: str
+    code: str
+    attributes: dict[str, str]
+
+
+class NetcdfFile(TableFile):
+    """See the module."""
+
+    suffix = ".nc"
+
+    def __init__(self, path: Path, head: TableHead, columns: list[Column]) -> None:
+        self._waiting = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115 - closed by discard
+        super().__init__(path, head, columns)
+        self._names = [column.name for column in columns]
+        self._time_column = self._names.index(STAMP if STAMP in self._names else LOG_TIME)
+        self._variables = self._all_variables()
+        self._widths = [_WORD if variable.code == "c" else 0 for variable in self._variables]
+
+    def _write(self, values: list[list[Any]]) -> None:
+        arrays = [self._times(values[self._time_column])]
+        for column, given in zip(self.columns, values, strict=True):
+            of_column = _filled(column, given)
+            if column.kind == TEXT:
+                arrays.append(np.array(self._encoded(column, of_column)))
+            elif column.kind in _SPLIT:
+                nearest = [float(value) for value in of_column]
+                arrays.append(np.array(nearest))
+                rests = [value - int(near) for value, near in zip(of_column, nearest, strict=True)]
+                arrays.append(np.array(rests, np.int32))
+            else:
+                arrays.append(np.array(of_column, _DTYPES[_CODES[column.kind]]))
+        for place, array in enumerate(arrays):
+            if self._widths[place]:
+                self._widths[place] = max(self._widths[place], -(-array.itemsize // _WORD) * _WORD)
+        pickle.dump(arrays, self._waiting, protocol=pickle.HIGHEST_PROTOCOL)
+        self._waiting.flush()
+
+    def _end(self) -> None:
+        if self.row_count > _MOST_RECORDS:
+            raise BadInput(f"more than {_MOST_RECORDS} rows: take --format csv or parquet", file=self.path)
+        self._stream.write(self._header())
+        record = self._record()
+        self._waiting.seek(0)
+        written = 0
+        while written < self.row_count:
+            arrays = pickle.load(self._waiting)
+            rows = np.zeros(len(arrays[0]), record)
+            for variable, array in zip(self._variables, arrays, strict=True):
+                rows[variable.name] = array
+            self._stream.write(rows.tobytes())
+            written += len(rows)
+        self._waiting.close()
+
+    def discard(self) -> None:
+        """See :meth:`TableFile.discard`."""
+        self._waiting.close()
+        super().discard()
+
+    def _times(self, stamps_ns: list[int]) -> Any:
+        """Seconds since the epoch, each the double that is nearest."""
+        return np.array([(stamp_ns - self.head.epoch_ns) / NS_PER_S for stamp_ns in stamps_ns], np.float64)
+
+    def _encoded(self, column: Column, texts: list[str]) -> list[bytes]:
+        encoded = [text.encode() for text in texts]
+        longest = max(map(len, encoded), default=0)
+        if longest > LONGEST_TEXT_BYTES:
+            raise BadInput(
+                f"topic '{self.head.topic}': a {column.name} of {longest} bytes; here NetCDF takes "
+                f"{LONGEST_TEXT_BYTES}: take --format csv or parquet",
+            )
+        if any(text.endswith(b"\0") for text in encoded):
+            raise BadInput(
+                f"topic '{self.head.topic}': a {column.name} ends with the character NUL, which NetCDF cannot "
+                "keep: take --format csv or parquet",
+            )
+        return encoded
+
+    def _all_variables(self) -> list[_Variable]:
+        time_origin = self.columns[self._time_column].origin
+        variables = [_Variable(TIME, "d", _time_attributes(time_origin, self.head.epoch_ns))]
+        for column in self.columns:
+            code = "c" if column.kind == TEXT else _CODES[column.kind]
+            variables.append(_Variable(column.name, code, _attributes(column, self.head.topic)))
+            if column.kind in _SPLIT:
+                rest = {"long_name": f"what is missing to {column.name}", "coordinates": TIME}
+                if column.unit is not None:
+                    rest["units"] = column.unit.symbol
+                variables.append(_Variable(self._free_name(f"{column.name}{_REMAINDER}"), "i", rest))
+        return variables
+
+    def _free_name(self, name: str) -> str:
+        """The name, or where a column bears it, one with a line behind it."""
+        while name in self._names:
+            name += "_"
+        return name
+
+    def _record(self) -> np.dtype[Any]:
+        """How a row lies in the file."""
+        formats = [
+            f"S{width}" if width else _DTYPES[variable.code]
+            for variable, width in zip(self._variables, self._widths, strict=True)
+        ]
+        places, end = [], 0
+        for each in formats:
+            places.append(end)
+            end += -(-np.dtype(each).itemsize // _WORD) * _WORD
+        names = [variable.name for variable in self._variables]
+        return np.dtype({"names": names, "formats": formats, "offsets": places, "itemsize": end})
+
+    def _header(self) -> bytes:
+        """All that stands before the first row."""
+        buffer = io.BytesIO()
+        file = netcdf_file(buffer, "w")
+        file.Conventions = _CONVENTIONS
+        file.title = _ascii(self.head.title)
+        file.source = _ascii(f"topic {self.head.topic} of type {self.head.type_name}")
+        file.history = _ascii(f"ship_bags export of {self.head.bag}")
+        file.comment = _COMMENT
+        file.createDimension(ROW, None)
+        for width in sorted({width for width in self._widths if width}):
+            file.createDimension(f"characters_{width}", width)
+        for variable, width in zip(self._variables, self._widths, strict=True):
+            dimensions = (ROW, f"characters_{width}") if width else (ROW,)
+            made = file.createVariable(variable.name, variable.code, dimensions)
+            for name, text in variable.attributes.items():
+                setattr(made, name, _ascii(text))
+            # One record: by it the library knows sizes and places. It is cut off again.
+            made[0] = b" " * width if width else 0
+        file.flush()
+        one_row = buffer.getvalue()
+        file.close()
+        head = bytearray(one_row[: len(one_row) - self._record().itemsize])
+        _RECORD_COUNT.pack_into(head, _RECORD_COUNT_PLACE, self.row_count)
+        return bytes(head)
+
+
+def epoch_of(start_ns: int) -> int:
+    """The midnight before a time: seconds since then, as doubles, are good to a hundredth of a nanosecond."""
+    day_ns = 86_400 * NS_PER_S
+    return start_ns // day_ns * day_ns
+
+
+def _time_attributes(origin: str, epoch_ns: int) -> dict[str, str]:
+    epoch = datetime.fromtimestamp(epoch_ns // NS_PER_S, tz=timezone.utc)
+    return {
+        "standard_name": "time",
+        "long_name": f"time, {origin}",
+        "units": f"seconds since {epoch:%Y-%m-%d %H:%M:%S}",
+        "calendar": "standard",
+        "axis": "T",
+    }
+
+
+def _attributes(column: Column, topic: str) -> dict[str, str]:
+    attributes = {"long_name": column.origin, "coordinates": TIME}
+    name = column.standard_name or standard_name_on(topic, column.origin)
+    if column.unit is not None:
+        attributes["units"] = cf_units(column.unit, name)
+    if name is not None:
+        attributes["standard_name"] = name
+    if column.kind == TEXT:
+        attributes["_Encoding"] = "utf-8"
+    return attributes
+
+
+def _filled(column: Column, values: list[Any]) -> list[Any]:
+    """The values, with what NetCDF-3 can say in place of None."""
+    if not any(value is None for value in values):
+        return values
+    nothing: Any = "" if column.kind == TEXT else math.nan if column.kind.startswith("float") else 0
+    return [nothing if value is None else value for value in values]
+
+
+def _ascii(text: str) -> str:
+    """A text as an attribute can hold it."""
+    return text.encode("ascii", "backslashreplace").decode("ascii")

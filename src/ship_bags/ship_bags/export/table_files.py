@@ -1,0 +1,211 @@
+"""Tables written as CSV and Parquet, a batch of rows at a time; the file gets its name when it is whole."""
+
+import csv
+import io
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ship_bags.errors import BadInput
+from ship_bags.export.table_rows import TEXT, Column
+from ship_bags.output_files import named, open_new, part_of
+
+_ROW_GROUP_BYTES = 8_000_000
+"""Held of a Parquet table before it is written: readers are slow over many small groups."""
+
+
+class TableHead(NamedTuple):
+    """What is said of a table as a whole: bag without its folder, topic, type of the messages, array or empty."""
+
+    bag: str
+    topic: str
+    type_name: str
+    array: str
+    epoch_ns: int
+
+    @property
+    def title(self) -> str:
+        """One line for people."""
+        of = f"{self.array} of " if self.array else ""
+        return f"{of}topic {self.topic} ({self.type_name}) of {self.bag}"
+
+
+class TableFile:
+    """A table being written; the kinds of file differ in :meth:`_write` and :meth:`_end`.
+
+    Args:
+        path: file to write.
+        head: what is said of it.
+        columns: of the table.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+
+    suffix = ""
+
+    def __init__(self, path: Path, head: TableHead, columns: list[Column]) -> None:
+        self.path = path
+        self.head = head
+        self.columns = columns
+        self.row_count = 0
+        self._part = part_of(path)
+        with self._naming():
+            self._stream = open_new(self._part)
+
+    def append(self, values: list[list[Any]]) -> None:
+        """Add rows, given column by column.
+
+        Raises:
+            BadInput: the format cannot hold them.
+            OSError: the disk is full, or the like.
+        """
+        with self._naming():
+            self._write(values)
+        self.row_count += len(values[0])
+
+    def finish(self) -> None:
+        """Write what is left and give the file its name.
+
+        Raises:
+            OSError: the disk is full, or the like.
+        """
+        with self._naming():
+            self._end()
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+            self._part.replace(self.path)
+            self._stream.close()
+
+    def discard(self) -> None:
+        """Leave nothing behind, unless the file is finished."""
+        if not self._stream.closed:
+            self._part.unlink(missing_ok=True)
+            # Closing writes what is left in the buffer, and fails once more on a full disk.
+            with suppress(OSError):
+                self._stream.close()
+
+    @contextmanager
+    def _naming(self) -> Iterator[None]:
+        """Name the file in an error of the system."""
+        try:
+            yield
+        except OSError as problem:
+            raise named(problem, self.path) from problem
+
+    def _write(self, values: list[list[Any]]) -> None:
+        raise NotImplementedError
+
+    def _end(self) -> None:
+        """What is written behind the last row."""
+
+
+class CsvFile(TableFile):
+    """CSV after RFC 4180 in UTF-8: the shortest digits that give the same number back, ``nan``, ``inf``, 0 and 1."""
+
+    suffix = ".csv"
+
+    def _write(self, values: list[list[Any]]) -> None:
+        if self.row_count == 0:
+            self._write_names()
+        self._write_lines(zip(*map(_shown, self.columns, values), strict=True))
+
+    def _end(self) -> None:
+        if self.row_count == 0:
+            self._write_names()
+
+    def _write_names(self) -> None:
+        self._write_lines([[column.name for column in self.columns]])
+
+    def _write_lines(self, lines: Iterable[Iterable[Any]]) -> None:
+        text = io.StringIO()
+        csv.writer(text).writerows(lines)
+        self._stream.write(text.getvalue().encode())
+
+
+class ParquetFile(TableFile):
+    """Parquet by pyarrow; unit and field of a column stand in its metadata.
+
+    Raises:
+        BadInput: pyarrow is not installed.
+    """
+
+    suffix = ".parquet"
+
+    def __init__(self, path: Path, head: TableHead, columns: list[Column]) -> None:
+        pyarrow, parquet = _pyarrow()
+        super().__init__(path, head, columns)
+        self._pyarrow = pyarrow
+        self._schema = pyarrow.schema(
+            [
+                pyarrow.field(column.name, _arrow_type(column), metadata=_arrow_metadata(column))
+                for column in columns
+            ],
+            metadata={"title": head.title, "topic": head.topic, "type": head.type_name},
+        )
+        self._held: list[Any] = []
+        self._writer = parquet.ParquetWriter(self._stream, self._schema)
+
+    def _write(self, values: list[list[Any]]) -> None:
+        arrays = [self._pyarrow.array(column, kind) for column, kind in zip(values, self._schema.types, strict=True)]
+        self._held.append(self._pyarrow.record_batch(arrays, schema=self._schema))
+        if sum(batch.nbytes for batch in self._held) > _ROW_GROUP_BYTES:
+            self._write_group()
+
+    def _end(self) -> None:
+        self._write_group()
+        self._writer.close()
+
+    def _write_group(self) -> None:
+        if self._held:
+            self._writer.write_table(self._pyarrow.Table.from_batches(self._held, self._schema))
+            self._held = []
+
+    def discard(self) -> None:
+        """See :meth:`TableFile.discard`."""
+        # The writer would write its footer when it is forgotten, into a file that is closed by then.
+        with suppress(OSError, ValueError):
+            self._writer.close()
+        super().discard()
+
+
+def check_parquet() -> None:
+    """Make sure that Parquet can be written.
+
+    Raises:
+        BadInput: pyarrow is not installed.
+    """
+    _pyarrow()
+
+
+def _pyarrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as problem:
+        raise BadInput(
+            "--format parquet needs the package pyarrow, which is not installed: pip install pyarrow, or take "
+            "--format csv or netcdf"
+        ) from problem
+    return pyarrow, pyarrow.parquet
+
+
+def _arrow_type(column: Column) -> str:
+    return "string" if column.kind == TEXT else column.kind
+
+
+def _arrow_metadata(column: Column) -> dict[str, str]:
+    return {"field": column.origin} | ({} if column.unit is None else {"unit": column.unit.symbol})
+
+
+def _shown(column: Column, values: list[Any]) -> Iterable[Any]:
+    """Values as csv writes them: Python's numbers are shown by the digits needed, those of single precision not."""
+    if column.kind == "float32":
+        return ["" if value is None else str(np.float32(value)) for value in values]
+    if column.kind == "bool":
+        return ["" if value is None else int(value) for value in values]
+    return values

@@ -1,0 +1,269 @@
+"""Messages of one type as rows of tables: one table of the messages, and one of each array whose length varies.
+
+A nested message becomes columns with its name in front, an array of fixed length numbered columns. An array of variable
+length becomes a table of its own with a row per element: of which message, at which place, and what stands there.
+The table of the messages says how many there are. Arrays in the same order share a table; where one of them is shorter,
+None stands behind its end.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain, count
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
+from ship_bags.errors import BadInput
+from ship_bags.export.message_fields import (
+    BYTES,
+    NO_FIELD,
+    TIMES,
+    Get,
+    MessageField,
+    elements_of,
+    fields_of,
+    getter,
+    groups_of,
+    is_bytes,
+    is_numbered,
+    plain,
+    type_in_row,
+)
+from ship_bags.export.units import NANOSECONDS, Unit
+from ship_bags.stamps import ns_from_stamp
+
+LOG_TIME = "log_time_ns"
+STAMP = "stamp_ns"
+TEXT = "text"
+
+MOST_COLUMNS = 2000
+"""A definition with more is a mistake or means harm."""
+
+MOST_TABLES = 100
+"""Of one topic: arrays within arrays that have no end are a mistake or mean harm, too."""
+
+_RESERVED = {"time", "row"}
+"""Names of the axes of a NetCDF file."""
+
+_KINDS = {
+    "bool": "bool", "byte": "uint8", "octet": "uint8", "char": "uint8", "string": TEXT, "wstring": TEXT,
+    **{name: name for name in ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")},
+    "float32": "float32", "float64": "float64",
+}
+
+Put = Callable[[list[Any], Any], None]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: its name, the numpy name of its numbers or TEXT, its unit, and where its values stand in a message."""
+
+    name: str
+    kind: str
+    unit: Unit | None
+    origin: str
+    standard_name: str | None = None
+
+
+class MessageTable:
+    """A table that fills up: rows are added message by message, and taken out column by column.
+
+    Args:
+        name: empty for the messages themselves, else the names of the arrays down to this one, joined by "-".
+        keys: columns whose values :meth:`add` is given.
+        fields: what a message or an element holds.
+        store: the definitions.
+        made: the tables of the topic so far; this one and those of its arrays are added.
+
+    Attributes:
+        columns: in their order.
+        arrays: what takes the elements of an array out of a message, and their table.
+
+    Raises:
+        BadInput: there would be more columns than MOST_COLUMNS or more tables than MOST_TABLES, a field is of an
+            unknown kind, or messages within messages have no end.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        keys: list[Column],
+        fields: Iterable[MessageField],
+        store: Typestore,
+        made: "list[MessageTable]",
+    ) -> None:
+        if len(made) >= MOST_TABLES:
+            raise BadInput(f"it would be more than {MOST_TABLES} tables")
+        made.append(self)
+        self.name = name
+        self.columns = list(keys)
+        self._rows: list[list[Any]] = []
+        self._puts: list[tuple[Get, Put]] = []
+        varying = []
+        for number, field in enumerate(fields):
+            if max(number, len(self.columns)) >= MOST_COLUMNS:
+                raise BadInput(f"a table of it would have more than {MOST_COLUMNS} columns")
+            if field.path[-1:] != (NO_FIELD,) and not self._take(field):
+                varying.append(field)
+        stamps = [place for place, column in enumerate(self.columns) if column.name == STAMP]
+        # The columns by which the rows of its arrays are told apart.
+        self._identity = sorted({*range(len(keys)), *stamps})
+        own_keys = [self.columns[place] for place in self._identity]
+        self.arrays = [
+            (elements_of(group), _array_table(name, own_keys, group, store, made)) for group in groups_of(varying)
+        ]
+
+    @property
+    def row_count(self) -> int:
+        """Rows that are not yet taken."""
+        return len(self._rows)
+
+    def add(self, keys: list[Any], message: Any) -> None:
+        """Add the row of a message or an element, and those of its arrays."""
+        row = list(keys)
+        for get, put in self._puts:
+            put(row, get(message))
+        self._rows.append(row)
+        for elements, table in self.arrays:
+            outer = [row[place] for place in self._identity]
+            for place, element in enumerate(elements(message)):
+                table.add([*outer, place], element)
+
+    def take_columns(self) -> list[list[Any]]:
+        """The values of each column; no row is left."""
+        taken = [list(values) for values in zip(*self._rows, strict=True)]
+        self._rows = []
+        return taken or [[] for _ in self.columns]
+
+    def _take(self, field: MessageField) -> bool:
+        """Make the columns of a field; of an array of variable length only that of its length, and say False."""
+        get = getter(field.path)
+        if field.node == Nodetype.NAME:
+            self._add_column(field.base, Column("", "int64", NANOSECONDS, field.origin))
+            self._puts.append((get, _put_time))
+        elif field.node == Nodetype.BASE:
+            self._add_column(field.base, _value_column(field, field.content[0], field.origin))
+            self._puts.append((get, _put_byte if field.content[0] in BYTES else _put_value))
+        elif is_numbered(field):
+            for place in range(field.content[1]):
+                column = _value_column(field, field.content[0][1][0], f"{field.origin}[{place}]")
+                self._add_column(field.base, column, f"_{place}")
+            self._puts.append((get, partial(_put_array, field.content[1])))
+        elif is_bytes(field):
+            self._add_column(f"{field.base}_hex", Column("", TEXT, None, f"{field.origin}, two digits a byte"))
+            self._puts.append((get, _put_hex))
+        else:
+            self._add_column(f"{field.base}_count", Column("", "int32", None, f"length of {field.origin}"))
+            self._puts.append((get, _put_length))
+            return False
+        return True
+
+    def _add_column(self, base: str, column: Column, number: str = "") -> None:
+        """Add a column, named by its base, its unit and its number; where that is taken, with a further number."""
+        suffix = "" if column.unit is None or not column.unit.suffix else f"_{column.unit.suffix}"
+        wanted = f"{base.removesuffix(suffix)}{suffix}{number}"
+        self.columns.append(replace(column, name=_free_name(wanted, self.columns)))
+
+
+class TopicRows:
+    """Turns the messages of a topic into rows.
+
+    Args:
+        type_name: of the messages.
+        store: the definitions.
+
+    Attributes:
+        tables: that of the messages first.
+
+    Raises:
+        BadInput: see :class:`MessageTable`.
+    """
+
+    def __init__(self, type_name: str, store: Typestore) -> None:
+        keys = [
+            Column(LOG_TIME, "int64", NANOSECONDS, "log time in the bag"),
+            Column("message_index", "int32", None, "number of the message, from 0"),
+        ]
+        self.tables: list[MessageTable] = []
+        self._messages = MessageTable("", keys, fields_of(type_name, store), store, self.tables)
+        self._message_count = 0
+
+    def add(self, message: Any, log_time_ns: int) -> None:
+        """Add the rows of one message."""
+        self._messages.add([log_time_ns, self._message_count], message)
+        self._message_count += 1
+
+
+def _array_table(
+    outer_name: str,
+    outer_keys: list[Column],
+    group: dict[MessageField, int],
+    store: Typestore,
+    made: list[MessageTable],
+) -> MessageTable:
+    """The table of an array, a row per element, or of several arrays that are in the same order."""
+    field = next(iter(group))
+    index = _free_name(f"{field.base}_index", outer_keys)
+    keys = [*outer_keys, Column(index, "int32", None, f"place in {field.origin}, from 0")]
+    node, content = field.content[0]
+    fields: Iterable[MessageField]
+    if len(group) > 1:
+        fields = [
+            MessageField((place,), *type_in_row(each, width), each.unit, None, each.base)
+            for place, (each, width) in enumerate(group.items())
+        ]
+    elif node == Nodetype.NAME and content not in TIMES:
+        fields = fields_of(content, store, inherited=field.unit)
+    else:
+        fields = [MessageField((), node, content, field.unit, None, field.base)]
+    name = _free(f"{outer_name}-{field.base}".lstrip("-"), {table.name.lower() for table in made})
+    return MessageTable(name, keys, fields, store, made)
+
+
+def _free_name(wanted: str, columns: list[Column]) -> str:
+    """The name, or where a column bears it, one with a number behind it."""
+    return _free(wanted, {known.name for known in columns} | _RESERVED)
+
+
+def _free(wanted: str, taken: set[str]) -> str:
+    """The name, or with a number behind it; capital letters make no other name."""
+    names = chain([wanted], (f"{wanted}_{again}" for again in count(2)))
+    return next(name for name in names if name not in taken and name.lower() not in taken)
+
+
+def _value_column(field: MessageField, base_type: str, origin: str) -> Column:
+    """The column of a number or text, without its name."""
+    kind = _KINDS.get(base_type)
+    if kind is None:
+        raise BadInput(f"field {field.origin}: numbers of type {base_type} are unknown here")
+    return Column("", kind, None if kind in (TEXT, "bool") else field.unit, origin, field.standard_name)
+
+
+def _put_value(row: list[Any], value: Any) -> None:
+    row.append(value)
+
+
+def _put_byte(row: list[Any], value: Any) -> None:
+    # rosbags reads a byte with a sign.
+    row.append(value & 0xFF)
+
+
+def _put_time(row: list[Any], value: Any) -> None:
+    row.append(ns_from_stamp(value))
+
+
+def _put_array(length: int, row: list[Any], value: Any) -> None:
+    # None where an array is shorter than another of the same order.
+    values = [] if value is None else plain(value)
+    row.extend(values)
+    row.extend([None] * (length - len(values)))
+
+
+def _put_hex(row: list[Any], value: Any) -> None:
+    row.append(bytes(value).hex())
+
+
+def _put_length(row: list[Any], value: Any) -> None:
+    row.append(len(value))

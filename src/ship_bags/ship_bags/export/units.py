@@ -1,0 +1,166 @@
+"""Units of message fields: of ship_msgs by the comments of its definitions, of common ROS messages by a table.
+
+A field whose unit is not certain has none: a wrong unit is worse than no unit.
+"""
+
+import functools
+import re
+from typing import NamedTuple
+
+from ship_bags.message_store import SHIP_MESSAGES, ship_message_folder
+
+
+class Unit(NamedTuple):
+    """A unit: as UDUNITS reads it, and as the end of a column's name (empty: the name needs none)."""
+
+    symbol: str
+    suffix: str
+
+
+_UNITS = {
+    "rad": Unit("rad", "rad"),
+    "rad^2": Unit("rad2", "rad2"),
+    "rad/s": Unit("rad s-1", "rad_per_s"),
+    "rad/s^2": Unit("rad s-2", "rad_per_s2"),
+    "rad^2/s^2": Unit("rad2 s-2", "rad2_per_s2"),
+    "deg": Unit("degree", "deg"),
+    "arcsec": Unit("arcsec", "arcsec"),
+    "m": Unit("m", "m"),
+    "m^2": Unit("m2", "m2"),
+    "m/s": Unit("m s-1", "m_per_s"),
+    "m/s^2": Unit("m s-2", "m_per_s2"),
+    "m^2/s^4": Unit("m2 s-4", "m2_per_s4"),
+    "s": Unit("s", "s"),
+    "ns": Unit("ns", "ns"),
+    "Hz": Unit("Hz", "hz"),
+    "1/h": Unit("h-1", "per_h"),
+    "pixel": Unit("pixel", "px"),
+    "sigma": Unit("1", "sigma"),
+    "1": Unit("1", ""),
+    "Pa": Unit("Pa", "pa"),
+    "Pa^2": Unit("Pa2", "pa2"),
+    "degC": Unit("degC", "celsius"),
+    "K^2": Unit("K2", "kelvin2"),
+    "T": Unit("T", "tesla"),
+    "T^2": Unit("T2", "tesla2"),
+    "lux": Unit("lx", "lux"),
+    "V": Unit("V", "volt"),
+    "A": Unit("A", "ampere"),
+    "Ah": Unit("A h", "ampere_h"),
+    "N": Unit("N", "newton"),
+    "N m": Unit("N m", "newton_m"),
+    "kg": Unit("kg", "kg"),
+    "kg m^2": Unit("kg m2", "kg_m2"),
+}
+
+NANOSECONDS = _UNITS["ns"]
+
+_TABLE = {
+    # Comments of ship_msgs that say it otherwise than in brackets of their own.
+    "ship_msgs/msg/StarObservation": {"declination": "rad"},
+    "ship_msgs/msg/Integrity": {"statistic": "sigma"},
+    "sensor_msgs/msg/Imu": {
+        "orientation_covariance": "rad^2",
+        "angular_velocity": "rad/s",
+        "angular_velocity_covariance": "rad^2/s^2",
+        "linear_acceleration": "m/s^2",
+        "linear_acceleration_covariance": "m^2/s^4",
+    },
+    "sensor_msgs/msg/NavSatFix": {
+        "latitude": "deg", "longitude": "deg", "altitude": "m", "position_covariance": "m^2",
+    },
+    "sensor_msgs/msg/FluidPressure": {"fluid_pressure": "Pa", "variance": "Pa^2"},
+    "sensor_msgs/msg/Temperature": {"temperature": "degC", "variance": "K^2"},
+    "sensor_msgs/msg/RelativeHumidity": {"relative_humidity": "1", "variance": "1"},
+    "sensor_msgs/msg/MagneticField": {"magnetic_field": "T", "magnetic_field_covariance": "T^2"},
+    "sensor_msgs/msg/Illuminance": {"illuminance": "lux"},
+    "sensor_msgs/msg/Range": {
+        "field_of_view": "rad", "min_range": "m", "max_range": "m", "range": "m", "variance": "m^2",
+    },
+    "sensor_msgs/msg/LaserScan": {
+        "angle_min": "rad", "angle_max": "rad", "angle_increment": "rad", "time_increment": "s", "scan_time": "s",
+        "range_min": "m", "range_max": "m", "ranges": "m",
+    },
+    "sensor_msgs/msg/BatteryState": {
+        "voltage": "V", "temperature": "degC", "current": "A", "charge": "Ah", "capacity": "Ah",
+        "design_capacity": "Ah", "percentage": "1", "cell_voltage": "V", "cell_temperature": "degC",
+    },
+    "geometry_msgs/msg/Twist": {"linear": "m/s", "angular": "rad/s"},
+    "geometry_msgs/msg/Accel": {"linear": "m/s^2", "angular": "rad/s^2"},
+    "geometry_msgs/msg/Wrench": {"force": "N", "torque": "N m"},
+    "geometry_msgs/msg/Pose": {"position": "m"},
+    "geometry_msgs/msg/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
+    "geometry_msgs/msg/Transform": {"translation": "m"},
+    "geometry_msgs/msg/PointStamped": {"point": "m"},
+    "geometry_msgs/msg/Polygon": {"points": "m"},
+    "geometry_msgs/msg/Inertia": {
+        "m": "kg", "com": "m", **dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "kg m^2"),
+    },
+}
+"""Type → field → unit, by REP-103 and the comments of the definitions; a covariance of lengths and angles has none."""
+
+_STANDARD_NAMES = {
+    ("ship_msgs/msg/ShipAttitude", "heading"): "platform_orientation",
+    ("ship_msgs/msg/ShipAttitude", "pitch"): "platform_pitch_fore_up",
+    ("ship_msgs/msg/ShipAttitude", "roll"): "platform_roll_starboard_down",
+    ("sensor_msgs/msg/NavSatFix", "latitude"): "latitude",
+    ("sensor_msgs/msg/NavSatFix", "longitude"): "longitude",
+    ("sensor_msgs/msg/NavSatFix", "altitude"): "height_above_reference_ellipsoid",
+    ("sensor_msgs/msg/RelativeHumidity", "relative_humidity"): "relative_humidity",
+}
+
+_STANDARD_NAMES_IN_THE_AIR = {
+    ("met/pressure", "fluid_pressure"): "air_pressure",
+    ("met/temperature", "temperature"): "air_temperature",
+}
+"""By topic and field: elsewhere these messages may be of any pressure and temperature."""
+
+_CF_UNITS = {"latitude": "degrees_north", "longitude": "degrees_east"}
+"""What CF wants to read in place of "degree"."""
+
+_COMMENT_UNIT = re.compile(r"\[([^\]]+)\]")
+_FIELD = re.compile(r"^(\S+)\s+([A-Za-z]\w*)\s*(?:#.*)?$")
+
+
+def unit_of(type_name: str, field: str) -> Unit | None:
+    """The unit of a field of a message type, or of the numbers inside it; None where it is not known."""
+    text = _TABLE.get(type_name, {}).get(field)
+    if text is None and type_name.startswith(f"{SHIP_MESSAGES}/msg/"):
+        text = _commented_units(type_name.rpartition("/")[2]).get(field)
+    return None if text is None else _UNITS[text]
+
+
+def standard_name(type_name: str, field: str) -> str | None:
+    """The name that the CF conventions have for a field of a type; None where there is none."""
+    return _STANDARD_NAMES.get((type_name, field))
+
+
+def standard_name_on(topic: str, field: str) -> str | None:
+    """The name that the CF conventions have for a field because of its topic; None where there is none."""
+    return _STANDARD_NAMES_IN_THE_AIR.get(("/".join(topic.split("/")[-2:]), field))
+
+
+def cf_units(unit: Unit, name: str | None) -> str:
+    """The attribute ``units`` of a variable with a standard name or none."""
+    return _CF_UNITS.get(name or "", unit.symbol)
+
+
+@functools.cache
+def _commented_units(message: str) -> dict[str, str]:
+    """Field → unit in brackets, from the comment above it, which holds for all fields up to the next comment."""
+    path = ship_message_folder() / f"{message}.msg"
+    units: dict[str, str] = {}
+    comment, ended = "", True
+    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
+        if line.startswith("#"):
+            comment = line if ended else f"{comment} {line}"
+            ended = False
+            continue
+        ended = True
+        field = _FIELD.match(line)
+        if field is None or field[1].startswith("string"):
+            continue
+        known = [text for text in _COMMENT_UNIT.findall(comment) if text in _UNITS]
+        if known:
+            units[field[2]] = known[0]
+    return units

@@ -1,0 +1,133 @@
+"""What a bag holds, counted message by message, so that it is true of a damaged bag too."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mcap.records import Message
+
+from ship_bags.command_line import with_bar
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_file import McapFile
+from ship_bags.mcap.bag_reader import Bag, open_files
+from ship_bags.stamps import NS_PER_S
+
+
+@dataclass
+class TopicContent:
+    """A topic: its type, and number and log times of its messages; times are None where it has none."""
+
+    type_name: str
+    message_count: int = 0
+    first_ns: int | None = None
+    last_ns: int | None = None
+
+    def add(self, log_time_ns: int) -> None:
+        """Count a message."""
+        self.message_count += 1
+        self.first_ns = log_time_ns if self.first_ns is None else min(self.first_ns, log_time_ns)
+        self.last_ns = log_time_ns if self.last_ns is None else max(self.last_ns, log_time_ns)
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Mean rate from the first to the last message; None where there are no two at different times."""
+        if self.first_ns is None or self.last_ns is None or self.last_ns == self.first_ns:
+            return None
+        return (self.message_count - 1) * NS_PER_S / (self.last_ns - self.first_ns)
+
+
+@dataclass
+class BagContent:
+    """What a bag holds.
+
+    Attributes:
+        files: name → size, bytes.
+        topics: name → content, by name.
+        attachments: name → content.
+        metadata: name → entries.
+        problems: one line for each thing wrong with the bag; none where footer, index and checksums are in order.
+    """
+
+    files: dict[str, int]
+    topics: dict[str, TopicContent] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def start_ns(self) -> int | None:
+        """Log time of the first message."""
+        return min((topic.first_ns for topic in self.topics.values() if topic.first_ns is not None), default=None)
+
+    @property
+    def end_ns(self) -> int | None:
+        """Log time of the last message."""
+        return max((topic.last_ns for topic in self.topics.values() if topic.last_ns is not None), default=None)
+
+    @property
+    def message_count(self) -> int:
+        """Messages that can be read."""
+        return sum(topic.message_count for topic in self.topics.values())
+
+
+def bag_content(path: Path) -> BagContent:
+    """Read a bag through and count.
+
+    Raises:
+        BadInput: it cannot be opened at all; see :func:`ship_bags.mcap.bag_reader.open_files`.
+    """
+    files = open_files(path)
+    try:
+        content = BagContent({file.path.name: file.data.size for file in files})
+        for file in files:
+            content.attachments |= file.attachments
+            content.metadata |= file.metadata
+            _count(content, file)
+        content.topics = dict(sorted(content.topics.items()))
+        content.problems = _problems(path, files)
+        return content
+    finally:
+        for file in files:
+            file.data.stream.close()
+
+
+def attachment(path: Path, name: str) -> bytes:
+    """A file that is attached to a bag; of several of that name in a folder the last.
+
+    Raises:
+        BadInput: there is none of that name, or the bag cannot be opened.
+    """
+    files = open_files(path)
+    for file in files:
+        file.data.stream.close()
+    attached = {known: data for file in files for known, data in file.attachments.items()}
+    if name not in attached:
+        others = f"it has {', '.join(sorted(attached))}" if attached else "nothing is attached to it"
+        problems = "".join(f"; {problem}" for file in files for problem in file.problems)
+        raise BadInput(f"no {name} is attached to it: {others}{problems}", file=path)
+    return attached[name]
+
+
+def _count(content: BagContent, file: McapFile) -> None:
+    for channel in file.channels.values():
+        schema = file.schemas.get(channel.schema_id)
+        content.topics.setdefault(channel.topic, TopicContent("unknown" if schema is None else schema.name))
+    topics = {number: content.topics[channel.topic] for number, channel in file.channels.items()}
+    start_ns = min((place.start_ns for place in file.chunks), default=0)
+    end_ns = max((place.end_ns for place in file.chunks), default=0)
+    for message in with_bar(_messages(file), file.path.name, start_ns, end_ns, lambda message: message.log_time):
+        if message.channel_id in topics:
+            topics[message.channel_id].add(message.log_time)
+
+
+def _messages(file: McapFile) -> Iterator[Message]:
+    for place in file.chunks:
+        yield from file.messages(place)
+
+
+def _problems(path: Path, files: list[McapFile]) -> list[str]:
+    try:
+        return Bag(path, files).problems
+    except BadInput as problem:
+        # A definition that nobody can parse: the bag can be counted, not decoded.
+        return [*(line for file in files for line in file.problems), str(problem)]

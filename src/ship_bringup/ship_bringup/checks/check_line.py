@@ -1,0 +1,67 @@
+"""What the checks before a voyage say, as rows of a table, and the exit code that follows from them."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE
+from ship_bags.errors import one_line
+from ship_estimation.parameter_rows import in_columns
+
+MOST_ROWS = 12
+"""Of one check no more rows are shown than this; the others are counted."""
+
+
+class Result(Enum):
+    """What a row means, from good to bad."""
+
+    OK = "OK"
+    NOT_CHECKED = "not checked"
+    WARN = "WARN"
+    FAIL = "FAIL"
+
+
+_ORDER = (Result.FAIL, Result.WARN, Result.NOT_CHECKED, Result.OK)
+
+
+@dataclass(frozen=True)
+class CheckLine:
+    """One row.
+
+    Attributes:
+        check: which check it is of.
+        result: how it went.
+        found: what was found.
+        advice: what to do; empty where there is nothing to do.
+    """
+
+    check: str
+    result: Result
+    found: str
+    advice: str = ""
+
+
+def table(lines: Sequence[CheckLine]) -> list[str]:
+    """The rows as lines of text; what to do stands below what was found."""
+    shown = in_columns([("check", "result", "found"), *((x.check, x.result.value, one_line(x.found)) for x in lines)])
+    indent = shown[0].index("found")
+    text = shown[:1]
+    for row, line in zip(shown[1:], lines, strict=True):
+        text.append(row)
+        if line.advice:
+            text.append(f"{'':{indent}}-> {one_line(line.advice)}")
+    return text
+
+
+def bounded(lines: Iterable[CheckLine]) -> list[CheckLine]:
+    """The worst rows of one check first, each once, and how many more there are."""
+    ordered = sorted(dict.fromkeys(lines), key=lambda line: _ORDER.index(line.result))
+    if len(ordered) <= MOST_ROWS:
+        return ordered
+    rest = ordered[MOST_ROWS - 1 :]
+    return [*ordered[: MOST_ROWS - 1], CheckLine(rest[0].check, rest[0].result, f"and {len(rest)} more")]
+
+
+def exit_code(lines: Iterable[CheckLine]) -> int:
+    """0 where no check failed, else 1."""
+    return EXIT_BOUND_NOT_MET if any(line.result is Result.FAIL for line in lines) else EXIT_DONE

@@ -1,0 +1,113 @@
+"""How far the computer's clock is from UTC, as chrony or PTP say, and what that is in a turn of the ship.
+
+The texts are those of ``chronyc tracking`` (chrony's manual page, command ``tracking``) and of ``pmc -u -b 0 'GET
+TIME_STATUS_NP'`` (linuxptp's manual pages).
+"""
+
+import math
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass
+
+from ship_bringup.checks.check_line import CheckLine, Result
+from ship_watch.limits import Limits
+
+TURN_DEG_PER_S = 5.0
+"""Rate of turn at which an offset is told as an angle: a ship in a hard turn."""
+
+_CHECK = "clock"
+_CHRONY = ("chronyc", "-n", "tracking")
+_PTP = ("pmc", "-u", "-b", "0", "GET TIME_STATUS_NP")
+_ANSWER_S = 5.0
+_NUMBER = r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)"
+_TO_DO = "set up chrony with the ship's GNSS receiver or time server, or ptp4l and phc2sys"
+
+
+@dataclass(frozen=True)
+class ClockState:
+    """What is known of the clock.
+
+    Attributes:
+        source: who says so: chrony or PTP; empty where neither is there.
+        offset_s: of the clock from its source, without sign; NaN where it was not told.
+        bound_s: no larger error is possible where the source is right (chrony's root distance); NaN where not told.
+        is_synchronised: whether the source says that it follows a better clock.
+        detail: why nothing is known, or what the source says of itself.
+    """
+
+    source: str
+    offset_s: float = math.nan
+    bound_s: float = math.nan
+    is_synchronised: bool = False
+    detail: str = ""
+
+
+def look_at_clock() -> ClockState:
+    """Ask chrony, then PTP."""
+    told = []
+    for command, read in ((_CHRONY, chrony_state), (_PTP, ptp_state)):
+        if shutil.which(command[0]) is None:
+            told.append(f"no {command[0]}")
+            continue
+        try:
+            run = subprocess.run(command, capture_output=True, text=True, timeout=_ANSWER_S, check=False)
+        except subprocess.TimeoutExpired:
+            told.append(f"{command[0]} does not answer within {_ANSWER_S:g} s")
+            continue
+        state = read(run.stdout)
+        if state is not None:
+            return state
+        said = (run.stderr or run.stdout).strip().splitlines()
+        told.append(f"{command[0]} says: {said[-1] if said else 'nothing'}")
+    return ClockState("", detail=", ".join(told))
+
+
+def chrony_state(text: str) -> ClockState | None:
+    """What ``chronyc tracking`` printed; None where it is no such text."""
+    offset = re.search(rf"^System time\s*: {_NUMBER} seconds (?:slow|fast) of NTP time", text, re.MULTILINE)
+    leap = re.search(r"^Leap status\s*: (.+)$", text, re.MULTILINE)
+    if offset is None or leap is None:
+        return None
+    offset_s = abs(float(offset[1]))
+    bound_s = offset_s + _root_s("dispersion", text) + 0.5 * _root_s("delay", text)
+    return ClockState("chrony", offset_s, bound_s, leap[1].strip() != "Not synchronised", leap[1].strip())
+
+
+def _root_s(name: str, text: str) -> float:
+    found = re.search(rf"^Root {name}\s*: {_NUMBER} seconds", text, re.MULTILINE)
+    return float(found[1]) if found else math.nan
+
+
+def ptp_state(text: str) -> ClockState | None:
+    """What ``pmc`` printed of TIME_STATUS_NP; None where it is no such text."""
+    offset = re.search(rf"^\s*master_offset\s+{_NUMBER}\s*$", text, re.MULTILINE)
+    present = re.search(r"^\s*gmPresent\s+(true|false)\s*$", text, re.MULTILINE)
+    if offset is None or present is None:
+        return None
+    detail = "of the clock of the network card: see that phc2sys runs"
+    return ClockState("PTP", abs(float(offset[1])) * 1e-9, math.nan, present[1] == "true", detail)
+
+
+def judge_clock(state: ClockState, limits: Limits) -> CheckLine:
+    """Hold the clock against the ship's limits: FAIL over the limit of stamps, WARN over that of the heading."""
+    if not state.source:
+        return CheckLine(_CHECK, Result.WARN, f"neither chrony nor PTP: {state.detail}", _TO_DO)
+    if not state.is_synchronised:
+        return CheckLine(_CHECK, Result.FAIL, f"{state.source} is not synchronised ({state.detail})", _TO_DO)
+    turn_arcsec = arcsec_in_a_turn(state.offset_s)
+    found = f"{state.source}: {state.offset_s * 1e3:.3g} ms off, {turn_arcsec:.3g}\" at {TURN_DEG_PER_S:g} deg/s"
+    if math.isfinite(state.bound_s):
+        found += f" (at most {state.bound_s * 1e3:.3g} ms, {arcsec_in_a_turn(state.bound_s):.3g}\")"
+    if not state.offset_s <= limits.machine.clock_offset_s:
+        over = f"over machine.clock_offset_s, {limits.machine.clock_offset_s * 1e3:g} ms"
+        return CheckLine(_CHECK, Result.FAIL, f"{found}: {over}", "wait until it has settled: chronyc waitsync")
+    if not turn_arcsec <= limits.heading_arcsec:
+        advice = "wait until it has settled, or take a nearer source: a GNSS receiver with PPS"
+        return CheckLine(_CHECK, Result.WARN, f"{found}: over heading_arcsec, {limits.heading_arcsec:g}\"", advice)
+    return CheckLine(_CHECK, Result.OK, found)
+
+
+def arcsec_in_a_turn(offset_s: float) -> float:
+    """The angle that the ship turns in this time at :data:`TURN_DEG_PER_S`, arcsec: 18 for a millisecond."""
+    return TURN_DEG_PER_S * 3600.0 * offset_s

@@ -1,0 +1,73 @@
+"""The ROS domain that the suite will run in: whether it is its own, and who is there already."""
+
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+
+from ship_bringup.checks.check_line import CheckLine, Result
+from ship_bringup.checks.network_look import NetworkState
+from ship_bringup.security.demand import DOMAIN, LAST_DOMAIN
+
+_CHECK = "domain"
+_RANGE, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
+_RANGES = "SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"
+_LAST_SAFE_DOMAIN = 101
+"""Ports of the domains beyond run into those that Linux gives to anybody."""
+
+
+def judge_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
+    """Rows about the variables that say in which domain nodes meet, and how far."""
+    text = environment.get(DOMAIN, "")
+    if not text:
+        advice = f"export {DOMAIN}=N with a number of the ship's own, 1 to {_LAST_SAFE_DOMAIN}"
+        yield CheckLine(_CHECK, Result.WARN, f"{DOMAIN} is not set: domain 0, which everybody shares", advice)
+    elif not text.isascii() or not text.isdigit() or int(text) > LAST_DOMAIN:
+        expected = f"expected a number from 0 to {LAST_DOMAIN}"
+        yield CheckLine(_CHECK, Result.FAIL, f"{DOMAIN} is '{text}': {expected}", f"export {DOMAIN}=N")
+    elif int(text) > _LAST_SAFE_DOMAIN:
+        found = f"{DOMAIN} is {text}: other programs of this computer may be given its ports"
+        yield CheckLine(_CHECK, Result.WARN, found, f"take one up to {_LAST_SAFE_DOMAIN}")
+    else:
+        yield CheckLine(_CHECK, Result.OK, f"{DOMAIN} is {text}")
+    reach = environment.get(_RANGE, "")
+    if reach and reach not in _RANGES:
+        expected = f"expected one of {', '.join(_RANGES)}"
+        yield CheckLine(_CHECK, Result.FAIL, f"{_RANGE} is '{reach}': {expected}", f"export {_RANGE}=SUBNET")
+    elif reach == "OFF" and not environment.get(_PEERS):
+        advice = f"export {_RANGE}=SUBNET, or name the others in {_PEERS}"
+        yield CheckLine(_CHECK, Result.FAIL, f"{_RANGE} is OFF without {_PEERS}: nobody is met", advice)
+    else:
+        yield CheckLine(_CHECK, Result.OK, f"others are met in {reach or 'SUBNET'}")
+
+
+def judge_domain(state: NetworkState, own: Collection[str]) -> Iterator[CheckLine]:
+    """Rows about who is in the domain.
+
+    Args:
+        state: what was seen.
+        own: full names of the suite's nodes, none of which is started yet.
+    """
+    if state.failure:
+        yield CheckLine(_CHECK, Result.NOT_CHECKED, state.failure)
+        return
+    running = sorted(set(own) & set(state.nodes))
+    if running:
+        found = f"{', '.join(running)} is running already"
+        yield CheckLine(_CHECK, Result.FAIL, found, "end that suite first: two nodes of one name fight")
+    others = {node for names in state.given.values() for node in names} - set(own)
+    for topic in sorted(topic for topic, names in state.given.items() if others & set(names)):
+        names = ", ".join(sorted(set(state.given[topic]) - set(own)))
+        found = f"{topic}, which the suite gives, is published by {names}"
+        yield CheckLine(_CHECK, Result.FAIL, found, "end it, or give the suite another domain or --namespace")
+    if state.has_clock:
+        advice = "end the player of the bag, or take another domain"
+        yield CheckLine(_CHECK, Result.WARN, "somebody publishes a clock, as for a bag", advice)
+    for name, count in Counter(state.nodes).items():
+        if count > 1:
+            yield CheckLine(_CHECK, Result.WARN, f"{count} nodes are called {name}", "give each a name of its own")
+    drivers = {publisher.node for heard in state.heard for publisher in heard.publishers}
+    strangers = sorted(set(state.nodes) - drivers - set(own) - others)
+    if strangers:
+        advice = "if they are not the ship's: another domain, or DDS security"
+        yield CheckLine(_CHECK, Result.WARN, f"no part of the suite: {', '.join(strangers)}", advice)
+    found = f"{state.rmw}; sensors: {', '.join(sorted(drivers)) or 'none'}"
+    yield CheckLine(_CHECK, Result.OK, found)

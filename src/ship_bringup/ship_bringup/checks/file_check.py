@@ -1,0 +1,101 @@
+"""Files and rights: what the nodes read and write, and the devices that the suite file names."""
+
+import getpass
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, read_sections
+from ship_bringup.checks.check_line import CheckLine, Result
+from ship_bringup.suite.plan import SAVED_FILES
+
+_CHECK = "files"
+_DEVICES = "/dev/"
+
+
+@dataclass(frozen=True)
+class PathState:
+    """A path that the suite needs.
+
+    Attributes:
+        path: of it.
+        what: who names it, with its place.
+        is_device: whether it must be there already.
+        is_there: whether it is.
+        readable: by this user.
+        writable: by this user; where it is not there: whether it can be made.
+    """
+
+    path: Path
+    what: str
+    is_device: bool
+    is_there: bool
+    readable: bool
+    writable: bool
+
+
+def look_at_files(suite_path: Path, box: Path | None) -> list[PathState]:
+    """All paths that a suite file names, and the folder of the boxes."""
+    found = [] if box is None else [_state(box, "--box", makes_parents=True)]
+    for section in read_sections(suite_path)[1]:
+        for name, (value, line) in section.parameters.items():
+            if not isinstance(value, str) or not value:
+                continue
+            is_device = value.startswith(_DEVICES)
+            if is_device or name.rpartition(".")[2] in (*SAVED_FILES, BLACK_BOX_PARAMETER):
+                found.append(_state(Path(value), f"{suite_path}:{line}: {name}", is_device))
+    return found
+
+
+def judge_files(states: Sequence[PathState], without: Sequence[str]) -> Iterator[CheckLine]:
+    """Rows of all paths.
+
+    Args:
+        states: what was found.
+        without: what the nodes should have a file for and have none, one line each.
+    """
+    user = getpass.getuser()
+    for text in without:
+        yield CheckLine(_CHECK, Result.WARN, text, "give it a file: docs/how-to/bring_up.md")
+    for state in states:
+        problem, advice = _problem(state, user)
+        result = Result.FAIL if problem else Result.OK
+        yield CheckLine(_CHECK, result, f"{state.what} {state.path}: {problem or 'good'}", advice)
+    if not states and not without:
+        yield CheckLine(_CHECK, Result.OK, "the suite file names no file and no device")
+
+
+def _problem(state: PathState, user: str) -> tuple[str, str]:
+    if state.is_device and not state.is_there:
+        return "is not there", "plug the device in, or see what it is called: ls /dev/serial/by-id"
+    if state.is_device and not (state.readable and state.writable):
+        return f"user {user} may not read and write it", f"sudo usermod -aG dialout {user}, then log in anew"
+    if state.is_there and not (state.readable and state.writable):
+        return f"user {user} may not read and write it", f"sudo chown {user} {state.path}"
+    if not state.writable:
+        return f"user {user} cannot make it", f"make its folder: mkdir -p {state.path.parent}"
+    return "", ""
+
+
+def _state(path: Path, what: str, is_device: bool = False, makes_parents: bool = False) -> PathState:
+    if path.is_dir():
+        return PathState(path, what, is_device, True, os.access(path, os.R_OK), _takes_files(path))
+    if path.exists():
+        # A saved file is replaced whole: its folder must take the new one.
+        writable = os.access(path, os.W_OK) and (is_device or _takes_files(path.parent))
+        return PathState(path, what, is_device, True, os.access(path, os.R_OK), writable)
+    above = path.absolute().parent
+    while makes_parents and not above.exists() and above != above.parent:
+        above = above.parent
+    return PathState(path, what, is_device, False, False, above.is_dir() and _takes_files(above))
+
+
+def _takes_files(folder: Path) -> bool:
+    """Whether a file can be made in a folder: tried with one that has no name and is gone at once."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False

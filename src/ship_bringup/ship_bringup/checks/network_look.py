@@ -1,0 +1,203 @@
+"""A look at the live network before the suite is there: who takes part, and what the sensors say for some seconds.
+
+This is the only check that needs ROS. It subscribes as the nodes will and publishes nothing.
+"""
+
+import contextlib
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from ship_bags.errors import BadInput
+from ship_bags.live.ros_process import command_node, is_demanded
+from ship_bags.message_factory import message_class
+from ship_bags.parameter_yaml import full_name
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_bringup.security.demand import ENCLAVE
+from ship_node.edge.topics import InputTopic
+
+NAME = "preflight"
+
+STRONGER = frozenset({"reliable", "transient_local"})
+"""Qualities of service by which a subscriber hears nobody who does not offer them."""
+
+_DEPTH = 200
+_MOST_STAMPS = 200
+"""Of each topic the stamps of the newest messages, so many, are compared with the clock."""
+
+_DISCOVERY_S = 2.0
+"""Discovery on one machine takes 0.06 s to 1.6 s: listening begins after this."""
+
+
+@dataclass(frozen=True)
+class Publisher:
+    """One publisher of a topic: its node's full name, its type, and which of the stronger qualities it offers."""
+
+    node: str
+    type_name: str
+    offers: frozenset[str] = STRONGER
+
+
+@dataclass(frozen=True)
+class HeardTopic:
+    """What was heard of one input of the suite.
+
+    Attributes:
+        input: the topic.
+        publishers: who publishes it.
+        rate_hz: messages a second.
+        message_bytes: mean length of a message; 0 without any.
+        count: messages.
+        age_s: median of receipt minus stamp, negative for stamps of the future; None where none bore a stamp.
+    """
+
+    input: InputTopic
+    publishers: tuple[Publisher, ...] = ()
+    rate_hz: float = 0.0
+    message_bytes: float = 0.0
+    count: int = 0
+    age_s: float | None = None
+
+
+@dataclass(frozen=True)
+class NetworkState:
+    """What was seen.
+
+    Attributes:
+        rmw: the middleware.
+        nodes: full names of all nodes, those of the look itself aside; a name that two bear stands twice.
+        heard: the inputs of the suite.
+        given: topics that only the suite gives → nodes that publish them already.
+        has_clock: whether somebody sets the time.
+        failure: why nothing was seen; empty where it was.
+    """
+
+    rmw: str = ""
+    nodes: tuple[str, ...] = ()
+    heard: tuple[HeardTopic, ...] = ()
+    given: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    has_clock: bool = False
+    failure: str = ""
+
+
+def look_at_network(
+    inputs: Sequence[InputTopic], outputs: Sequence[str], namespace: str, listen_s: float
+) -> NetworkState:
+    """Listen to the inputs of a suite.
+
+    Args:
+        inputs: from outside.
+        outputs: relative names of topics that the suite itself gives.
+        namespace: of the suite, without its outer slashes.
+        listen_s: how long, s.
+    """
+    if is_demanded(os.environ):
+        os.environ.setdefault(ENCLAVE, full_name(NAME, namespace))
+    arguments = ["--ros-args", "-r", f"__ns:=/{namespace}"] if namespace else []
+    try:
+        with command_node(NAME, arguments) as node, _spinning(node) as spin:
+            ears = [_Ear(node, topic) for topic in inputs]
+            spin(_DISCOVERY_S)
+            for ear in ears:
+                ear.begin()
+            spin(listen_s)
+            return NetworkState(
+                rmw=get_rmw_implementation_identifier(),
+                nodes=_others(node),
+                heard=tuple(ear.heard(listen_s) for ear in ears),
+                given={topic: names for topic in outputs if (names := _nodes_of(node, topic))},
+                has_clock=any(node.count_publishers(name) for name in ("/clock", full_name("clock", namespace))),
+            )
+    except (BadInput, RuntimeError) as problem:
+        return NetworkState(failure=str(problem))
+
+
+class _Ear:
+    """One subscription, and what came by it."""
+
+    def __init__(self, node: Node, topic: InputTopic) -> None:
+        self._node, self._topic = node, topic
+        self._kind = message_class(topic.type_name)
+        self._count = self._bytes = 0
+        self._newest: list[tuple[bytes, int]] = []
+        qos = QoSProfile(
+            depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+        )
+        self._subscription: Subscription = node.create_subscription(
+            self._kind, topic.topic, self._take, qos, raw=True
+        )
+
+    def begin(self) -> None:
+        """Count from now on."""
+        self._count = self._bytes = 0
+        self._newest.clear()
+
+    def heard(self, listened_s: float) -> HeardTopic:
+        """What came since :meth:`begin`."""
+        return HeardTopic(
+            input=self._topic,
+            publishers=_publishers(self._node, self._topic.topic),
+            rate_hz=self._count / listened_s,
+            message_bytes=self._bytes / max(self._count, 1),
+            count=self._count,
+            age_s=self._age_s(),
+        )
+
+    def _take(self, data: bytes) -> None:
+        self._count += 1
+        self._bytes += len(data)
+        self._newest.append((data, time.time_ns()))
+        del self._newest[:-_MOST_STAMPS]
+
+    def _age_s(self) -> float | None:
+        messages = [(deserialize_message(data, self._kind), came_ns) for data, came_ns in self._newest]
+        ages = [came_ns - ns_from_stamp(each.header.stamp) for each, came_ns in messages if hasattr(each, "header")]
+        return statistics.median(ages) / NS_PER_S if ages else None
+
+
+@contextlib.contextmanager
+def _spinning(node: Node) -> Iterator[Callable[[float], None]]:
+    """A function that serves the callbacks of a node for so many seconds."""
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+
+    def spin(seconds: float) -> None:
+        end_s = time.monotonic() + seconds
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            executor.spin_once(timeout_sec=left_s)
+
+    try:
+        yield spin
+    finally:
+        executor.shutdown()
+
+
+def _publishers(node: Node, topic: str) -> tuple[Publisher, ...]:
+    name = node.resolve_topic_name(topic)
+    return tuple(
+        Publisher(
+            full_name(info.node_name, info.node_namespace),
+            info.topic_type,
+            STRONGER & {info.qos_profile.reliability.name.lower(), info.qos_profile.durability.name.lower()},
+        )
+        for info in node.get_publishers_info_by_topic(name)
+    )
+
+
+def _nodes_of(node: Node, topic: str) -> tuple[str, ...]:
+    return tuple(publisher.node for publisher in _publishers(node, topic))
+
+
+def _others(node: Node) -> tuple[str, ...]:
+    own = full_name(node.get_name(), node.get_namespace())
+    named = (full_name(name, namespace) for name, namespace in node.get_node_names_and_namespaces())
+    return tuple(sorted(name for name in named if name != own and not name.rpartition("/")[2].startswith("_")))

@@ -1,0 +1,62 @@
+"""DDS security, the ship's keystore and its policies, as rows of the table."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from ship_bags.live.ros_process import ENABLE, is_demanded
+from ship_bringup.checks.check_line import CheckLine, Result
+from ship_bringup.security.demand import KEYSTORE, shortcomings
+from ship_bringup.security.keystore import KeystoreUse, keystore_faults
+
+_SECURITY, _KEYSTORE, _POLICIES = "security", "keystore", "policies"
+
+
+def judge_security(
+    environment: Mapping[str, str], has_security: bool | None, is_required: bool
+) -> Iterator[CheckLine]:
+    """Whether DDS security is there, and enforced: FAIL where the ship's profile, or the environment, demands it.
+
+    Args:
+        environment: of the process.
+        has_security: whether DDS was built with it; None where that cannot be told.
+        is_required: whether the profile demands it.
+    """
+    found = shortcomings(environment, has_security)
+    if not found:
+        yield CheckLine(_SECURITY, Result.OK, "DDS has it, and the environment enforces it")
+    elif is_required or is_demanded(environment):
+        demand = "machine.require_security" if is_required else ENABLE
+        for text, advice in found:
+            yield CheckLine(_SECURITY, Result.FAIL, f"{demand} demands it, and {text}", advice)
+    else:
+        text = "off: whoever is on the network can read and publish all topics"
+        yield CheckLine(_SECURITY, Result.WARN, text, "docs/how-to/security.md; machine.require_security demands it")
+
+
+def judge_keystore(keystore: str, use: KeystoreUse, is_required: bool) -> Iterator[CheckLine]:
+    """Rows about the keystore and about the policies in it.
+
+    Args:
+        keystore: its folder; empty where the environment names none.
+        use: what it is to be good for.
+        is_required: whether the profile demands security: then what cannot be checked has failed.
+    """
+    unchecked = Result.FAIL if is_required else Result.NOT_CHECKED
+    if not keystore:
+        yield CheckLine(_KEYSTORE, unchecked, f"{KEYSTORE} is not set")
+        return
+    try:
+        faults = keystore_faults(Path(keystore), use)
+    except LookupError:
+        yield CheckLine(_KEYSTORE, unchecked, "no program openssl to check signatures with", "sudo apt install openssl")
+        return
+    for fault in faults:
+        result = Result.FAIL if fault.is_error else Result.WARN
+        yield CheckLine(_POLICIES if fault.of_policy else _KEYSTORE, result, fault.text, fault.advice)
+    enclaves = sum(1 for rights in use.rights if (Path(keystore) / "enclaves" / rights.enclave.lstrip("/")).is_dir())
+    if not any(fault.is_error and not fault.of_policy for fault in faults):
+        found = f"{keystore}: {enclaves} enclaves of this suite, signed by its authority"
+        yield CheckLine(_KEYSTORE, Result.OK, found)
+    if enclaves and not any(fault.of_policy for fault in faults):
+        yield CheckLine(_POLICIES, Result.OK, "they allow what the code declares and no more")
+

@@ -1,0 +1,101 @@
+"""Whether every sensor of the suite file is heard: with its type, at its rate, stamped by a clock like ours."""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from pathlib import Path
+
+from ship_bags.parameter_yaml import full_name, read_sections
+from ship_bringup.checks.check_line import CheckLine, Result
+from ship_bringup.checks.network_look import STRONGER, HeardTopic, NetworkState
+from ship_node.edge.input_record import MAX_AGE_S
+from ship_watch.limits import Limits
+from ship_watch.topics import source_of_topic
+
+_CHECK = "sensors"
+_NOT_IN_THE_LOG = "gnss", "weather"
+"""Their values are taken as they come: nothing is applied at their time."""
+_OVERRIDES = "qos_overrides."
+
+
+def asked_qualities(path: Path, topics: Iterable[str], namespace: str) -> dict[str, frozenset[str]]:
+    """Relative topic → qualities of service that the suite file has a node ask for beyond its own.
+
+    Args:
+        path: the suite file.
+        topics: relative names of inputs.
+        namespace: of the suite.
+    """
+    begins = {f"{_OVERRIDES}{full_name(topic, namespace)}.subscription.": topic for topic in topics}
+    found: dict[str, frozenset[str]] = {}
+    for section in read_sections(path)[1]:
+        for key, (value, _) in section.parameters.items():
+            topic = begins.get(key.rpartition(".")[0] + ".")
+            if topic is not None and value in STRONGER:
+                found[topic] = found.get(topic, frozenset()) | {value}
+    return found
+
+
+def judge_sensors(
+    state: NetworkState,
+    limits: Limits,
+    lags_s: Mapping[str, float],
+    asked: Mapping[str, frozenset[str]],
+    own: Collection[str] = (),
+) -> Iterator[CheckLine]:
+    """Rows of all inputs.
+
+    Args:
+        state: what was heard.
+        limits: of the ship; ``inputs.<id>.rate_hz`` says what rate is expected.
+        lags_s: relative topic → age beyond which a node no longer applies a message, s.
+        asked: see :func:`asked_qualities`.
+        own: inputs that the suite's own ``nmea_in`` may give once it is started.
+    """
+    if state.failure:
+        # A suite whose sensors nobody has heard is not ready, whatever the reason.
+        found = f"nothing could be heard: {state.failure}"
+        yield CheckLine(_CHECK, Result.FAIL, found, "set right what the other rows tell, then again")
+        return
+    for heard in state.heard:
+        if not heard.publishers and heard.input.topic in own:
+            found = f"{heard.input.topic}: nobody publishes it; nmea_in, which the suite starts, may give it"
+            advice = "to hear it now: ./ros2run ship_nmea nmea_in --ros-args --params-file FILE"
+            yield CheckLine(_CHECK, Result.NOT_CHECKED, found, advice)
+            continue
+        result, found, advice = _judged(heard, limits, lags_s, asked.get(heard.input.topic, frozenset()))
+        yield CheckLine(_CHECK, result, f"{heard.input.topic}: {found}", advice)
+
+
+def _judged(
+    heard: HeardTopic, limits: Limits, lags_s: Mapping[str, float], asked: frozenset[str]
+) -> tuple[Result, str, str]:
+    topic = heard.input.topic
+    needed = Result.FAIL if heard.input.required or heard.input.named else Result.WARN
+    if not heard.publishers:
+        return needed, "nobody publishes it", "start its driver, or remap its topic to this name"
+    of_type = [each for each in heard.publishers if each.type_name == heard.input.type_name]
+    who = ", ".join(sorted({each.node for each in heard.publishers}))
+    if not of_type:
+        other = heard.publishers[0].type_name
+        return Result.FAIL, f"{who} publishes {other}, expected {heard.input.type_name}", "change the driver or remap"
+    if lacking := [quality for quality in sorted(asked) if any(quality not in each.offers for each in of_type)]:
+        found = f"{who} does not offer {' and '.join(lacking)}, as the suite file asks for: nothing will come"
+        return Result.FAIL, found, "let the driver offer it, or take qos_overrides out of the suite file"
+    if not heard.count:
+        return needed, f"{who} publishes it, and no message came", "is the device on? for slow ones: a longer --listen"
+    found = f"{heard.rate_hz:.3g} Hz from {who}"
+    least_hz = limits.of_input(source_of_topic(topic)).rate_hz
+    if not heard.rate_hz >= least_hz:
+        return Result.FAIL, f"{found}: expected {least_hz:g} Hz at least", "look at the device and the network"
+    if heard.age_s is not None:
+        found += f", stamps {_age_words(heard.age_s)}"
+        if not -limits.machine.clock_offset_s <= heard.age_s <= MAX_AGE_S:
+            return Result.FAIL, found, "set the clock of the device, or of this computer: nodes will refuse them"
+        if source_of_topic(topic) not in _NOT_IN_THE_LOG and not heard.age_s <= lags_s.get(topic, MAX_AGE_S):
+            return Result.FAIL, f"{found}: later than lag_s", "look at delays on the way, or raise lag_s"
+    if len(heard.publishers) > 1:
+        return Result.WARN, f"{found}: {len(heard.publishers)} publishers", "one device, one publisher: end the others"
+    return Result.OK, found, ""
+
+
+def _age_words(age_s: float) -> str:
+    return f"{abs(age_s):.3f} s {'in the future' if age_s < 0.0 else 'old'}"

@@ -1,0 +1,192 @@
+"""``preflight``: all that can be known before the voyage, in one table, and an exit code."""
+
+import argparse
+import datetime
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ship_bags.command_line import CommandParser, run_command
+from ship_bags.live.ros_process import (
+    dds_has_security,
+    is_demanded,
+    loaded_libraries,
+    namespace_name,
+    positive,
+)
+from ship_bags.parameter_yaml import full_name
+from ship_bringup.checks.check_line import CheckLine, Result, bounded, exit_code, table
+from ship_bringup.checks.clock_check import judge_clock, look_at_clock
+from ship_bringup.checks.disk_check import judge_disk, look_at_disk, night_bytes
+from ship_bringup.checks.domain_check import judge_domain, judge_settings
+from ship_bringup.checks.file_check import judge_files, look_at_files
+from ship_bringup.checks.network_look import NetworkState, look_at_network
+from ship_bringup.checks.security_check import judge_keystore, judge_security
+from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
+from ship_bringup.security.demand import KEYSTORE, domain_of
+from ship_bringup.security.keystore import KeystoreUse
+from ship_bringup.security.rights import is_instruments, nmea_nodes, suite_rights
+from ship_bringup.suite.plan import without_saved_file
+from ship_replay.commands.replay import ADAPTERS
+from ship_replay.offline.adapter_chain import AdapterChain
+from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
+from ship_watch.limits import Limits, read_limits
+
+_DESCRIPTION = """\
+Checks before the voyage that a suite can run here: its file, DDS security with the ship's keystore and policies, the
+clock (chrony or PTP; its offset in ms, and in arcseconds at a turn of 5 deg/s), the domain and who is in it, the disk
+for the night's record and black boxes, files and rights, and whether every sensor of the file is heard. All checks are
+made, whatever the first ones find; nothing is changed on the machine. Start the drivers first, and the suite after it.
+"""
+_EPILOG = "exit code: 0 no check failed, perhaps warnings; 1 a check failed; 2 bad input or usage"
+_HOURS, _DAYS, _LISTEN_S = 12.0, 30.0, 5.0
+
+
+@dataclass(frozen=True)
+class _Suite:
+    """What all checks ask about: the command line, the ship's limits, and the nodes that can be made by the file."""
+
+    options: argparse.Namespace
+    limits: Limits
+    nodes: Sequence[CheckedNode]
+    findings: Findings
+    chain: AdapterChain
+
+    @property
+    def nmea(self) -> tuple[str, ...]:
+        return nmea_nodes(self.options.file, self.options.namespace)
+
+    @property
+    def names(self) -> list[str]:
+        return [full_name(adapter.node_name, self.options.namespace) for adapter in self.chain.adapters]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of ``preflight``; returns the exit code."""
+    return run_command(_parser(), _preflight, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="preflight",
+        example="./ros2run ship_bringup preflight examples/two_sensors.yaml --box /tmp --hours 12",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", type=Path, metavar="FILE", help="suite file")
+    parser.add_argument(
+        "--namespace", type=namespace_name, default="", metavar="NS", help="namespace of all nodes and topics (none)"
+    )
+    parser.add_argument(
+        "--limits", type=Path, metavar="FILE", help="the ship's limits; they also say whether DDS security is required"
+    )
+    parser.add_argument(
+        "--locked", action="store_true", help="nobody may set a parameter of a running node: policies must deny it"
+    )
+    parser.add_argument("--box", type=Path, metavar="FOLDER", help="black boxes will go into this folder")
+    parser.add_argument(
+        "--hours", type=positive, default=_HOURS, metavar="H", help=f"the disk must last so many hours ({_HOURS:g})"
+    )
+    parser.add_argument(
+        "--days", type=positive, default=_DAYS, metavar="D", help=f"certificates must last so many days ({_DAYS:g})"
+    )
+    parser.add_argument(
+        "--listen", type=positive, default=_LISTEN_S, metavar="S", help=f"listen to the sensors for S s ({_LISTEN_S:g})"
+    )
+    return parser
+
+
+def _preflight(options: argparse.Namespace) -> int:
+    limits = Limits() if options.limits is None else read_limits(options.limits)
+    findings = Findings()
+    nodes = check_file(options.file, ADAPTERS, findings, options.namespace)
+    suite = _Suite(options, limits, nodes, findings, AdapterChain([node.adapter for node in nodes]))
+    # Before anything that makes a node: that would fail first where security is demanded and not there.
+    security = list(_security(suite))
+    settings = list(judge_settings(os.environ))
+    network = _network(suite, settings)
+    domain = [*settings, *judge_domain(network, suite.names)]
+    checks = [_parameters(suite), security, _clock(suite), domain, _disk(suite, network)]
+    checks += [_files(suite), _sensors(suite, network)]
+    lines = [line for check in checks for line in bounded(check)]
+    print("\n".join(table(lines)))
+    counts = {result: sum(line.result is result for line in lines) for result in (Result.FAIL, Result.WARN)}
+    print(f"{options.file}: failed: {counts[Result.FAIL]}, warnings: {counts[Result.WARN]}")
+    return exit_code(lines)
+
+
+def _parameters(suite: _Suite) -> Iterable[CheckLine]:
+    for text in suite.findings.errors:
+        yield CheckLine("parameters", Result.FAIL, text, "./ros2run ship_replay check_config tells more")
+    for text in suite.findings.warnings:
+        yield CheckLine("parameters", Result.WARN, text)
+    if not suite.findings.errors:
+        names = ", ".join(adapter.node_name for adapter in suite.chain.adapters)
+        yield CheckLine("parameters", Result.OK, f"{suite.options.file}: good for {names}")
+
+
+def _security(suite: _Suite) -> Iterable[CheckLine]:
+    required, keystore = suite.limits.machine.require_security, os.environ.get(KEYSTORE, "")
+    yield from judge_security(os.environ, dds_has_security(loaded_libraries()), required)
+    is_demand = required or is_demanded(os.environ)
+    if keystore or is_demand:
+        namespace = suite.options.namespace
+        use = KeystoreUse(
+            rights=suite_rights(suite.chain.adapters, namespace, suite.options.locked, nmea=suite.nmea),
+            domain_id=domain_of(os.environ),
+            now=datetime.datetime.now(datetime.timezone.utc),
+            voyage=datetime.timedelta(days=suite.options.days),
+            authority_sha256=suite.limits.machine.authority_sha256,
+        )
+        yield from judge_keystore(keystore, use, is_demand)
+
+
+def _clock(suite: _Suite) -> Iterable[CheckLine]:
+    yield judge_clock(look_at_clock(), suite.limits)
+
+
+def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
+    """What is seen on the network; with a wrong setting DDS would end this process instead of looking."""
+    for line in settings:
+        if line.result is Result.FAIL:
+            return NetworkState(failure=line.found)
+    if sys.stderr.isatty():
+        print(f"preflight: listens to the sensors for {suite.options.listen:g} s", file=sys.stderr)
+    # Topics as /diagnostics are everybody's.
+    given = [topic.topic for topic in suite.chain.outputs if not topic.topic.startswith("/")]
+    return look_at_network(suite.chain.inputs, given, suite.options.namespace, suite.options.listen)
+
+
+def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
+    night, box = night_bytes(suite.chain.adapters, network.heard), suite.options.box
+    disk_path = suite.limits.machine.disk_path
+    states = [(look_at_disk(Path(disk_path) if disk_path else box or Path.cwd()), night.record)]
+    if box is not None:
+        states.append((look_at_disk(box), night.boxes))
+    for state, _ in states:
+        # What lies on one disk is asked of it together.
+        needs = sum(bytes_per_s for other, bytes_per_s in states if other.device == state.device)
+        yield from judge_disk(state, needs, suite.options.hours, suite.limits)
+
+
+def _files(suite: _Suite) -> Iterable[CheckLine]:
+    states = look_at_files(suite.options.file, suite.options.box)
+    yield from judge_files(states, list(without_saved_file(suite.options.file, suite.nodes)))
+
+
+def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
+    lags_s: dict[str, float] = {}
+    for node in suite.nodes:
+        for topic in node.adapter.inputs:
+            lag_s = float(getattr(node.config, "lag_s", 2.0))
+            lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
+    asked = asked_qualities(suite.options.file, lags_s, suite.options.namespace)
+    own = list(filter(is_instruments, lags_s)) if "nmea_in" in suite.nmea else []
+    yield from judge_sensors(network, suite.limits, lags_s, asked, own)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

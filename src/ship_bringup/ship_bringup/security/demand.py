@@ -1,0 +1,82 @@
+"""Whether a ship's profile demands DDS security, and what of the process's environment falls short of it.
+
+The profile is the file of the ship's limits, key ``machine.require_security``. The demand fails closed: what cannot be
+told counts as absent.
+"""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from ship_bags.errors import BadInput
+from ship_bags.live.ros_process import ENABLE, STRATEGY, is_demanded
+from ship_watch.limits import Limits
+
+KEYSTORE = "ROS_SECURITY_KEYSTORE"
+ENCLAVE = "ROS_SECURITY_ENCLAVE_OVERRIDE"
+"""Names the enclave of a process, whatever its nodes are called; without it ROS takes the enclave ``/``."""
+
+DOMAIN, LAST_DOMAIN = "ROS_DOMAIN_ID", 232
+
+_ENFORCE = "Enforce"
+
+
+def shortcomings(environment: Mapping[str, str], has_security: bool | None) -> list[tuple[str, str]]:
+    """What keeps DDS security from being there and enforced, each with what to do.
+
+    Args:
+        environment: of the process.
+        has_security: whether DDS was built with it (:func:`ship_bags.live.ros_process.dds_has_security`).
+    """
+    found = []
+    if has_security is not True:
+        why = "the DDS of this installation was built without it" if has_security is False else "this DDS does not tell"
+        found.append((f"no DDS security: {why}", "use ROS 2 Jazzy of Ubuntu's packages: they have it"))
+    if not is_demanded(environment):
+        given = environment.get(ENABLE)
+        found.append((f"{ENABLE} is {given or 'not set'}: nodes run unprotected", f"export {ENABLE}=true"))
+    strategy = environment.get(STRATEGY)
+    if strategy != _ENFORCE:
+        text = f"{STRATEGY} is {strategy or 'not set'}: a node without an enclave runs unprotected"
+        found.append((text, f"export {STRATEGY}={_ENFORCE}"))
+    keystore = environment.get(KEYSTORE, "")
+    if not keystore:
+        found.append((f"{KEYSTORE} is not set", f"export {KEYSTORE}=FOLDER: the ship's keystore"))
+    elif not Path(keystore).is_dir():
+        found.append((f"{KEYSTORE}={keystore} is no folder", f"export {KEYSTORE}=FOLDER: the ship's keystore"))
+    return found
+
+
+def require_profile(limits: Limits, limits_path: Path | None, has_security: bool | None) -> None:
+    """Refuse to start where the ship's profile demands DDS security and it is not there.
+
+    Args:
+        limits: of the ship.
+        limits_path: their file; None where they are the defaults.
+        has_security: see :func:`shortcomings`.
+
+    Raises:
+        BadInput: names the file, the key and the first thing that is missing.
+    """
+    if not limits.machine.require_security:
+        return
+    found = shortcomings(os.environ, has_security)
+    if found:
+        text, advice = found[0]
+        more = f" (and {len(found) - 1} more: see ship_bringup preflight)" if len(found) > 1 else ""
+        reason = f"machine.require_security is true, and {text}: not started; {advice}{more}"
+        raise BadInput(reason, file=limits_path)
+
+
+def domain_of(environment: Mapping[str, str]) -> int:
+    """The domain that an environment names; 0 where it names none that ROS takes."""
+    text = environment.get(DOMAIN, "")
+    return int(text) if text.isascii() and text.isdigit() and int(text) <= LAST_DOMAIN else 0
+
+
+def enclave_command(enclave: str) -> tuple[str, ...]:
+    """What stands before a command so that its process has an enclave.
+
+    A variable, for a program may make its nodes in contexts that no argument reaches; its process id stays the same.
+    """
+    return ("/usr/bin/env", f"{ENCLAVE}={enclave}")

@@ -1,0 +1,241 @@
+"""What each program of a suite may publish, hear, serve and ask for: least privilege, from what the code declares.
+
+An enclave is the identity of one process in SROS2: its name is the full name of its node. Sensors have an enclave for
+each device, named by the first words of its topics, as ``sensors/star_fore``.
+"""
+
+import hashlib
+import json
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from ship_bags.parameter_yaml import full_name
+from ship_bags.topic_names import TRUTH_PREFIX
+from ship_estimation.parameters import describe
+from ship_node.edge.adapter import Adapter
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE
+from ship_node.parameters.parameter_file import has_section
+from ship_replay.offline.adapter_chain import AdapterChain
+from ship_watch.topics import MESSAGES, TOPICS, watched_topic
+
+ALERTS_TOPIC = "ship/alerts"
+SENSORS = "sensors"
+"""Enclaves of sensors begin with this name, inside the namespace of the suite."""
+
+_CLOCK = "/clock"
+_OF_EVERY_NODE = frozenset({"/rosout", "/parameter_events"})
+_GET = "list_parameters", "describe_parameters", "get_parameters", "get_parameter_types"
+_SET = "set_parameters", "set_parameters_atomically"
+_TYPE_DESCRIPTION = "get_type_description"
+_TWO_WORDS = "star", "reference", "beacon"
+"""Topics of these have the id of a device as their second word."""
+
+NMEA_NODES = "nmea_out", "nmea_in"
+"""Nodes of ship_nmea that a suite file may name beside the estimators."""
+
+_INSTRUMENTS = "ins", "reference", "gnss", "met"
+"""First words of the topics that ``nmea_in`` gives."""
+
+_FRAMES = "/tf", "/tf_static"
+"""A suite in a namespace tells its frames there, and not on the topics of all."""
+
+
+@dataclass(frozen=True)
+class Rights:
+    """What one enclave may do. All names are full, and may hold ``*`` for any text.
+
+    Attributes:
+        enclave: its path, as ``/demo/ship_attitude``.
+        publishes: topics.
+        subscribes: topics.
+        serves: services that it answers.
+        requests: services that it calls.
+        declared: what else the code declares of the node, types and parameters: it grants nothing, and a policy made
+            before it changed is out of date all the same.
+        is_needed: whether the enclave must be on this computer, as those of the nodes.
+    """
+
+    enclave: str
+    publishes: frozenset[str]
+    subscribes: frozenset[str] = frozenset()
+    serves: frozenset[str] = frozenset()
+    requests: frozenset[str] = frozenset()
+    declared: tuple[str, ...] = field(default=(), repr=False)
+    is_needed: bool = False
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of all that is declared, in hexadecimal."""
+        parts = (self.publishes, self.subscribes, self.serves, self.requests, self.declared)
+        text = json.dumps([self.enclave, *map(sorted, parts)])
+        return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def suite_rights(
+    adapters: Sequence[Adapter],
+    namespace: str = "",
+    locked: bool = False,
+    played: bool = False,
+    nmea: Collection[str] = (),
+) -> tuple[Rights, ...]:
+    """The rights of all programs of a suite, its estimators first.
+
+    Args:
+        adapters: of its nodes.
+        namespace: of the suite, without its outer slashes; empty for none.
+        locked: whether nobody may set a parameter of a running node.
+        played: whether a bag may be played into it: somebody sets /clock and gives what sensors give. Not for a voyage.
+        nmea: those of :data:`NMEA_NODES` that the suite has.
+    """
+    return tuple(_SuiteRights(adapters, namespace, locked, played).all(nmea))
+
+
+def nmea_nodes(suite_path: Path, namespace: str) -> tuple[str, ...]:
+    """Those of :data:`NMEA_NODES` that a suite file names."""
+    return tuple(name for name in NMEA_NODES if has_section(suite_path, full_name(name, namespace), wildcards=False))
+
+
+def is_instruments(topic: str) -> bool:
+    """Whether a topic is one that ``nmea_in`` gives, where an instrument speaks NMEA."""
+    return topic.partition("/")[0] in _INSTRUMENTS
+
+
+def device_of(topic: str) -> str:
+    """The device that a topic comes from: ``star_fore`` of ``star/fore/observations``, ``ins`` of ``ins/imu``."""
+    first, *others = topic.split("/")
+    return f"{first}_{others[0]}" if first in _TWO_WORDS and len(others) > 1 else first
+
+
+def parameter_services(node: str, names: Iterable[str] = (*_GET, *_SET)) -> frozenset[str]:
+    """Services of a node's parameters, by the node's full name."""
+    return frozenset(f"{node}/{name}" for name in names)
+
+
+class _SuiteRights:
+    """The rights of one suite; see :func:`suite_rights`."""
+
+    def __init__(self, adapters: Sequence[Adapter], namespace: str, locked: bool, played: bool) -> None:
+        chain = AdapterChain(adapters)
+        self._adapters, self._namespace, self._locked = chain.adapters, namespace, locked
+        self._from_outside = {topic.topic: topic.type_name for topic in chain.inputs}
+        self._clock = frozenset({full_name("clock", namespace), _CLOCK}) if played else frozenset()
+        self._played = played
+        given = {topic.topic: topic.type_name for topic in chain.outputs}
+        self._types = {**self._from_outside, **given, ALERTS_TOPIC: MESSAGES + "AlertArray"}
+        self._types[DIAGNOSTICS_TOPIC] = DIAGNOSTICS_TYPE
+        if played:
+            truth = (row for row in TOPICS if row.pattern.startswith(TRUTH_PREFIX))
+            self._types |= {row.pattern: row.type_name for row in truth}
+        self._watched = {name for name, kind in self._types.items() if watched_topic(name, kind)} - {ALERTS_TOPIC}
+        self._alerts = self._full("alerts")
+        self._nodes = [self._full(adapter.node_name) for adapter in self._adapters]
+
+    def all(self, nmea: Collection[str]) -> Iterator[Rights]:
+        for adapter in self._adapters:
+            yield self._of_node(adapter)
+        yield from self._of_nmea(nmea)
+        yield self._of_alerts()
+        everything = self._topics(self._types)
+        watched = self._topics([*self._watched, ALERTS_TOPIC, DIAGNOSTICS_TOPIC]) | self._clock
+        acknowledge = {f"{self._alerts}/acknowledge"}
+        # The page also passes topics on to Foxglove.
+        yield self._tool("monitor", everything | self._clock, acknowledge, answers=("monitor", "acknowledge"))
+        yield self._tool("monitor_terminal", watched, acknowledge, answers=("monitor_terminal", "acknowledge"))
+        # The recorder notes the parameters of whatever node it meets, and sets none.
+        asked = {"/*/list_parameters", "/*/get_parameters"}
+        yield self._tool("record", everything | self._clock | _OF_EVERY_NODE, asked)
+        yield self._tool("preflight", self._topics(self._from_outside))
+        yield self._tool("call", (), self._called(), answers=("/call_*",))
+        settable = () if self._locked else ("set_parameters_atomically",)
+        yield self._tool("param", (), self._asked(*_GET, *settable), answers=("/param_*",))
+        yield from self._of_sensors()
+        if self._played:
+            services = {self._full(f"play/{name}") for name in ("pause", "resume", "toggle_paused", "play_next")}
+            played = [*self._from_outside, *(name for name in self._types if name.startswith(TRUTH_PREFIX))]
+            yield self._tool("play", publishes=self._topics(played) | self._clock, serves=services)
+
+    def _of_node(self, adapter: Adapter) -> Rights:
+        name = self._full(adapter.node_name)
+        types = [f"{each.topic} {each.type_name}" for each in adapter.inputs]
+        types += [f"{each.topic} {each.type_name}" for each in adapter.outputs]
+        parameters = [f"parameter {parameter.name}" for parameter in describe(adapter.config_type)]
+        return Rights(
+            enclave=name,
+            publishes=self._topics([t.topic for t in adapter.outputs] + [DIAGNOSTICS_TOPIC]) | _OF_EVERY_NODE,
+            subscribes=self._topics(t.topic for t in adapter.inputs) | self._clock,
+            serves=frozenset(f"{name}/{service}" for service in adapter.services) | _own_services(name),
+            declared=tuple(sorted([*types, *parameters])),
+            is_needed=True,
+        )
+
+    def _of_alerts(self) -> Rights:
+        services = {f"{self._alerts}/acknowledge", f"{self._alerts}/silence"}
+        return Rights(
+            enclave=self._alerts,
+            publishes=self._topics([ALERTS_TOPIC, DIAGNOSTICS_TOPIC]) | _OF_EVERY_NODE,
+            subscribes=self._topics([*self._watched, DIAGNOSTICS_TOPIC]) | self._clock,
+            serves=frozenset({*services, f"{self._alerts}_reader/{_TYPE_DESCRIPTION}"}) | _own_services(self._alerts),
+        )
+
+    def _of_nmea(self, nmea: Collection[str]) -> Iterator[Rights]:
+        diagnostics = {DIAGNOSTICS_TOPIC}
+        if "nmea_out" in nmea:
+            heard = self._topics(["ship/attitude", ALERTS_TOPIC]) | self._clock
+            acknowledge = {f"{self._alerts}/acknowledge"}
+            yield replace(self._tool("nmea_out", heard, acknowledge, diagnostics), is_needed=True)
+        if "nmea_in" in nmea:
+            given = set(filter(is_instruments, self._from_outside))
+            yield replace(self._tool("nmea_in", self._clock, (), self._topics(given | diagnostics)), is_needed=True)
+
+    def _of_sensors(self) -> Iterator[Rights]:
+        """One enclave for each device; its driver is not ours, and is expected under the device's name."""
+        devices = sorted({device_of(topic) for topic in self._from_outside})
+        for device in devices:
+            topics = self._topics(topic for topic in self._from_outside if device_of(topic) == device)
+            node = self._full(device)
+            enclave = self._full(f"{SENSORS}/{device}")
+            # A node of rclcpp hears /parameter_events, too, and does not start without that.
+            heard = self._clock | {"/parameter_events"}
+            yield Rights(enclave, topics | _OF_EVERY_NODE | {DIAGNOSTICS_TOPIC}, heard, _own_services(node))
+
+    def _tool(
+        self,
+        name: str,
+        subscribes: Iterable[str] = (),
+        requests: Iterable[str] = (),
+        publishes: Iterable[str] = (),
+        serves: Iterable[str] = (),
+        answers: Iterable[str] = (),
+    ) -> Rights:
+        """A program that is no estimator; of what every node has, it has what its own nodes, `answers`, need."""
+        own = frozenset[str]().union(*(_own_services(self._full(node)) for node in (answers or (name,))))
+        return Rights(
+            enclave=self._full(name),
+            publishes=frozenset(publishes) | _OF_EVERY_NODE,
+            subscribes=frozenset(subscribes),
+            serves=frozenset(serves) | own,
+            requests=frozenset(requests),
+        )
+
+    def _called(self) -> frozenset[str]:
+        """Services of the nodes that people call."""
+        own = [self._full(f"{adapter.node_name}/{name}") for adapter in self._adapters for name in adapter.services]
+        return frozenset([*own, f"{self._alerts}/acknowledge", f"{self._alerts}/silence"])
+
+    def _asked(self, *names: str) -> frozenset[str]:
+        nodes = [*self._nodes, self._alerts]
+        return frozenset[str]().union(*(parameter_services(node, names) for node in nodes))
+
+    def _topics(self, names: Iterable[str]) -> frozenset[str]:
+        return frozenset(map(self._full, names))
+
+    def _full(self, name: str) -> str:
+        if self._namespace and name in _FRAMES:
+            name = name[1:]
+        return name if name.startswith("/") else full_name(name, self._namespace)
+
+
+def _own_services(node: str) -> frozenset[str]:
+    """What rclpy gives every node: the services of its parameters and of its types."""
+    return parameter_services(node) | {f"{node}/{_TYPE_DESCRIPTION}"}

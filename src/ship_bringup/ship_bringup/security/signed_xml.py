@@ -1,0 +1,220 @@
+"""Signed governance and permissions as Fast DDS reads them: the signature checked, the rules judged.
+
+The signature is S/MIME (PKCS#7, detached). ``cryptography`` makes such signatures and cannot check them, so that the
+program ``openssl`` does.
+"""
+
+import datetime
+import email
+import fnmatch
+import re
+import shutil
+import subprocess
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from ship_bags.errors import BadInput
+from ship_bringup.security.policy_xml import FINGERPRINT
+
+_LARGEST_BYTES = 4_000_000
+_OPENSSL_S = 10.0
+_ACTIONS = "publish", "subscribe"
+_YES, _NO = ("true", "1"), ("false", "0")
+
+
+@dataclass(frozen=True)
+class SignedFile:
+    """The text inside a signed file.
+
+    Attributes:
+        path: the file.
+        text: what was signed.
+    """
+
+    path: Path
+    text: str
+
+    def line_of(self, words: str) -> int | None:
+        """Line of the file, from 1, in which some words stand; None where they do not."""
+        whole = self.path.read_text(encoding="utf-8", errors="replace").splitlines()
+        return next((number for number, line in enumerate(whole, 1) if words in line), None)
+
+    def root(self) -> ET.Element:
+        """Its XML.
+
+        Raises:
+            BadInput: it is none.
+        """
+        try:
+            return ET.fromstring(self.text.strip())
+        except ET.ParseError as problem:
+            raise BadInput(f"holds no XML: {problem}", file=self.path) from problem
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """One rule of permissions, in the order in which they are asked."""
+
+    allows: bool
+    domains: ET.Element | None
+    topics: dict[str, tuple[str, ...]]
+
+    def fits(self, action: str, topic: str, domain_id: int) -> bool:
+        patterns = self.topics[action]
+        return in_domains(self.domains, domain_id) and any(fnmatch.fnmatchcase(topic, each) for each in patterns)
+
+
+@dataclass(frozen=True)
+class Permissions:
+    """What an enclave may do, as its signed file says.
+
+    Attributes:
+        subject: name that its certificate must have, as ``CN=/demo/ship_attitude``.
+        not_before: begin of their validity, UTC.
+        not_after: end of it, UTC.
+        fingerprint: of the rights that they were made of; empty where they were made by another program.
+        rules: in order; the first that fits decides.
+        is_open: whether what no rule is about is allowed.
+    """
+
+    subject: str
+    not_before: datetime.datetime
+    not_after: datetime.datetime
+    fingerprint: str
+    rules: tuple[_Rule, ...]
+    is_open: bool
+
+    def allow(self, action: str, topic: str, domain_id: int) -> bool:
+        """Whether a topic of DDS may be written (``publish``) or read (``subscribe``) in a domain."""
+        return next((rule.allows for rule in self.rules if rule.fits(action, topic, domain_id)), self.is_open)
+
+    def named(self, action: str) -> frozenset[str]:
+        """All topics, as written, that some rule allows."""
+        return frozenset(topic for rule in self.rules if rule.allows for topic in rule.topics[action])
+
+    def is_for(self, domain_id: int) -> bool:
+        """Whether any rule holds in a domain."""
+        return any(in_domains(rule.domains, domain_id) for rule in self.rules)
+
+
+def read_signed(path: Path) -> SignedFile:
+    """The text of a signed file; whether the signature is good is asked of :func:`signature_fault`.
+
+    Raises:
+        BadInput: it cannot be read, or is no S/MIME.
+    """
+    try:
+        if path.stat().st_size > _LARGEST_BYTES:
+            raise BadInput(f"is larger than {_LARGEST_BYTES} bytes: no governance and no permissions are", file=path)
+        message = email.message_from_bytes(path.read_bytes())
+    except OSError as problem:
+        raise BadInput(f"cannot be read: {problem.strerror}", file=path) from problem
+    parts = [*message.walk()][1:]
+    if message.get_content_type() != "multipart/signed" or len(parts) != 2:
+        raise BadInput("is not signed: expected S/MIME, as 'ros2 security' and 'openssl smime -sign' do", file=path)
+    text = parts[0].as_bytes().decode("utf-8", errors="replace")
+    return SignedFile(path, text[max(text.find("<"), 0) :])
+
+
+def signature_fault(path: Path, authority: Path) -> str | None:
+    """What is wrong with the signature of a file, in words; None where it is good.
+
+    Args:
+        path: of the file.
+        authority: certificate that must have signed it.
+
+    Raises:
+        LookupError: there is no program ``openssl`` here.
+    """
+    program = shutil.which("openssl")
+    if program is None:
+        raise LookupError("openssl")
+    # Dates are judged apart, with days to go.
+    command = [program, "smime", "-verify", "-in", str(path), "-CAfile", str(authority), "-no_check_time", "-text"]
+    run = subprocess.run(command, capture_output=True, timeout=_OPENSSL_S, check=False)
+    if run.returncode == 0:
+        return None
+    said = run.stderr.decode("utf-8", errors="replace")
+    detail = re.search(r"Verify error: ?(.*)", said) or re.search(r":((?:digest|signature) failure)", said)
+    return f"its signature is not that of {authority}" + (f" ({detail[1].strip()})" if detail else "")
+
+
+def read_permissions(file: SignedFile) -> Permissions:
+    """The permissions in a signed file; of several grants, the first.
+
+    Raises:
+        BadInput: they are none; names file, line and key.
+    """
+    grant = file.root().find("permissions/grant")
+    if grant is None:
+        raise BadInput("has no grant: expected permissions/grant of OMG DDS Security", file=file.path)
+    fingerprint = re.search(rf"<!-- {FINGERPRINT} ([0-9a-f]{{64}}) -->", file.text)
+    return Permissions(
+        subject=_text(grant, "subject_name", file),
+        not_before=_moment(grant, "validity/not_before", file),
+        not_after=_moment(grant, "validity/not_after", file),
+        fingerprint=fingerprint[1] if fingerprint else "",
+        rules=tuple(_rules(grant)),
+        is_open=_text(grant, "default", file) != "DENY",
+    )
+
+
+def governance_faults(file: SignedFile, domain_id: int) -> Iterator[BadInput]:
+    """What of a governance leaves the policies of the domain without effect."""
+    rules = [rule for rule in file.root().iter("domain_rule") if in_domains(rule.find("domains"), domain_id)]
+    if not rules:
+        line = file.line_of("<domains>")
+        yield BadInput(f"domains: no rule for domain {domain_id}, in which the suite runs", file=file.path, line=line)
+        return
+    topic_keys = "enable_read_access_control", "enable_write_access_control"
+    wanted = [("allow_unauthenticated_participants", _NO), ("enable_join_access_control", _YES)]
+    wanted += [(f"topic_access_rules/topic_rule/{key}", _YES) for key in topic_keys]
+    for key, allowed in wanted:
+        for element in rules[0].findall(key):
+            if (element.text or "").strip().lower() not in allowed:
+                name = key.rpartition("/")[2]
+                reason = f"{name} is {element.text}: expected {allowed[0]}, or the policies have no effect"
+                yield BadInput(reason, file=file.path, line=file.line_of(f"<{name}>{element.text}"))
+
+
+def in_domains(domains: ET.Element | None, domain_id: int) -> bool:
+    """Whether a domain is one of those listed: by its id, or in a range."""
+    if domains is None:
+        return False
+    if any((element.text or "").strip() == str(domain_id) for element in domains.findall("id")):
+        return True
+    for span in domains.findall("id_range"):
+        low, high = span.findtext("min", "0").strip(), span.findtext("max", "232").strip()
+        if low.isdigit() and high.isdigit() and int(low) <= domain_id <= int(high):
+            return True
+    return False
+
+
+def _rules(grant: ET.Element) -> Iterator[_Rule]:
+    for element in grant:
+        if element.tag in ("allow_rule", "deny_rule"):
+            topics = {action: tuple(_named(element.findall(f"{action}/topics/topic"))) for action in _ACTIONS}
+            yield _Rule(element.tag == "allow_rule", element.find("domains"), topics)
+
+
+def _named(elements: Iterable[ET.Element]) -> Iterator[str]:
+    return ((element.text or "").strip() for element in elements)
+
+
+def _text(grant: ET.Element, key: str, file: SignedFile) -> str:
+    text = grant.findtext(key)
+    if not text or not text.strip():
+        raise BadInput(f"has no {key}: expected it in permissions/grant", file=file.path, line=file.line_of("<grant"))
+    return text.strip()
+
+
+def _moment(grant: ET.Element, key: str, file: SignedFile) -> datetime.datetime:
+    text = _text(grant, key, file)
+    try:
+        moment = datetime.datetime.fromisoformat(text.replace("Z", "+00:00"))
+    except ValueError as problem:
+        reason = f"{key} is '{text}': expected a date as 2026-05-01T00:00:00"
+        raise BadInput(reason, file=file.path, line=file.line_of(text)) from problem
+    return moment if moment.tzinfo else moment.replace(tzinfo=datetime.timezone.utc)

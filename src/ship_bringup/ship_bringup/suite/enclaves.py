@@ -1,0 +1,51 @@
+"""The programs of a suite with the identities that DDS security gives them, where it is demanded."""
+
+import datetime
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ship_bags.errors import BadInput
+from ship_bags.parameter_yaml import full_name
+from ship_bringup.security.demand import KEYSTORE, domain_of, enclave_command
+from ship_bringup.security.keystore import KeystoreUse, require_keystore
+from ship_bringup.security.rights import NMEA_NODES, suite_rights
+from ship_bringup.suite.keeper import Program
+from ship_node.edge.adapter import Adapter
+from ship_watch.limits import Limits
+
+
+def in_enclaves(
+    programs: Sequence[Program], adapters: Sequence[Adapter], namespace: str, limits: Limits, played: bool
+) -> tuple[list[Program], list[str]]:
+    """The programs, each in the enclave of its name, and what people should know of the ship's keystore.
+
+    Args:
+        programs: of the suite.
+        adapters: of its estimators.
+        namespace: of the suite.
+        limits: of the ship, which may tell its authority.
+        played: whether a bag is played into the suite.
+
+    Raises:
+        BadInput: there is no keystore, a program has no enclave in it, or it is that of another ship.
+    """
+    keystore = os.environ.get(KEYSTORE)
+    if not keystore:
+        raise BadInput(f"DDS security is demanded, and {KEYSTORE} is not set: not started; it names the keystore")
+    enclaves = [full_name(program.name, namespace) for program in programs]
+    rights = suite_rights(adapters, namespace, played=played, nmea=NMEA_NODES)
+    use = KeystoreUse(
+        rights=[replace(each, is_needed=True) for each in rights if each.enclave in enclaves],
+        domain_id=domain_of(os.environ),
+        now=datetime.datetime.now(datetime.timezone.utc),
+        voyage=datetime.timedelta(0),
+        authority_sha256=limits.machine.authority_sha256,
+    )
+    warnings = require_keystore(Path(keystore), use)
+    secured = [
+        replace(program, command=(*enclave_command(enclave), *program.command))
+        for program, enclave in zip(programs, enclaves, strict=True)
+    ]
+    return secured, warnings

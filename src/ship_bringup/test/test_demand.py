@@ -1,0 +1,162 @@
+"""A demand for DDS security fails closed: whatever is missing, or cannot be told, is told and nothing starts."""
+
+import datetime
+import shutil
+from pathlib import Path
+
+import pytest
+
+from ship_bags.errors import BadInput
+from ship_bags.live.ros_process import dds_has_security, loaded_libraries
+from ship_bringup.checks.check_line import CheckLine, Result, bounded, exit_code, table
+from ship_bringup.checks.security_check import judge_keystore, judge_security
+from ship_bringup.security.demand import enclave_command, require_profile, shortcomings
+from ship_bringup.security.rights import suite_rights
+from ship_bringup.suite.plan import SuiteOptions, checked_nodes, plan_of
+from ship_testing.keystores import Keystore, new_authority
+from ship_watch.limits import Limits, MachineLimits, read_limits
+
+ROOT = Path(__file__).parents[3]
+REQUIRED = Limits(machine=MachineLimits(require_security=True))
+NAMES = ("ROS_SECURITY_ENABLE", "ROS_SECURITY_STRATEGY", "ROS_SECURITY_KEYSTORE")
+
+
+@pytest.fixture
+def good(tmp_path):
+    return dict(zip(NAMES, ("true", "Enforce", str(tmp_path)), strict=True))
+
+
+def set_to(monkeypatch, environment):
+    for name in NAMES:
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+
+
+def test_nothing_is_missing_where_all_is_there(good, monkeypatch):
+    assert shortcomings(good, True) == []
+    set_to(monkeypatch, good)
+    require_profile(REQUIRED, Path("ship.yaml"), True)
+    assert [row.result for row in judge_security(good, True, True)] == [Result.OK]
+
+
+BAD = [
+    ("ROS_SECURITY_ENABLE", None, "ROS_SECURITY_ENABLE is not set: nodes run unprotected"),
+    ("ROS_SECURITY_ENABLE", "false", "ROS_SECURITY_ENABLE is false: nodes run unprotected"),
+    ("ROS_SECURITY_STRATEGY", None, "a node without an enclave runs unprotected"),
+    ("ROS_SECURITY_STRATEGY", "Permissive", "a node without an enclave runs unprotected"),
+    ("ROS_SECURITY_STRATEGY", "enforce", "a node without an enclave runs unprotected"),
+    ("ROS_SECURITY_KEYSTORE", None, "ROS_SECURITY_KEYSTORE is not set"),
+    ("ROS_SECURITY_KEYSTORE", "/nowhere", "ROS_SECURITY_KEYSTORE=/nowhere is no folder"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "told"), BAD)
+def test_each_thing_that_is_missing_stops_the_suite_with_one_line(name, value, told, good, monkeypatch):
+    environment = {key: text for key, text in good.items() if key != name} | ({} if value is None else {name: value})
+    ((text, _),) = shortcomings(environment, True)
+    assert told in text
+    set_to(monkeypatch, environment)
+    with pytest.raises(BadInput, match=r"^ship\.yaml: machine\.require_security is true, and .*: not started; "):
+        require_profile(REQUIRED, Path("ship.yaml"), True)
+    require_profile(Limits(), None, True)
+
+
+@pytest.mark.parametrize("has_security", [False, None])
+def test_a_dds_without_security_or_that_does_not_tell_stops_the_suite(has_security, good, monkeypatch):
+    set_to(monkeypatch, good)
+    with pytest.raises(BadInput, match="no DDS security"):
+        require_profile(REQUIRED, Path("ship.yaml"), has_security)
+
+
+def test_the_dds_of_this_installation_is_asked():
+    """Over the wheels it has none; Ubuntu's packages have it: either way it can be told."""
+    assert dds_has_security(loaded_libraries()) in (True, False)
+
+
+def test_the_profile_is_a_key_of_the_ships_limits():
+    assert read_limits("machine: {require_security: true}\n").machine.require_security is True
+    assert Limits().machine.require_security is False
+    with pytest.raises(BadInput, match=r":1: .*require_security"):
+        read_limits("machine: {require_security: 1.5}\n")
+
+
+@pytest.mark.parametrize(("required", "result"), [(True, Result.FAIL), (False, Result.WARN)])
+def test_no_security_fails_only_where_it_is_required(required, result):
+    rows = list(judge_security({}, False, required))
+    assert {row.result for row in rows} == {result}
+    assert len(rows) == (4 if required else 1)
+
+
+def test_what_the_environment_demands_is_required_too():
+    assert {row.result for row in judge_security({"ROS_SECURITY_ENABLE": "1"}, False, False)} == {Result.FAIL}
+
+
+def test_no_keystore_fails_where_security_is_required():
+    assert [row.result for row in judge_keystore("", None, True)] == [Result.FAIL]
+
+
+def programs(**options):
+    plan = plan_of(ROOT / "examples" / "two_sensors.yaml", SuiteOptions(namespace="demo", monitor=True, **options))
+    return {program.name: program.command for program in plan.programs}, plan.warnings
+
+
+def keystore_for_now(path, **options):
+    nodes, _ = checked_nodes(ROOT / "examples" / "two_sensors.yaml", "demo")
+    now = datetime.datetime.now(datetime.timezone.utc)
+    store = Keystore(path, new_authority(now=now), 7, now)
+    return store.add(suite_rights([node.adapter for node in nodes], "demo", **options))
+
+
+def test_every_program_of_a_secured_suite_has_an_enclave_of_its_own(tmp_path, good, monkeypatch):
+    set_to(monkeypatch, {})
+    options = {"bag": ROOT / "bags" / "demo.mcap"}
+    plain, warnings = programs(**options)
+    store = keystore_for_now(tmp_path / "keystore", played=True)
+    set_to(monkeypatch, {**good, "ROS_SECURITY_KEYSTORE": str(store.path)})
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    secured, told = programs(**options)
+    assert told == warnings
+    assert set(plain) == {"ship_attitude", "monitor", "alerts", "play"}
+    for name, command in plain.items():
+        assert secured[name] == (*enclave_command(f"/demo/{name}"), *command)
+    assert enclave_command("/demo/x") == ("/usr/bin/env", "ROS_SECURITY_ENCLAVE_OVERRIDE=/demo/x")
+
+
+def test_a_secured_suite_needs_the_enclave_of_each_program_and_the_ships_authority(tmp_path, good, monkeypatch):
+    store = keystore_for_now(tmp_path / "keystore", locked=True)
+    set_to(monkeypatch, {**good, "ROS_SECURITY_KEYSTORE": str(store.path)})
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    assert len(programs()[1]) == 1  # of the file that the node has not
+    limits = tmp_path / "ship.yaml"
+    limits.write_text(f"machine: {{authority_sha256: '{'0' * 64}'}}\n")
+    with pytest.raises(BadInput, match=r"an authority of another ship: .*: not started"):
+        programs(limits=limits)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "8")
+    assert len(programs()[1]) > 1
+    monkeypatch.delenv("ROS_SECURITY_KEYSTORE")
+    with pytest.raises(BadInput, match=r"ROS_SECURITY_KEYSTORE is not set: not started"):
+        programs()
+    monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(store.path))
+    shutil.rmtree(store.folder("/demo/monitor"))
+    with pytest.raises(BadInput, match=r"/demo/monitor: has no identity_ca"):
+        programs()
+
+
+def test_the_table_tells_the_worst_first_and_counts_the_rest():
+    lines = [CheckLine("disk", Result.OK, "good"), *(CheckLine("disk", Result.WARN, f"{n}") for n in range(20))]
+    lines.append(CheckLine("disk", Result.FAIL, "full\nand over", "free some"))
+    shown = bounded(lines)
+    assert (len(shown), shown[0].found, shown[-1].found) == (12, "full\nand over", "and 11 more")
+    text = table(shown)
+    assert text[0].split() == ["check", "result", "found"]
+    assert text[1].split(maxsplit=2) == ["disk", "FAIL", "full and over"]
+    assert text[2].strip() == "-> free some"
+
+
+@pytest.mark.parametrize(
+    ("results", "code"),
+    [([Result.OK], 0), ([Result.OK, Result.WARN, Result.NOT_CHECKED], 0), ([Result.WARN, Result.FAIL], 1)],
+)
+def test_the_exit_code(results, code):
+    assert exit_code(CheckLine("clock", result, "") for result in results) == code

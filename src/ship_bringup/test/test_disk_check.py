@@ -1,0 +1,109 @@
+"""What a night writes, held against bags and boxes that were written, and against the room on the disk."""
+
+from pathlib import Path
+
+import pytest
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.message_store import RosbagsFactory
+from ship_bringup.checks.check_line import Result
+from ship_bringup.checks.disk_check import DiskState, judge_disk, look_at_disk, night_bytes
+from ship_bringup.checks.network_look import HeardTopic
+from ship_node.edge.topics import InputTopic
+from ship_replay.commands.replay import ADAPTERS
+from ship_replay.offline.adapter_chain import suite_chain
+from ship_replay.offline.replay import replay
+from ship_testing.bag_parts import beginning
+from ship_testing.black_boxes import LENGTH_NS, OPTICAL_AXIS, SHIP_ATTITUDE, make_box
+from ship_watch.limits import Limits, MachineLimits
+
+ROOT = Path(__file__).parents[3]
+GB, HOUR_S = 1e9, 3600.0
+TAIL_S = 2.0
+"""What :func:`make_box` puts behind its eight seconds: three hundred messages again."""
+
+
+def chain_and_inputs(path):
+    """The nodes of a bag, its inputs as a look at the network would hear them, their records, and its length in s."""
+    with read_bag(path) as bag:
+        chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
+        records = list(bag.records([topic.topic for topic in chain.inputs]))
+        seconds = (bag.end_ns - bag.start_ns) * 1e-9
+    heard = []
+    for topic in chain.inputs:
+        lengths = [len(record.data) for record in records if record.topic == topic.topic]
+        if lengths:
+            mean, count = sum(lengths) / len(lengths), len(lengths)
+            heard.append(HeardTopic(topic, (), count / seconds, mean, count))
+    return chain, heard, records, seconds
+
+
+@pytest.mark.parametrize("name", ["demo", "theodolite"])
+def test_a_record_takes_less_than_was_estimated_and_not_much_less(name, tmp_path):
+    """What the suite takes and gives, written as ``record`` does: a chunk every tenth of a second."""
+    path = beginning(ROOT / "bags" / f"{name}.mcap", tmp_path / "in.mcap", 8.0)
+    chain, heard, records, seconds = chain_and_inputs(path)
+    replay(path, tmp_path / "out.mcap", ADAPTERS)
+    written = tmp_path / "record.mcap"
+    with read_bag(tmp_path / "out.mcap") as out, BagWriter(written, atomic=False) as writer:
+        types = dict(out.topics) | {topic.topic: topic.type_name for topic in chain.inputs}
+        for topic, kind in types.items():
+            writer.add_topic(topic, kind, False)
+        records += out.records([topic.topic for topic in chain.outputs])
+        next_ns = 0
+        for record in sorted(records, key=lambda each: each.log_time_ns):
+            writer.write_raw(record.topic, types[record.topic], record.data, record.log_time_ns, record.log_time_ns)
+            if record.log_time_ns >= next_ns:
+                writer.flush()
+                next_ns = record.log_time_ns + 100_000_000
+    measured = written.stat().st_size / seconds
+    estimated = night_bytes(chain.adapters, heard).record
+    assert measured < estimated < 4.0 * measured
+
+
+@pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
+def test_a_black_box_takes_less_than_was_estimated_and_not_much_less(node, tmp_path):
+    make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node)
+    chain, heard, _, _ = chain_and_inputs(node.bag)
+    own = [adapter for adapter in chain.adapters if isinstance(adapter, node.adapter_class)]
+    measured = (tmp_path / "box.mcap").stat().st_size / (LENGTH_NS * 1e-9 + TAIL_S)
+    estimated = night_bytes(own, heard).boxes
+    assert measured < estimated < 5.0 * measured
+
+
+def test_what_was_not_heard_counts_as_is_usual():
+    path = ROOT / "bags" / "demo.mcap"
+    chain, heard, _, _ = chain_and_inputs(path)
+    full, unheard = night_bytes(chain.adapters, heard), night_bytes(chain.adapters, [])
+    assert 0.5 < unheard.record / full.record < 2.0
+    silent = [HeardTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1))]
+    assert night_bytes(chain.adapters, silent) == unheard
+
+
+def test_a_faster_ins_needs_more():
+    chain, heard, _, _ = chain_and_inputs(ROOT / "bags" / "demo.mcap")
+    faster = [HeardTopic(each.input, (), 10.0 * each.rate_hz, each.message_bytes, each.count) for each in heard]
+    assert night_bytes(chain.adapters, faster).boxes > 5.0 * night_bytes(chain.adapters, heard).boxes
+
+
+@pytest.mark.parametrize(
+    ("free_gb", "result"), [(30.1, Result.OK), (29.9, Result.WARN), (20.1, Result.WARN), (19.9, Result.FAIL)]
+)
+def test_what_is_free_against_what_is_needed_and_what_is_to_be_left(free_gb, result):
+    """20 GB in 10 h, and 10 GB to be left."""
+    limits = Limits(machine=MachineLimits(disk_free_gb=10.0))
+    state = DiskState(Path("/box"), 1, round(free_gb * GB))
+    (row,) = judge_disk(state, 20.0 * GB / (10.0 * HOUR_S), 10.0, limits)
+    assert row.result is result
+    assert "10 h need 20.0 GB" in row.found
+
+
+def test_a_disk_that_cannot_be_asked_fails():
+    (row,) = judge_disk(DiskState(Path("/box"), None, None), 1.0, 1.0, Limits())
+    assert row.result is Result.FAIL
+
+
+def test_a_folder_that_is_not_there_yet_lies_on_the_disk_above_it(tmp_path):
+    assert look_at_disk(tmp_path / "a" / "b").device == tmp_path.stat().st_dev
+    assert look_at_disk(tmp_path / "a" / "b").free_bytes > 0

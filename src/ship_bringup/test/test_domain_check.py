@@ -1,0 +1,65 @@
+"""The domain of the suite: its number, how far it reaches, and who is in it before the suite is."""
+
+import pytest
+
+from ship_bringup.checks.check_line import Result
+from ship_bringup.checks.domain_check import judge_domain, judge_settings
+from ship_bringup.checks.network_look import HeardTopic, NetworkState, Publisher
+from ship_bringup.security.demand import domain_of
+from ship_node.edge.topics import InputTopic
+
+OWN = ("/demo/ship_attitude",)
+INS = HeardTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1000), (Publisher("/demo/ins", "x"),))
+
+
+def found(state):
+    return [(row.result, row.found) for row in judge_domain(state, OWN)]
+
+
+@pytest.mark.parametrize(
+    ("text", "result", "domain"),
+    [(None, Result.WARN, 0), ("", Result.WARN, 0), ("0", Result.OK, 0), ("7", Result.OK, 7),
+     ("101", Result.OK, 101), ("102", Result.WARN, 102), ("232", Result.WARN, 232), ("233", Result.FAIL, 0),
+     ("-1", Result.FAIL, 0), ("seven", Result.FAIL, 0), ("٧", Result.FAIL, 0)],
+)  # fmt: skip
+def test_the_number_of_the_domain(text, result, domain):
+    environment = {} if text is None else {"ROS_DOMAIN_ID": text}
+    number, reach = judge_settings(environment)
+    assert (number.result, reach.result) == (result, Result.OK)
+    assert domain_of(environment) == domain
+
+
+@pytest.mark.parametrize(
+    ("reach", "peers", "result"),
+    [("SUBNET", "", Result.OK), ("LOCALHOST", "", Result.OK), ("OFF", "", Result.FAIL),
+     ("OFF", "10.0.0.2", Result.OK), ("localhost", "", Result.FAIL)],
+)  # fmt: skip
+def test_how_far_others_are_met(reach, peers, result):
+    environment = {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": reach, "ROS_STATIC_PEERS": peers}
+    assert [row.result for row in judge_settings(environment)] == [Result.OK, result]
+
+
+def test_drivers_of_sensors_belong_there():
+    assert found(NetworkState("rmw", ("/demo/ins",), (INS,))) == [(Result.OK, "rmw; sensors: /demo/ins")]
+
+
+def test_a_node_of_the_suite_that_runs_already_fails():
+    rows = found(NetworkState("rmw", (*OWN, "/demo/ins"), (INS,), {"ship/attitude": OWN}))
+    assert (Result.FAIL, "/demo/ship_attitude is running already") in rows
+    assert len(rows) == 2
+
+
+def test_somebody_else_who_gives_what_the_suite_gives_fails():
+    rows = found(NetworkState("rmw", ("/x", "/demo/ins"), (INS,), {"ship/attitude": ("/x",)}))
+    assert (Result.FAIL, "ship/attitude, which the suite gives, is published by /x") in rows
+
+
+def test_strangers_namesakes_and_a_clock_are_warnings():
+    rows = found(NetworkState("rmw", ("/demo/ins", "/rviz", "/rviz"), (INS,), has_clock=True))
+    assert [text for result, text in rows if result is Result.WARN] == [
+        "somebody publishes a clock, as for a bag", "2 nodes are called /rviz", "no part of the suite: /rviz"
+    ]  # fmt: skip
+
+
+def test_what_was_not_seen_is_not_checked():
+    assert found(NetworkState(failure="no rmw")) == [(Result.NOT_CHECKED, "no rmw")]

@@ -1,0 +1,97 @@
+"""Files, folders and devices that a suite file names: there, and this user's to use."""
+
+import os
+import pty
+from pathlib import Path
+
+import pytest
+
+from ship_bringup.checks.check_line import Result
+from ship_bringup.checks.file_check import PathState, judge_files, look_at_files
+
+SUITE = """\
+/**/ship_attitude:
+  ros__parameters:
+    alignment_file: {alignment}
+    black_box: {recorder}
+/**/nmea_in:
+  ros__parameters:
+    sources:
+      seapath: {{device: {device}, baud: 38400}}
+"""
+
+
+def look(tmp_path, box=None, **paths):
+    given = {"alignment": "''", "recorder": "''", "device": "''"} | paths
+    path = tmp_path / "suite.yaml"
+    path.write_text(SUITE.format(**given))
+    return look_at_files(path, box)
+
+
+def rows(states):
+    return [(row.result, row.found) for row in judge_files(states, [])]
+
+
+def test_a_file_that_is_not_there_yet_in_a_folder_that_is(tmp_path):
+    (state,) = look(tmp_path, alignment=tmp_path / "alignment.yaml")
+    assert (state.is_there, state.writable) == (False, True)
+    assert rows([state]) == [
+        (Result.OK, f"{tmp_path}/suite.yaml:3: alignment_file {tmp_path}/alignment.yaml: good")
+    ]  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["suite.yaml"]
+
+
+@pytest.mark.parametrize("name", ["alignment", "recorder"])
+def test_a_file_without_its_folder(tmp_path, name):
+    ((result, found),) = rows(look(tmp_path, **{name: tmp_path / "none" / "file"}))
+    assert result is Result.FAIL
+    assert "cannot make it" in found
+
+
+def test_a_file_in_a_folder_that_takes_no_other_cannot_be_replaced(tmp_path):
+    (state,) = look(tmp_path, alignment="/proc/self/status")
+    assert (state.is_there, state.readable, state.writable) == (True, True, False)
+    assert rows([state])[0][0] is Result.FAIL
+
+
+def test_the_folder_of_the_boxes_is_made_with_those_above_it(tmp_path):
+    assert rows(look(tmp_path, box=tmp_path / "a" / "b"))[0][0] is Result.OK
+    assert not (tmp_path / "a").exists()
+    assert rows(look(tmp_path, box=Path("/proc/a/b")))[0][0] is Result.FAIL
+
+
+def test_a_serial_device_that_is_there_and_one_that_is_not(tmp_path):
+    first, second = pty.openpty()
+    try:
+        (state,) = look(tmp_path, device=os.ttyname(second))
+        assert state.is_device
+        assert rows([state])[0][0] is Result.OK
+    finally:
+        os.close(first)
+        os.close(second)
+    ((result, found),) = rows(look(tmp_path, device="/dev/ttyNONE7"))
+    assert result is Result.FAIL
+    assert found == f"{tmp_path}/suite.yaml:8: sources.seapath.device /dev/ttyNONE7: is not there"
+
+
+def test_a_device_of_another_group_says_how_to_get_into_it():
+    state = PathState(Path("/dev/ttyUSB0"), "suite.yaml:8: device", True, True, False, False)
+    (row,) = judge_files([state], [])
+    assert row.result is Result.FAIL
+    assert "may not read and write it" in row.found
+    assert row.advice.startswith("sudo usermod -aG dialout ")
+
+
+@pytest.mark.parametrize(("readable", "writable"), [(True, False), (False, True)])
+def test_a_file_of_another_user(readable, writable):
+    state = PathState(Path("/var/lib/ship/a.yaml"), "suite.yaml:3: alignment_file", False, True, readable, writable)
+    assert rows([state])[0][0] is Result.FAIL
+
+
+def test_a_node_that_saves_nothing_is_a_warning():
+    (row,) = judge_files([], ["suite.yaml: ship_attitude has no alignment_file"])
+    assert row.result is Result.WARN
+
+
+def test_a_suite_file_without_files():
+    assert rows([])[0][0] is Result.OK

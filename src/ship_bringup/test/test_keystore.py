@@ -1,0 +1,359 @@
+"""A keystore that is good, and every way in which it can be bad, each as one line that says which file and why."""
+
+import dataclasses
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+from ship_bags.errors import BadInput
+from ship_bringup.checks.check_line import Result
+from ship_bringup.checks.security_check import judge_keystore
+from ship_bringup.security.keystore import KeystoreUse, keystore_faults, require_keystore
+from ship_bringup.security.policy_xml import governance_text, permissions_text
+from ship_bringup.security.rights import suite_rights
+from ship_bringup.suite.plan import checked_nodes
+from ship_testing.keystores import DAY, NOW, YEAR, Keystore, certificate_of, new_authority, new_key
+
+ROOT = Path(__file__).parents[3]
+DOMAIN = 7
+NODE = "/demo/ship_attitude"
+
+
+def rights_in(namespace, locked=False):
+    nodes, _ = checked_nodes(ROOT / "examples" / "two_sensors.yaml", namespace)
+    return suite_rights([node.adapter for node in nodes], namespace, locked)
+
+
+RIGHTS = rights_in("demo")
+USED = [rights for rights in RIGHTS if rights.enclave in (NODE, "/demo/monitor")]
+(OF_NODE,) = [rights for rights in RIGHTS if rights.enclave == NODE]
+AUTHORITY, OTHER_AUTHORITY = new_authority("sros2CA"), new_authority("the other ship")
+
+
+def use(**changes):
+    given = KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY)
+    return dataclasses.replace(given, **changes)
+
+
+@pytest.fixture
+def keystore(tmp_path):
+    return Keystore(tmp_path / "keystore", AUTHORITY, DOMAIN).add(USED)
+
+
+def only(faults):
+    (fault,) = faults
+    assert "\n" not in fault.text
+    return fault
+
+
+def test_a_good_keystore_has_no_fault(keystore):
+    assert keystore_faults(keystore.path, use()) == []
+    rows = list(judge_keystore(str(keystore.path), use(), True))
+    assert [(row.check, row.result) for row in rows] == [("keystore", Result.OK), ("policies", Result.OK)]
+    assert "2 enclaves" in rows[0].found
+
+
+def test_a_folder_that_is_no_keystore(tmp_path):
+    fault = only(keystore_faults(tmp_path, use()))
+    assert re.search(r"is no keystore: expected the folders public and enclaves", fault.text)
+
+
+def test_a_keystore_of_another_ship_by_its_enclaves(tmp_path):
+    other = Keystore(tmp_path / "keystore", OTHER_AUTHORITY, DOMAIN).add(rights_in("aurora")[:2])
+    fault = only(keystore_faults(other.path, use()))
+    told = "a keystore of another ship: it has /aurora/alerts, /aurora/ship_attitude, expected /demo/ship_attitude"
+    assert fault.text == f"{other.path}/enclaves: {told}"
+    assert fault.is_error
+
+
+def test_an_enclave_of_another_ship_by_its_authority(keystore):
+    key = new_key()
+    keystore.write_certificate(keystore.folder(NODE) / "cert.pem", certificate_of(NODE, key, OTHER_AUTHORITY))
+    keystore.write_key(NODE, key)
+    fault = only(keystore_faults(keystore.path, use()))
+    path = keystore.folder(NODE) / "cert.pem"
+    assert fault.text.startswith(f"{path}: a certificate of another ship: not signed by ")
+    assert "'CN=sros2CA'" in fault.text
+    assert fault.text.endswith("its issuer is 'CN=the other ship'")
+
+
+def test_an_authority_of_the_same_name_and_another_key_is_another_one(keystore):
+    namesake, key = new_authority("sros2CA"), new_key()
+    keystore.write_certificate(keystore.folder(NODE) / "cert.pem", certificate_of(NODE, key, namesake))
+    keystore.write_key(NODE, key)
+    assert "not signed by" in only(keystore_faults(keystore.path, use())).text
+
+
+def test_a_whole_enclave_of_another_ship_by_the_authority_that_it_brings(keystore, tmp_path):
+    """In itself it is good: certificate, key, signatures and name fit one another."""
+    other = Keystore(tmp_path / "other", OTHER_AUTHORITY, DOMAIN).add(USED)
+    monitor = keystore.folder("/demo/monitor")
+    shutil.rmtree(monitor)
+    shutil.copytree(other.folder("/demo/monitor"), monitor)
+    ours, theirs = (each.certificate.fingerprint(hashes.SHA256()).hex() for each in (AUTHORITY, OTHER_AUTHORITY))
+    fault = only(keystore_faults(keystore.path, use()))
+    told = f"an authority of another ship: its SHA-256 is {theirs}, expected {ours}, as in {keystore.folder(NODE)}"
+    assert fault.text == f"{monitor}/identity_ca.cert.pem: {told}/identity_ca.cert.pem"
+
+
+def test_a_whole_keystore_of_a_ship_of_the_same_name_by_what_the_limits_tell(keystore):
+    told = AUTHORITY.certificate.fingerprint(hashes.SHA256()).hex(":").upper()
+    assert keystore_faults(keystore.path, use(authority_sha256=told)) == []
+    other = OTHER_AUTHORITY.certificate.fingerprint(hashes.SHA256()).hex()
+    faults = keystore_faults(keystore.path, use(authority_sha256=other))
+    assert len(faults) == len(USED)
+    assert all(f"expected {other}, as in machine.authority_sha256" in fault.text for fault in faults)
+
+
+def test_a_suite_does_not_start_with_a_keystore_of_another_ship(tmp_path):
+    other = Keystore(tmp_path / "keystore", OTHER_AUTHORITY, DOMAIN).add(rights_in("aurora")[:2])
+    told = r"/enclaves: a keystore of another ship: it has /aurora/alerts, .*: not started; set ROS_SECURITY_KEYSTORE"
+    with pytest.raises(BadInput, match=told) as refused:
+        require_keystore(other.path, use())
+    assert "\n" not in str(refused.value)
+
+
+def test_a_suite_starts_with_an_old_policy_and_says_so(keystore):
+    assert require_keystore(keystore.path, use()) == []
+    keystore.permit(NODE, dataclasses.replace(OF_NODE, declared=()))
+    (text,) = require_keystore(keystore.path, use())
+    assert "are older than the code" in text
+
+
+def test_permissions_of_another_ship_name_file_line_key_and_what_was_expected(keystore):
+    other = dataclasses.replace(OF_NODE, enclave="/aurora/ship_attitude")
+    keystore.permit(NODE, other)
+    faults = keystore_faults(keystore.path, use())
+    path = keystore.folder(NODE) / "permissions.p7s"
+    line = next(n for n, text in enumerate(path.read_text().splitlines(), 1) if "<subject_name>" in text)
+    (subject,) = [fault for fault in faults if "subject_name" in fault.text]
+    expected = "subject_name is 'CN=/aurora/ship_attitude': expected 'CN=/demo/ship_attitude'"
+    assert subject.text == f"{path}:{line}: {expected}"
+
+
+def test_a_certificate_for_another_enclave(keystore):
+    key = new_key()
+    certificate = certificate_of("/demo/monitor", key, AUTHORITY)
+    keystore.write_certificate(keystore.folder(NODE) / "cert.pem", certificate)
+    keystore.write_key(NODE, key)
+    fault = only(keystore_faults(keystore.path, use()))
+    assert "subject is 'CN=/demo/monitor': expected 'CN=/demo/ship_attitude'" in fault.text
+
+
+def test_a_missing_enclave_of_a_node_and_of_a_tool(tmp_path):
+    (monitor,) = [rights for rights in USED if rights.enclave == "/demo/monitor"]
+    without_node = Keystore(tmp_path / "a", AUTHORITY, DOMAIN).add([monitor])
+    fault = only(keystore_faults(without_node.path, use()))
+    assert "/demo/ship_attitude: has no identity_ca.cert.pem" in fault.text
+    assert fault.advice == "ros2 security create_enclave KEYSTORE /demo/ship_attitude"
+    # Tools and drivers may be on other computers, and their keys with them.
+    assert keystore_faults(Keystore(tmp_path / "b", AUTHORITY, DOMAIN).add([OF_NODE]).path, use()) == []
+
+
+def test_a_missing_file_is_named(keystore):
+    (keystore.folder(NODE) / "key.pem").unlink()
+    assert only(keystore_faults(keystore.path, use())).text == f"{keystore.folder(NODE)}: has no key.pem"
+
+
+@pytest.mark.parametrize(
+    ("later", "told", "is_error"),
+    [(YEAR - 30 * DAY - DAY, None, None), (YEAR - 29 * DAY, "is in 29.0 days, before the voyage ends", False),
+     (YEAR, "is over", True), (YEAR + DAY, "is over", True), (-2 * DAY, "is still to come", True)],
+)  # fmt: skip
+def test_dates_of_certificates_and_permissions(keystore, later, told, is_error):
+    faults = keystore_faults(keystore.path, use(now=NOW + later))
+    if told is None:
+        assert faults == []
+        return
+    # Of both enclaves: certificate, authority and permissions.
+    assert len(faults) == 6
+    assert all(told in fault.text and fault.is_error == is_error for fault in faults)
+
+
+def test_permissions_may_end_before_the_certificate(keystore):
+    keystore.permit(NODE, OF_NODE, 2 * DAY)
+    fault = only(keystore_faults(keystore.path, use()))
+    assert "permissions.p7s: not_after 2026-06-03 is in 2.0 days" in fault.text
+
+
+def test_a_key_that_is_not_the_certificates(keystore):
+    keystore.write_key(NODE, new_key())
+    path = keystore.folder(NODE) / "key.pem"
+    fault = only(keystore_faults(keystore.path, use()))
+    assert fault.text == f"{path}: is not the key of {path.parent}/cert.pem"
+
+
+@pytest.mark.parametrize("mode", [0o644, 0o620, 0o602])
+def test_a_key_that_others_may_read_or_change(keystore, mode):
+    path = keystore.folder(NODE) / "key.pem"
+    path.chmod(mode)
+    assert only(keystore_faults(keystore.path, use())).text.startswith(f"{path}: mode {mode:o}: others may")
+    path.chmod(0o640)
+    assert keystore_faults(keystore.path, use()) == []
+
+
+@pytest.mark.parametrize("name", ["cert.pem", "key.pem", "identity_ca.cert.pem", "permissions.p7s", "governance.p7s"])
+def test_rubbish_is_told_as_such(keystore, name):
+    path = keystore.folder(NODE) / name
+    path.write_bytes(b"\x00\xffrubbish")
+    faults = keystore_faults(keystore.path, use())
+    assert faults
+    assert any(fault.text.startswith(str(path)) and re.search("is no|is not signed", fault.text) for fault in faults)
+
+
+@pytest.mark.parametrize("name", ["permissions.p7s", "governance.p7s"])
+def test_a_changed_text_breaks_the_signature(keystore, name):
+    path = keystore.folder(NODE) / name
+    changed = path.read_bytes().replace(b"<id>7</id>", b"<id>8</id>")
+    path.write_bytes(changed)
+    faults = keystore_faults(keystore.path, use(domain_id=8))
+    assert any(f"{path}: its signature is not that of" in fault.text for fault in faults)
+
+
+@pytest.mark.parametrize("name", ["permissions.p7s", "governance.p7s"])
+def test_a_signature_of_another_ship(keystore, name):
+    path = keystore.folder(NODE) / name
+    text = governance_text(DOMAIN) if name.startswith("g") else permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
+    keystore.sign(path, text, OTHER_AUTHORITY)
+    fault = only(keystore_faults(keystore.path, use()))
+    assert fault.text.startswith(f"{path}: its signature is not that of {path.parent}/permissions_ca.cert.pem")
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "told"),
+    [("grant", "gift", "has no grant"), ("subject_name>", "name>", "has no subject_name"),
+     ("2027-06-01T12:00:00", "next year", "not_after is 'next year': expected a date as 2026-05-01T00:00:00"),
+     ("<default>DENY</default>", "", "has no default"), ("</dds>", "", "holds no XML")],
+)  # fmt: skip
+def test_permissions_that_are_signed_and_say_nothing_of_use(keystore, right, wrong, told):
+    text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
+    assert right in text
+    keystore.sign(keystore.folder(NODE) / "permissions.p7s", text.replace(right, wrong))
+    fault = only(keystore_faults(keystore.path, use()))
+    assert told in fault.text
+    assert fault.text.startswith(f"{keystore.folder(NODE)}/permissions.p7s")
+
+
+def test_a_file_beyond_all_bounds_is_not_read(keystore):
+    path = keystore.folder(NODE) / "permissions.p7s"
+    with path.open("r+b") as file:
+        file.truncate(1 << 40)
+    assert "is larger than 4000000 bytes" in only(keystore_faults(keystore.path, use())).text
+
+
+def test_another_domain(keystore):
+    faults = keystore_faults(keystore.path, use(domain_id=8))
+    assert len(faults) == 4
+    assert all("no rule for domain 8, in which the suite runs" in fault.text for fault in faults)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [("unauthenticated_participants>false", "unauthenticated_participants>true"),
+     ("join_access_control>true", "join_access_control>false"),
+     ("read_access_control>true", "read_access_control>false"),
+     ("write_access_control>true", "write_access_control>false")],
+)  # fmt: skip
+def test_a_governance_that_leaves_the_policies_without_effect(keystore, right, wrong):
+    text = governance_text(DOMAIN)
+    assert right in text
+    path = keystore.folder(NODE) / "governance.p7s"
+    keystore.sign(path, text.replace(right, wrong))
+    fault = only(keystore_faults(keystore.path, use()))
+    assert re.search(rf"governance\.p7s:\d+: \w*{wrong.split('>')[0]} is {wrong.split('>')[1]}: expected", fault.text)
+    assert fault.of_policy
+
+
+def test_policies_that_are_older_than_the_code(keystore):
+    """Of a code that published one topic less, with its fingerprint: what is denied now is named."""
+    older = dataclasses.replace(OF_NODE, publishes=OF_NODE.publishes - {"/demo/ship/integrity"})
+    keystore.permit(NODE, older)
+    texts = [fault.text for fault in keystore_faults(keystore.path, use())]
+    assert any("do not cover the code: publish of rt/demo/ship/integrity is not allowed" in text for text in texts)
+    assert any(f"are older than the code, or of another suite file: fingerprint {older.fingerprint[:12]}" in text
+               for text in texts)  # fmt: skip
+    assert len(texts) == 2
+
+
+def test_policies_whose_rules_fit_and_whose_declarations_do_not(keystore):
+    keystore.permit(NODE, dataclasses.replace(OF_NODE, declared=OF_NODE.declared[1:]))
+    fault = only(keystore_faults(keystore.path, use()))
+    assert "are older than the code" in fault.text
+    assert fault.of_policy
+
+
+def test_policies_of_another_program_need_no_fingerprint(keystore):
+    text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
+    keystore.sign(keystore.folder(NODE) / "permissions.p7s", re.sub(r"<!--.*-->\n", "", text))
+    assert keystore_faults(keystore.path, use()) == []
+
+
+def test_policies_that_allow_more_than_the_code_declares(keystore):
+    """As 'ros2 security create_enclave' makes them where it is given no policy: everything."""
+    text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
+    wide = text.replace("<topic>rt/rosout</topic>", "<topic>rt/*</topic>")
+    keystore.sign(keystore.folder(NODE) / "permissions.p7s", wide)
+    fault = only(keystore_faults(keystore.path, use()))
+    assert "allow more than the code declares: publish of rt/*" in fault.text
+    keystore.sign(keystore.folder(NODE) / "permissions.p7s", text.replace("DENY", "ALLOW"))
+    assert "default is ALLOW: expected DENY" in only(keystore_faults(keystore.path, use())).text
+
+
+def test_a_deny_rule_before_it_takes_a_right_away(keystore):
+    text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
+    denied = "<publish><topics><topic>rt/demo/ship/attitude</topic></topics></publish>"
+    rule = f"<deny_rule><domains><id_range><min>0</min></id_range></domains>{denied}</deny_rule>"
+    keystore.sign(keystore.folder(NODE) / "permissions.p7s", text.replace("<allow_rule>", rule + "<allow_rule>"))
+    assert "publish of rt/demo/ship/attitude is not allowed" in only(keystore_faults(keystore.path, use())).text
+
+
+def test_locked_policies_and_open_ones_are_told_apart(tmp_path):
+    def param(locked):
+        return [rights for rights in rights_in("demo", locked) if rights.enclave == "/demo/param"]
+
+    store = Keystore(tmp_path / "keystore", AUTHORITY, DOMAIN).add([OF_NODE, *param(False)])
+    assert keystore_faults(store.path, use()) == []
+    told = [fault.text for fault in keystore_faults(store.path, use(rights=rights_in("demo", True)))]
+    assert any("allow more than the code declares: publish of rq/demo/alerts/set_parameters_atomicallyRequest" in text
+               for text in told)  # fmt: skip
+
+
+def test_a_file_that_is_signed_by_hand_as_the_page_says(keystore, tmp_path):
+    text, certificate, key = (tmp_path / name for name in ("permissions.xml", "ca.cert.pem", "ca.key.pem"))
+    text.write_text(permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR))
+    keystore.write_certificate(certificate, AUTHORITY.certificate)
+    key.write_bytes(AUTHORITY.key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    out = keystore.folder(NODE) / "permissions.p7s"
+    out.unlink()
+    command = ["openssl", "smime", "-sign", "-text", "-in", text, "-out", out, "-signer", certificate, "-inkey", key]
+    subprocess.run(list(map(str, command)), check=True, capture_output=True)
+    assert keystore_faults(keystore.path, use()) == []
+
+
+def test_faults_come_together(keystore):
+    keystore.write_key(NODE, new_key(), mode=0o644)
+    keystore.permit(NODE, OF_NODE, -DAY / 2)
+    (keystore.folder("/demo/monitor") / "cert.pem").write_text("rubbish")
+    texts = " ".join(fault.text for fault in keystore_faults(keystore.path, use(domain_id=8)))
+    for part in ("mode 644", "is not the key of", "is over", "no rule for domain 8", "is no certificate"):
+        assert part in texts
+
+
+def test_without_openssl_a_keystore_is_not_checked_and_has_failed_where_it_is_required(keystore, monkeypatch):
+    monkeypatch.setenv("PATH", "/nonexistent")
+    (row,) = judge_keystore(str(keystore.path), use(), False)
+    assert (row.result, row.advice) == (Result.NOT_CHECKED, "sudo apt install openssl")
+    (row,) = judge_keystore(str(keystore.path), use(), True)
+    assert row.result is Result.FAIL
+
+
+def test_rows_of_a_bad_keystore_fail(keystore):
+    keystore.permit(NODE, dataclasses.replace(OF_NODE, publishes=frozenset()))
+    (keystore.folder("/demo/monitor") / "key.pem").chmod(0o644)
+    rows = list(judge_keystore(str(keystore.path), use(), False))
+    assert {(row.check, row.result) for row in rows} == {("keystore", Result.FAIL), ("policies", Result.FAIL)}

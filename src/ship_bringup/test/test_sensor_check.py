@@ -1,0 +1,108 @@
+"""What was heard of each sensor, judged: one thing wrong at a time."""
+
+import dataclasses
+from types import MappingProxyType
+
+import pytest
+
+from ship_bringup.checks.check_line import Result
+from ship_bringup.checks.network_look import STRONGER, HeardTopic, NetworkState, Publisher
+from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
+from ship_node.edge.topics import InputTopic
+from ship_watch.limits import InputLimits, Limits
+
+IMU = "sensor_msgs/msg/Imu"
+DRIVER = Publisher("/ins_driver", IMU)
+GOOD = HeardTopic(InputTopic("ins/imu", IMU, True, 1000), (DRIVER,), 100.0, 316.0, 500, 0.012)
+LIMITS = Limits(inputs={"ins": InputLimits(rate_hz=90.0)})
+
+
+def judged(limits=LIMITS, asked=MappingProxyType({}), **changes):
+    heard = dataclasses.replace(GOOD, **changes)
+    (row,) = judge_sensors(NetworkState("rmw", heard=(heard,)), limits, {"ins/imu": 2.0}, asked)
+    return row.result, row.found
+
+
+def test_a_good_sensor():
+    assert judged() == (Result.OK, "ins/imu: 100 Hz from /ins_driver, stamps 0.012 s old")
+    assert judged(age_s=None) == (Result.OK, "ins/imu: 100 Hz from /ins_driver")
+    assert judged(asked={"ins/imu": STRONGER})[0] is Result.OK
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [({"publishers": ()}, "nobody publishes it"),
+     ({"publishers": (Publisher("/d", "std_msgs/msg/String"),)}, "/d publishes std_msgs/msg/String, expected " + IMU),
+     ({"count": 0}, "/ins_driver publishes it, and no message came"),
+     ({"rate_hz": 89.9}, "expected 90 Hz at least"),
+     ({"rate_hz": float("nan")}, "expected 90 Hz at least"),
+     ({"age_s": -0.051}, "stamps 0.051 s in the future"),
+     ({"age_s": 10.1}, "stamps 10.100 s old"),
+     ({"age_s": 2.1}, "later than lag_s"),
+     ({"age_s": float("nan")}, "stamps nan")],
+)  # fmt: skip
+def test_a_sensor_that_the_suite_cannot_use_fails(changes, told):
+    result, found = judged(**changes)
+    assert result is Result.FAIL
+    assert told in found
+
+
+@pytest.mark.parametrize("age_s", [-0.049, 1.99])
+def test_stamps_just_inside_the_limits(age_s):
+    assert judged(age_s=age_s)[0] is Result.OK
+
+
+def test_weather_and_position_may_be_later_than_the_filter_takes_measurements():
+    for name in ("gnss/fix", "met/pressure"):
+        topic = InputTopic(name, IMU, required=True, depth=100)
+        heard = dataclasses.replace(GOOD, input=topic, age_s=2.1)
+        (row,) = judge_sensors(NetworkState("rmw", heard=(heard,)), LIMITS, {name: 2.0}, {})
+        assert row.result is Result.OK
+
+
+def test_a_sensor_that_is_neither_required_nor_named_is_a_warning():
+    topic = InputTopic("met/humidity", IMU, required=False, depth=100)
+    assert judged(input=topic, publishers=())[0] is Result.WARN
+    assert judged(input=topic, count=0)[0] is Result.WARN
+    assert judged(input=dataclasses.replace(topic, named=True), publishers=())[0] is Result.FAIL
+
+
+@pytest.mark.parametrize("quality", ["reliable", "transient_local"])
+def test_nothing_comes_where_more_is_asked_for_than_is_offered(quality):
+    weak = (dataclasses.replace(DRIVER, offers=STRONGER - {quality}),)
+    assert judged(publishers=weak)[0] is Result.OK
+    result, found = judged(publishers=weak, asked={"ins/imu": frozenset({quality})})
+    assert result is Result.FAIL
+    assert f"does not offer {quality}, as the suite file asks for" in found
+
+
+def test_what_the_suites_own_nmea_in_gives_cannot_be_heard_before_the_suite():
+    silent = NetworkState("rmw", heard=(dataclasses.replace(GOOD, publishers=()),))
+    (row,) = judge_sensors(silent, LIMITS, {}, {}, ["ins/imu"])
+    assert row.result is Result.NOT_CHECKED
+    assert "nmea_in, which the suite starts, may give it" in row.found
+    heard = NetworkState("rmw", heard=(dataclasses.replace(GOOD, rate_hz=1.0),))
+    (row,) = judge_sensors(heard, LIMITS, {}, {}, ["ins/imu"])
+    assert row.result is Result.FAIL
+
+
+def test_two_publishers_of_one_sensor_are_a_warning():
+    assert judged(publishers=(DRIVER, Publisher("/again", IMU)))[0] is Result.WARN
+
+
+def test_a_suite_whose_sensors_could_not_be_heard_fails():
+    (row,) = judge_sensors(NetworkState(failure="no rmw"), LIMITS, {}, {})
+    assert (row.result, row.found) == (Result.FAIL, "nothing could be heard: no rmw")
+
+
+def test_what_a_suite_file_asks_of_the_quality_of_service(tmp_path):
+    path = tmp_path / "suite.yaml"
+    path.write_text(
+        "/**/ship_attitude:\n  ros__parameters:\n    qos_overrides:\n"
+        "      /demo/ins/imu: {subscription: {reliability: reliable}}\n"
+        "      /demo/gnss/fix: {subscription: {reliability: best_effort}}\n"
+        "      /demo/met/pressure: {subscription: {durability: transient_local, depth: 5}}\n"
+    )
+    topics = ["ins/imu", "gnss/fix", "met/pressure"]
+    assert asked_qualities(path, topics, "demo") == {"ins/imu": {"reliable"}, "met/pressure": {"transient_local"}}
+    assert asked_qualities(path, topics, "aurora") == {}

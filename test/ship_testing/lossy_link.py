@@ -1,0 +1,95 @@
+"""Two ends of a link that loses packets and can be cut, as network namespaces of this machine: for tests as root."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from signal import SIGUSR1, SIGUSR2
+from types import TracebackType
+
+from ship_bringup.suite.dds_ports import UDP_ALONE
+from ship_replay.trials.live_process import LiveProcess, live_environment
+
+NETEM = Path(__file__).parents[3] / "shared" / "tools" / "netem.py"
+"""Joins the namespaces relA and relB by two TAP devices, and throws away some of the UDP packets between them."""
+
+NEAR, FAR = "relA", "relB"
+
+_START_S = 15.0
+_LONGEST_S = 600
+# It finds its namespaces below /run/netns. On a /run of its own, two links do not meet, and nothing is left behind.
+_ALONE = 'mount -t tmpfs tmpfs /run && mkdir /run/netns && exec "$@"'
+# The share that is lost is a variable of its script, which it reads for each packet.
+_SWITCHED = f"""
+import signal, sys
+sys.argv = sys.argv[1:]
+names, loss = {{"__name__": "netem"}}, float(sys.argv[1])
+signal.signal({SIGUSR1.value}, lambda *_: names.update(loss=1.0))
+signal.signal({SIGUSR2.value}, lambda *_: names.update(loss=loss))
+exec(compile(open(sys.argv[0]).read(), sys.argv[0], "exec"), names)
+"""
+
+
+def why_there_is_none() -> str:
+    """Why this machine can make no such link; empty where it can."""
+    if not NETEM.is_file():
+        return f"there is no {NETEM.name} beside this repository"
+    if os.geteuid() != 0 or subprocess.run(["unshare", "--net", "--mount", "true"], check=False).returncode:
+        return "only root may make network namespaces"
+    if shutil.which("ip") is None or not Path("/dev/net/tun").exists():
+        return "there is no 'ip' or no TUN device"
+    return ""
+
+
+class LossyLink:
+    """The link and what runs at its ends; use it in a ``with`` statement, after which all of it is gone.
+
+    Args:
+        loss: share of the packets that is lost, each by itself.
+        folder: takes logs.
+    """
+
+    def __init__(self, loss: float, folder: Path) -> None:
+        self._folder = folder
+        # Shared memory would go past the link.
+        self._environment = live_environment(1, folder / "ros") | UDP_ALONE
+        self._environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
+        script = [sys.executable, "-c", _SWITCHED, str(NETEM), str(loss), "0", "0", "0", str(_LONGEST_S)]
+        self._running = ExitStack()
+        self._relay = self._started(["unshare", "--mount", "sh", "-c", _ALONE, "sh", *script], "link")
+
+    def start(self, end: str, name: str, command: Sequence[str]) -> LiveProcess:
+        """Run a program at one end."""
+        place = f"--net=/proc/{self._relay.pid}/root/run/netns/{end}"
+        return self._started(["nsenter", place, *command], name)
+
+    def cut(self) -> int:
+        """From now on nothing comes through; returns the time, ns."""
+        os.kill(self._relay.pid, SIGUSR1)
+        return time.time_ns()
+
+    def mend(self) -> int:
+        """From now on packets come through as before; returns the time, ns."""
+        os.kill(self._relay.pid, SIGUSR2)
+        return time.time_ns()
+
+    def _started(self, command: Sequence[str], name: str) -> LiveProcess:
+        return self._running.enter_context(LiveProcess(command, self._folder / f"{name}.log", self._environment))
+
+    def __enter__(self) -> "LossyLink":
+        deadline_s = time.monotonic() + _START_S
+        while "ready" not in self._relay.log():
+            if self._relay.exit_code is not None or time.monotonic() > deadline_s:
+                self._running.close()
+                raise OSError(f"no link: {self._relay.log()}")
+            time.sleep(0.02)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._running.close()

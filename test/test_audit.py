@@ -1,0 +1,63 @@
+"""What is said of vulnerabilities and licences: silence is no health, and no licence is unknown."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tools.licences import PAGE, STATED_ELSEWHERE, distributions, fits, licence, page, unfit
+
+ROOT = Path(__file__).parents[1]
+over_ros = pytest.mark.skipif((ROOT / ".venv" / ".ros_prefix").exists(), reason="the wheels of ROS are not installed")
+
+
+@over_ros
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="some pins, and so what their metadata say, are others")
+def test_the_page_of_licences_is_current() -> None:
+    assert PAGE.read_text(encoding="utf-8") == page(), "run tools/licences.py"
+
+
+@over_ros
+def test_every_wheel_may_be_distributed_beside_the_suite() -> None:
+    assert unfit() == []
+    assert STATED_ELSEWHERE.keys() <= set(distributions())
+
+
+@pytest.mark.parametrize(
+    ("expression", "may"),
+    [
+        ("MIT", True),
+        ("Apache-2.0 OR GPL-3.0-only", True),
+        ("MIT AND GPL-3.0-only", False),
+        ("GPL-3.0-only OR AGPL-3.0-only", False),
+        ("LGPL-2.1-or-later", True),
+        ("", False),
+        ("nan", False),
+    ],
+)
+def test_of_licences_that_may_be_chosen_one_must_fit(expression: str, may: bool) -> None:
+    assert fits(expression) is may
+
+
+def test_a_wheel_that_is_not_there_has_no_licence() -> None:
+    assert licence("no-such-wheel") == ("", "not installed")
+
+
+def judged(report: str) -> str:
+    """What tools/audit.py makes of a report, for pins of two wheels."""
+    code = f"import audit; print(audit.judge({report}, ['a==1', 'b==2']))"
+    answer = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT / "tools", capture_output=True, text=True, check=True, env={**os.environ}
+    )
+    return answer.stdout.strip()
+
+
+def test_a_vulnerability_is_told_with_what_mends_it_and_silence_is_no_health() -> None:
+    """The form of a report is that of pip-audit 2.10, whose entries of what it left out have no ``vulns``."""
+    flaw = {"id": "PYSEC-2026-1", "fix_versions": ["3"], "aliases": [], "description": ""}
+    left_out = {"name": "b", "skip_reason": "not found"}
+    report = {"dependencies": [{"name": "a", "version": "1", "vulns": [flaw]}, left_out]}
+    assert judged(repr(report)) == "(['a==1: PYSEC-2026-1, mended in 3'], ['b==2'])"
+    assert judged("{'dependencies': []}") == "([], ['a==1', 'b==2'])"

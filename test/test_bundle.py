@@ -1,0 +1,225 @@
+"""``make bundle`` and set-up from what it wrote: in a small checkout with a lock of two wheels, which are built here.
+
+That the whole suite comes up from its bundle without a network is tried by hand, as docs/how-to/install.md tells.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tools.wheelhouse import SUMS, own_target, pinned, pinned_by, target
+
+ROOT = Path(__file__).parents[1]
+TOOLS = ("bundle.py", "setup", "setup_environment.py", "wheelhouse.py")
+WHEEL, ROS_WHEEL = "tiny_part-1.0-py3-none-any.whl", "ros_part-1.0-py3-none-any.whl"
+needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
+
+
+def run(*command: str | Path, cwd: Path, **variables: str) -> "subprocess.CompletedProcess[str]":
+    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHON", "ROS_DISTRO")}
+    words = [str(word) for word in command]
+    return subprocess.run(words, cwd=cwd, env=kept | variables, capture_output=True, text=True, check=False)
+
+
+def build_wheel(path: Path) -> None:
+    """A wheel with one module, as PEP 427 has it; RECORD may be empty of hashes."""
+    name = path.name.partition("-")[0]
+    info = f"{name}-1.0.dist-info"
+    files = {
+        f"{name}.py": "SIZE = 1\n",
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n",
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    }
+    record = "".join(f"{entry},,\n" for entry in (*files, f"{info}/RECORD"))
+    with zipfile.ZipFile(path, "w") as archive:
+        for entry, text in {**files, f"{info}/RECORD": record}.items():
+            archive.writestr(entry, text)
+
+
+@pytest.fixture(scope="module")
+def ashore(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A git checkout with the tools and a lock; beside it index/ with the wheels."""
+    folder = tmp_path_factory.mktemp("ashore") / "suite"
+    (folder / "tools").mkdir(parents=True)
+    for name in TOOLS:
+        shutil.copy(ROOT / "tools" / name, folder / "tools")
+    (folder / "requirements.lock").write_text("# two\nros-part==1.0\nTiny.Part==1.0\nold==1 ; python_version < '3.0'\n")
+    (folder / "with space.txt").write_text("tracked\n")
+    (folder / ".gitignore").write_text("/out/\n")
+    (folder.parent / "index").mkdir()
+    for name in (WHEEL, ROS_WHEEL):
+        build_wheel(folder.parent / "index" / name)
+    named = ("-c", "user.name=A", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false")
+    for words in (("init", "-q"), ("add", "-A"), (*named, "commit", "-q", "-m", "all")):
+        assert run("git", *words, cwd=folder).returncode == 0
+    (folder / "untracked.txt").write_text("stays ashore\n")
+    (folder / "with space.txt").write_text("changed\n")
+    return folder
+
+
+def bundle(ashore: Path, out: str, *options: str) -> "subprocess.CompletedProcess[str]":
+    index = {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(ashore.parent / "index"), "PIP_CONFIG_FILE": os.devnull}
+    return run(sys.executable, "tools/bundle.py", "--out", out, *options, cwd=ashore, **index)
+
+
+@pytest.fixture(scope="module")
+def tar(ashore: Path) -> Path:
+    made = bundle(ashore, "out/first")
+    assert made.returncode == 0, made.stderr
+    assert "1 files differ from HEAD" in made.stdout
+    (path,) = (ashore / "out" / "first").iterdir()
+    assert path.name.endswith(f"-{own_target()}.tar")
+    return path
+
+
+@pytest.fixture
+def aboard(tar: Path, tmp_path: Path) -> Path:
+    """The bundle, unpacked."""
+    assert run("tar", "--extract", "--file", tar, cwd=tmp_path).returncode == 0
+    (folder,) = tmp_path.iterdir()
+    return folder
+
+
+def setup(aboard: Path) -> "subprocess.CompletedProcess[str]":
+    return run(sys.executable, "tools/setup_environment.py", cwd=aboard, PIP_INDEX_URL="http://127.0.0.1:9/simple")
+
+
+def refusal(aboard: Path) -> str:
+    """The one line with which set-up refuses, having made nothing."""
+    answer = setup(aboard)
+    assert answer.returncode == 2
+    assert not (aboard / ".venv").exists()
+    (line,) = answer.stderr.splitlines()
+    return line
+
+
+@needs_git
+def test_the_tar_holds_the_tracked_files_and_the_wheels(ashore: Path, aboard: Path) -> None:
+    listed = run("git", "ls-tree", "-r", "-z", "--name-only", "HEAD", cwd=ashore).stdout.split("\0")[:-1]
+    wheels = [f"wheels/{own_target()}/{name}" for name in (SUMS, ROS_WHEEL, WHEEL)]
+    there = [str(path.relative_to(aboard)) for path in aboard.rglob("*") if path.is_file()]
+    assert sorted(there) == sorted(listed + wheels)
+    assert (aboard / "with space.txt").read_text() == "tracked\n"
+    assert os.access(aboard / "tools" / "setup", os.X_OK)
+    checked = run("sha256sum", "--check", "--strict", SUMS, cwd=aboard / "wheels" / own_target())
+    assert checked.returncode == 0, checked.stderr
+
+
+@needs_git
+def test_the_same_commit_gives_the_same_bytes(ashore: Path, tar: Path) -> None:
+    (ashore.parent / "index" / WHEEL).touch()
+    assert bundle(ashore, "out/second").returncode == 0
+    assert (ashore / "out" / "second" / tar.name).read_bytes() == tar.read_bytes()
+
+
+@needs_git
+def test_a_bundle_for_another_python_takes_the_pins_of_that_one(ashore: Path) -> None:
+    other = "3.12" if sys.version_info[:2] != (3, 12) else "3.11"
+    made = bundle(ashore, "out/other", "--for", other)
+    assert made.returncode == 0, made.stderr
+    (path,) = (ashore / "out" / "other").iterdir()
+    assert f"-python{other}-" in path.name
+
+
+@needs_git
+def test_a_wheel_that_cannot_be_had_is_one_line_and_no_tar(ashore: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "suite"
+    shutil.copytree(ashore, folder, ignore=shutil.ignore_patterns("out"))
+    shutil.copytree(ashore.parent / "index", tmp_path / "index")
+    (tmp_path / "index" / WHEEL).rename(tmp_path / "index" / WHEEL.replace("1.0", "1.1"))
+    made = bundle(folder, "out")
+    assert made.returncode == 2
+    (line,) = made.stderr.splitlines()
+    assert "tiny-part==1.0" in line
+    assert list((folder / "out").iterdir()) == []
+
+
+@needs_git
+def test_set_up_installs_from_the_wheels_alone(aboard: Path) -> None:
+    """Whatever pip's configuration says: an index that nobody serves is never asked. What comes after needs colcon."""
+    answer = setup(aboard)
+    assert "2 wheels of" in answer.stdout
+    assert "no network is asked" in answer.stdout
+    assert "colcon build failed" in answer.stderr
+    log = (aboard / ".venv" / "setup.log").read_text()
+    assert "Successfully installed ros-part-1.0 tiny-part-1.0" in log.replace("_part", "-part")
+    assert "127.0.0.1" not in log
+
+
+@needs_git
+def test_over_a_ros_installation_its_own_are_left_out(aboard: Path) -> None:
+    code = "import setup_environment; print(*setup_environment.wheels_to_install(with_ros=False)[0], sep='\\n')"
+    printed = run(sys.executable, "-c", code, cwd=aboard / "tools").stdout.splitlines()
+    assert [line.partition(" --hash=sha256:")[0] for line in printed[1:]] == ["tiny-part==1.0"]
+
+
+@needs_git
+def test_a_damaged_wheel_is_named(aboard: Path) -> None:
+    path = aboard / "wheels" / own_target() / WHEEL
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    assert f"{WHEEL} is damaged" in refusal(aboard)
+
+
+@needs_git
+def test_a_missing_wheel_is_named(aboard: Path) -> None:
+    (aboard / "wheels" / own_target() / WHEEL).unlink()
+    assert f"{WHEEL} is missing" in refusal(aboard)
+
+
+@needs_git
+def test_wheels_for_another_lock_are_refused(aboard: Path) -> None:
+    with (aboard / "requirements.lock").open("a") as lock:
+        lock.write("more==1\n")
+    assert "made for another requirements.lock" in refusal(aboard)
+
+
+@needs_git
+@pytest.mark.parametrize(
+    ("keep", "complaint"),
+    [(0, "is missing or does not begin with requirements.lock"), (2, "names no wheel of Tiny.Part==1.0")],
+)
+def test_sums_cut_short_are_refused(aboard: Path, keep: int, complaint: str) -> None:
+    path = aboard / "wheels" / own_target() / SUMS
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:keep]))
+    assert complaint in refusal(aboard)
+
+
+@needs_git
+def test_a_line_of_the_sums_that_names_a_file_elsewhere_is_refused(aboard: Path) -> None:
+    path = aboard / "wheels" / own_target() / SUMS
+    path.write_text(path.read_text() + "0" * 64 + "  ../elsewhere.whl\n")
+    assert f"{SUMS} line 4" in refusal(aboard)
+
+
+@needs_git
+def test_wheels_for_another_python_are_told(aboard: Path) -> None:
+    (aboard / "wheels" / own_target()).rename(aboard / "wheels" / target("3.9", "riscv64"))
+    line = refusal(aboard)
+    assert "are for python3.9-riscv64" in line
+    assert own_target() in line
+
+
+@pytest.mark.parametrize(("given", "chosen"), [({}, "python3.12"), ({"PYTHON": "python3.10"}, "python3.10")])
+def test_the_python_of_the_wheels_comes_first(tmp_path: Path, given: dict[str, str], chosen: str) -> None:
+    """Of several; PYTHON goes before it. These say their names and fit."""
+    (tmp_path / "wheels" / target("3.12", "x86_64")).mkdir(parents=True)
+    (tmp_path / "tools").mkdir()
+    shutil.copy(ROOT / "tools" / "setup", tmp_path / "tools")
+    for name in ("python3", "python3.10", "python3.12"):
+        (tmp_path / name).write_text('#!/bin/sh\n[ "$1" = -c ] || basename "$0"\n')
+        (tmp_path / name).chmod(0o755)
+    answer = run("tools/setup", cwd=tmp_path, PATH=f"{tmp_path}:{os.environ['PATH']}", **given)
+    assert answer.stdout.split() == [chosen]
+
+
+def test_pins_and_wheels_are_compared_by_the_names_of_an_index() -> None:
+    """Names as PEP 503 normalises them, file names as PEP 427 escapes them."""
+    assert pinned("Ruamel.Yaml==0.19.1 ; python_version < '3.11'") == "ruamel-yaml==0.19.1"
+    assert pinned_by("ruamel_yaml-0.19.1-py3-none-any.whl") == "ruamel-yaml==0.19.1"

