@@ -12,6 +12,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from scipy.spatial.transform import Rotation, Slerp
 from tf2_msgs.msg import TFMessage
 
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
@@ -20,7 +22,7 @@ from ship_estimation.outcome import Status
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
-from ship_testing.adapter_runs import SECOND_NS, START_NS, hand_over
+from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, hand_over
 from ship_testing.bag_parts import beginning
 from ship_testing.every_input import voyage as voyage_of
 from ship_testing.places import ROOT
@@ -138,6 +140,13 @@ def test_each_sensor_has_a_frame_of_its_own(ids, expected):
     adapter = new_adapter(star_sensors__fore__frame_id=ids[0], star_sensors__starboard__frame_id=ids[1])
     (static,) = [message for topic, message in adapter.tick(START_NS) if topic == "/tf_static"]
     assert [t.child_frame_id for t in static.transforms] == expected
+
+
+def test_without_star_sensors_there_is_nothing_to_tell_of_the_deck():
+    adapter = ShipAttitudeAdapter(ShipAttitudeConfig(), FACTORY)
+    told = [topic for topic, _ in adapter.tick(START_NS)]
+    assert "ship/alignment" in told
+    assert "/tf_static" not in told
 
 
 def test_where_no_attitude_is_claimed_nothing_is_told_on_tf():

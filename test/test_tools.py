@@ -33,10 +33,10 @@ def packages_that_colcon_finds(*where: str) -> set[str]:
 
 def test_what_jazzy_brings_itself_is_built_only_by_the_setup_over_wheels() -> None:
     """In a workspace of a ship's computer a second tf2_msgs would hide the installed one."""
-    assert {path.name for path in (TOOLS.parent / "wheels_only").iterdir()} == {"COLCON_IGNORE", "tf2_msgs"}
+    assert {path.name for path in (TOOLS / "wheels_only").iterdir()} == {"COLCON_IGNORE", "tf2_msgs"}
     assert "ship_msgs" in (found := packages_that_colcon_finds())
     assert "tf2_msgs" not in found
-    assert packages_that_colcon_finds("--paths", "wheels_only/tf2_msgs") == {"tf2_msgs"}
+    assert packages_that_colcon_finds("--paths", "tools/wheels_only/tf2_msgs") == {"tf2_msgs"}
 
 
 def test_tf2_msgs_is_defined_as_in_jazzy() -> None:

@@ -14,7 +14,7 @@ _ship_join() { # directories that exist, joined by colons, each once
 }
 
 _ship_sources=() _ship_prefixes=() _ship_python=() _ship_libraries=()
-for _ship_package in "$_ship_root"/src/*/ "$_ship_root"/wheels_only/*/; do
+for _ship_package in "$_ship_root"/src/*/ "$_ship_root"/tools/wheels_only/*/; do
     _ship_package=${_ship_package%/}
     _ship_name=${_ship_package##*/}
     # Python packages run from src/; their metadata (executables) lies in build/.

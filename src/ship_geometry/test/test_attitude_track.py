@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation, RotationSpline
+from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
 from ship_geometry.frames import rotation_from_angles
@@ -121,6 +121,19 @@ def test_steady_turn_is_met_exactly_even_half_a_turn_between_samples(with_rate: 
         expected = Rotation.from_rotvec(rate * time_ns / SECOND_NS).as_matrix()
         np.testing.assert_allclose(found.rotation_nd, expected, rtol=0, atol=1e-12)
         np.testing.assert_allclose(found.rate_d, rate, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.1, 0.5, 0.93])
+def test_the_chord_is_scipys_slerp_whatever_the_rates(fraction: float) -> None:
+    samples = regular(4, with_rate=True)
+    moment_ns = samples[1].time_ns + round(fraction * STEP_NS)
+    found = track_of(samples).at(moment_ns)
+    slerp = Slerp([0, STEP_NS], Rotation.from_matrix([samples[1].rotation_nd, samples[2].rotation_nd]))
+    expected = slerp(moment_ns - samples[1].time_ns).as_matrix()
+    assert found is not None
+    assert found.chord_nd(moment_ns) == pytest.approx(expected, abs=1e-15)
+    # Of a ship in a seaway it is another attitude than the cubic's, but at the samples.
+    assert (error_arcsec(found.rotation_nd, expected) > 1.0) == (fraction > 0.0)
 
 
 @pytest.mark.parametrize("with_rate", [True, False])

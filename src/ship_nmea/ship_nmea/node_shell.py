@@ -20,6 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ship_bags.command_line import CommandParser
 from ship_bags.live.ros_process import split_ros_arguments
 from ship_bags.message_factory import RosidlFactory, message_class
+from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
 from ship_estimation.parameter_rows import in_columns, parameter_row
 from ship_estimation.parameters import describe
 from ship_geometry.input_error import InputError
@@ -125,6 +126,9 @@ class NmeaNode:
         try:
             for warning in misfit_warnings(parameter_files, self._full_name):
                 self.node.get_logger().warning(warning)
+            if BLACK_BOX_PARAMETER in self.node._parameter_overrides:
+                text = f"parameter '{BLACK_BOX_PARAMETER}' is not used: no replay runs this node"
+                self.node.get_logger().warning(text)
             self._parameters = NodeParameters(self.node, config_type, has_black_box=False)
             self.config: Any = self._parameters.config
             self._diagnostics = self.publisher(OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE))

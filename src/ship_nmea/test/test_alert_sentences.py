@@ -1,4 +1,4 @@
-"""Alerts as sentences, against the examples of IEC 61162-1 (ALF) and of a Furuno log (ALC); the bridge's commands."""
+"""Alerts as sentences, against examples that open decoders quote (ALF) and a recorded line (ALC); bridge's commands."""
 
 from types import SimpleNamespace
 
@@ -33,7 +33,7 @@ def rendered(sentences):
     return [sentence.render() for sentence in sentences]
 
 
-def test_alf_in_one_sentence_is_that_of_the_standard():
+def test_alf_in_one_sentence_is_that_of_the_decoders():
     lost = AlertToTell(192, 1, 1, 0, "W", "A", time_ns(12, 43, 4.5), "LOST TARGET")
     (sentence,) = alf(lost, "II", "", 0)
     # Its category is A: the radar's picture is needed to decide. Ours never is.
@@ -41,7 +41,7 @@ def test_alf_in_one_sentence_is_that_of_the_standard():
     assert sentence.render() == "$IIALF,1,1,0,124304.50,A,W,A,,192,1,1,0,LOST TARGET*14"
 
 
-def test_alf_in_two_sentences_is_that_of_the_standard():
+def test_alf_in_two_sentences_is_that_of_the_decoders():
     lost = AlertToTell(512, 1, 2, 0, "A", "S", time_ns(8, 19, 50.1), "HEADING LOST", "NO SYSTEM HEADING AVAILABLE")
     sentences = alf(lost, "II", "XYZ", 1)
     for sentence in sentences:
@@ -52,7 +52,7 @@ def test_alf_in_two_sentences_is_that_of_the_standard():
     ]
 
 
-def test_an_empty_alc_is_that_of_a_furuno_log():
+def test_an_empty_alc_is_that_of_a_speed_log():
     assert rendered(alc([], "VD", "FEC", 65)) == ["$VDALC,01,01,65,0*6F"]
 
 
@@ -81,7 +81,7 @@ def test_a_text_of_any_characters_is_one_field_of_a_sentence_that_is_not_too_lon
     assert sentences[1].text.startswith('heading sigma 3.2" is')
 
 
-def test_arc_and_hbt_have_the_fields_of_the_standard():
+def test_arc_and_hbt_have_the_fields_of_the_manuals():
     refused = arc(AlertCommand(10_001, None, "S"), "IN", "ZZZ", time_ns(1, 2, 3)).render()
     assert refused.rpartition("*")[0] == "$INARC,010203.00,ZZZ,10001,,S"
     assert hbt(True, "IN", 30.0, 12).render().rpartition("*")[0] == "$INHBT,30,A,2"

@@ -1,8 +1,8 @@
-"""The attitude as sentences: examples that manuals print, byte for byte; signs; rounding; void fields.
+"""The attitude as sentences: printed examples, byte for byte; signs; rounding; void fields.
 
-The manuals: Kongsberg Seapath 320 (examples of the R/V's data description at NCEI, accession 0086548: PSXN, HDT), Navis
-NavDP 4000 (THS), NovAtel OEM7 (PASHR). Heave, which the suite does not know, is put in by the test where an example has
-it.
+Sources: a Seapath 320's lines in the data description of NCEI accession 0086548 (PSXN, HDT; fields by Kongsberg
+M300-62), Navis NavDP 4000, 000.JDP-10000-OME (THS), NovAtel OEM7 (PASHR). Heave, which the suite does not know, is put
+in by the test where an example has it.
 """
 
 import math

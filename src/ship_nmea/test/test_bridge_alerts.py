@@ -52,6 +52,8 @@ class AlertManagement:
         elif kind == "ARC":
             self.refused.append((sentence.alert, sentence.instance, sentence.command))
         elif kind == "HBT":
+            assert not self.beats or sentence.sequence == (self._beat + 1) % 10
+            self._beat = sentence.sequence
             self.beats.append(sentence.status)
 
     def state(self, identifier):

@@ -55,9 +55,10 @@ def bridge(tmp_path_factory, ship):
         sinks__bridge__kind="tcp_server", sinks__bridge__port=port, sinks__bridge__decimals=3,
         sinks__bridge__sentences="[HDT, THS, ROT, PASHR, PSXN20, PSXN23]", sinks__bridge__rate_hz=100.0,
         sinks__log__kind="file", sinks__log__path=folder / "log.nmea", sinks__log__rate_hz=1.0, longest_age_s=0.5,
+        black_box="boxes/",
     ))  # fmt: skip
     listener = Display(port)
-    listener.file, listener.process = folder / "log.nmea", process
+    listener.file, listener.log, listener.process = folder / "log.nmea", folder / "log.txt", process
     until(ship, listener.connect)
     yield listener
     listener.close()
@@ -155,6 +156,10 @@ def test_an_attitude_at_ten_kilohertz_comes_out_at_the_sinks_rate(ship, bridge):
     lasted_s = time.monotonic() - began_s
     assert bridge.file.read_text().count("HDT") - before <= lasted_s * 1.0 + 2
     assert bridge.process.poll() is None
+
+
+def test_a_black_box_that_it_does_not_keep_is_told(bridge):
+    assert "parameter 'black_box' is not used: no replay runs this node" in bridge.log.read_text()
 
 
 def test_the_diagnostics_tell_of_every_sink(ship, bridge):

@@ -180,11 +180,9 @@ class ShipAttitudeAdapter(ReportingAdapter):
         installed = {
             frame: self.core.star_installation(id_) for id_, frame in star_frames(self.config.star_sensors).items()
         }
-        return [
-            *published,
-            ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns)),
-            (TF_STATIC_TOPIC, installed_frames(factory, installed, now_ns)),
-        ]
+        if installed:
+            published.append((TF_STATIC_TOPIC, installed_frames(factory, installed, now_ns)))
+        return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns))]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The attitude, the alignment at the start, the rates of the INS, conflicts with it, verdicts, clocks."""

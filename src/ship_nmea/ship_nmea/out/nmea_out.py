@@ -91,7 +91,7 @@ class NmeaOut:
         self._asked: deque[_Asked] = deque()
         self._counts: Counter[str] = Counter()
         self._ledger = AlertLedger()
-        self._sequence = 0
+        self._sequences: Counter[str] = Counter()
         self._sinks: list[Sink] = []
         try:
             for name, config in self._config.sinks.items():
@@ -196,17 +196,17 @@ class NmeaOut:
             self._tell_alert(alert, self._with(ALF))
 
     def _tell_alert(self, alert: AlertToTell, sinks: Iterable[Sink]) -> None:
-        for sentence in alf(alert, self._config.talker, self._config.manufacturer, self._next()):
+        for sentence in alf(alert, self._config.talker, self._config.manufacturer, self._next(ALF)):
             _put(sentence, sinks)
         self._counts["told"] += 1
 
     def _tell_list(self) -> None:
         """The list, unless nobody keeps the alerts: then an empty list would say that all is well."""
         is_kept = self._is_kept()
-        sentences = alc(self._ledger.told, self._config.talker, self._config.manufacturer, self._next())
+        sentences = alc(self._ledger.told, self._config.talker, self._config.manufacturer, self._next(ALC))
         for sentence in sentences if is_kept else ():
             _put(sentence, self._with(ALC))
-        beat = hbt(is_kept, self._config.talker, self._config.alerts_period_s, self._sequence)
+        beat = hbt(is_kept, self._config.talker, self._config.alerts_period_s, self._next(HBT))
         _put(beat, self._with(HBT))
 
     def _answer_commands(self) -> None:
@@ -286,9 +286,10 @@ class NmeaOut:
     def _with(self, name: str) -> list[Sink]:
         return [sink for sink in self._sinks if name in sink.config.sentences]
 
-    def _next(self) -> int:
-        self._sequence += 1
-        return self._sequence
+    def _next(self, name: str) -> int:
+        """The number of the next message of a kind: by a gap the bridge learns that one is lost."""
+        self._sequences[name] += 1
+        return self._sequences[name]
 
     def _utc_ns(self) -> int:
         """The node's time; the machine's before the first /clock."""

@@ -173,7 +173,6 @@ class Sink:
     def _open(self) -> None:
         self._outlet.open(self._selector)
         with self._lock:
-            self._queue.clear()
             self._is_open, self._failure = True, ""
 
     def _fail(self, problem: Exception) -> None:
