@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from ship_bags.errors import BadInput
 from ship_bringup.commands import policies
 from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text, published, subscribed
-from ship_bringup.security.rights import device_of, suite_rights
+from ship_bringup.security.rights import companions_of, device_of, heard_by_nmea, suite_rights
 from ship_bringup.suite.plan import checked_nodes
 
 PACKAGE = Path(__file__).parents[1]
@@ -79,16 +80,37 @@ def test_nobody_may_set_the_clock_or_tell_a_truth_unless_bags_are_played():
     assert may(played["/demo/play"], "publish", "rt/demo/truth/attitude")
 
 
-def test_nmea_out_hears_what_it_tells_and_acknowledges_nmea_in_gives_what_instruments_say():
-    every = rights_of("two_sensors", nmea=["nmea_out", "nmea_in"])
+NMEA = """
+/**/nmea_out: {ros__parameters: {sinks: {bridge: {kind: udp, address: 127.0.0.1, port: 10111, sentences: [HDT]}}}}
+/**/nmea_in:
+  ros__parameters:
+    sources:
+      seapath: {kind: udp, port: 10110, becomes: ins}
+      s330: {kind: tcp, address: 127.0.0.1, port: 4001, becomes: reference}
+"""
+
+
+def test_nmea_out_hears_what_it_tells_and_nmea_in_gives_what_its_sources_say(tmp_path):
+    path = tmp_path / "suite.yaml"
+    path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text() + NMEA)
+    companions = companions_of(path, "demo")
+    every = rights_of("two_sensors", companions=companions)
     out, into = every["/demo/nmea_out"], every["/demo/nmea_in"]
     assert out.subscribes == {"/demo/ship/attitude", "/demo/ship/alerts"}
     assert out.requests == {"/demo/alerts/acknowledge"}
     assert {topic for topic in out.publishes if topic.startswith("/demo/")} == set()
-    assert "/demo/ins/imu" in into.publishes
     assert not into.subscribes | into.requests
-    assert not any("star" in topic or "ship/" in topic for topic in into.publishes)
+    given = {topic for topic in into.publishes if topic.startswith("/demo/")}
+    assert given == {f"/demo/{topic}" for topic in ("ins/imu", "gnss/fix", "reference/s330/imu")}
+    assert set(heard_by_nmea(companions)) == {"ins/imu", "gnss/fix", "reference/s330/imu"}
     assert not {"/demo/nmea_out", "/demo/nmea_in"} & set(rights_of("two_sensors"))
+
+
+def test_a_wrong_parameter_of_a_companion_is_one_line(tmp_path):
+    path = tmp_path / "suite.yaml"
+    path.write_text(NMEA.replace("becomes: ins", "becomes: gold"))
+    with pytest.raises(BadInput, match=rf"^{path}:6: parameter 'sources.seapath.becomes'"):
+        companions_of(path, "demo")
 
 
 def test_services_are_two_topics_one_each_way():

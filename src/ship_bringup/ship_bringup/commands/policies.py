@@ -11,9 +11,8 @@ from ship_bags.live.ros_process import namespace_name
 from ship_bags.output_files import add_force, check_folder, write_whole
 from ship_bringup.security.demand import DOMAIN, LAST_DOMAIN, domain_of
 from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text
-from ship_bringup.security.rights import suite_rights
+from ship_bringup.security.rights import companions_of, suite_rights
 from ship_bringup.suite.plan import checked_nodes
-from ship_node.parameters.companions import named_companions
 
 _DESCRIPTION = """\
 Writes what DDS security lets each program of a suite do, and nothing more, from the topics and services that the code
@@ -63,9 +62,9 @@ def _parser() -> CommandParser:
 
 def _policies(options: argparse.Namespace) -> int:
     nodes, _ = checked_nodes(options.file, options.namespace)
-    nmea = [companion.node_name for companion in named_companions(options.file, options.namespace)]
+    companions = companions_of(options.file, options.namespace)
     adapters = [node.adapter for node in nodes]
-    all_rights = suite_rights(adapters, options.namespace, options.locked, options.play, nmea)
+    all_rights = suite_rights(adapters, options.namespace, options.locked, options.play, companions)
     domain_id = domain_of(os.environ) if options.domain is None else options.domain
     first = options.valid_from or datetime.datetime.now(datetime.timezone.utc)
     first = first.replace(hour=0, minute=0, second=0, microsecond=0)

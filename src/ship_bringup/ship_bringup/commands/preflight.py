@@ -7,8 +7,10 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ship_bags.command_line import CommandParser, run_command
+from ship_bags.errors import BadInput
 from ship_bags.live.ros_process import (
     dds_has_security,
     is_demanded,
@@ -27,9 +29,8 @@ from ship_bringup.checks.security_check import judge_keystore, judge_security
 from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
 from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
-from ship_bringup.security.rights import is_instruments, suite_rights
+from ship_bringup.security.rights import companions_of, heard_by_nmea, suite_rights
 from ship_bringup.suite.plan import without_saved_file
-from ship_node.parameters.companions import named_companions
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
@@ -56,9 +57,11 @@ class _Suite:
     chain: AdapterChain
 
     @property
-    def nmea(self) -> list[str]:
-        companions = named_companions(self.options.file, self.options.namespace)
-        return [companion.node_name for companion in companions]
+    def companions(self) -> dict[str, Any]:
+        try:
+            return companions_of(self.options.file, self.options.namespace)
+        except BadInput:
+            return {}  # told with the parameters
 
     @property
     def names(self) -> list[str]:
@@ -137,7 +140,7 @@ def _security(suite: _Suite) -> Iterable[CheckLine]:
     if keystore or is_demand:
         namespace = suite.options.namespace
         use = KeystoreUse(
-            rights=suite_rights(suite.chain.adapters, namespace, suite.options.locked, nmea=suite.nmea),
+            rights=suite_rights(suite.chain.adapters, namespace, suite.options.locked, companions=suite.companions),
             domain_id=domain_of(os.environ),
             now=datetime.datetime.now(datetime.timezone.utc),
             voyage=datetime.timedelta(days=suite.options.days),
@@ -186,8 +189,7 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
             lag_s = float(getattr(node.config, "lag_s", 2.0))
             lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
     asked = asked_qualities(suite.options.file, lags_s, suite.options.namespace)
-    own = list(filter(is_instruments, lags_s)) if "nmea_in" in suite.nmea else []
-    yield from judge_sensors(network, suite.limits, lags_s, asked, own)
+    yield from judge_sensors(network, suite.limits, lags_s, asked, heard_by_nmea(suite.companions))
 
 
 if __name__ == "__main__":

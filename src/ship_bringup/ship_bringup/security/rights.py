@@ -6,14 +6,20 @@ each device, named by the first words of its topics, as ``sensors/star_fore``.
 
 import hashlib
 import json
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
+from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import full_name
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_estimation.parameters import describe
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE
+from ship_node.parameters.companions import named_companions
+from ship_node.parameters.parameter_file import load_config
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_watch.topics import MESSAGES, TOPICS, watched_topic
 
@@ -28,9 +34,6 @@ _SET = "set_parameters", "set_parameters_atomically"
 _TYPE_DESCRIPTION = "get_type_description"
 _TWO_WORDS = "star", "reference", "beacon"
 """Topics of these have the id of a device as their second word."""
-
-_INSTRUMENTS = "ins", "reference", "gnss", "met"
-"""First words of the topics that ``nmea_in`` gives."""
 
 _FRAMES = "/tf", "/tf_static"
 """A suite in a namespace tells its frames there, and not on the topics of all."""
@@ -72,7 +75,7 @@ def suite_rights(
     namespace: str = "",
     locked: bool = False,
     played: bool = False,
-    nmea: Collection[str] = (),
+    companions: Mapping[str, Any] = MappingProxyType({}),
 ) -> tuple[Rights, ...]:
     """The rights of all programs of a suite, its estimators first.
 
@@ -81,14 +84,36 @@ def suite_rights(
         namespace: of the suite, without its outer slashes; empty for none.
         locked: whether nobody may set a parameter of a running node.
         played: whether a bag may be played into it: somebody sets /clock and gives what sensors give. Not for a voyage.
-        nmea: names of those companions of the estimators that the suite has.
+        companions: what :func:`companions_of` tells of its file.
     """
-    return tuple(_SuiteRights(adapters, namespace, locked, played).all(nmea))
+    return tuple(_SuiteRights(adapters, namespace, locked, played, companions).all())
 
 
-def is_instruments(topic: str) -> bool:
-    """Whether a topic is one that ``nmea_in`` gives, where an instrument speaks NMEA."""
-    return topic.partition("/")[0] in _INSTRUMENTS
+def companions_of(suite_path: Path, namespace: str) -> dict[str, Any]:
+    """Name → configuration of each companion of the estimators that a suite file names.
+
+    Raises:
+        BadInput: a parameter of one is wrong; or its package is not installed.
+    """
+    found = {}
+    for companion in named_companions(suite_path, namespace):
+        name = full_name(companion.node_name, namespace)
+        try:
+            found[companion.node_name] = load_config(companion.config_type, suite_path, name)
+        except ImportError as problem:
+            reason = f"section of {name}: package {companion.package} is not installed"
+            raise BadInput(reason, file=suite_path) from problem
+    return found
+
+
+def heard_by_nmea(companions: Mapping[str, Any]) -> dict[str, str]:
+    """Relative topic → type of what the ``nmea_in`` of a suite gives; empty where it has none."""
+    config = companions.get("nmea_in")
+    given: dict[str, str] = {}
+    if config is not None:
+        for id_ in config.sources:
+            given |= config.role(id_).topics(id_)
+    return given
 
 
 def device_of(topic: str) -> str:
@@ -105,15 +130,22 @@ def parameter_services(node: str, names: Iterable[str] = (*_GET, *_SET)) -> froz
 class _SuiteRights:
     """The rights of one suite; see :func:`suite_rights`."""
 
-    def __init__(self, adapters: Sequence[Adapter], namespace: str, locked: bool, played: bool) -> None:
+    def __init__(
+        self,
+        adapters: Sequence[Adapter],
+        namespace: str,
+        locked: bool,
+        played: bool,
+        companions: Mapping[str, Any],
+    ) -> None:
         chain = AdapterChain(adapters)
         self._adapters, self._namespace, self._locked = chain.adapters, namespace, locked
         self._from_outside = {topic.topic: topic.type_name for topic in chain.inputs}
         self._clock = frozenset({full_name("clock", namespace), _CLOCK}) if played else frozenset()
-        self._played = played
+        self._played, self._companions = played, companions
         given = {topic.topic: topic.type_name for topic in chain.outputs}
-        self._types = {**self._from_outside, **given, ALERTS_TOPIC: MESSAGES + "AlertArray"}
-        self._types[DIAGNOSTICS_TOPIC] = DIAGNOSTICS_TYPE
+        self._types = {**heard_by_nmea(companions), **self._from_outside, **given}
+        self._types |= {ALERTS_TOPIC: MESSAGES + "AlertArray", DIAGNOSTICS_TOPIC: DIAGNOSTICS_TYPE}
         if played:
             truth = (row for row in TOPICS if row.pattern.startswith(TRUTH_PREFIX))
             self._types |= {row.pattern: row.type_name for row in truth}
@@ -121,10 +153,10 @@ class _SuiteRights:
         self._alerts = self._full("alerts")
         self._nodes = [self._full(adapter.node_name) for adapter in self._adapters]
 
-    def all(self, nmea: Collection[str]) -> Iterator[Rights]:
+    def all(self) -> Iterator[Rights]:
         for adapter in self._adapters:
             yield self._of_node(adapter)
-        yield from self._of_nmea(nmea)
+        yield from self._of_companions()
         yield self._of_alerts()
         everything = self._topics(self._types)
         watched = self._topics([*self._watched, ALERTS_TOPIC, DIAGNOSTICS_TOPIC]) | self._clock
@@ -168,15 +200,15 @@ class _SuiteRights:
             serves=frozenset({*services, f"{self._alerts}_reader/{_TYPE_DESCRIPTION}"}) | _own_services(self._alerts),
         )
 
-    def _of_nmea(self, nmea: Collection[str]) -> Iterator[Rights]:
+    def _of_companions(self) -> Iterator[Rights]:
         diagnostics = {DIAGNOSTICS_TOPIC}
-        if "nmea_out" in nmea:
+        if "nmea_out" in self._companions:
             heard = self._topics(["ship/attitude", ALERTS_TOPIC]) | self._clock
             acknowledge = {f"{self._alerts}/acknowledge"}
             yield replace(self._tool("nmea_out", heard, acknowledge, diagnostics), is_needed=True)
-        if "nmea_in" in nmea:
-            given = set(filter(is_instruments, self._from_outside))
-            yield replace(self._tool("nmea_in", self._clock, (), self._topics(given | diagnostics)), is_needed=True)
+        if "nmea_in" in self._companions:
+            given = {*heard_by_nmea(self._companions), *diagnostics}
+            yield replace(self._tool("nmea_in", self._clock, (), self._topics(given)), is_needed=True)
 
     def _of_sensors(self) -> Iterator[Rights]:
         """One enclave for each device; its driver is not ours, and is expected under the device's name."""

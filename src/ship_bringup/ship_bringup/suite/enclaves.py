@@ -10,24 +10,21 @@ from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import full_name
 from ship_bringup.security.demand import KEYSTORE, domain_of, enclave_command
 from ship_bringup.security.keystore import KeystoreUse, require_keystore
-from ship_bringup.security.rights import suite_rights
+from ship_bringup.security.rights import Rights
 from ship_bringup.suite.keeper import Program
-from ship_node.edge.adapter import Adapter
-from ship_node.parameters.companions import COMPANIONS
 from ship_watch.limits import Limits
 
 
 def in_enclaves(
-    programs: Sequence[Program], adapters: Sequence[Adapter], namespace: str, limits: Limits, played: bool
+    programs: Sequence[Program], all_rights: Sequence[Rights], namespace: str, limits: Limits
 ) -> tuple[list[Program], list[str]]:
     """The programs, each in the enclave of its name, and what people should know of the ship's keystore.
 
     Args:
         programs: of the suite.
-        adapters: of its estimators.
+        all_rights: of all that may belong to the suite.
         namespace: of the suite.
         limits: of the ship, which may tell its authority.
-        played: whether a bag is played into the suite.
 
     Raises:
         BadInput: there is no keystore, a program has no enclave in it, or it is that of another ship.
@@ -36,9 +33,8 @@ def in_enclaves(
     if not keystore:
         raise BadInput(f"DDS security is demanded, and {KEYSTORE} is not set: not started; it names the keystore")
     enclaves = [full_name(program.name, namespace) for program in programs]
-    rights = suite_rights(adapters, namespace, played=played, nmea=[each.node_name for each in COMPANIONS])
     use = KeystoreUse(
-        rights=[replace(each, is_needed=True) for each in rights if each.enclave in enclaves],
+        rights=[replace(each, is_needed=True) for each in all_rights if each.enclave in enclaves],
         domain_id=domain_of(os.environ),
         now=datetime.datetime.now(datetime.timezone.utc),
         voyage=datetime.timedelta(0),

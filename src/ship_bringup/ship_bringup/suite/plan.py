@@ -10,6 +10,7 @@ from ship_bags.live.ros_process import executable, is_demanded
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.parameter_yaml import anywhere, full_name, read_sections
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
+from ship_bringup.security.rights import companions_of, suite_rights
 from ship_bringup.suite.enclaves import in_enclaves
 from ship_bringup.suite.keeper import Program, Role
 from ship_node.edge.messages_out import TF_STATIC_TOPIC, TF_TOPIC
@@ -103,8 +104,9 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         programs.append(_player(options.bag, chain, options))
     if is_demanded(os.environ):
         limits = Limits() if options.limits is None else read_limits(options.limits)
-        played = options.bag is not None
-        programs, told = in_enclaves(programs, chain.adapters, options.namespace, limits, played)
+        beside = companions_of(path, options.namespace)
+        rights = suite_rights(chain.adapters, options.namespace, played=options.bag is not None, companions=beside)
+        programs, told = in_enclaves(programs, rights, options.namespace, limits)
         warnings += told
     return Plan(tuple(programs), (*warnings, *without_saved_file(path, nodes), *_played_out(companions, options)))
 
