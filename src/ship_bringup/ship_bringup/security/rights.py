@@ -17,7 +17,7 @@ from ship_bags.parameter_yaml import full_name
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_estimation.parameters import describe
 from ship_node.edge.adapter import Adapter
-from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.companions import named_companions
 from ship_node.parameters.parameter_file import load_config
 from ship_replay.offline.adapter_chain import AdapterChain
@@ -35,7 +35,7 @@ _TYPE_DESCRIPTION = "get_type_description"
 _TWO_WORDS = "star", "reference", "beacon"
 """Topics of these have the id of a device as their second word."""
 
-_FRAMES = "/tf", "/tf_static"
+_FRAMES = TF_TOPIC, TF_STATIC_TOPIC
 """A suite in a namespace tells its frames there, and not on the topics of all."""
 
 

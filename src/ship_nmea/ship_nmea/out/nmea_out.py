@@ -132,7 +132,7 @@ class NmeaOut:
                 self._counts["dropped"] += 1
             self._heard.append((sink, text))
 
-        sink = Sink(name, config, hear)
+        sink = Sink(name, config, hear)  # which `hear` names, too
         return sink
 
     # -- attitude -------------------------------------------------------------------------------------------
