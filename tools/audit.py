@@ -17,6 +17,7 @@ from bundle import pins
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
+from wheelhouse import NETWORK_SIGNS
 
 ROOT = Path(__file__).resolve().parents[1]
 LOCK = ROOT / "requirements.lock"
@@ -82,7 +83,8 @@ def _environment(work: Path) -> Path:
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-input", PIP_AUDIT]
     answer = subprocess.run(pip, env=_own(), capture_output=True, text=True, check=False)
     if answer.returncode:
-        raise BadInput(f"{PIP_AUDIT} is not to be had, nothing is known of vulnerabilities: {_last(answer.stderr)}")
+        why = "no network" if any(sign in answer.stderr for sign in NETWORK_SIGNS) else _last(answer.stderr)
+        raise BadInput(f"{PIP_AUDIT} is not to be had, nothing is known of vulnerabilities: {why}")
     return python
 
 

@@ -141,7 +141,7 @@ def wheels_to_install(with_ros: bool) -> tuple[list[str], list[str]]:
 
 def install_wheels(prefix: str, identity: str, wheels: list[str], place: list[str]) -> None:
     """Install every pinned wheel, without resolving: the lock is the whole closure."""
-    say(f"{len(wheels)} pinned wheels from {LOCK.name}, a minute or two")
+    say(f"pinned wheels of {LOCK.name}, a minute or two")
     chosen = VENV / "requirements.txt"
     chosen.write_text("\n".join(wheels) + "\n")
     pip = [str(VENV / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--no-input", *place]

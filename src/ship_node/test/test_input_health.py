@@ -241,6 +241,8 @@ def test_mend_13_stamps_of_another_time_are_an_error_in_words(book):
     assert (status.level, status.values["accepted"], status.values["reason clock"]) == (Level.ERROR, "20", "20")
     assert status.message == "stamps 310 days before the node's clock: a bag of another time?"
     assert book.of_another_time() == f"{IMU}: {status.message}"
+    refused, noted = book.refused_and_noted()[IMU]
+    assert (refused.total(), dict(noted)) == (0, {Reason.CLOCK: 20})
     book.clock_unused(True)
     assert imu_status(book, last_ns).message == f"{status.message} /clock is published: start with use_sim_time:=true"
     message = imu_message(book, last_ns)

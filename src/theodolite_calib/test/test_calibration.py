@@ -201,7 +201,7 @@ def test_mend_16_the_node_says_what_it_is_and_which_calibration_it_starts_from(t
     assert adapter.notices == []
     adapter.tick(NOW_NS)
     assert adapter.notices == [f"calibration {path}, 3.0 d old"]
-    line = start_line(adapter, config(calibration_file=str(path)), is_simulated_time=True, black_box="")
+    line = start_line(adapter, config(calibration_file=str(path)), clock="/demo/clock", black_box="")
     assert line.startswith("beacons: alpha, bravo; ")
-    for part in (f"calibration_file: {path}", "clock: /clock", "black box: none", "needs theodolite/encoder"):
+    for part in (f"calibration_file: {path}", "clock: /demo/clock", "black box: none", "needs theodolite/encoder"):
         assert part in line, line

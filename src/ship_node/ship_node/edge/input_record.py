@@ -77,6 +77,7 @@ class InputRecord:
         self.is_too_old = receive_ns - stamp_ns > max_age_ns
         if self.is_too_old:
             self.reasons[Reason.CLOCK] += 1
+            self.noted[Reason.CLOCK] += 1
         if self._newest_stamp_ns is None or stamp_ns > self._newest_stamp_ns:
             self._newest_stamp_ns = stamp_ns
 

@@ -95,8 +95,9 @@ class LiveNode:
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
         # The box has said its path itself, which is another one where a box was there.
-        simulated, box = bool(self.node.get_parameter("use_sim_time").value), self._parameters.black_box
-        self.node.get_logger().info(start_line(self.adapter, self._parameters.config, simulated, box))
+        clock = self.node.resolve_topic_name("/clock") if self._clock.is_simulated() else ""
+        box = self._parameters.black_box
+        self.node.get_logger().info(start_line(self.adapter, self._parameters.config, clock, box))
         for warning in self.adapter.start_warnings:
             self.node.get_logger().warning(warning)
         self._warn_of_unused_overrides()

@@ -27,13 +27,13 @@ SHOWN_NS = 10_000_000_000
 _FILE = "_file"
 
 
-def start_line(adapter: Adapter, config: Any, is_simulated_time: bool, black_box: str) -> str:
+def start_line(adapter: Adapter, config: Any, clock: str, black_box: str) -> str:
     """The line of a node about its set-up: devices by kind, files, clock, black box.
 
     Args:
         adapter: of the node, as configured.
         config: its configuration: a group of devices is a mapping, a file a text whose name ends with ``_file``.
-        is_simulated_time: whether the node's clock is /clock.
+        clock: full name of the topic that sets the node's time; empty where that is the system's.
         black_box: path of its box, empty for none.
     """
     parts = []
@@ -46,7 +46,7 @@ def start_line(adapter: Adapter, config: Any, is_simulated_time: bool, black_box
     required = [topic.topic for topic in adapter.inputs if topic.required]
     parts += [
         f"needs {', '.join(required) or 'no topic'}",
-        f"clock: {'/clock' if is_simulated_time else 'system time'}",
+        f"clock: {clock or 'system time'}",
         f"black box: {black_box or 'none'}",
     ]
     return "; ".join(parts)
