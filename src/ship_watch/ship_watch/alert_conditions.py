@@ -44,6 +44,13 @@ _NODE_STATUSES = {
 }
 """Statuses by which nodes tell in `/diagnostics` how they themselves do: end of the alert's id, urgency of an error."""
 
+_LINE_STATUSES = {
+    "sink": (Priority.WARNING, "nothing goes out to"),
+    "source": (Priority.CAUTION, "nothing comes from"),
+}
+"""Statuses of lines that NMEA goes out or comes in by, by the first word of their names: urgency of an error, words.
+The second word is the line. What a dead source takes away is told by the inputs that it gives."""
+
 _ERROR = 2
 _ITS_NODE = "its node"
 
@@ -207,7 +214,13 @@ def _clock(picture: Picture, limits: Limits) -> Iterable[Condition]:
 
 def _nodes(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable[Condition]:
     for status in statuses:
-        if status.name not in _NODE_STATUSES or status.level < _ERROR:
+        if status.level < _ERROR:
+            continue
+        kind, _, line = status.name.partition(" ")
+        if kind in _LINE_STATUSES:
+            priority, words = _LINE_STATUSES[kind]
+            yield Condition(f"{status.node}.{kind}.{line}", priority, "", f"{status.node}: {words} {line}")
+        if status.name not in _NODE_STATUSES:
             continue
         ending, priority = _NODE_STATUSES[status.name]
         told = status.values.get("lost", "")

@@ -108,8 +108,8 @@ class TopicReports:
 
     @property
     def is_expected(self) -> bool:
-        """Whether a node misses the topic, although nothing of it ever came."""
-        return self.arrived_ns is None and self._level > 0
+        """Whether a node misses the topic and nothing of it ever came to that node, whoever else may hear it."""
+        return self._level > 0 and bool(self._reporters) and not any(one.received for one in self._reporters)
 
     def age_s(self, now_ns: int) -> float:
         """Time since the last message arrived, s; infinite where none did.

@@ -70,6 +70,8 @@ CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
     ("NODE.stamps", "warning"): (picture(), node("stamps")),
     ("NODE.name", "warning"): (picture(), node("name")),
     ("NODE.software", "caution"): (picture(), node("callbacks")),
+    ("NODE.sink.ID", "warning"): (picture(), node("sink bridge")),
+    ("NODE.source.ID", "caution"): (picture(), node("source gyro")),
     ("disk.full", "warning"): (picture(), Machine(disk_free_gb=9.0)),
 }
 
@@ -90,6 +92,7 @@ def pattern(id_: str) -> str:
         return id_.partition(".")[0] + ".ID.out"
     if id_.endswith((".unreported", ".mended", ".rate")):
         return "SOURCE." + id_.rpartition(".")[2]
+    id_ = re.sub(r"\.(sink|source)\.\w+$", r".\1.ID", id_)
     return re.sub(r"^ship_attitude\.(?!out)", "NODE.", id_)
 
 

@@ -136,3 +136,9 @@ def test_never_heard() -> None:
     told.level = 2
     reports.note(told, at(6))
     assert reports.is_expected
+    # Who watches may hear what the node does not, which asks for another quality of service.
+    reports.heard(at(6.5))
+    assert reports.is_expected
+    came = report(7, 3, age_s=0.1)
+    reports.note(came, at(7))
+    assert not reports.is_expected
