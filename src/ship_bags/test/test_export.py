@@ -529,6 +529,26 @@ def test_a_full_disk_is_named_and_nothing_is_left(kind, tmp_path, capsys, small_
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
+@pytest.mark.parametrize("kind", SUFFIXES)
+def test_a_disk_that_is_full_at_the_last_table_leaves_the_old_ones_of_all(kind, tmp_path, capsys, small_files):
+    """Parquet holds its rows back up to the end, and NetCDF is as wide as its longest text, which comes last."""
+    string = message_store().types["std_msgs/msg/String"]
+    with BagWriter(tmp_path / "texts.mcap") as bag:
+        bag.write("a", string("first"), START_NS)
+        for number in range(1000):
+            bag.write("b", string(f"{number:064x}"), START_NS)
+        bag.write("b", string("x" * 2000), START_NS)
+    out = tmp_path / "out"
+    out.mkdir()
+    old = {f"{name}{SUFFIXES[kind]}": f"old {name}" for name in "ab"}
+    for name, text in old.items():
+        (out / name).write_text(text)
+    with small_files({"csv": 50_000, "parquet": 5_000, "netcdf": 150_000}[kind]):
+        line = refusal([tmp_path / "texts.mcap", "--out", out, "--format", kind, "--force"], capsys)
+    assert f"b{SUFFIXES[kind]}: File too large" in line
+    assert {path.name: path.read_text() for path in out.iterdir()} == old
+
+
 @pytest.fixture
 def small_files():
     """A bound on the length of files fails as a full disk does, in the middle of the content."""

@@ -96,8 +96,11 @@ def export(order: ExportOrder) -> Exported:
                 topic.files.append((table, file))
         unreadable = _take_messages(bag, order, topics)
         files = [file for topic in topics.values() for _, file in topic.files]
+        # A full disk shows itself here at the latest: no file gets its name before all are on the disk.
         for file in files:
             file.finish()
+        for file in files:
+            file.publish()
         return Exported({file.path: file.row_count for file in files}, [*bag.problems, *refused, *unreadable])
 
 
